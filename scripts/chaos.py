@@ -254,7 +254,7 @@ def draw_strokes(person: int) -> None:
             with suppress(OSError, httpx.TransportError):  # it has not started yet
                 address = json.loads(Path(OUT, ".session.json").read_text())
                 url = f"http://127.0.0.1:{address['port']}/api/event"
-                image = {"name": f"street_{person:06}.png", "user": "ann"}
+                image = {"name": f"street_{person:06}.png"}
                 headers = {"x-token": address["token"]}
                 status = httpx.post(url, params=image, headers=headers, json=stroke).status_code
         if status != 200:

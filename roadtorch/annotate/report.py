@@ -20,16 +20,13 @@ def corrections_report(out: Path, pictures: Path | None = None) -> str:
     """The report of a folder of corrections, as lines; DatasetError where there are none."""
     corrections = read_corrections(out, pictures)
     figures = [machine_f(each, out) if each.confirmed else None for each in corrections]
-    rows = [["picture", "who", "clicks", "seconds", "said", "agree", "machine's F"]]
+    rows = [["picture", "clicks", "seconds", "said", "machine's F"]]
     for correction, figure in zip(corrections, figures, strict=True):
-        people = ",".join(correction.users)
         clicks, seconds = str(correction.clicks), f"{correction.seconds:.0f}"
         spoken = f"{100 * float((correction.labels > 0).mean()):.1f} %"
-        share = correction.agreement
-        agree = "" if share is None else f"{100 * share:.1f} %"
         verdict = "" if figure is None else f"{figure:.3f}"
         verdict = verdict if correction.confirmed else "not confirmed"
-        rows.append([correction.name, people, clicks, seconds, spoken, agree, verdict])
+        rows.append([correction.name, clicks, seconds, spoken, verdict])
     totals = _totals(corrections, [figure for figure in figures if figure is not None])
     return "\n".join([aligned(rows), "", *totals])
 

@@ -207,7 +207,7 @@ def static_file(request: Request) -> Response:
 
 
 class Page:
-    """What the page asks for, of a session; pictures and users by ``name`` and ``user``."""
+    """What the page asks for, of a session; pictures by ``name``."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -239,8 +239,8 @@ class Page:
         return Response(data, media_type="application/octet-stream")
 
     def state(self, request: Request) -> Response:
-        """A person's picture as it stands."""
-        return _state(self._session.state(_given(request, "name"), _given(request, "user")))
+        """Return a picture as it stands."""
+        return _state(self._session.state(_given(request, "name")))
 
     async def event(self, request: Request) -> Response:
         """Take what a person did, and tell how the picture stands then."""
@@ -249,8 +249,7 @@ class Page:
             message = f"has more than {MAX_BODY:,} bytes"
             return refusal(413, "stroke", message, "draw it in shorter strokes")
         event = parse_event(body, "stroke")
-        name, user = _given(request, "name"), _given(request, "user")
-        return _state(await run_in_threadpool(self._session.add, name, user, event))
+        return _state(await run_in_threadpool(self._session.add, _given(request, "name"), event))
 
 
 def _given(request: Request, key: str) -> str:

@@ -1,8 +1,7 @@
-"""A session of corrections: a folder of pictures, the machine's views, and everybody's work."""
+"""A session of corrections: a folder of pictures, the machine's views, and the work on them."""
 
 import hashlib
 import os
-import re
 import threading
 import time
 from dataclasses import dataclass, field
@@ -28,7 +27,7 @@ from roadtorch.base.bounded import printable
 from roadtorch.base.errors import InputError
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.correction_labels import LABELS
-from roadtorch.data.corrections import agreement_share, picture_size
+from roadtorch.data.corrections import picture_size
 from roadtorch.data.events import (
     ENDING,
     AnyEvent,
@@ -50,8 +49,6 @@ from roadtorch.inputs.pictures import find_pictures
 HELD = 2**26  # bytes of labels in memory, and one picture's in any case
 
 FRESH = 2.0  # seconds for which a listing holds
-
-USER = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 # --- what there is to correct -----------------------------------------------------------
 
@@ -100,27 +97,16 @@ class PictureFolder:
         return path
 
 
-def checked_user(user: str) -> str:
-    """The name of a user, which is part of file names; InputError where it cannot be."""
-    if not USER.fullmatch(user):
-        remedy = "use 1 to 32 letters, digits, _ or -"
-        raise InputError(user[:40] or "user", "is no name for a user", remedy)
-    return user
+def open_work(pictures: PictureFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:
+    """Open the log for a picture of (height, width), or begin one.
 
-
-def open_work(
-    pictures: PictureFolder, out: Path, name: str, user: str, size: tuple[int, int]
-) -> EventLog:
-    """A user's log for a picture of (height, width), or a new one.
-
-    Raises InputError for a name that is none for a user, DatasetError for a log that cannot be
-    read or does not fit its picture.
+    Raises DatasetError for a log that cannot be read or does not fit its picture.
     """
-    path = log_path(out, name, checked_user(user))
+    path = log_path(out, name)
     log = read_log(path) if path.exists() else None
     if log is None:
         picture = os.path.relpath(pictures.root / name, pictures.apart)
-        log = EventLog(path, LogHead(picture=picture, user=user, height=size[0], width=size[1]))
+        log = EventLog(path, LogHead(picture=picture, height=size[0], width=size[1]))
     log.labels  # noqa: B018  # folded before other threads see it
     return log
 
@@ -140,7 +126,7 @@ class Session:
     out: Path
     order: PictureOrder
     trusts: dict[str, float] = field(default_factory=dict)
-    _works: WeakValueDictionary[tuple[str, str], EventLog] = field(
+    _works: WeakValueDictionary[str, EventLog] = field(
         default_factory=WeakValueDictionary, repr=False
     )
     _held: list[EventLog] = field(default_factory=list, repr=False)
@@ -152,15 +138,16 @@ class Session:
     # --- what there is ------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
-        """Every picture: its name, trust and turn if known, each person's events and verdict."""
+        """List every picture: its name, trust and turn if known, its events and verdict."""
         work, names = self._work_by_picture(), self.pictures.names()
+        untouched = {"events": 0, "confirmed": False, "version": 0}
         turns = self.order.turns(names, self.trusts, work)
         return [
             {
                 "name": name,
                 "trust": self._trust(name),
                 "turn": turns.get(name),
-                "users": work.get(name, {}),
+                **work.get(name, untouched),
             }
             for name in names
         ]
@@ -169,12 +156,11 @@ class Session:
         trust = self.trusts.get(name)
         return None if trust is None or np.isnan(trust) else round(trust, 3)
 
-    def _work_by_picture(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """What each person did on each picture; a log is read again when its length changed."""
-        work: dict[str, dict[str, dict[str, Any]]] = {}
+    def _work_by_picture(self) -> dict[str, dict[str, Any]]:
+        """Summarise the work on each picture; a log is read again when its length changed."""
+        work: dict[str, dict[str, Any]] = {}
         for path in sorted(self.out.rglob(f"*{ENDING}")):
-            stem = path.relative_to(self.out).as_posix().removesuffix(ENDING)
-            name, _, user = stem.rpartition(".")
+            name = path.relative_to(self.out).as_posix().removesuffix(ENDING)
             length, (known, summary) = path.stat().st_size, self._summaries.get(path, (-1, None))
             if known != length:
                 log = read_log(path)
@@ -187,7 +173,7 @@ class Session:
                     }
                 self._summaries[path] = length, summary
             if summary:
-                work.setdefault(name, {})[user] = summary
+                work[name] = summary
         return work
 
     # --- one picture --------------------------------------------------------------------
@@ -205,11 +191,11 @@ class Session:
         self.trusts[name] = np.nan if view.trust is None else view.trust
         return view
 
-    def _work(self, name: str, user: str, view: PictureView) -> EventLog:
+    def _work(self, name: str, view: PictureView) -> EventLog:
         with self._lock:
-            if (work := self._works.get((name, user))) is None:
-                work = open_work(self.pictures, self.out, name, user, view.size)
-                self._works[name, user] = work
+            if (work := self._works.get(name)) is None:
+                work = open_work(self.pictures, self.out, name, view.size)
+                self._works[name] = work
             self._held = [*(log for log in self._held if log is not work), work]
             while len(self._held) > 1 and sum(log.labels.nbytes for log in self._held) > HELD:
                 del self._held[0]
@@ -219,15 +205,15 @@ class Session:
             raise InputError(name, message, remedy)
         return work
 
-    def state(self, name: str, user: str) -> dict[str, Any]:
-        """A person's picture as the page shows it; see docs/annotate.md for the fields."""
+    def state(self, name: str) -> dict[str, Any]:
+        """Return a picture as the page shows it."""
         view = self.view(name)
-        return self._shown(name, self._work(name, user, view), view)
+        return self._shown(name, self._work(name, view), view)
 
-    def add(self, name: str, user: str, event: AnyEvent) -> dict[str, Any]:
-        """Take an event, have it on disk, infer the rest anew, and tell the state."""
+    def add(self, name: str, event: AnyEvent) -> dict[str, Any]:
+        """Take an event, have it on disk, infer the rest anew, and return the state."""
         view = self.view(name)
-        work = self._work(name, user, view)
+        work = self._work(name, view)
         work.add(self._completed(event, work, view))
         return self._shown(name, work, view)
 
@@ -265,20 +251,8 @@ class Session:
             "confirmed": work.confirmed,
             "seconds": round(sum(event.seconds for event in work.events), 1),
             "clicks": click_count(work.events),
-            "agreement": self._agreement(name),
             "layers": layers.astype(np.uint8).tobytes(),
         }
-
-    def _agreement(self, name: str) -> float | None:
-        """Share of the pixels that two people spoke of on which they agree; None without two."""
-        users = sorted(self._work_by_picture().get(name, {}))
-        if len(users) < 2:
-            return None
-        logs = (
-            self._works.get((name, user)) or read_log(log_path(self.out, name, user))
-            for user in users
-        )
-        return agreement_share([log.labels for log in logs if log is not None])
 
 
 def look_at_all(session: Session, stop: threading.Event) -> None:
@@ -318,18 +292,16 @@ def opened_session(
 # --- labels of other programs -----------------------------------------------------------
 
 
-def import_labels(name: str, origin: Path, folder: Path, out: Path, user: str) -> int:
-    """Add the labels of a format in ``origin`` to a user's logs; how many pictures had some.
+def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
+    """Add the labels of a format in ``origin`` to the logs; return how many pictures had some.
 
-    Raises InputError for a name that is none for a user, DatasetError for what cannot be read;
-    then nothing was added.
+    Raises DatasetError for what cannot be read; then nothing was added.
     """
-    checked_user(user)
     pictures = PictureFolder(folder, out)
     sizes = {picture: picture_size(pictures.path(picture)) for picture in pictures.names()}
     by_picture = FORMATS[name].read(origin, sizes)
     for picture, labels in by_picture.items():
-        work = open_work(pictures, out, picture, user, sizes[picture])
+        work = open_work(pictures, out, picture, sizes[picture])
         if not work.events or (work.labels != labels).any():  # else they were brought in before
             work.add(import_event(labels, len(work.events)))
     return len(by_picture)

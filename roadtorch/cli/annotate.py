@@ -27,7 +27,6 @@ FORMATS = ("png", "coco")
 @click.option("--to", type=PATH, help="Folder for --export.")
 @click.option("--import", "imported", type=click.Choice(FORMATS), help="Read labels from --from.")
 @click.option("--from", "origin", type=PATH, help="Folder of --import, or a COCO file.")
-@click.option("--user", default="imported", help="Name of the person whose labels --import reads.")
 @click.pass_context
 def annotate(
     context: click.Context,
@@ -41,7 +40,6 @@ def annotate(
     to: Path | None,
     imported: str | None,
     origin: Path | None,
-    user: str,
 ) -> None:
     """Correct the machine's labels of the pictures in FOLDER, in a page in your browser.
 
@@ -71,8 +69,8 @@ def annotate(
         if origin is None:
             raise click.UsageError("Missing option '--from'")
         context.with_resource(output_lock(out))
-        count = import_labels(imported, origin, folder, out, user)
-        click.echo(f"{count} pictures brought in as {user}")
+        count = import_labels(imported, origin, folder, out)
+        click.echo(f"{count} pictures brought in")
     else:
         from roadtorch.annotate.next_pictures import PictureOrder
         from roadtorch.annotate.session import opened_session

@@ -170,9 +170,7 @@ SECTIONS = {
     **dict.fromkeys((*DetectorOptions.__dataclass_fields__, "camera", "threshold"), "Detector"),
     **dict.fromkeys((*FrameSelection.__dataclass_fields__, "steady", "view", "gif"), "Footage"),
     **dict.fromkeys(ComputeOptions.__dataclass_fields__, "Computing"),
-    **dict.fromkeys(
-        ("reports", "exported", "to", "imported", "origin", "user"), "Without the page"
-    ),
+    **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }
 """The section of ``--help`` in which an option stands."""
 

@@ -57,14 +57,3 @@ def layout_layer(labels: np.ndarray) -> np.ndarray:
 def after_saying(labels: np.ndarray, saying: str) -> np.ndarray:
     """The labels, uint8 of any shape, after one of ``SAYINGS`` was said about all of them."""
     return np.array(_AFTER[saying], np.uint8)[labels]
-
-
-def labels_of(road: np.ndarray, layout: np.ndarray) -> np.ndarray:
-    """Labels uint8 from their two layers; what the road says counts where they contradict."""
-    table = np.zeros((256, 256), np.uint8)
-    table[NOT_ROAD] = LABELS.index("not_road")
-    table[ROAD_SAID] = LABELS.index("road")
-    table[VOID_SAID] = LABELS.index("void")
-    for number in reversed(range(len(LABELS))):
-        table[_ROAD[number], _LAYOUT[number]] = number
-    return table[road, layout]

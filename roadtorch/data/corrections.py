@@ -1,12 +1,9 @@
-"""Corrections by people: what was said about each picture, by whom, in what time.
+"""Corrections by people: what was said about each picture, in what time.
 
-``read_corrections`` is what training and reports start from. Nobody's stroke is lost where people
-disagree: each has a log, and a pixel on which they contradict each other is void.
+``read_corrections`` is what training and reports start from.
 """
 
 import os
-from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -19,15 +16,12 @@ from roadtorch.base.decoding import open_picture, without_warnings
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.correction_labels import (
     NOT_ROAD,
-    OPEN,
     ROAD_SAID,
-    VOID_SAID,
-    labels_of,
     layout_layer,
     road_layer,
 )
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.data.events import ENDING, EventLog, click_count, read_log, read_logs
+from roadtorch.data.events import ENDING, click_count, read_log, read_logs
 from roadtorch.layout.classes import UNLABELLED
 
 TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
@@ -35,25 +29,21 @@ TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What people said about one picture.
+    """What a person said about one picture.
 
     picture: its file. name: relative to the folder of pictures, with ending. labels: uint8 (H,W),
-    numbers of ``LABELS``. confirmed: somebody said that it is right as it is, so that every
-    pixel's road is known. users: sorted. seconds: at work on it, of all of them. clicks: strokes of
-    all of them, those taken back among them. agreement: share of the pixels that two or more
-    spoke of on which all of them agree about the road; None where there are none. logs:
-    where it was said.
+    numbers of ``LABELS``. confirmed: said to be right as it is, so that every pixel's road is
+    known. seconds: at work on it. clicks: strokes, those taken back among them. log: where it was
+    said.
     """
 
     picture: Path
     name: str
     labels: np.ndarray
     confirmed: bool
-    users: tuple[str, ...]
     seconds: float
     clicks: int
-    agreement: float | None = None
-    logs: tuple[Path, ...] = ()
+    log: Path
 
     @property
     def road(self) -> np.ndarray:
@@ -72,46 +62,32 @@ class Correction:
 
 
 def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correction]:
-    """What is known of each picture that was worked on, sorted by name.
+    """Read what is known of each picture that was worked on, sorted by name.
 
     folder: where ``roadtorch annotate`` keeps its logs. pictures: their folder, if it moved;
     else the logs know. Pictures on which every stroke was taken back are left out. Raises
     DatasetError for a folder without logs, and for a broken one.
     """
-    by_picture: dict[str, list[EventLog]] = defaultdict(list)
-    for log in read_logs(folder):
-        ending = f".{log.head.user}{ENDING}"
-        by_picture[log.path.relative_to(folder).as_posix().removesuffix(ending)].append(log)
-    if not by_picture:
+    logs = read_logs(folder)
+    if not logs:
         raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
     corrections = []
-    for name, logs in sorted(by_picture.items()):
-        logged = Path(os.path.normpath(folder / logs[0].head.picture))
-        corrections.append(corrected(pictures / name if pictures else logged, name, logs))
+    for log in logs:
+        name = log.path.relative_to(folder).as_posix().removesuffix(ENDING)
+        logged = Path(os.path.normpath(folder / log.head.picture))
+        corrections.append(
+            Correction(
+                pictures / name if pictures else logged,
+                name,
+                log.labels,
+                log.confirmed,
+                sum(event.seconds for event in log.events),
+                click_count(log.events),
+                log.path,
+            )
+        )
+    corrections.sort(key=lambda correction: correction.name)
     return [correction for correction in corrections if (correction.labels > 0).any()]
-
-
-def corrected(picture: Path, name: str, logs: Sequence[EventLog]) -> Correction:
-    """What one or more logs of a picture come to.
-
-    Raises DatasetError where two are for pictures of different sizes or events do not fit theirs.
-    """
-    if len({log.size for log in logs}) > 1:
-        message = f"is for another picture size than {logs[0].path.name}"
-        raise DatasetError(logs[-1].path, message, "correct one version of the picture")
-    labels = [log.labels for log in logs]
-    events = [event for log in logs for event in log.events]
-    return Correction(
-        picture,
-        name,
-        agreed_labels(labels),
-        any(log.confirmed for log in logs),
-        tuple(sorted(log.head.user for log in logs)),
-        sum(event.seconds for event in events),
-        click_count(events),
-        agreement_share(labels),
-        tuple(log.path for log in logs),
-    )
 
 
 def picture_size(path: Path) -> tuple[int, int]:
@@ -128,51 +104,23 @@ def picture_size(path: Path) -> tuple[int, int]:
         raise DatasetError(path, message, "replace the file") from None
 
 
-# --- several people ---------------------------------------------------------------------
-
-
-def agreed_labels(people: Sequence[np.ndarray]) -> np.ndarray:
-    """Labels uint8 (H,W) of several people's: void where those who spoke contradict each other.
-
-    Ours: training is better without a pixel than with a wrong one.
-    """
-    if len(people) == 1:
-        return people[0]
-    road = _agreed([road_layer(labels) for labels in people], VOID_SAID)
-    layout = _agreed([layout_layer(labels) for labels in people], UNLABELLED)
-    return labels_of(road, layout)
-
-
-def _agreed(layers: Sequence[np.ndarray], contradiction: int) -> np.ndarray:
-    """What all say who say anything, uint8 (H,W); in layers and where nobody does it is 255."""
-    stack = np.stack(layers)
-    low, high = stack.min(0), np.where(stack == OPEN, 0, stack).max(0)
-    return np.where((low == high) | (low == OPEN), low, contradiction)
-
-
-def agreement_share(people: Sequence[np.ndarray]) -> float | None:
-    """Share of the pixels that two or more spoke of on which all say the same of the road."""
-    layers = [road_layer(labels) for labels in people]
-    several = sum(layer != OPEN for layer in layers) > np.uint8(1)
-    return float((_agreed(layers, OPEN) != OPEN)[several].mean()) if several.any() else None
-
-
 # --- as a labelled set ------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class CorrectionLabels:
-    """The truth in the logs of a picture: the item's label, and those of further people."""
+    """The truth in the log of a picture, which is the item's label."""
 
     def truth(self, item: LabelledItem) -> Truth:
-        """What people said; DatasetError for a log that cannot be read."""
-        logs = [log for path in (item.label, *item.extra) if (log := read_log(path)) is not None]
-        correction = corrected(item.image, item.name, logs)
-        layout = torch.from_numpy(correction.layout)
+        """Read what was said; DatasetError for a log that cannot be read."""
+        log = read_log(item.label)
+        if log is None:
+            raise DatasetError(item.label, "holds no corrections", "correct the picture again")
+        road, layout = road_layer(log.labels), layout_layer(log.labels)
         return Truth(
-            torch.from_numpy(correction.road == ROAD_SAID),
-            torch.from_numpy(correction.says_road),
-            layout if (layout != UNLABELLED).any() else None,
+            torch.from_numpy(road == ROAD_SAID),
+            torch.from_numpy((road == ROAD_SAID) | (road == NOT_ROAD)),
+            torch.from_numpy(layout) if (layout != UNLABELLED).any() else None,
         )
 
 
@@ -185,8 +133,8 @@ def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
     items = []
     for correction in read_corrections(folder, pictures):
         if correction.says_road.any():
-            name, logs = PurePosixPath(correction.name).with_suffix("").as_posix(), correction.logs
-            items.append(LabelledItem(name, correction.picture, logs[0], None, logs[1:]))
+            name = PurePosixPath(correction.name).with_suffix("").as_posix()
+            items.append(LabelledItem(name, correction.picture, correction.log))
     if not items:
         raise DatasetError(folder, "says nothing of the road", "correct some pictures")
     return Dataset("corrections", folder, "all", tuple(items), CorrectionLabels())

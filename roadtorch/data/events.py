@@ -1,7 +1,7 @@
 """What a person did to the labels of a picture, one event at a time, and the logs of it on disk.
 
-A log is DIR/PICTURE.USER.strokes.jsonl, PICTURE with its ending and its sub-folders. Its first
-line says which picture and who; then comes a line for each event, only ever appended. A line is on
+A log is DIR/PICTURE.strokes.jsonl, PICTURE with its ending and its sub-folders. Its first line
+says which picture; then comes a line for each event, only ever appended. A line is on
 disk (fsync) before anybody is told that it is. What has no whole first line, after a crash or on a
 full disk, is no log: the next event begins it anew.
 
@@ -226,7 +226,7 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
 
 
 def folded(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:
-    """The labels uint8 (H,W) that all events of one person come to."""
+    """The labels uint8 (H,W) that all events come to."""
     labels = np.zeros(size, np.uint8)
     for event in standing(events):
         apply_event(labels, event)
@@ -244,7 +244,6 @@ class LogHead(Settings):
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
     picture: Annotated[str, Field(pattern=r"^[^\x00]+$")]
-    user: Name
     height: Side
     width: Side
 
@@ -256,7 +255,7 @@ class LogHead(Settings):
 
 @dataclass(eq=False)
 class EventLog:
-    """One person's work on one picture, as its log has it.
+    """The work on one picture, as its log has it.
 
     head: the first line, written with the first event. events: all of them.
     """
@@ -308,9 +307,9 @@ class EventLog:
             self.labels = labels
 
 
-def log_path(folder: Path, picture: str, user: str) -> Path:
-    """The log of a user for a picture, by its relative name with ending."""
-    return folder / f"{PurePosixPath(picture)}.{user}{ENDING}"
+def log_path(folder: Path, picture: str) -> Path:
+    """Return the path of the log for a picture, by its relative name with ending."""
+    return folder / f"{PurePosixPath(picture)}{ENDING}"
 
 
 def read_log(path: Path) -> EventLog | None:
@@ -323,8 +322,6 @@ def read_log(path: Path) -> EventLog | None:
         if not lines:
             return None
         head = LogHead.model_validate_json(lines[0])
-        if not path.name.endswith(f".{head.user}{ENDING}"):
-            raise ValueError(f"it is of {head.user}, which its name does not say")
     try:
         events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], 2)]
     except InputError as problem:

@@ -148,8 +148,7 @@ def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
 def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
     """The corrections of people that weights were trained with, run by run; none: label-free.
 
-    Each says how many ``pictures``, ``people`` and ``pixels``. WeightsError as for
-    ``load_network``.
+    Each says how many ``pictures`` and ``pixels``. WeightsError as for ``load_network``.
     """
     runs = read_origin(path).get("corrections")
     return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []

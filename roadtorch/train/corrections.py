@@ -51,7 +51,7 @@ def corrections_by_picture(
 def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
     """The record of the corrections that a run uses; None without any.
 
-    pictures, people and pixels: how many. sha256: of all labels by people.
+    pictures and pixels: how many. sha256: of all labels by people.
     """
     if not corrections:
         return None
@@ -62,7 +62,6 @@ def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any]
     labels = [correction.labels for correction in corrections.values()]
     return {
         "pictures": len(corrections),
-        "people": len({user for each in corrections.values() for user in each.users}),
         "pixels": sum(int((each > 0).sum()) for each in labels),
         "sha256": digest.hexdigest(),
     }
@@ -139,9 +138,9 @@ def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
         "People corrected machine labels, and what they said counted as the truth. What is found",
         "with these weights is **not label-free**, and is not to be reported as such.",
         "",
-        "| pictures | people | pixels | sha256 of what was said |",
-        "|---|---|---|---|",
+        "| pictures | pixels | sha256 of what was said |",
+        "|---|---|---|",
     ]
-    keys = ("pictures", "people", "pixels", "sha256")
+    keys = ("pictures", "pixels", "sha256")
     lines += ["| " + " | ".join(str(run.get(key, "")) for key in keys) + " |" for run in behind]
     return "\n".join([*lines, ""])

@@ -88,7 +88,7 @@ def test_the_page_is_told_turns_once_pictures_were_looked_at(session: Session) -
     look_at_all(session, Once())  # type: ignore[arg-type]
 
     assert sorted(one["turn"] for one in session.listing()) == [0, 1, 2]
-    session.add("street_1.png", "ann", Confirm(kind="right", id="a"))
+    session.add("street_1.png", Confirm(kind="right", id="a"))
     turns = {one["name"]: one["turn"] for one in session.listing()}
     assert turns["street_1.png"] is None
     assert sorted(turn for turn in turns.values() if turn is not None) == [0, 1]

@@ -48,7 +48,7 @@ class Server:
 
 @pytest.fixture
 def server(request: pytest.FixtureRequest, streets: Path, tmp_path: Path) -> Iterator[Server]:
-    """Three pictures, or so many, the further ones all the same."""
+    """Three images, or so many, the further ones all the same."""
     for number in range(3, getattr(request, "param", 3)):
         os.link(streets / "street_0.png", streets / f"street_{number}.png")
     running = Server(streets, tmp_path / "corrections")
@@ -69,19 +69,17 @@ Open = Callable[..., "Page"]
 
 @pytest.fixture
 def visit(browser: "Browser") -> Iterator[Open]:
-    """``visit(server, user, width, height)``: a window of its own, at the first picture."""
+    """``visit(server, width, height)``: a window of its own, at the first image."""
     contexts: list[BrowserContext] = []
     mistakes: list[str] = []
 
-    def opened(server: Server, user: str = "ann", width: int = 1000, height: int = 700) -> "Page":
+    def opened(server: Server, width: int = 1000, height: int = 700) -> "Page":
         context = browser.new_context(viewport={"width": width, "height": height})
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(PATIENCE)
         page.on("pageerror", lambda error: mistakes.append(str(error)))
         page.goto(server.url)
-        page.fill("#user", user)
-        press(page, "Enter")
         page.wait_for_selector("body[data-picture]")
         return page
 
@@ -119,6 +117,14 @@ def press(page: "Page", *keys: str) -> None:
         page.keyboard.press(key)
 
 
+def press_and_leave(page: "Page", *keys: str) -> str:
+    """Press keys, wait until another image is shown, and return its name."""
+    before = page.evaluate("document.body.dataset.picture")
+    press(page, *keys)
+    page.wait_for_function("before => document.body.dataset.picture !== before", arg=before)
+    return page.evaluate("document.body.dataset.picture")
+
+
 def tells(page: "Page", identity: str, words: str) -> None:
     """Wait until an element says these words."""
     page.wait_for_function(
@@ -127,16 +133,21 @@ def tells(page: "Page", identity: str, words: str) -> None:
     )
 
 
-# --- correcting -------------------------------------------------------------------------
+@pytest.fixture
+def page(visit: Open, server: Server) -> "Page":
+    return visit(server)
 
 
-def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
-    page = visit(server)
+def test_drag_undo_redo_reload(page: "Page", server: Server) -> None:
     press(page, "2")
-    click(page, 0.5, 0.9, version=1)
-    (one,) = server.corrections()
-    assert 0 < (one.road == 0).sum() < one.road.size / 4
-    assert not (one.road == 1).any()
+    page.mouse.move(*place_of(page, 0.3, 0.9))
+    page.mouse.down()
+    page.mouse.move(*place_of(page, 0.7, 0.9), steps=12)
+    page.mouse.up()
+    at_version(page, 1)
+    (dragged,) = server.corrections()
+    assert 100 < (dragged.road == 0).sum() < dragged.road.size / 2
+    assert not (dragged.road == 1).any()
     press(page, "z")
     at_version(page, 2)
     assert server.corrections() == []
@@ -145,43 +156,11 @@ def test_correct_undo_redo_reload(visit: Open, server: Server) -> None:
     page.reload()
     at_version(page, 3)
     assert "1 click " in page.locator("#facts").inner_text()
-    assert (server.corrections()[0].labels == one.labels).all()
+    assert (server.corrections()[0].labels == dragged.labels).all()
 
 
 @pytest.mark.slow
-def test_drag_polygon_and_brush(visit: Open, server: Server) -> None:
-    page = visit(server)
-    page.mouse.move(*place_of(page, 0.3, 0.9))
-    page.mouse.down()
-    page.mouse.move(*place_of(page, 0.7, 0.9), steps=12)
-    page.mouse.up()
-    at_version(page, 1)
-    press(page, "p", "4")
-    for place in ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3)):
-        click(page, *place)
-    press(page, "Enter")
-    at_version(page, 2)
-    press(page, "b", "5")
-    click(page, 0.5, 0.5, version=3)
-    (one,) = server.corrections()
-    assert (one.road == 1).sum() > 100
-    assert {0, 1, 2} <= set(one.layout.reshape(-1).tolist())
-
-
-@pytest.mark.slow
-def test_right_as_it_is_in_one_key_and_the_next_comes(visit: Open, server: Server) -> None:
-    page = visit(server)
-    shown(page, "street_0.png")
-    press(page, "Enter")
-    shown(page, "street_1.png")
-    (one,) = server.corrections()
-    assert (one.name, one.confirmed, one.clicks) == ("street_0.png", True, 1)
-    tells(page, "progress", "1 of 3 right")
-
-
-@pytest.mark.slow
-def test_the_keyboard_alone_is_enough(visit: Open, server: Server) -> None:
-    page = visit(server, "keys")
+def test_the_keyboard_alone_is_enough(page: "Page", server: Server) -> None:
     press(page, "?")
     assert page.locator("#help").is_visible()
     assert "Space" in page.locator("#keys").inner_text()
@@ -194,158 +173,74 @@ def test_the_keyboard_alone_is_enough(visit: Open, server: Server) -> None:
         press(page, *[arrow] * 12, "Space")
     press(page, "Enter")
     at_version(page, 2)
-    press(page, *"+-0oOvvgll", "Control+ArrowLeft", "]", "[")
-    press(page, "n")
-    shown(page, "street_1.png")
-    press(page, "k")
-    shown(page, "street_0.png")
-    press(page, "m", "ArrowDown")
-    shown(page, "street_1.png")
-    (one,) = server.corrections()
-    assert one.users == ("keys",)
-    assert (one.road == 254).any()
-
-
-@pytest.mark.slow
-def test_a_narrow_window_has_everything_in_reach(visit: Open, server: Server) -> None:
-    page = visit(server, width=360, height=640)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 360
-    assert not page.locator("#side").is_visible()
-    page.locator("button", has_text="not road").click()
-    click(page, 0.5, 0.55, version=1)
-    page.locator("#show-list").click()
-    page.locator(".row", has_text="street_2").click()
-    shown(page, "street_2.png")
-    assert not page.locator("#side").is_visible()
-    assert (server.corrections()[0].road == 0).any()
-
-
-@pytest.mark.slow
-def test_the_hint_goes_for_good_and_the_colour_stays(visit: Open, server: Server) -> None:
-    page = visit(server)
-    road = "() => getComputedStyle(document.documentElement).getPropertyValue('--road')"
-    assert page.locator("#hint li").count() == 3
-    assert page.evaluate(road) == "rgb(86 180 233)"  # as infer draws it
-    page.locator("#hint-seen").click()
-    press(page, "h")
-    assert page.evaluate(road) == "rgb(0 158 115)"
-    page.reload()
-    page.wait_for_selector("body[data-picture]")
-    assert not page.locator("#hint").is_visible()
-    assert page.evaluate(road) == "rgb(0 158 115)"
-
-
-@pytest.mark.slow
-def test_the_last_that_is_right_says_what_learns_from_them(visit: Open, server: Server) -> None:
-    page = visit(server)
-    names = ("street_0.png", "street_1.png", "street_2.png")
-    for count, name in enumerate(names, 1):
-        shown(page, name)
-        press(page, "Enter")
-        tells(page, "progress", f"{count} of 3 right")
-
-    tells(page, "notice", "All done: 3 of 3 right. To learn from them: roadtorch train --config")
-
-
-# --- several windows and people ---------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_two_windows_of_one_person_lose_nothing(visit: Open, server: Server) -> None:
-    one, other = visit(server, "ann"), visit(server, "ann")
-    click(one, 0.5, 0.9, version=1)
-    at_version(other, 1)  # it comes by itself
-    press(other, "2")
-    click(other, 0.5, 0.2, version=2)
-    at_version(one, 2)
-    (found,) = server.corrections()
-    assert (found.road == 1).any()
-    assert (found.road == 0).any()
-
-
-@pytest.mark.slow
-def test_two_people_see_how_far_they_agree(visit: Open, server: Server) -> None:
-    ann, bob = visit(server, "ann"), visit(server, "bob")
-    click(ann, 0.5, 0.9, version=1)
-    click(bob, 0.5, 0.9, version=1)
-    assert "agreement 100.0 %" in bob.locator("#facts").inner_text()
-    assert server.corrections()[0].users == ("ann", "bob")
-    bob.wait_for_function(
-        "() => document.querySelector('.row small').textContent.includes('ann 1, bob 1')"
-    )
-
-
-# --- what goes wrong --------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_server_that_is_started_again_gets_what_waits(visit: Open, server: Server) -> None:
-    page = visit(server)
-    click(page, 0.5, 0.9, version=1)
-    server.stop()
-    press(page, "2")
-    click(page, 0.5, 0.2)
-    tells(page, "notice", "1 event waits here")
-    click(page, 0.2, 0.2)
-    again = Server(server.folder, server.out)
-    assert again.url == server.url
+    press(page, "b", "]", "[", "5", "Space")
     at_version(page, 3)
-    page.wait_for_selector("#notice", state="hidden")
-    (one,) = again.corrections()
-    assert (one.road == 1).any()
-    assert (one.road == 0).any()
-    again.stop()
-
-
-@pytest.mark.slow
-def test_what_waits_outlives_a_reload(visit: Open, server: Server) -> None:
-    page = visit(server)
-    page.route("**/api/event*", lambda route: route.abort())
-    click(page, 0.5, 0.9)
-    tells(page, "notice", "1 event waits here")
-    page.unroute("**/api/event*")
-    page.route("**/api/event*", lambda route: route.abort(), times=1)
-    page.reload()
-    at_version(page, 1)
-    assert len(server.corrections()) == 1
-
-
-@pytest.mark.slow
-def test_a_folder_that_changes_while_open(visit: Open, server: Server) -> None:
-    page = visit(server)
-    shutil.copy(server.folder / "street_0.png", server.folder / "later.png")
-    page.wait_for_selector(".row:has-text('later.png')")
-    (server.folder / "street_0.png").unlink()
-    tells(page, "notice", "no longer in the folder")
-    click(page, 0.5, 0.9, version=1)
-    press(page, "n")
-    page.wait_for_function("() => document.body.dataset.picture !== 'street_0.png'")
-    assert server.corrections()[0].name == "street_0.png"
-
-
-@pytest.mark.slow
-def test_a_refused_stroke_is_told_and_the_next_one_goes_through(
-    visit: Open, server: Server
-) -> None:
-    page = visit(server)
-    page.route("**/api/event*", lambda route: route.fulfill(
-        status=413, content_type="application/json", body='{"error": "stroke: is too long (x)"}'
-    ), times=1)  # fmt: skip
-    click(page, 0.5, 0.9)
-    tells(page, "notice", "Not kept: stroke")
-    assert not list(server.out.rglob("*.jsonl"))
-    click(page, 0.5, 0.9, version=1)
-    page.wait_for_selector("#notice", state="hidden")
-    assert [one.clicks for one in server.corrections()] == [1]
+    press(page, *"+-0oOvvgllh", "Control+ArrowLeft")
+    following = press_and_leave(page, "n")
+    press_and_leave(page, "m", "ArrowDown")
+    assert press_and_leave(page, "k") == following
+    (corrected,) = server.corrections()
+    assert (corrected.road == 254).any()
+    assert (corrected.layout == 1).any()
+    for count in (1, 2):
+        press_and_leave(page, "Enter")
+        tells(page, "progress", f"{count} of 3 right")
+    press(page, "Enter")
+    tells(page, "notice", "All done: 3 of 3 right. To learn from them: roadtorch train --config")
+    assert all(correction.confirmed for correction in server.corrections())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("server", [1000], indirect=True)
-def test_a_thousand_pictures(visit: Open, server: Server) -> None:
-    page = visit(server)
-    assert "of 1000" in page.locator("#progress").inner_text()
+def test_a_narrow_window_has_a_thousand_images_in_reach(visit: Open, server: Server) -> None:
+    page = visit(server, width=360, height=640)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    assert not page.locator("#side").is_visible()
+    page.locator("#hint-seen").click()
+    page.locator("button", has_text="not road").click()
+    click(page, 0.5, 0.55, version=1)
+    page.locator("#show-list").click()
     assert page.locator(".row").count() < 40
     page.evaluate("document.getElementById('list').scrollTop = 1e6")
     page.locator(".row", has_text="street_999.png").click()
     shown(page, "street_999.png")
     assert page.locator(".row").count() < 40
+    assert not page.locator("#side").is_visible()
+    assert not page.locator("#hint").is_visible()
+    assert (server.corrections()[0].road == 0).any()
+
+
+@pytest.mark.slow
+def test_two_windows_lose_nothing(visit: Open, page: "Page", server: Server) -> None:
+    other = visit(server)
+    click(page, 0.5, 0.9, version=1)
+    at_version(other, 1)  # it comes by itself
+    press(other, "2")
+    click(other, 0.5, 0.2, version=2)
+    at_version(page, 2)
+    (corrected,) = server.corrections()
+    assert (corrected.road == 1).any()
+    assert (corrected.road == 0).any()
+
+
+@pytest.mark.slow
+def test_strokes_wait_through_a_reload_and_a_restart(page: "Page", server: Server) -> None:
+    page.route("**/api/event*", lambda route: route.abort())
+    click(page, 0.5, 0.9)
+    tells(page, "notice", "1 event waits here")
+    page.unroute("**/api/event*")
+    page.reload()
+    at_version(page, 1)
+    server.stop()
+    press(page, "2")
+    click(page, 0.5, 0.2)
+    tells(page, "notice", "1 event waits here")
+    click(page, 0.2, 0.2)
+    restarted = Server(server.folder, server.out)
+    assert restarted.url == server.url
+    at_version(page, 3)
+    page.wait_for_selector("#notice", state="hidden")
+    (corrected,) = restarted.corrections()
+    assert (corrected.road == 1).any()
+    assert (corrected.road == 0).any()
+    restarted.stop()

@@ -28,7 +28,7 @@ HERE = "http://127.0.0.1:8765"
 
 NAME = "street_0.png"
 
-WHO = f"name={NAME}&user=ann"
+WHICH = f"name={NAME}"
 
 
 @dataclass
@@ -62,20 +62,20 @@ def click(identity: str = "a", **changes: object) -> dict[str, object]:
 
 
 def test_a_click_is_kept_and_the_picture_told_anew(client: Client, session: Session) -> None:
-    answer = client.post(f"/api/event?{WHO}", json=click())
+    answer = client.post(f"/api/event?{WHICH}", json=click())
     told = answer.json()
     assert (answer.status_code, told["version"], told["size"]) == (200, 1, [64, 48])
     layers = np.frombuffer(base64.b64decode(told["layers"]), np.uint8).reshape(48, 64)
     labels = np.frombuffer(client.get(f"/api/superpixels?name={NAME}").content, "<u2")
     assert ((layers & 7 == 1) == (labels.reshape(48, 64) < 2)).all()
     assert ((layers >> 3 & 1)[layers & 7 == 1] == 1).all()
-    found = read_log(log_path(session.out, NAME, "ann"))
+    found = read_log(log_path(session.out, NAME))
     assert found is not None
     assert len(found.events) == 1
 
 
 @pytest.mark.parametrize("headers", [{}, {"x-token": "foreign"}, {"x-token": TOKEN + "x"}])
-@pytest.mark.parametrize("path", ["/", f"/api/state?{WHO}"])
+@pytest.mark.parametrize("path", ["/", f"/api/state?{WHICH}"])
 def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[str, str]) -> None:
     stranger = Client(annotation_app(session, TOKEN, 8765))
     answer = stranger.get(path, headers=headers)
@@ -97,9 +97,9 @@ def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[s
 def test_another_page_or_host_is_refused_although_it_knows_the_token(
     client: Client, session: Session, header: str, value: str, status: int
 ) -> None:
-    answer = client.post(f"/api/event?{WHO}", json=click(), headers={header: value})
+    answer = client.post(f"/api/event?{WHICH}", json=click(), headers={header: value})
     assert answer.status_code == status
-    assert log_path(session.out, NAME, "ann").exists() == (status == 200)
+    assert log_path(session.out, NAME).exists() == (status == 200)
 
 
 def test_who_is_cut_off_at_the_end_is_told_to_ask_again() -> None:
@@ -189,14 +189,14 @@ TOO_LONG = json.dumps(click(segments=[1] * (MAX_BODY // 3 + 1)))
             for name in ("../server.py", "%2e%2e%2fserver.py", "x")
         ),
         *(
-            (f"/api/{call}?name={name}&user=ann", None, 400, "is no picture of this folder")
+            (f"/api/{call}?name={name}", None, 400, "is no picture of this folder")
             for call in ("picture", "thumbnail", "superpixels", "state")
             for name in ("../x.png", "%2e%2e%2fx.png", "/etc/passwd", "")
         ),
-        (f"/api/state?{WHO.replace('0', '2')}", None, 410, "is no longer there"),
-        (f"/api/event?{WHO}", TOO_LONG, 413, f"more than {MAX_BODY:,} bytes"),
+        (f"/api/state?{WHICH.replace('0', '2')}", None, 410, "is no longer there"),
+        (f"/api/event?{WHICH}", TOO_LONG, 413, f"more than {MAX_BODY:,} bytes"),
         *(
-            (f"/api/event?{WHO}", body, 400, "stroke: is no event of a correction")
+            (f"/api/event?{WHICH}", body, 400, "stroke: is no event of a correction")
             for body in ("", "{", "[]", json.dumps(click(saying="cat")))
         ),
     ],
@@ -209,16 +209,16 @@ def test_what_is_refused(
     answer = client.get(path) if body is None else client.post(path, content=body)
     assert answer.status_code == status
     assert re.search(message, answer.text)
-    assert not log_path(session.out, NAME, "ann").exists()
+    assert not log_path(session.out, NAME).exists()
 
 
 def test_the_list_comes_once_until_it_changes(client: Client) -> None:
     first = client.get("/api/pictures").json()
     assert [one["name"] for one in first["pictures"]] == [f"street_{n}.png" for n in range(3)]
     assert client.get(f"/api/pictures?stamp={first['stamp']}").status_code == 204
-    client.post(f"/api/event?{WHO}", json=click())
+    client.post(f"/api/event?{WHICH}", json=click())
     second = client.get(f"/api/pictures?stamp={first['stamp']}").json()
-    assert second["pictures"][0]["users"]["ann"]["version"] == 1
+    assert second["pictures"][0]["version"] == 1
 
 
 def test_pictures_and_thumbnails_are_jpeg(client: Client) -> None:

@@ -1,4 +1,4 @@
-"""A session without its server: views, work, several people, what a restart finds."""
+"""A session without its server: views, work, what a restart finds."""
 
 import shutil
 import threading
@@ -40,8 +40,8 @@ def reopened(session: Session) -> Session:
 
 
 def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
-    state = session.add(NAME, "ann", superpixel("a", "road", 0, 1))
-    again = reopened(session).state(NAME, "ann")
+    state = session.add(NAME, superpixel("a", "road", 0, 1))
+    again = reopened(session).state(NAME)
     assert again["layers"] == state["layers"]
     assert again["version"] == 1
     (correction,) = read_corrections(session.out)
@@ -50,22 +50,22 @@ def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
 
 
 def test_undo_and_redo_are_told(session: Session) -> None:
-    before = session.state(NAME, "ann")["layers"]
-    first = session.add(NAME, "ann", superpixel("a", "road", 0))
-    assert session.add(NAME, "ann", superpixel("a", "road", 0))["version"] == 1  # sent again
-    undone = session.add(NAME, "ann", Undo(kind="undo", id="b", of="a"))
+    before = session.state(NAME)["layers"]
+    first = session.add(NAME, superpixel("a", "road", 0))
+    assert session.add(NAME, superpixel("a", "road", 0))["version"] == 1  # sent again
+    undone = session.add(NAME, Undo(kind="undo", id="b", of="a"))
     assert undone["layers"] == before
     assert undone["redo"] == ["a"]
     assert undone["events"] == []
-    again = session.add(NAME, "ann", Redo(kind="redo", id="c", of="a"))
+    again = session.add(NAME, Redo(kind="redo", id="c", of="a"))
     assert again["layers"] == first["layers"]
     assert again["redo"] == []
     assert again["clicks"] == 1
 
 
 def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
-    shown = session.state(NAME, "ann")["layers"]
-    state = session.add(NAME, "ann", Confirm(kind="right", id="a"))
+    shown = session.state(NAME)["layers"]
+    state = session.add(NAME, Confirm(kind="right", id="a"))
     assert state["confirmed"]
     (correction,) = read_corrections(session.out)
     assert correction.confirmed
@@ -74,48 +74,28 @@ def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
     assert (correction.road == road).all()
 
 
-def test_two_users_have_work_of_their_own_and_agree_in_part(session: Session) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0, 1))
-    assert session.state(NAME, "bob")["events"] == []
-    state = session.add(NAME, "bob", superpixel("b", "road", 0))
-    assert state["agreement"] == 1
-    assert session.add(NAME, "bob", superpixel("c", "not_road", 1))["agreement"] < 1
-    users = session.listing()[0]["users"]
-    assert users == {
-        "ann": {"events": 1, "confirmed": False, "version": 1},
-        "bob": {"events": 2, "confirmed": False, "version": 2},
-    }
-
-
 OTHER_SPELLINGS = ("nosuch/../{}", "./{}", "../streets/{}", "/{}", "{}/", "a\0{}")
 
 
 @pytest.mark.parametrize(
-    ("name", "user", "message"),
-    [
-        *((NAME, user, "is no name for a user") for user in ("", "a b", "../x", "a" * 33, "a.b")),
-        *((text.format(NAME), "ann", "is no picture of this folder") for text in OTHER_SPELLINGS),
-        ("link.png", "ann", "is no picture of this folder"),  # it leads outside
-    ],
-)
-def test_names_that_are_none_begin_no_log(
-    session: Session, tmp_path: Path, name: str, user: str, message: str
-) -> None:
+    "name", [*(text.format(NAME) for text in OTHER_SPELLINGS), "link.png"]
+)  # the link leads outside
+def test_names_that_are_none_begin_no_log(session: Session, tmp_path: Path, name: str) -> None:
     shutil.copy(session.pictures.root / NAME, tmp_path / "secret.png")
     (session.pictures.root / "link.png").symlink_to(tmp_path / "secret.png")
-    with pytest.raises(InputError, match=message):
-        session.add(name, user, superpixel("a", "road", 0))
+    with pytest.raises(InputError, match="is no picture of this folder"):
+        session.add(name, superpixel("a", "road", 0))
     assert "link.png" not in session.pictures.names()
     assert not list(tmp_path.rglob("*.jsonl"))
 
 
-def test_a_log_without_a_first_line_stops_nobody(session: Session) -> None:
-    for user, torn in (("ann", b""), ("bob", b'{"roadtorch": 1, "pict')):
-        (session.out / f"{NAME}.{user}.strokes.jsonl").write_bytes(torn)
+@pytest.mark.parametrize("torn", [b"", b'{"roadtorch": 1, "pict'])
+def test_a_log_without_a_first_line_stops_nobody(session: Session, torn: bytes) -> None:
+    (session.out / f"{NAME}.strokes.jsonl").write_bytes(torn)
     again = reopened(session)
-    assert again.listing()[0]["users"] == {}
-    assert again.add(NAME, "ann", superpixel("a", "road", 0))["version"] == 1
-    assert reopened(session).state(NAME, "ann")["version"] == 1
+    assert again.listing()[0]["version"] == 0
+    assert again.add(NAME, superpixel("a", "road", 0))["version"] == 1
+    assert reopened(session).state(NAME)["version"] == 1
 
 
 def test_work_that_is_no_longer_held_is_not_there_twice(
@@ -123,56 +103,56 @@ def test_work_that_is_no_longer_held_is_not_there_twice(
 ) -> None:
     monkeypatch.setattr("roadtorch.annotate.session.HELD", 0)
     view = session.view(NAME)
-    work = session._work(NAME, "ann", view)
-    session.state("street_1.png", "ann")
-    session.add(NAME, "ann", superpixel("a", "road", 0))
+    work = session._work(NAME, view)
+    session.state("street_1.png")
+    session.add(NAME, superpixel("a", "road", 0))
     assert [event.id for event in work.events] == ["a"]
 
 
 def test_a_picture_deleted_meanwhile_loses_no_stroke(session: Session) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0))
+    session.add(NAME, superpixel("a", "road", 0))
     (session.pictures.root / NAME).unlink()
-    assert session.add(NAME, "ann", superpixel("b", "road", 1))["version"] == 2
+    assert session.add(NAME, superpixel("b", "road", 1))["version"] == 2
     with pytest.raises(InputError, match="is no picture of this folder"):
-        reopened(session).state(NAME, "ann")
+        reopened(session).state(NAME)
     assert read_corrections(session.out)[0].clicks == 2
 
 
 def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0))
+    session.add(NAME, superpixel("a", "road", 0))
     write_picture(session.pictures.root / NAME, scene(1, 40, 64))
     with pytest.raises(InputError, match="was corrected at 64 by 48 pixels"):
-        reopened(session).add(NAME, "ann", superpixel("b", "road", 1))
+        reopened(session).add(NAME, superpixel("b", "road", 1))
 
 
 def test_a_full_disk_or_a_wrong_superpixel_leaves_nothing_half_done(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0))
-    before = session.state(NAME, "ann")["layers"]
-    log = session.out / f"{NAME}.ann.strokes.jsonl"
+    session.add(NAME, superpixel("a", "road", 0))
+    before = session.state(NAME)["layers"]
+    log = session.out / f"{NAME}.strokes.jsonl"
     lines = log.read_bytes()
 
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
     with pytest.raises(InputError, match="a higher number was clicked"):
-        session.add(NAME, "ann", superpixel("a", "road", 10_000))
+        session.add(NAME, superpixel("a", "road", 10_000))
     monkeypatch.setattr("roadtorch.data.events.os.fsync", full)
     with pytest.raises(InputError, match="cannot be written: No space left"):
-        session.add(NAME, "ann", superpixel("b", "road", 1))
-    assert session.state(NAME, "ann")["layers"] == before
+        session.add(NAME, superpixel("b", "road", 1))
+    assert session.state(NAME)["layers"] == before
     assert log.read_bytes() == lines
 
 
 def test_many_at_once_lose_nothing(session: Session) -> None:
     def strokes(start: int) -> None:
         for number in range(start, start + 5):
-            session.add(NAME, "ann", superpixel(f"s{number}", "road", number % 5))
+            session.add(NAME, superpixel(f"s{number}", "road", number % 5))
 
     with ThreadPoolExecutor(4) as workers:
         list(workers.map(strokes, range(0, 20, 5)))
-    assert reopened(session).state(NAME, "ann")["version"] == 20
+    assert reopened(session).state(NAME)["version"] == 20
 
 
 def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
@@ -201,8 +181,8 @@ def test_a_folder_that_changes_is_seen(session: Session) -> None:
 
 
 def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0))
-    with (session.out / f"{NAME}.ann.strokes.jsonl").open("a") as file:
+    session.add(NAME, superpixel("a", "road", 0))
+    with (session.out / f"{NAME}.strokes.jsonl").open("a") as file:
         file.write("nonsense\n")
     with pytest.raises(DatasetError, match=r"jsonl:3: is no event"):
         reopened(session)
@@ -211,18 +191,17 @@ def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:
 # --- formats, report --------------------------------------------------------------------
 
 
-def test_out_and_in_again_as_another_user(session: Session, tmp_path: Path) -> None:
-    session.add(NAME, "ann", superpixel("a", "road", 0, 1))
+def test_out_and_in_again(session: Session, tmp_path: Path) -> None:
+    session.add(NAME, superpixel("a", "road", 0, 1))
     brush = BrushStroke(kind="brush", id="b", saying="sky", points=((30.0, 5.0),), radius=4.0)
-    session.add(NAME, "ann", brush)
+    session.add(NAME, brush)
     (before,) = read_corrections(session.out)
     FORMATS["coco"].write([before], tmp_path / "elsewhere")
     out = tmp_path / "second"
-    imported = ("coco", tmp_path / "elsewhere", session.pictures.root, out, "bob")
+    imported = ("coco", tmp_path / "elsewhere", session.pictures.root, out)
     assert import_labels(*imported) == 1
     (after,) = read_corrections(out)
     assert (after.labels == before.labels).all()
-    assert after.users == ("bob",)
     assert import_labels(*imported) == 1
     assert [len(log.events) for log in read_logs(out)] == [1]  # the same labels a second time
     assert after.picture == session.pictures.root / NAME
@@ -230,10 +209,10 @@ def test_out_and_in_again_as_another_user(session: Session, tmp_path: Path) -> N
 
 def test_the_report_says_what_the_time_bought(session: Session) -> None:
     stroke = superpixel("a", "road", 0).model_copy(update={"seconds": 30.0})
-    session.add(NAME, "ann", stroke)
-    session.add(NAME, "ann", Confirm(kind="right", id="b", seconds=30.0))
+    session.add(NAME, stroke)
+    session.add(NAME, Confirm(kind="right", id="b", seconds=30.0))
     lines = corrections_report(session.out).splitlines()
-    assert lines[1].split()[:4] == [NAME, "ann", "1", "60"]
+    assert lines[1].split()[:3] == [NAME, "1", "60"]
     assert "1 pictures, 1 confirmed; 1 clicks, 1.0 minutes" in lines[3]
     assert "mean F" in lines[5]
     assert lines[6].startswith("ten minutes buy 10.0 confirmed pictures, 10 clicks")

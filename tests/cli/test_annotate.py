@@ -24,7 +24,7 @@ def corrected(footage: Path) -> Path:
     out = footage / "corrections"
     out.mkdir()
     session = opened_session(footage, out, load_detector("prior:triangle"))
-    session.add("sub/c.png", "ann", Confirm(kind="right", id="a", seconds=12.0))
+    session.add("sub/c.png", Confirm(kind="right", id="a", seconds=12.0))
     return footage
 
 
@@ -81,9 +81,9 @@ def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -
     second = tmp_path / "second"
     result = call(
         *("annotate", corrected, "--out", second, "--import", "coco"),
-        *("--from", tmp_path / "coco", "--user", "bob"),
+        *("--from", tmp_path / "coco"),
     )
-    assert result.stdout == "1 pictures brought in as bob\n", result.stderr
+    assert result.stdout == "1 pictures brought in\n", result.stderr
     (before,), (after,) = read_corrections(corrected / "corrections"), read_corrections(second)
     assert (before.labels == after.labels).all()
 
@@ -94,7 +94,6 @@ def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -
         (("--export", "coco"), "Missing option '--to'"),
         (("--import", "coco"), "Missing option '--from'"),
         (("--export", "xml", "--to", "x"), "'xml' is not one of 'png', 'coco'"),
-        (("--import", "png", "--from", "x", "--user", "a b"), "is no name for a user"),
         (("--import", "png", "--from", "x"), "has no file for any of the pictures"),
         (("--report", "--out", "nowhere"), "nowhere: is no folder"),
         ((*QUICK, "--out", "{}/a.jpg"), "a.jpg: cannot be made a folder"),

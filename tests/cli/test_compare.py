@@ -40,8 +40,8 @@ def corrections(streets: Path) -> Path:
     for seed in range(COUNT - 1):
         name = f"street_{seed}.png"
         labels = np.where(scene(seed, 48, 64).road.numpy(), 1, 2).astype(np.uint8)
-        head = LogHead(picture=f"../streets/{name}", user="ann", height=48, width=64)
-        EventLog(log_path(folder, name, "ann"), head).add(import_event(labels))
+        head = LogHead(picture=f"../streets/{name}", height=48, width=64)
+        EventLog(log_path(folder, name), head).add(import_event(labels))
     return folder
 
 
@@ -113,7 +113,7 @@ def test_it_says_that_people_are_behind_weights(streets: Path, tmp_path: Path) -
     network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
     path = tmp_path / "mine" / "weights.safetensors"
     path.parent.mkdir()
-    save_network(path, network, {"corrections": [{"pictures": 7, "people": 1, "pixels": 9}]})
+    save_network(path, network, {"corrections": [{"pictures": 7, "pixels": 9}]})
 
     result = run(path, "prior:rows", "--images", streets / "street_0.png")
 

@@ -34,7 +34,7 @@ def nested(seed: int) -> np.ndarray:
 
 
 def correction(labels: np.ndarray, name: str = "sub/a.jpg") -> Correction:
-    return Correction(Path(name), name, labels, False, ("ann",), 1.0, 1)
+    return Correction(Path(name), name, labels, False, 1.0, 1, Path("log"))
 
 
 CASES = {

@@ -1,4 +1,4 @@
-"""Corrections: what sayings come to, logs that survive a crash, several people."""
+"""Corrections: what sayings come to, and logs that survive a crash."""
 
 from pathlib import Path
 
@@ -10,11 +10,10 @@ from roadtorch.data.correction_labels import (
     LABELS,
     SAYINGS,
     after_saying,
-    labels_of,
     layout_layer,
     road_layer,
 )
-from roadtorch.data.corrections import agreed_labels, agreement_share, read_corrections
+from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import (
     AnyEvent,
     BrushStroke,
@@ -48,23 +47,15 @@ def box(identity: str, saying: str, left: int, top: int, right: int, bottom: int
     )
 
 
-def log(folder: Path, picture: str, user: str, *events: AnyEvent) -> Path:
-    path = log_path(folder, picture, user)
+def log(folder: Path, picture: str, *events: AnyEvent) -> Path:
+    path = log_path(folder, picture)
+    head = LogHead(picture=f"../{picture}", height=SIZE[0], width=SIZE[1])
     for event in events:
-        append_event(path, head(picture, user), event)
+        append_event(path, head, event)
     return path
 
 
-def head(picture: str, user: str) -> LogHead:
-    return LogHead(picture=f"../{picture}", user=user, height=SIZE[0], width=SIZE[1])
-
-
 # --- labels -----------------------------------------------------------------------------
-
-
-def test_every_label_comes_back_from_its_two_layers() -> None:
-    labels = np.arange(len(LABELS), dtype=np.uint8)
-    assert (labels_of(road_layer(labels), layout_layer(labels)) == labels).all()
 
 
 @pytest.mark.parametrize("saying", SAYINGS)
@@ -172,26 +163,12 @@ def ids(path: Path) -> list[str]:
 
 @pytest.mark.parametrize("torn", [b'{"kind":"pol', b""])
 def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path, torn: bytes) -> None:
-    path = log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9))
+    path = log(tmp_path, "a.jpg", box("a", "road", 0, 0, 9, 9))
     with path.open("ab") as file:
         file.write(torn)
     assert ids(path) == ["a"]
-    log(tmp_path, "a.jpg", "ann", box("b", "void", 0, 0, 2, 2))
+    log(tmp_path, "a.jpg", box("b", "void", 0, 0, 2, 2))
     assert ids(path) == ["a", "b"]
-
-
-def test_logs_of_earlier_versions_are_read(tmp_path: Path) -> None:
-    (tmp_path / "a.jpg.ann.strokes.jsonl").write_text(
-        '{"roadtorch": 1, "picture": "../a.jpg", "user": "ann", "height": 2, "width": 3}\n'
-        '{"id":"1","time":1.0,"seconds":0.0,"kind":"brought","labels":{"void":[0,1]}}\n'
-        '{"id":"2","time":2.0,"seconds":3.5,"kind":"superpixel","saying":"not_road",'
-        '"segments":[7],"cut":"","runs":[1,2]}\n'
-        '{"id":"3","time":3.0,"seconds":1.0,"kind":"right","runs":[3,2]}\n'
-    )
-    (correction,) = read_corrections(tmp_path)
-    assert correction.confirmed
-    assert correction.road.tolist() == [[254, 0, 0], [1, 1, 0]]
-    assert (correction.seconds, correction.clicks) == (4.5, 1)
 
 
 # --- corrections ------------------------------------------------------------------------
@@ -199,10 +176,9 @@ def test_logs_of_earlier_versions_are_read(tmp_path: Path) -> None:
 
 def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
     stroke = box("a", "road", 0, 10, 29, 19).model_copy(update={"seconds": 4.0})
-    log(tmp_path / "corrections", "sub/a.jpg", "ann", stroke, box("b", "sky", 0, 0, 29, 4))
+    log(tmp_path / "corrections", "sub/a.jpg", stroke, box("b", "sky", 0, 0, 29, 4))
     (correction,) = read_corrections(tmp_path / "corrections")
     assert (correction.name, correction.picture) == ("sub/a.jpg", tmp_path / "sub/a.jpg")
-    assert correction.users == ("ann",)
     assert (correction.seconds, correction.clicks, correction.confirmed) == (4.0, 2, False)
     assert correction.road.dtype == correction.layout.dtype == np.uint8
     assert correction.road[[15, 2, 7], 0].tolist() == [1, 0, 255]
@@ -213,27 +189,5 @@ def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
 
 
 def test_a_picture_on_which_all_was_taken_back_is_left_out(tmp_path: Path) -> None:
-    log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a"))
+    log(tmp_path, "a.jpg", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a"))
     assert read_corrections(tmp_path) == []
-
-
-def test_where_two_contradict_each_other_is_void(tmp_path: Path) -> None:
-    log(tmp_path, "a.jpg", "ann", box("a", "road", 0, 0, 19, 9))
-    log(
-        tmp_path, "a.jpg", "bob", box("b", "not_road", 10, 0, 29, 9), box("c", "road", 10, 0, 14, 9)
-    )
-    (correction,) = read_corrections(tmp_path)
-    assert correction.users == ("ann", "bob")
-    assert correction.road[0].tolist() == [1] * 15 + [254] * 5 + [0] * 10
-    assert (correction.road[10:] == 255).all()
-    assert correction.agreement == pytest.approx(0.5)
-
-
-def test_a_contradiction_stays_one_whatever_the_order_of_three_people() -> None:
-    said = [np.full((1, 1), number(name), np.uint8) for name in ("sky", "vertical", "sky")]
-    for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2)):
-        assert agreed_labels([said[at] for at in order]).item() == number("not_road")
-
-
-def test_nobody_agrees_alone() -> None:
-    assert agreement_share([np.ones(SIZE, np.uint8), np.zeros(SIZE, np.uint8)]) is None

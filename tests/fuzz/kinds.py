@@ -214,7 +214,7 @@ def read_labels(path: Path) -> bool:
 
 
 NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
-SAID = Correction(Path("a.png"), "a.png", NUMBERS, False, (), 0, 0)
+SAID = Correction(Path("a.png"), "a.png", NUMBERS, False, 0, 0, Path("log"))
 
 
 def imported(name: str, file: str) -> Kind:
@@ -235,7 +235,7 @@ def imported(name: str, file: str) -> Kind:
 
 
 EVENTS = (
-    {"picture": "../a.png", "user": "ann", "height": HEIGHT, "width": WIDTH},
+    {"picture": "../a.png", "height": HEIGHT, "width": WIDTH},
     {"id": "a", "kind": "superpixel", "saying": "road", "segments": [1], "runs": [0, 9, 40, 3]},
     {"id": "b", "kind": "polygon", "saying": "sky", "points": [[1, 1], [9, 1], [9, 8]]},
     {"id": "c", "kind": "brush", "saying": "void", "points": [[3, 4]], "radius": 2.5},
@@ -246,7 +246,7 @@ EVENTS = (
 
 
 def make_journal(draw: Draw, _: Path) -> bytes:
-    """A log of what one person did, an event tampered with, perhaps cut off."""
+    """A log of corrections, an event tampered with, perhaps cut off."""
     at = draw(st.integers(0, len(EVENTS) - 1))
     lines = [json.dumps(event).encode() for event in EVENTS]
     lines[at] = tampered_json(draw, EVENTS[at]).replace(b"\n", b" ")
@@ -373,7 +373,7 @@ KINDS: Mapping[str, Kind] = {
     "labels": Kind("label.png", make_labels, read_labels),
     "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),
     "imported coco": imported("coco", "coco.json"),
-    "journals": Kind("a.png.ann.strokes.jsonl", make_journal, read_journal),
+    "journals": Kind("a.png.strokes.jsonl", make_journal, read_journal),
     "conditions": Kind("conditions.csv", of_text(CONDITIONS), read_conditions),
     "calibration": Kind("calib.txt", make_calibration, read_from_above),
     "index": Kind("index.csv", of_file(lambda path: write_index(path, INDEX), OF_TEXT), read_rows),

@@ -31,7 +31,7 @@ UNTOUCHED, ROAD, NOT_ROAD, VOID, SKY = range(5)
 
 
 def correction(labels: np.ndarray, picture: Path = Path("street.png")) -> Correction:
-    return Correction(picture, picture.name, labels.astype(np.uint8), False, ("ann",), 1.0, 1)
+    return Correction(picture, picture.name, labels.astype(np.uint8), False, 1.0, 1, Path("log"))
 
 
 def quarters(height: int = 8, width: int = 8) -> np.ndarray:
@@ -174,7 +174,7 @@ def test_weights_say_that_people_corrected_pictures(kind: str, runs: dict[str, O
     weights = runs[kind].weights
     assert weights is not None
     (summary,) = people_behind(weights)
-    assert (summary["pictures"], summary["people"], summary["pixels"]) == (1, 1, 3 * 60 * 80 // 4)
+    assert (summary["pictures"], summary["pixels"]) == (1, 3 * 60 * 80 // 4)
     assert "not label-free" in weights.with_suffix(".md").read_text()
     assert corrected_pictures({"weights": {"file": str(weights)}}) == 1
     assert corrected_pictures({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
@@ -198,8 +198,8 @@ def test_what_goes_on_from_corrected_weights_is_not_label_free_either(
 
 def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_path: Path) -> None:
     name, logs = "street_1.png", tmp_path / "corrections"
-    head = LogHead(picture=f"elsewhere/{name}", user="ann", height=60, width=80)
-    EventLog(log_path(logs, name, "ann"), head).add(import_event(quarters(60, 80).astype(np.uint8)))
+    head = LogHead(picture=f"elsewhere/{name}", height=60, width=80)
+    EventLog(log_path(logs, name), head).add(import_event(quarters(60, 80).astype(np.uint8)))
     config = write_config(tmp_path / "train.toml", PATCHES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
     words += ["--corrections", logs, "--pictures", streets, "--prepared", kept / "patches"]

@@ -18,7 +18,6 @@ const hand = new Hand(stage, send, () => current !== null);
 const outbox = new Outbox(acted);
 const loaded = new Map(); // pictures by name: promises, the last few
 
-let user = localStorage.roadtorchUser ?? "";
 let pictures = [];
 let stamp = "";
 let learn = ""; // the command that learns from the corrections
@@ -53,7 +52,7 @@ async function open(name) {
   by("waiting").hidden = false;
   try {
     const [[image, labels], found] = await Promise.all([
-      picture(name), ask("state", { name, user }).then((answer) => answer.json()),
+      picture(name), ask("state", { name }).then((answer) => answer.json()),
     ]);
     if (wanted !== name) return;
     const { size, shape } = found;
@@ -61,7 +60,7 @@ async function open(name) {
     seconds = 0;
     notice("");
     location.hash = encodeURIComponent(name);
-    localStorage[`roadtorchLast:${user}`] = name;
+    localStorage.roadtorchLast = name;
     sorted();
     tell(found);
     list.reveal();
@@ -76,7 +75,7 @@ async function open(name) {
 // The pictures that wait for a verdict: those with a turn, then the least certain first; unknown
 // ones at the end.
 function sorted() {
-  const key = (one) => [done(one) ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
+  const key = (one) => [one.confirmed ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
   pictures.sort((a, b) => {
     const [x, y] = [key(a), key(b)];
     return x[0] - y[0] || x[1] - y[1] || x[2] - y[2] || (a.name < b.name ? -1 : 1);
@@ -84,14 +83,9 @@ function sorted() {
   list.show(pictures, current?.name ?? null);
 }
 
-// Whether a picture asks nothing more of this person.
-function done(one) {
-  return one.users[user]?.confirmed;
-}
-
 function following(step = 1) {
   const index = pictures.findIndex((one) => one.name === current?.name);
-  const open = pictures.filter((one) => !done(one) || one.name === current?.name);
+  const open = pictures.filter((one) => !one.confirmed || one.name === current?.name);
   const place = open.findIndex((one) => one.name === current?.name);
   if (open.length > 1 && step > 0) return open[(place + 1) % open.length].name;
   return pictures[(index + step + pictures.length) % pictures.length]?.name;
@@ -118,7 +112,6 @@ function tell(found) {
     found.confirmed ? "right ✓" : "",
     found.trust === null ? "" : `trust ${found.trust.toFixed(2)}`,
     `${found.clicks} ${found.clicks === 1 ? "click" : "clicks"}`, `${Math.round(found.seconds)} s`,
-    found.agreement === null ? "" : `agreement ${(100 * found.agreement).toFixed(1)} %`,
   ];
   by("facts").textContent = facts.filter(Boolean).join(" · ");
   document.body.dataset.version = found.version;
@@ -175,21 +168,21 @@ async function listed(found) {
   pictures = found.sort((a, b) => (place(a) === place(b) ? 0 : place(a) - place(b)));
   if (first) sorted();
   else list.show(pictures, current?.name ?? null);
-  const right = pictures.filter((one) => one.users[user]?.confirmed).length;
+  const right = pictures.filter((one) => one.confirmed).length;
   const known = pictures.filter((one) => one.trust !== null).length;
   const looked = known < pictures.length ? `, ${known} looked at` : "";
   by("progress").textContent = `${right} of ${pictures.length} right${looked}`;
   if (!pictures.length) notice("The folder holds no pictures.");
   const own = pictures.find((one) => one.name === current?.name);
   if (current && !own) notice(`${current.name} is no longer in the folder; your strokes are kept.`);
-  const version = own?.users[user]?.version ?? 0;
+  const version = own?.version ?? 0;
   if (own && state && !outbox.waiting.length && version > state.version) await again();
 }
 
-// Another window of this person did something: show it.
+// Another window did something: show it.
 async function again() {
   const { name } = current;
-  const found = await (await ask("state", { name, user })).json();
+  const found = await (await ask("state", { name })).json();
   if (current.name === name) tell(found);
 }
 
@@ -207,7 +200,7 @@ function send(act) {
   work();
   const entry = { ...act, seconds: Math.min(Math.round(seconds * 10) / 10, 600) };
   seconds = 0;
-  const sent = outbox.add(current.name, user, entry).catch(failed);
+  const sent = outbox.add(current.name, entry).catch(failed);
   stage.pending = outbox.waiting.filter((e) => e.name === current.name).map((e) => e.act);
   stage.draw();
   return sent;
@@ -231,7 +224,7 @@ async function right() {
   if (stage.polygon.length) return hand.closePolygon();
   if (!current) return;
   const next = following();
-  const last = pictures.every((one) => done(one) || one.name === current.name);
+  const last = pictures.every((one) => one.confirmed || one.name === current.name);
   await send({ kind: "right" });
   if (last) return notice(`All done: ${pictures.length} of ${pictures.length} right. To learn from them: ${learn}`);
   if (next && next !== current.name) open(next);
@@ -296,11 +289,6 @@ function toList() {
   by("list").focus();
 }
 
-function askName() {
-  by("user").value = user;
-  by("who").showModal();
-}
-
 const KEYS = [
   ...SAYINGS.map((what, index) => [`${index + 1}`, `say ${named(what)}`, () => say(what)]),
   ...Object.entries(TOOLS).map(([tool, key]) => [key, `${tool} tool`, () => choose(tool)]),
@@ -323,7 +311,6 @@ const KEYS = [
   ["g", "borders of superpixels on and off", () => flip("borders")],
   ["l", "see road or layout", sight],
   ["m", "list of pictures (arrows move in it)", toList],
-  ["u", "your name", askName],
   ["?", "these keys", () => by("help").showModal()],
 ];
 
@@ -358,40 +345,27 @@ function listen() {
     else hand.nudge(x, y, event.shiftKey);
   });
   by("show-list").addEventListener("click", () => document.body.classList.toggle("listing"));
-  by("who-button").addEventListener("click", askName);
   by("help-button").addEventListener("click", () => by("help").showModal());
   by("hint").hidden = localStorage.roadtorchHint === "seen";
   by("hint-seen").addEventListener("click", () => {
     localStorage.roadtorchHint = "seen";
     by("hint").hidden = true;
   });
-  by("who").addEventListener("cancel", (event) => user || event.preventDefault());
-  by("who").addEventListener("close", () => beginAs(by("user").value.trim()));
-}
-
-async function beginAs(name) {
-  if (!name) return askName();
-  user = localStorage.roadtorchUser = name;
-  by("who-button").textContent = name;
-  stamp = "";
-  current = wanted = null;
-  await refresh();
-  await resume();
 }
 
 // The picture of the address, or the last one, or the least certain.
 async function resume() {
   if (wanted || !pictures.length) return;
   const hash = decodeURIComponent(location.hash.slice(1));
-  const last = [hash, localStorage[`roadtorchLast:${user}`]];
+  const last = [hash, localStorage.roadtorchLast];
   const known = last.find((one) => pictures.some((each) => each.name === one));
-  const first = known ?? pictures.find((one) => !one.users[user]?.confirmed)?.name;
+  const first = known ?? pictures.find((one) => !one.confirmed)?.name;
   await open(first ?? pictures[0].name);
 }
 
 async function poll() {
-  if (user) await refresh();
-  if (user) await resume();
+  await refresh();
+  await resume();
   setTimeout(poll, POLL);
 }
 
@@ -400,6 +374,4 @@ listen();
 paint(localStorage.roadtorchRoad in ROADS ? localStorage.roadtorchRoad : "blue");
 say("road");
 choose("superpixel");
-if (user) beginAs(user);
-else askName();
-setTimeout(poll, POLL);
+poll();

@@ -53,8 +53,8 @@ export class Outbox {
     else delete localStorage[this.key];
   }
 
-  add(name, user, act) {
-    this.waiting.push({ name, user, act: { id: crypto.randomUUID(), ...act } });
+  add(name, act) {
+    this.waiting.push({ name, act: { id: crypto.randomUUID(), ...act } });
     this.keep();
     return this.send();
   }
@@ -66,11 +66,11 @@ export class Outbox {
     try {
       while (this.waiting.length) {
         const entry = this.waiting[0];
-        const { name, user, act } = entry;
+        const { name, act } = entry;
         let state = null;
         let problem = null;
         try {
-          state = await (await ask("event", { name, user }, act)).json();
+          state = await (await ask("event", { name }, act)).json();
         } catch (error) {
           if (!(error instanceof Refusal) || error.status >= 500 || error.status === 403) throw error;
           problem = error;

@@ -78,10 +78,8 @@ export class PictureList {
   }
 }
 
-function said(picture) {
-  const work = Object.entries(picture.users);
-  const trust = picture.trust === null ? "not looked at" : `trust ${picture.trust.toFixed(2)}`;
-  if (!work.length) return trust;
-  const people = work.map(([user, one]) => `${one.confirmed ? "✓ " : ""}${user} ${one.events}`);
-  return `${trust} · ${people.join(", ")}`;
+function said({ trust, events, confirmed }) {
+  const words = [trust === null ? "not looked at" : `trust ${trust.toFixed(2)}`];
+  if (events) words.push(`${confirmed ? "✓ " : ""}${events} ${events === 1 ? "event" : "events"}`);
+  return words.join(" · ");
 }
