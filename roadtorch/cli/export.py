@@ -14,15 +14,14 @@ from roadtorch.cli.options import PATH, SETTING
     "--out",
     type=PATH,
     required=True,
-    help="File: NAME.onnx, or NAME.xml for OpenVINO; for web and hub, a folder.",
+    help="File: NAME.onnx; for web and hub, a folder.",
 )
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["onnx", "openvino", "web", "hub"]),
+    type=click.Choice(["onnx", "web", "hub"]),
     default="onnx",
-    help="OpenVINO's has its weights in a second file, NAME.bin; web is a page for browsers; hub "
-    "a folder for model hubs, which load_detector reads.",
+    help="web is a page for browsers; hub a folder for model hubs, which load_detector reads.",
 )
 @SETTING
 def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
@@ -46,10 +45,7 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
                 click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
             click.echo(f"load it: load_detector({str(out)!r})")
             return
-        if kind == "web":
-            exported = export_page(detector, out)
-        else:
-            exported = export_detector(detector, out, kind)
+        exported = export_page(detector, out) if kind == "web" else export_detector(detector, out)
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     click.echo(f"{name}: {exported.notes['part']}")

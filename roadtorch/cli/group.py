@@ -27,7 +27,7 @@ COMMANDS = {
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
     "doctor": ("roadtorch.cli.doctor:doctor", "Check this installation."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
-    "export": ("roadtorch.cli.export:export", "Export a network: ONNX, OpenVINO, a web page."),
+    "export": ("roadtorch.cli.export:export", "Export a network: ONNX, a web page."),
     "grid": ("roadtorch.cli.grid:grid", "Map the road in pictures onto the ground, in metres."),
     "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
     "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),

@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic, digest_of, make_folder
-from roadtorch.base.errors import ConfigError, InputError, unknown_name
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, to_pixels
 from roadtorch.base.version import __version__
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.detector import MIN_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
-from roadtorch.export.files import Run, open_onnx, open_openvino, write_onnx, write_openvino
+from roadtorch.export.files import Run, open_onnx, write_onnx
 from roadtorch.export.graph import OUTPUTS, EveryPixel, FusedRoad, Graph
 from roadtorch.imaging.resize import Maps, at_picture_size, at_work, resized, size_of
 from roadtorch.layout.weights import FOR_PICTURES, terms_of, weights_path
@@ -207,25 +207,8 @@ def parity(run: Run, reference: Reference, batches: Iterable[np.ndarray]) -> Par
 # --- writing it -------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Format:
-    """A format of files. suffixes: how they end; the one that is opened is the first.
-
-    needs: the packages of the extra by its name. write: module, notes, path. open: path, threads.
-    """
-
-    suffixes: tuple[str, ...]
-    needs: tuple[str, ...]
-    write: Callable[[Graph, Mapping[str, str], Path], None]
-    open: Callable[[Path, int], Run]
-
-
-FORMATS: Mapping[str, Format] = {
-    "onnx": Format((".onnx",), ("onnx", "onnxscript", "onnxruntime"), write_onnx, open_onnx),
-    "openvino": Format(
-        (".xml", ".bin"), ("openvino", "onnx", "onnxscript"), write_openvino, open_openvino
-    ),
-}
+NEEDS = ("onnx", "onnxscript", "onnxruntime")
+"""The packages of the extra ``onnx``."""
 
 
 @dataclass(frozen=True)
@@ -237,41 +220,30 @@ class Exported:
     parity: Parity
 
 
-def export_detector(detector: Detector, out: Path, kind: str) -> Exported:
-    """Write what can be exported of a detector in a format, once it says what Python says.
+def export_detector(detector: Detector, out: Path) -> Exported:
+    """Write what can be exported of a detector as ONNX, once it says what Python says.
 
-    Raises ConfigError for what cannot be exported, an unknown format, another suffix than the
-    format has, and a missing extra; InputError when the file would be more than ``BOUND`` off
-    (then nothing is written), and when it cannot be written.
+    Raises ConfigError for what cannot be exported, another suffix than .onnx, and a missing extra;
+    InputError when the file would be more than ``BOUND`` off (then nothing is written), and when
+    it cannot be written.
     """
-    form = format_named(kind)
-    if out.suffix != form.suffixes[0]:
-        what = f"does not end as {kind} files do"
-        raise ConfigError(out, what, f"name it {out.stem or 'road'}{form.suffixes[0]}")
+    if out.suffix != ".onnx":
+        what = "does not end as ONNX files do"
+        raise ConfigError(out, what, f"name it {out.stem or 'road'}.onnx")
+    if missing := [name for name in NEEDS if find_spec(name) is None]:
+        what = f"needs {', '.join(missing)}: not installed"
+        raise ConfigError("export", what, "pip install 'roadtorch[onnx]'")
     part = exportable(detector)
     make_folder(out.parent)
     notes = notes_of(detector, part)
     with TemporaryDirectory(prefix="roadtorch.") as folder:
         path = Path(folder) / out.name
-        form.write(part.module, notes, path)
-        run = form.open(path, torch.get_num_threads())
+        write_onnx(part.module, notes, path)
+        run = open_onnx(path, torch.get_num_threads())
         apart = parity(run, part.reference, rendered_batches())
         if not apart.most <= BOUND:
             what = f"would be {apart.most:.2g} off in its {apart.where}, more than {BOUND:g}"
             raise InputError(out, what, "nothing was written; try other versions of the extra")
-        files = tuple(out.with_suffix(suffix) for suffix in form.suffixes)
-        for file in reversed(files):
-            with atomic(file) as temporary:
-                shutil.copyfile(path.with_suffix(file.suffix), temporary)
-    return Exported(files, notes, apart)
-
-
-def format_named(kind: str) -> Format:
-    """The format of that name; ConfigError where there is none, or its extra is missing."""
-    if kind not in FORMATS:
-        raise unknown_name("format", kind, FORMATS)
-    missing = [name for name in FORMATS[kind].needs if find_spec(name) is None]
-    if missing:
-        what = f"needs {', '.join(missing)}: not installed"
-        raise ConfigError(f"format {kind}", what, f"pip install 'roadtorch[{kind}]'")
-    return FORMATS[kind]
+        with atomic(out) as temporary:
+            shutil.copyfile(path, temporary)
+    return Exported((out,), notes, apart)

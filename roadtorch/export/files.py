@@ -1,4 +1,4 @@
-"""ONNX files, written by torch's exporter, and OpenVINO files made of them; and what runs them."""
+"""ONNX files: written by torch's exporter, run by ONNX Runtime."""
 
 import logging
 import warnings
@@ -73,38 +73,3 @@ def quiet_exporter() -> Iterator[None]:
             yield
     finally:
         logging.disable(before)
-
-
-# --- OpenVINO -------------------------------------------------------------------------
-
-
-SECTION = "roadtorch"
-"""Where the notes are in the rt_info of the model."""
-
-
-def write_openvino(module: Graph, notes: Mapping[str, str], path: Path) -> None:
-    """Write a module of ``graph`` as path (.xml) and weights beside it (.bin), in float32."""
-    import openvino
-
-    between = path.with_suffix(".onnx")
-    write_onnx(module, {}, between)
-    model = openvino.Core().read_model(between)
-    for name, text in notes.items():
-        model.set_rt_info(text, [SECTION, name])
-    openvino.save_model(model, path, compress_to_fp16=False)
-    between.unlink()
-
-
-def open_openvino(path: Path, threads: int) -> Run:
-    """What runs an OpenVINO or ONNX file on so many threads, by OpenVINO."""
-    import openvino
-
-    settings = {"INFERENCE_NUM_THREADS": threads, "INFERENCE_PRECISION_HINT": "f32"}
-    model = openvino.Core().compile_model(path, "CPU", settings)
-    names = [output.any_name for output in model.outputs]
-
-    def run(pictures: np.ndarray) -> dict[str, np.ndarray]:
-        maps = model(np.ascontiguousarray(pictures))
-        return {name: np.array(maps[name]) for name in names}
-
-    return run

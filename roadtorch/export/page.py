@@ -38,7 +38,7 @@ def export_page(detector: Detector, out: Path) -> Exported:
     if any(not (RUNTIME_FOLDER / name).is_file() for name in RUNTIME):
         remedy = f"npm install onnxruntime-web@{RUNTIME_VERSION}, in the folder you are in"
         raise ConfigError(RUNTIME_FOLDER, "is not there or incomplete", remedy)
-    exported = export_detector(detector, out / "road.onnx", "onnx")
+    exported = export_detector(detector, out / "road.onnx")
     write_pixels(out / "street.jpg", to_pixels(render_scene(2, 360, 640).image))
     sources = [*sorted(STATIC.iterdir()), *(RUNTIME_FOLDER / name for name in RUNTIME)]
     digests = "".join(digest_of(path) for path in (exported.files[0], *sources))

@@ -11,25 +11,24 @@ from tests.command import Call
 def test_export_tells_what_it_wrote_and_nothing_else(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def written(detector: Detector, out: Path, kind: str) -> Exported:
+    def written(detector: Detector, out: Path) -> Exported:
         out.write_bytes(bytes(20_000))
-        part = f"the whole of {detector.name} as {kind}"
+        part = f"the whole of {detector.name}"
         notes = {"part": part, "lacks": "a soul, trust", "threshold": "0.4"}
         return Exported((out,), notes, Parity(2e-5, "road at 16×16", 1e-7, 6))
 
     monkeypatch.setattr(export, "export_detector", written)
-    out = tmp_path / "road.xml"
+    out = tmp_path / "road.onnx"
 
     result = call(
-        *("export", "prior:rows", "--out", out, "--format", "openvino"),
-        *("--set", "threshold=0.4"),
+        *("export", "prior:rows", "--out", out, "--set", "threshold=0.4"),
     )
 
     assert result.exit_code == 0, result.stderr
     assert result.stderr == ""
     assert result.stdout.splitlines() == [
         f"{out}: 0.02 MB",
-        "prior:rows: the whole of prior:rows as openvino",
+        "prior:rows: the whole of prior:rows",
         "  threshold          0.4",
         "parity with Python on 6 rendered pictures: at most 2.0e-05 off (road at 16×16), "
         "1.0e-07 in the mean; allowed 0.0001",

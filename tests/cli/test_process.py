@@ -15,7 +15,7 @@ COMMAND = [sys.executable, "-m", "roadtorch"]
 
 UNUSED = (
     *("torchvision", "matplotlib", "skimage", "sklearn", "pandas", "jinja2", "ray", "onnx"),
-    *("onnxruntime", "openvino", "av", "rosbags", "starlette", "scipy.optimize", "scipy.stats"),
+    *("onnxruntime", "av", "rosbags", "starlette", "scipy.optimize", "scipy.stats"),
     *("torch._dynamo", "torch._inductor"),
 )
 """What `infer` on pictures has no use for, and would wait for."""
