@@ -45,16 +45,6 @@ def test_supervision_has_the_road_as_one_object() -> None:
     assert detection(trust=None).to_supervision().confidence is None
 
 
-def test_fiftyone_has_the_mask_and_how_far_it_is_trusted() -> None:
-    fiftyone = pytest.importorskip("fiftyone", reason="FiftyOne is not installed")
-
-    road = detection().to_fiftyone()
-
-    assert isinstance(road, fiftyone.Segmentation)
-    np.testing.assert_array_equal(road.mask, 255 * np.array(ROAD, np.uint8))
-    assert (road.trust, road.doubt) == (0.75, "is dark")
-
-
 def test_pandas_has_a_row_for_each() -> None:
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
 
@@ -66,11 +56,11 @@ def test_pandas_has_a_row_for_each() -> None:
     assert table.trust.isna().tolist() == [False, True]
 
 
-@pytest.mark.parametrize("name", ["supervision", "fiftyone", "pandas"])
+@pytest.mark.parametrize("name", ["supervision", "pandas"])
 def test_a_package_that_is_not_installed_is_named(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, name, None)
 
     with pytest.raises(ConfigError, match=rf"{name}: is not installed \(pip install {name}\)"):
-        to_pandas([detection()]) if name == "pandas" else getattr(detection(), f"to_{name}")()
+        to_pandas([detection()]) if name == "pandas" else detection().to_supervision()

@@ -137,16 +137,6 @@ class Detection:
             data={"class_name": np.array(["road"])},
         )
 
-    def to_fiftyone(self) -> Any:
-        """``fiftyone.Segmentation``: the mask, road 255, with ``trust`` and ``doubt``.
-
-        Raises ConfigError where FiftyOne is not installed.
-        """
-        pixels = np.where(self.mask.cpu().numpy(), 255, 0).astype(np.uint8)
-        segmentation = _package("fiftyone").Segmentation(mask=pixels)
-        segmentation["trust"], segmentation["doubt"] = self.trust, self.doubt
-        return segmentation
-
     def __repr__(self) -> str:
         """One line: size, share of road, and how far it can be trusted."""
         height, width = self.mask.shape
