@@ -52,7 +52,7 @@ EPOCH = "--quiet --threads 1 --set stopping.epochs=1"
 OUTPUTS = {
     "infer/folder": f"infer pictures --save {MAPS}",
     "infer/ufl": "infer pictures --detector ufl --save likelihood,cues --depth 16 --jobs 2",
-    "footage/video": f"infer clip.mp4 --save {FOOTAGE} --every 4 --limit 8 --gif 0:1",
+    "footage/video": f"infer clip.mp4 --save {FOOTAGE} --every 4 --limit 8",
     "footage/unsteady": "infer clip.mp4 --no-steady --start 2 --end 2.5",
     "footage/ros2": f"infer drive --save {FOOTAGE}",
     "footage/ros1": f"infer drive.bag --save {FOOTAGE}",

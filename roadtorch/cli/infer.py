@@ -46,23 +46,6 @@ def _kinds(_: click.Context, __: click.Parameter, value: str | None) -> tuple[st
     return tuple(kind for kind in known if kind in asked)
 
 
-def _stretch(_: click.Context, __: click.Parameter, value: str | None) -> tuple[float, ...] | None:
-    """Start and end of a stretch, in seconds, of START:END."""
-    if value is None:
-        return None
-    from roadtorch.base.errors import ConfigError
-    from roadtorch.run.writers.video import GIF_SECONDS
-
-    try:
-        start, end = map(float, value.split(":"))
-    except ValueError:
-        raise ConfigError("--gif", f"{value!r} was given", "give START:END, as 3:6.5") from None
-    if not 0 <= start < end <= start + GIF_SECONDS:
-        remedy = f"give a stretch of at most {GIF_SECONDS:g} seconds"
-        raise ConfigError("--gif", f"{value!r} is no stretch to show", remedy)
-    return start, end
-
-
 def opened_viewer() -> "Viewer":
     """The page that shows footage, its address printed; ConfigError where its extra is missing."""
     from roadtorch.base.errors import ConfigError
@@ -94,7 +77,6 @@ def opened_viewer() -> "Viewer":
     help="In footage, smooth the likelihood over time.",
 )
 @click.option("--view", is_flag=True, help="Show footage live on a local page.")
-@click.option("--gif", callback=_stretch, metavar="START:END", help="Seconds to show as a GIF.")
 @CAMERA
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option(
@@ -114,7 +96,6 @@ def infer(
     frames: FrameSelection,
     steady: bool,
     view: bool,
-    gif: tuple[float, float] | None,
     camera: Path | None,
     threshold: float | None,
     depth: str,
@@ -164,11 +145,11 @@ def infer(
     bits = 16 if depth == "16" else 8
     maps = Maps(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(opened_viewer()) if view else None
-    output = MapOutput(maps, save, gif, frames.topic, viewer)
+    output = MapOutput(maps, save, frames.topic, viewer)
     todo = plan(found, out, maps.suffixes, output)
     workers = context.with_resource(compute.started(todo.count))
     context.with_resource(result_folder(out, effective, overwrite))
-    of_frames = {**asdict(frames), "gif": gif, "steady": steady}
+    of_frames = {**asdict(frames), "steady": steady}
     look = Look(detector, known, compute.device)
     method = method_of_detector(detector, effective, kinds, depth.encode())
     of_footage = method_of_detector(detector, effective, (), repr((depth, of_frames)).encode())

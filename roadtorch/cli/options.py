@@ -168,7 +168,7 @@ class RunChoice:
 
 SECTIONS = {
     **dict.fromkeys((*DetectorOptions.__dataclass_fields__, "camera", "threshold"), "Detector"),
-    **dict.fromkeys((*FrameSelection.__dataclass_fields__, "steady", "view", "gif"), "Footage"),
+    **dict.fromkeys((*FrameSelection.__dataclass_fields__, "steady", "view"), "Footage"),
     **dict.fromkeys(ComputeOptions.__dataclass_fields__, "Computing"),
     **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }

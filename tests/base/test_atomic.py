@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -21,9 +20,6 @@ from roadtorch.base.atomic import (
 )
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import write_mask, write_npy
-from roadtorch.detectors.detection import Detection
-from roadtorch.inputs.item import Item
-from roadtorch.run.writers.video import GifWriter
 
 
 def test_csv_comes_back_as_it_was_written() -> None:
@@ -59,20 +55,12 @@ def test_a_name_that_is_too_long_is_blamed_on_the_name(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def write_gif(path: Path) -> None:
-    black = torch.zeros(9, 9)
-    writer = GifWriter(path, lambda _: np.zeros((9, 9, 3), np.uint8), 0, 1)
-    writer.write(Item("x", "x", torch.rand, seconds=0.5), Detection(black, black > 0, {}))
-    writer.close()
-
-
 @pytest.mark.parametrize(
     "write",
     [
         lambda path: write_text(path, "whole"),
         lambda path: write_npy(path, torch.rand(50, 50)),
         lambda path: write_mask(path, torch.ones(50, 50) > 0),
-        write_gif,
     ],
 )
 def test_a_full_disk_is_blamed_on_the_room(

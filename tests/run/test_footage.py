@@ -76,13 +76,6 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) ->
     assert (shown == detection.mask.numpy()).mean() > 0.95
 
 
-def test_a_stretch_becomes_a_gif(run: Call, out: Path) -> None:
-    run("--gif", "0.2:0.7")
-
-    with Image.open(out / "drive.overlay.gif") as gif:
-        assert gif.n_frames == 5  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
     call: Call, drive: Path, footage: Path, tmp_path: Path
 ) -> None:

@@ -20,7 +20,7 @@ from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
 from roadtorch.run.writers.grid import Grids
 from roadtorch.run.writers.maps import CUE_SUFFIXES, SUFFIXES, Maps
-from roadtorch.run.writers.video import GifWriter, VideoWriter
+from roadtorch.run.writers.video import VideoWriter
 
 OF_PICTURES, OF_FOOTAGE, OF_BAGS = (
     ("likelihood", "mask", "overlay"),
@@ -31,8 +31,6 @@ OF_PICTURES, OF_FOOTAGE, OF_BAGS = (
 
 CAMERA_FRAME = "camera"
 """The frame of reference in bags of footage that tells none."""
-
-GIF = ".overlay.gif"
 
 MEDIAN_FRAMES = 9
 """Frames whose median is the pitch of a source; ours: a few wrong ones do not move it."""
@@ -83,17 +81,15 @@ def bag_suffix(source: Source, suffix: str) -> str:
 
 @dataclass(frozen=True)
 class MapOutput:
-    """What ``infer`` writes of a source: videos, a GIF, bags, and files for each frame.
+    """What ``infer`` writes of a source: videos, bags, and files for each frame.
 
     maps: of a picture. asked: the kinds of ``--save``, None where it is not given: of a
-    source ``overlay`` is a video and ``overlay-frames`` are pictures. gif: its start and end in
-    seconds. topic: of the images in bags; None where they have one. view: what else gets the
-    frames of sources.
+    source ``overlay`` is a video and ``overlay-frames`` are pictures. topic: of the images in
+    bags; None where they have one. view: what else gets the frames of sources.
     """
 
     maps: Maps
     asked: tuple[str, ...] | None
-    gif: tuple[float, float] | None = None
     topic: str | None = None
     view: Writer | None = None
 
@@ -102,8 +98,7 @@ class MapOutput:
         usual = OF_BAGS if is_from_bag(source) else OF_FOOTAGE
         kinds = usual if self.asked is None else self.asked
         of_frames = set(kinds)
-        kinds = (*kinds, "gif") if self.gif else kinds
-        suffixes = {**VIDEOS, "gif": GIF, "bag": bag_suffix(source, ".road")}
+        suffixes = {**VIDEOS, "bag": bag_suffix(source, ".road")}
         own = {kind: suffixes[kind] for kind in kinds if kind in suffixes}
         of_frames -= suffixes.keys()
         if "overlay-frames" in kinds:
@@ -122,12 +117,9 @@ class MapOutput:
         draws |= {"mask-video": mask_pixels, "likelihood-video": likelihood_pixels}
         with ExitStack() as stack:
             streams = [self.view] if self.view else []
-            for kind in sorted(own, key=["gif", *VIDEOS, "bag"].index):
+            for kind in sorted(own, key=[*VIDEOS, "bag"].index):
                 path = stem.with_name(stem.name + own[kind])
-                if kind == "gif":
-                    assert self.gif is not None
-                    writer = GifWriter(path, overlay, *self.gif)
-                elif kind == "bag":
+                if kind == "bag":
                     frame_id = CAMERA_FRAME
                     if is_from_bag(source):
                         frame_id = image_topic(source.origin, self.topic).frame_id

@@ -1,4 +1,4 @@
-"""Videos as results: H.264 in MP4 where the encoder is there, with the frames' time stamps; GIF."""
+"""Videos as results: H.264 in MP4 where the encoder is there, with the frames' time stamps."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import Image
 
 from roadtorch.base.atomic import atomic, unwritable
 from roadtorch.detectors.detector import Detection
@@ -26,17 +25,6 @@ ENCODERS = {
 }
 """By preference, with options; ours: the outline stays sharp. With its macroblock tree x264 gives
 other bytes from run to run, as memory happens to lie."""
-
-
-GIF_WIDTH = 480  # pixels at most
-
-GIF_RATE = 10  # frames a second
-
-GIF_SECONDS = 60.0
-"""At most; its frames are held in memory until the end."""
-
-GIF_COLOURS = 128
-
 
 Draw = Callable[[Detection], np.ndarray]
 """What is shown of a detection: pixels uint8 (H,W,3) RGB, or (H,W) grey."""
@@ -120,47 +108,3 @@ class VideoWriter:
         if below or right:
             pixels = cv2.copyMakeBorder(pixels, 0, below, 0, right, cv2.BORDER_REPLICATE)
         return np.ascontiguousarray(pixels)
-
-
-class GifWriter:
-    """The frames from ``start`` to ``end`` seconds, at most 480 pixels wide and ten a second."""
-
-    def __init__(self, path: Path, draw: Draw, start: float, end: float) -> None:
-        self.path = path
-        self._draw, self._start, self._end = draw, start, end
-        self._frames: list[Image.Image] = []
-        self._seconds: list[float] = []
-
-    def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Add a frame whose time has come; one without a clock is left out."""
-        due = self._seconds[-1] + 1 / GIF_RATE if self._seconds else self._start
-        seconds = -1.0 if item.seconds is None else item.seconds
-        if not (self._start <= seconds < self._end and seconds >= due - 0.2 / GIF_RATE):
-            return {}
-        pixels = self._draw(detection)
-        height, width = pixels.shape[:2]
-        if width > GIF_WIDTH:
-            size = GIF_WIDTH, max(1, round(height * GIF_WIDTH / width))
-            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-        picture = Image.fromarray(pixels).quantize(GIF_COLOURS, dither=Image.Dither.NONE)
-        self._frames.append(picture)
-        self._seconds.append(seconds)
-        return {}
-
-    def close(self) -> None:
-        """Write the file; there is none where no frame lies in the stretch."""
-        if not self._frames:
-            return
-        steps = np.diff([*self._seconds, self._seconds[-1] + 1 / GIF_RATE])
-        durations = [max(20, round(float(step) * 100) * 10) for step in steps]  # whole 10 ms
-        first, *others = self._frames
-        self._frames = []
-        with atomic(self.path) as temporary, temporary.open("wb") as file:
-            first.save(
-                file,
-                format="GIF",
-                save_all=True,
-                append_images=others,
-                duration=durations,
-                loop=0,
-            )

@@ -7,14 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import to_pixels
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.run.writers import video
-from roadtorch.run.writers.video import GifWriter, VideoWriter
+from roadtorch.run.writers.video import VideoWriter
 from roadtorch.testing.scenes import render_scene
 from tests.videos import pixels_of, stamps_of, street_pixels
 
@@ -80,8 +79,6 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
 
 def test_no_frame_gives_no_file(tmp_path: Path) -> None:
     write(tmp_path / "x.mp4", [])
-    with closing(GifWriter(tmp_path / "x.gif", shown, 5.0, 6.0)) as gif:
-        gif.write(frame(0, 1.0), detection(street_pixels(0)))
 
     assert list(tmp_path.iterdir()) == []
 
@@ -128,19 +125,3 @@ def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path
         written.add((tmp_path / "drive.mp4").read_bytes())
 
     assert len(written) == 1
-
-
-# --- GIF --------------------------------------------------------------------------------
-
-
-def test_a_stretch_is_small_and_ten_a_second(tmp_path: Path) -> None:
-    with closing(GifWriter(tmp_path / "x.gif", shown, 1.0, 2.0)) as writer:
-        for number in range(90):
-            pixels = np.tile(street_pixels(number // 3 % 3), (10, 10, 1))
-            writer.write(frame(number, number / 30), detection(pixels))
-
-    with Image.open(tmp_path / "x.gif") as gif:
-        assert gif.size == (480, 360)
-        assert gif.n_frames == 10  # pyright: ignore[reportAttributeAccessIssue]
-        assert gif.info["duration"] == pytest.approx(100, abs=10)
-        assert gif.info["loop"] == 0
