@@ -2,7 +2,6 @@
 
 import math
 import os
-import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,16 +13,7 @@ import tomli_w
 from roadtorch.base.bounded import read_regular
 from roadtorch.base.errors import ConfigError, InputError, shortened, unknown_name
 
-MAX_PARTS = 32
-"""Of a key, and levels of a value: far more than any setting has; deeper ones take minutes."""
-
-MAX_BYTES = 2**20  # of a file of settings; ours: they have thousands
-
 SHOWN = 200  # letters of what was given that a refusal repeats
-
-_LONG_KEY = re.compile(
-    rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MAX_PARTS}}}"""
-)
 
 
 class Settings(pydantic.BaseModel):
@@ -87,15 +77,12 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     """Turn ``["texture.bins=64"]`` into ``{"texture": {"bins": 64}}``.
 
     A value is read as TOML (numbers, true/false, quoted strings, lists); what is
-    not TOML is a plain string. Raises ConfigError for an item without ``=``, with a key of
-    too many parts or a value that is nested too deep.
+    not TOML is a plain string. Raises ConfigError for an item without ``=``.
     """
     tree: dict[str, Any] = {}
     for item in assignments:
         key, equals, text = item.partition("=")
-        names = key.strip().split(".", MAX_PARTS)
-        if len(names) > MAX_PARTS:
-            raise ConfigError(item, "has too many parts", _FEWER_PARTS)
+        names = key.strip().split(".")
         if not equals or not all(names):
             raise ConfigError(
                 item, "is not a setting", "write key=value, for example texture.bins=64"
@@ -107,49 +94,16 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
                 raise ConfigError(key, f"{name} is already set to a value", "give each key once")
         if isinstance(branch.get(names[-1]), dict):
             raise ConfigError(key, "is a group of settings", "set one key inside it")
-        branch[names[-1]] = _toml_value(key, text.strip())
+        branch[names[-1]] = _toml_value(text.strip())
     return tree
 
 
-def _toml_value(key: str, text: str) -> Any:
+def _toml_value(text: str) -> Any:
     try:
-        value = _parsed(key, f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
         return text
     return text if isinstance(value, float) and not math.isfinite(value) else value
-
-
-_FEWER_PARTS = f"no setting has more than {MAX_PARTS}"
-
-
-def _parsed(where: object, text: str) -> dict[str, Any]:
-    """TOML as nested values; ConfigError for what is nested too deep, or a number too long.
-
-    Raises TOMLDecodeError for what is no TOML.
-    """
-    if _LONG_KEY.search(text):  # the parser's time grows with their square
-        raise ConfigError(where, "has a key of too many parts", _FEWER_PARTS)
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        raise
-    except RecursionError:
-        raise ConfigError(where, "is nested too deep", "give plain values") from None
-    except ValueError as problem:
-        raise ConfigError(where, f"cannot be read: {problem}", "give a shorter number") from None
-    _check_values(where, values, MAX_PARTS + 1)
-    return values
-
-
-def _check_values(where: object, value: Any, levels: int) -> None:
-    """ConfigError for more levels, and for whole numbers that TOML (64 bits) does not know."""
-    if not levels:
-        raise ConfigError(where, "is nested too deep", "give plain values")
-    if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise ConfigError(where, "has a number of more than 64 bits", "give a shorter number")
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    for part in inner:
-        _check_values(where, part, levels - 1)
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,13 +122,13 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     A name of a file with a suffix that lies beside it becomes its path: folders can be moved.
     """
     try:
-        return _found_beside(path, _parsed(path, read_regular(path, MAX_BYTES).decode()))
+        return _found_beside(path, tomllib.loads(read_regular(path).decode()))
     except OSError as problem:
         what = f"cannot be read: {problem.strerror}"
         raise InputError(path, what, "give a TOML file") from None
     except UnicodeDecodeError:
         raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
-    except tomllib.TOMLDecodeError as problem:
+    except (ValueError, RecursionError) as problem:
         raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None
 
 

@@ -133,36 +133,3 @@ def test_only_names_of_files_with_a_suffix_are_those_beside_the_file(tmp_path: P
     assert values["detector"] == "fusion"
     assert values["long"] == long
     assert values["ego"] == {"mask": str(tmp_path / "ego.png"), "no": "a.png"}
-
-
-DEEP_LIST, LONG_NUMBER = "[" * 3_000, "9" * 5_000
-
-
-@pytest.mark.parametrize(
-    "item",
-    [
-        f"threshold={DEEP_LIST}",
-        f"threshold={DEEP_LIST}{']' * 3_000}",
-        f"threshold={'[' * 50}{']' * 50}",
-        f"threshold={LONG_NUMBER}",
-        f"threshold=0x{'f' * 5_000}",
-        f"threshold={{{'a.' * 50_000}a = 1}}",
-        f"{'a.' * 50_000}a=1",
-    ],
-)
-def test_values_without_end_are_refused_in_a_line(item: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError) as caught:
-        build_settings(Example, parse_assignments([item]))
-    assert len(str(caught.value)) < 500
-
-    path = tmp_path / "a.toml"
-    path.write_text(item)
-    with pytest.raises(ConfigError, match=r"a\.toml: ") as caught:
-        read_settings_file(path)
-    assert len(str(caught.value)) < 500
-
-
-def test_lists_of_many_numbers_are_no_long_keys() -> None:
-    numbers = [number + 0.5 for number in range(100)]
-
-    assert parse_assignments([f"weights={numbers}"]) == {"weights": numbers}
