@@ -221,7 +221,7 @@ UNSETTLED = (
     (r"(roadtorch, version) \S+", r"\1 VERSION"),
     (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d[\d.]*([+-]\d\d:\d\d|Z)?", "DATE"),
     (r'"(index_sha256|ms|ms_per_image|seconds)": "?[\w.+-]+"?', r'"\1": TIME'),
-    (r'data-v="[\d.]+">\d+\.\d<', 'data-v="TIME">TIME<'),  # reports tell ms alone so
+    (r"(<td>|\| )\d+\.\d(?=</td>| \|)", r"\1TIME"),  # reports and their tables tell ms alone so
     (r"(?m) +\d+\.\d(?=  [ \d.-]+$)", " TIME"),  # and so does the table on the screen
     (r"\bin \d+(\.\d+)? s\b", "in TIME"),
     (r"(?m)^roadtorch: .*(, [\d:?]+ left| in [\d:]+)\n", ""),  # how far a long run is

@@ -133,7 +133,7 @@ def records_of_masks(run: str, folder: Path) -> dict[str, float]:
         return {f"{run}.masks.iou": fmean(float(row["iou"]) for row in csv.DictReader(file))}
 
 
-NOT_FIGURES = ("settings", "images_by_f", "ci95", "groups", "left_out", "pooled", "conditions")
+NOT_FIGURES = ("settings", "ci95", "groups", "left_out", "pooled", "conditions")
 
 
 def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:

@@ -88,7 +88,7 @@ def _score(
 ) -> int:
     from roadtorch.cli.evaluate import tell_failures
     from roadtorch.evaluation.evaluate import evaluated
-    from roadtorch.evaluation.report.screen import screen
+    from roadtorch.evaluation.report.tables import screen
 
     against = methods[0].name
     evaluation = evaluated(dataset, methods, limit=limit, against=against, jobs=jobs, quiet=False)

@@ -67,7 +67,7 @@ def evaluate(
     from roadtorch.data.kitti import birds_eye
     from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.evaluation.report.screen import screen
+    from roadtorch.evaluation.report.tables import screen
     from roadtorch.run.folder import output_lock
     from roadtorch.run.workers import settle
 
@@ -120,9 +120,8 @@ def tune(
     """
     from roadtorch.base.atomic import write_text
     from roadtorch.base.settings import parse_assignments
-    from roadtorch.evaluation.evaluate import choose_threshold
     from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.evaluation.report.screen import choice_text, provenance
+    from roadtorch.evaluation.tuning import choice_table, choose_threshold, provenance
     from roadtorch.run.folder import output_lock
     from roadtorch.run.workers import settle
 
@@ -147,7 +146,7 @@ def tune(
         lines = provenance(choice, evaluation, command_line(context))
         comment = "".join(f"# {line}\n" for line in lines)
         write_text(path, f"{comment}\n{as_toml(choice.detector, choice.settings)}\n")
-    click.echo(choice_text(choices))
+    click.echo(choice_table(choices).text())
     tell_failures(evaluation)
     context.exit(1 if evaluation.failures else 0)
 

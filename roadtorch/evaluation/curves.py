@@ -1,4 +1,4 @@
-"""Curves over thresholds: ROC, its averages over images, precision and recall, reliability.
+"""Curves over thresholds: ROC, its average over images, reliability.
 
 A curve is made from counts (`roadtorch.evaluation.metrics.RoadCounts`), never from sorted
 scores, so the order of equal scores cannot matter: every level is one point, and several
@@ -20,12 +20,11 @@ from torch import Tensor
 from roadtorch.evaluation.metrics import RoadCounts
 
 STEPS = 100  # of the false positive rate, in vertical averaging
-MAX_POINTS = 1000  # points of a curve in a file
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Points along curves, float64 (...,points): FPR and TPR, or recall and precision."""
+    """Points along curves, float64 (...,points)."""
 
     x: Tensor
     y: Tensor
@@ -104,19 +103,7 @@ def vertical_average(true_rates: Tensor) -> Curve:
     )
 
 
-# --- precision and recall ---------------------------------------------------------------
-
-
-def precision_recall(counts: RoadCounts) -> Curve:
-    """Recall (x) and precision (y) at every level with pixels, strictest first: (levels,).
-
-    No point is made up for recall 0, where precision is 0/0. NaN recall without road.
-    """
-    false, true = (part[1:][_occupied(counts)] for part in _counted_from_the_top(counts))
-    return Curve(_share_of_last(true), true.to(torch.float64) / (true + false))
-
-
-# --- figures and files ------------------------------------------------------------------
+# --- figures ----------------------------------------------------------------------------
 
 
 def area(curve: Curve) -> Tensor:
@@ -134,24 +121,6 @@ def equal_error_rate(curve: Curve) -> Tensor:
     above, below = excess.gather(-1, after - 1), excess.gather(-1, after)
     before, x = curve.x.gather(-1, after - 1), curve.x.gather(-1, after)
     return (before + above / (above - below) * (x - before))[..., 0]
-
-
-def thin(curve: Curve, most: int = MAX_POINTS) -> Curve:
-    """At most ``most`` of the points of one curve (points,), close to even steps along it.
-
-    A ROC curve's area moves by less than 1 / (most - 4), whatever its shape, and by some
-    millionths where it is smooth. Of each step the points on both sides are kept, so a long
-    straight piece keeps both its ends. ``most`` is 6 or more. A curve that is short enough,
-    or has NaN, comes back unchanged.
-    """
-    if len(curve.x) <= most or bool((curve.x.isnan() | curve.y.isnan()).any()):
-        return curve
-    lengths = curve.x.diff().abs() + curve.y.diff().abs()
-    travelled = torch.nn.functional.pad(lengths.cumsum(0), (1, 0))
-    marks = torch.linspace(0, float(travelled[-1]), most // 2, dtype=torch.float64)
-    after = torch.searchsorted(travelled, marks).clamp(1, len(travelled) - 1)
-    kept = torch.cat([after - 1, after]).unique()
-    return Curve(curve.x[kept], curve.y[kept])
 
 
 # --- calibration: of pixels said to be road with p, is the share p road? -------------------

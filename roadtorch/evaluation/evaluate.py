@@ -1,19 +1,16 @@
 """Score detectors on a labelled set: every picture once, then figures and comparisons."""
 
-import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from roadtorch.base.errors import DatasetError, UnscorableError, unknown_name
 from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.detectors.catalogue import detector_entry
-from roadtorch.detectors.detector import DetectorSettings
-from roadtorch.evaluation.measure import Figures, Measure
-from roadtorch.evaluation.measures import IOU, MEASURES, F
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender, contenders
 from roadtorch.evaluation.result import Evaluation, Failure, summarise
 from roadtorch.evaluation.scoring import score
@@ -104,52 +101,3 @@ def count_pictures(
         message = "there is no road in any label"
         raise UnscorableError(dataset.root, message, "check which numbers mean road in this set")
     return tallies, failures
-
-
-# --- the threshold of a config -----------------------------------------------------------
-
-
-DIGITS = 3  # of a threshold in a config
-
-
-@dataclass(frozen=True)
-class ThresholdChoice:
-    """What was chosen for one detector, and how it does.
-
-    settings: with the chosen threshold; default: the threshold until now. at_default, chosen:
-    F and IoU at both, on the very pictures that chose; held_out: each group at the threshold of
-    the others, nothing without groups.
-    """
-
-    detector: str
-    settings: DetectorSettings
-    default: float
-    images: float
-    at_default: Figures
-    chosen: Figures
-    held_out: Figures
-
-
-def choose_threshold(
-    evaluation: Evaluation, name: str, settings: Mapping[str, Any]
-) -> ThresholdChoice:
-    """Choose the threshold with the highest F, averaged over groups, to three digits.
-
-    settings: those that the run gave to the detector. Raises DatasetError when no picture
-    shows road.
-    """
-    figures = evaluation.detectors[name]
-    if math.isnan(figures.best_threshold):
-        raise DatasetError(evaluation.dataset.root, "shows no road", "give pictures with road")
-    entry, tally = detector_entry(name), evaluation.tallies[name]
-    tuned = entry.configured({**settings, "threshold": round(figures.best_threshold, DIGITS)})
-    default = entry.configured({}).threshold
-    at_default, chosen = (
-        summarise(
-            replace(figures.contender, chosen=threshold), tally, (F, IOU), evaluation.left_out
-        ).headline
-        for threshold in (default, tuned.threshold)
-    )
-    held_out = figures.headline if len(figures.groups) > 1 else {}
-    images = figures.headline["images"]
-    return ThresholdChoice(name, tuned, default, images, at_default, chosen, held_out)

@@ -15,21 +15,17 @@ Figures = Mapping[str, float]
 Formula = Callable[[Part], Tensor | float | None]
 """A part's figure, or (draws,) of one that is many draws; None where it has no such figure."""
 
-Place = Literal[
-    "headline", "screen", "screen pairs", "scores", "further", "pairs", "parts", "trust", "layout"
-]
-"""First in every table; on the screen; on the page: its first table, its second one,
-differences; groups and conditions of one detector, trust and layout (on the screen as well).
-
-``pairs`` are in metrics.json, too."""
+Place = Literal["headline", "scores", "parts", "trust", "layout", "pairs", "compared"]
+"""Tables: the first columns of the scores and the others, groups and conditions of one detector,
+trust, layout, differences between detectors. ``compared``: the difference is in metrics.json."""
 
 
 @dataclass(frozen=True)
 class Measure:
     """A number that says how good a detector is.
 
-    key: its name in metrics.json, with "/" between levels. name: at the head of a column, where
-    line breaks are allowed. meaning: a sentence for who has to read it.
+    key: its name in metrics.json, with "/" between levels. name: at the head of a column.
+    meaning: a sentence for who has to read it.
     better: which of two values is; None where neither is. digits: decimals that are shown.
     over_groups: what stands above the figures of the groups: their mean, the figure of all
     pictures together, or nothing.
@@ -47,11 +43,6 @@ class Measure:
     interval: bool = False
     shown: tuple[Place, ...] = ()
 
-    @property
-    def line(self) -> str:
-        """The name on one line."""
-        return self.name.replace("\n/", "/").replace("\n", " ")
-
     def of(self, figures: Figures) -> float:
         """The number among a part's figures; NaN where it is undefined or not there."""
         return figures.get(self.key, math.nan)
@@ -62,20 +53,12 @@ class Measure:
         return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def best(self, values: Iterable[float]) -> float | None:
-        """The best of several values; None without any, and where none is better."""
-        return _extreme(values, self.better)
-
-    def worst(self, values: Iterable[float]) -> float | None:
-        """The worst of several values, as ``best``."""
-        return _extreme(values, {"higher": "lower", "lower": "higher"}.get(self.better or ""))
+        """Return the best of several values; None without any, and where none is better."""
+        known = [value for value in values if not math.isnan(value)]
+        if not known or self.better is None:
+            return None
+        return max(known) if self.better == "higher" else min(known)
 
     def text(self, value: float, nothing: str) -> str:
         """A value as it is shown."""
         return nothing if math.isnan(value) else f"{value:.{self.digits}f}"
-
-
-def _extreme(values: Iterable[float], end: str | None) -> float | None:
-    known = [value for value in values if not math.isnan(value)]
-    if not known or end is None:
-        return None
-    return max(known) if end == "higher" else min(known)

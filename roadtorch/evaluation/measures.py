@@ -56,16 +56,16 @@ MAXF = Measure(
     "recall. The threshold is picked on the labels that score it.",
     lambda part: part.max_f[0],
     interval=True,
-    shown=("headline", "parts", "screen pairs", "pairs"),
+    shown=("headline", "parts", "pairs", "compared"),
 )
 
 AUC_MEAN = Measure(
     "auc_mean",
-    "AUC\n/image",
+    "AUC/image",
     "Mean of the AUCs of single pictures.",
     lambda part: part.image_auc,
     interval=True,
-    shown=("screen", "further", "pairs"),
+    shown=("scores", "compared"),
 )
 
 IOU = Measure(
@@ -74,7 +74,7 @@ IOU = Measure(
     "Overlap of decided and true road, at the chosen threshold.",
     _of_chosen(metrics.iou),
     interval=True,
-    shown=("screen", "screen pairs", "scores", "pairs"),
+    shown=("scores", "pairs", "compared"),
 )
 
 F = Measure(
@@ -83,21 +83,20 @@ F = Measure(
     "F at the chosen threshold.",
     _of_chosen(metrics.f_measure),
     interval=True,
-    shown=("further",),
 )
 
 F_MASK = Measure(
     "f_mask",
-    "F\nof mask",
+    "F of mask",
     "F of the detector's own mask, at its default threshold: what a user gets.",
     _of_mask(metrics.f_measure),
     interval=True,
-    shown=("headline", "parts", "screen pairs", "pairs"),
+    shown=("headline", "parts", "pairs", "compared"),
 )
 
 IOU_MASK = Measure(
     "iou_mask",
-    "IoU\nof mask",
+    "IoU of mask",
     "Overlap of the detector's own mask, as it ships.",
     _of_mask(metrics.iou),
     interval=True,
@@ -120,7 +119,7 @@ SCORES = (
     MAXF,
     Measure(
         "maxf_threshold",
-        "threshold\nof MaxF",
+        "threshold of MaxF",
         "Lowest threshold that reaches MaxF.",
         lambda part: part.max_f[1],
         better=None,
@@ -132,7 +131,7 @@ SCORES = (
         "Share of pairs (road pixel, other pixel) that the likelihood puts in the right order.",
         _of_road(metrics.auc),
         interval=True,
-        shown=("screen", "screen pairs", "scores", "pairs"),
+        shown=("scores", "pairs", "compared"),
     ),
     AUC_MEAN,
     Measure(
@@ -141,7 +140,7 @@ SCORES = (
         "Best precision at recall 0, 0.1, … 1 or above, averaged (KITTI).",
         _of_road(metrics.average_precision),
         interval=True,
-        shown=("screen", "scores", "pairs"),
+        shown=("scores", "compared"),
     ),
     IOU,
     Measure(
@@ -151,7 +150,7 @@ SCORES = (
         _of_road(lambda counts: curves.equal_error_rate(curves.operating_points(counts))),
         better="lower",
         interval=True,
-        shown=("screen", "scores"),
+        shown=("scores",),
     ),
     Measure(
         "brier",
@@ -160,17 +159,17 @@ SCORES = (
         _of_road(curves.brier),
         better="lower",
         interval=True,
-        shown=("screen", "scores", "pairs"),
+        shown=("scores", "compared"),
     ),
     Measure(
         "ms_per_image",
-        "ms\n/image",
+        "ms/image",
         "Median time of one picture, detector alone.",
         _of_pictures(lambda pictures: 1000 * statistics.median(pictures.seconds.tolist())),
         better=None,
         digits=1,
         over_groups="whole",
-        shown=("screen", "scores"),
+        shown=("scores",),
     ),
     Measure(
         "ece",
@@ -178,7 +177,7 @@ SCORES = (
         "Mean distance of the likelihood and the share of road that really has it.",
         _of_road(curves.expected_error),
         better="lower",
-        shown=("screen", "further", "parts"),
+        shown=("scores", "parts"),
     ),
 )
 
@@ -192,19 +191,18 @@ DECISIONS = (
         lambda part: part.threshold,
         better=None,
         over_groups="nothing",
-        shown=("further",),
     ),
     F,
     Measure(
         "precision_mask",
-        "precision\nof mask",
+        "precision of mask",
         "Fraction of true road in what the detector's own mask calls road.",
         _of_mask(metrics.precision),
         shown=("parts",),
     ),
     Measure(
         "recall_mask",
-        "recall\nof mask",
+        "recall of mask",
         "Fraction of the true road that the detector's own mask finds.",
         _of_mask(metrics.recall),
         shown=("parts",),
@@ -215,10 +213,10 @@ DECISIONS = (
 def _border(place: int, share: float) -> Measure:
     return Measure(
         f"boundary_f/{share:g}",
-        f"border F\n{100 * share:g} %",
+        f"border F {100 * share:g} %",
         "F of borders: decided and true ones count as met within this share of the diagonal.",
         lambda part: boundary.boundary_f(part.boundary[..., place, :]),
-        shown=("further", "parts") if share == boundary.THREE_PIXELS else ("further",),
+        shown=("parts",) if share == boundary.THREE_PIXELS else (),
     )
 
 
@@ -254,7 +252,7 @@ def _confusion(truth: int, decided: int) -> Measure:
     true, other = NAMES[truth], NAMES[decided]
     return _layout(
         f"confusion/{true}/{other}",
-        f"{true} as\n{other}",
+        f"{true} as {other}",
         f"Share of {true} that is decided to be {other}.",
         lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided],
         better=None,
@@ -269,7 +267,7 @@ LAYOUT = (
         "Mean of the three.",
         metrics.mean_class_recall,
         interval=True,
-        shown=("layout", "pairs"),
+        shown=("layout", "compared"),
     ),
     _layout(
         "accuracy",
@@ -281,21 +279,21 @@ LAYOUT = (
     *(_confusion(truth, decided) for truth in range(CLASSES) for decided in range(CLASSES)),
     _layout(
         "void_as_vertical/mean",
-        "mean, void\nvertical",
+        "mean, void vertical",
         "Mean of the three, void counted as vertical.",
         lambda confusion: metrics.mean_class_recall(metrics.void_as_vertical(confusion)),
         shown=("layout",),
     ),
     _layout(
         "labelled/mean",
-        "mean,\nlabelled",
+        "mean, labelled",
         "Mean of the three, where the labeller does not abstain.",
         metrics.mean_class_recall,
         shown=("layout",),
     ),
     _layout(
         "labelled_share",
-        "labelled\nshare",
+        "labelled share",
         "Share of pixels with a label.",
         metrics.labelled_share,
         shown=("layout",),

@@ -273,7 +273,7 @@ def mean(values: Sequence[float]) -> float:
 
 
 @dataclass(frozen=True)
-class PictureRow:
+class ImageRow:
     """One picture as one detector saw it: a row of images.csv; NaN where undefined.
 
     threshold: of its group; f: there, of the 8-bit map; f_mask, iou_mask: of the detector's
@@ -293,7 +293,7 @@ class PictureRow:
     ms: float
 
 
-def picture_rows(name: str, tally: Tally, figures: DetectorFigures) -> list[PictureRow]:
+def image_rows(name: str, tally: Tally, figures: DetectorFigures) -> list[ImageRow]:
     """A row for every picture that one detector has seen."""
     kept = tally.kept()
     columns = (
@@ -307,7 +307,7 @@ def picture_rows(name: str, tally: Tally, figures: DetectorFigures) -> list[Pict
         (1000 * kept.seconds).tolist(),
     )
     return [
-        PictureRow(image, group, name, *values)
+        ImageRow(image, group, name, *values)
         for image, group, *values in zip(kept.names, kept.groups, *columns, strict=True)
     ]
 

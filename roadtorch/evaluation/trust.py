@@ -125,27 +125,27 @@ def _measure(
 TRUST = (
     _measure(
         "rank_correlation",
-        "rank corr.\nof trust",
+        "rank corr. of trust",
         "Spearman's correlation of trust with the picture's F of the mask, over all pictures.",
         lambda pictures: rank_correlation(pictures.trust, pictures.f),
         shown=("trust", "parts"),
     ),
     _measure(
         "rank_correlation_within",
-        "within\ngroups",
+        "within groups",
         f"Mean of the groups' own such correlations; those with {MIN_PICTURES} pictures or more.",
         correlation_within,
     ),
     _measure(
         "auc",
-        f"AUC for\nF < {BAD:g}",
+        f"AUC for F < {BAD:g}",
         f"Share of pairs (a picture with F < {BAD:g}, another one) in which the first is "
         "trusted less.",
         lambda pictures: failure_auc(pictures.trust, pictures.f),
     ),
     _measure(
         "error",
-        "mean\nerror",
+        "mean error",
         "Mean distance of trust and the picture's F of the mask.",
         lambda pictures: float((pictures.trust - pictures.f).abs().mean()),
         "lower",
@@ -160,14 +160,14 @@ TRUST = (
     ),
     _measure(
         "aurc_ideal",
-        "AURC,\nideal",
+        "AURC, ideal",
         "The same if trust had the order of F.",
         lambda pictures: risk_area(risk_coverage(pictures.f, pictures.f)),
         None,
     ),
     _measure(
         "aurc_random",
-        "AURC,\nrandom",
+        "AURC, random",
         "The same if trust had no order: the mean of 1 - F.",
         lambda pictures: float((1 - pictures.f).mean()),
         None,

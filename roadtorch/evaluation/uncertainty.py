@@ -132,7 +132,7 @@ def compare(
     shared = [
         measure
         for measure in measures
-        if "pairs" in measure.shown and measure.key in draws[against]
+        if "compared" in measure.shown and measure.key in draws[against]
     ]
     other = detectors[against].headline
     return Comparison(

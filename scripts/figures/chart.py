@@ -16,7 +16,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import auc, count_levels
-from roadtorch.evaluation.report.svg import STYLE
+from roadtorch.evaluation.report.charts import STYLE
 from roadtorch.evaluation.report.table import aligned
 from roadtorch.imaging.color import PLANES
 from roadtorch.oneclass.axes import circular_mean, unrolled
@@ -37,7 +37,7 @@ def chart(path: Path, width: float, height: float, dots: int = DOTS) -> Iterator
     """A figure of so many inches to draw on, in the report's style; written as PNG at the end."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(dict[Any, Any](STYLE))
+        matplotlib.rcParams.update(STYLE)
         matplotlib.rcParams.update({"font.size": 8, "axes.titlesize": 8})
         matplotlib.rcParams.update(
             {"axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}

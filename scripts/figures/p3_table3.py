@@ -22,7 +22,7 @@ from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.evaluation.curves import vertical_average, vertical_sample
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import AUC_MEAN
-from roadtorch.evaluation.report.svg import COLOURS, DASHES, GRID, INK, WIDTH, Series
+from roadtorch.evaluation.report.charts import COLOURS, DASHES, GRID, INK, WIDTH, Series
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS

@@ -15,9 +15,10 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.detectors.catalogue import list_detectors, load_detector, register
 from roadtorch.detectors.detector import DetectorSettings, Entry
 from roadtorch.evaluation import uncertainty
-from roadtorch.evaluation.evaluate import choose_threshold, evaluate
+from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.metrics import decisions_at, f_measure
 from roadtorch.evaluation.result import held_out_thresholds
+from roadtorch.evaluation.tuning import choose_threshold
 from tests.oracle import GROUPS, write_set
 
 

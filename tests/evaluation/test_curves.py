@@ -3,17 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from sklearn.calibration import calibration_curve
-from sklearn.metrics import brier_score_loss, precision_recall_curve, roc_auc_score
+from sklearn.metrics import brier_score_loss, roc_auc_score
 from sklearn.metrics import roc_curve as sklearn_roc
 
 from roadtorch.evaluation import curves, metrics
 from roadtorch.evaluation.curves import Curve
-from roadtorch.evaluation.document import mean_precision, mean_roc, risk_curves
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.trust import Trusted
 from tests.evaluation.conftest import count, random_map, stack
 from tests.reference import curves as slow
 
@@ -83,7 +79,7 @@ def test_curves_equal_counting_at_every_score_and_scikit_learn(seed):
     flat = road.ravel(), scores.ravel()
 
     counts = count(scores, road)
-    curve, precision = curves.roc(counts), curves.precision_recall(counts)
+    curve = curves.roc(counts)
 
     false_rates, true_rates, _ = sklearn_roc(*flat, drop_intermediate=False)
     assert curve.x.tolist() == pytest.approx(false_rates.tolist(), abs=1e-12)
@@ -92,9 +88,6 @@ def test_curves_equal_counting_at_every_score_and_scikit_learn(seed):
     assert float(curves.equal_error_rate(curve)) == pytest.approx(
         slow.equal_error_rate(slow.roc(scores, road)), abs=1e-12
     )
-    precisions, recalls, _ = precision_recall_curve(*flat)
-    assert precision.y.tolist() == pytest.approx(precisions[:-1][::-1].tolist(), abs=1e-12)
-    assert precision.x.tolist() == pytest.approx(recalls[:-1][::-1].tolist(), abs=1e-12)
 
 
 @pytest.mark.parametrize("steps", [7, 10, 100])
@@ -193,69 +186,3 @@ def test_calibration_of_nothing_is_nan():
 
 
 # --- files ----------------------------------------------------------------------------------------
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10_000), st.integers(6, 60), st.sampled_from([0.0, 0.5, 3.0]))
-def test_a_thinned_curve_keeps_its_ends_and_nearly_its_area(seed, most, skew):
-    generator = torch.Generator().manual_seed(seed)
-    counts = RoadCounts(
-        torch.randint(0, 4, (300,), generator=generator),
-        torch.randint(0, 4, (300,), generator=generator),
-    )
-    counts.other[7] += int(200 * skew)  # one long straight piece
-    curve = curves.roc(counts)
-
-    thinned = curves.thin(curve, most)
-
-    assert len(thinned.x) <= most
-    assert set(points(thinned)) <= set(points(curve))
-    assert [points(thinned)[0], points(thinned)[-1]] == [(0, 0), (1, 1)]
-    assert abs(float(curves.area(thinned) - curves.area(curve))) < 1 / (most - 4 + 1e-9)
-
-
-def test_short_and_undefined_curves_stay_as_they_are():
-    short = curves.roc(count(*FIRST))
-    undefined = curves.operating_points(count([0.2, 0.6], [1, 1], 99))
-
-    assert curves.thin(short, 100) is short
-    assert curves.thin(undefined, 10) is undefined
-
-
-def noisy(seed: int, gain: float, pixels: int = 4000) -> RoadCounts:
-    generator = torch.Generator().manual_seed(seed)
-    road = torch.rand(40, pixels // 40, generator=generator) < 0.4
-    values = (gain * road + torch.rand(road.shape, generator=generator)) / (1 + gain)
-    return count(values, road)
-
-
-def test_groups_weigh_the_same_whatever_their_size_and_those_without_road_nothing():
-    small, big = noisy(1, 0.2, 4000), noisy(2, 2.0, 40000)
-    empty = RoadCounts(torch.zeros_like(small.road), small.other)
-
-    area = float(curves.area(mean_roc([small, big])))
-
-    assert area == pytest.approx(float(metrics.auc(small) + metrics.auc(big)) / 2, abs=0.004)
-    assert torch.equal(mean_roc([small, empty]).y, mean_roc([small]).y)
-    assert torch.equal(mean_precision([small, empty]).y, mean_precision([small, small]).y)
-
-
-def test_precision_at_a_recall_is_the_best_one_there_or_above():
-    counts = noisy(3, 0.8)
-    precision, recall = metrics.kitti_precision_recall(counts)
-
-    found = mean_precision([counts])
-
-    for place in (0, 50, 100, 180, 200):
-        expected = precision[recall >= found.x[place]].max()
-        assert float(found.y[place]) == pytest.approx(float(expected), abs=1e-6)
-
-
-def test_risk_is_of_all_pictures_and_stands_beside_the_ideal_one():
-    f = torch.tensor([0.9, 0.1, 0.8], dtype=torch.float64)
-
-    found = risk_curves(Trusted(torch.tensor([0.5, 0.6, 0.7]), f, ["a", "b", "b"]))
-
-    assert found["risk"] == [[0.333333, 0.666667, 1], [0.2, 0.55, 0.4]]
-    assert found["risk_ideal"] == [[0.333333, 0.666667, 1], [0.1, 0.15, 0.4]]
-    assert risk_curves(None) == {}

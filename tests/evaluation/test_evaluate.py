@@ -14,9 +14,9 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics, scoring
-from roadtorch.evaluation.document import defined, document
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import expand_names
+from roadtorch.evaluation.report.files import document
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.testing.scenes import write_picture
@@ -79,7 +79,7 @@ def test_metrics_json_has_every_figure_under_its_key(found):
 def test_sets_without_groups_use_the_default_or_an_earlier_threshold(
     found, camvid, plain, tmp_path
 ):
-    write_json(tmp_path / "metrics.json", defined(document(found, "")))
+    write_json(tmp_path / "metrics.json", document(found, ""))
     settings = {"doubt": 0.2}
 
     own = evaluate(plain, [ORACLE], settings=settings).detectors
@@ -157,7 +157,7 @@ def test_what_can_be_refused_is_refused_before_the_run(
     found, camvid, tmp_path, monkeypatch, detector, options, message
 ):
     monkeypatch.setattr(scoring, "Scoring", None)  # must not be reached
-    write_json(tmp_path / "metrics.json", defined(document(found, "")))
+    write_json(tmp_path / "metrics.json", document(found, ""))
     values = {"metrics.json": tmp_path / "metrics.json", "camvid": camvid}
     options = {key: values.get(str(value), value) for key, value in options.items()}
 

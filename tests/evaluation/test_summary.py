@@ -19,7 +19,7 @@ from roadtorch.evaluation.report.files import rows_csv
 from roadtorch.evaluation.result import (
     choose_thresholds,
     held_out_thresholds,
-    picture_rows,
+    image_rows,
     shared_threshold,
 )
 from roadtorch.evaluation.tally import Score, Tally
@@ -240,7 +240,7 @@ def test_a_row_holds_f_and_iou_of_the_mask_and_its_trust(dataset, scenes):
         return Detection(mask.float(), mask, {}, 0.625 if item.name == first else None)
 
     tally = counted(dataset, look)
-    rows = {row.image: row for row in picture_rows("it", tally, summarised(tally))}
+    rows = {row.image: row for row in image_rows("it", tally, summarised(tally))}
 
     road, seen = scenes[first].road & ~scenes[first].void, ~scenes[first].void
     hits, decided = int((road[24:]).sum()), int(seen[24:].sum())

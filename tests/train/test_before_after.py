@@ -70,8 +70,8 @@ def test_a_run_from_weights_ends_with_a_page(
         "All there are, the most changed first.",
         "agrees with the teacher on layout",
         "The teacher is the detector labeller",
-        'aria-label="Mean loss of the epochs"',
-        'aria-label="Trust of each picture before and after"',
+        'alt="Mean loss of the epochs"',
+        'alt="Trust before and after"',
         "folder",
         "default-src 'none'",
     ):

@@ -8,14 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from roadtorch.base.atomic import write_text
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
 from roadtorch.evaluation.measures import F_MASK
+from roadtorch.evaluation.report.charts import BASELINE, COLOURS, DASHES, WIDTH, Series, svg_uri
 from roadtorch.evaluation.report.disagreement import both_sheets
-from roadtorch.evaluation.report.svg import BASELINE, COLOURS, DASHES, Series, to_svg
 from roadtorch.evaluation.report.table import (
     MINUS,
     NONE,
@@ -54,8 +53,7 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
     caption = "only before blue, only after orange"
     sheets = both_sheets(adaptation.seen, items, caption)
     is_part = len(items) < len(adaptation.seen.pictures)
-    draw = partial(draw_losses, rows=adaptation.rows)
-    loss_chart = to_svg("loss", "Mean loss of the epochs", 260, draw)
+    loss_chart = svg_uri(WIDTH, 260, partial(draw_losses, rows=adaptation.rows))
     differs = [picture.differs for picture in adaptation.seen.pictures]
     values = {
         "one": adaptation,
@@ -66,7 +64,7 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
         "scores": score_table(adaptation.labelled) if adaptation.labelled else None,
-        "charts": [Markup(svg) for svg in (loss_chart, trust_chart(adaptation))],
+        "charts": [loss_chart, trust_chart(adaptation)],
     }
     write_text(path, page_text("adaptation.html", command, values))
 
@@ -88,7 +86,7 @@ def summary_table(adaptation: Adaptation) -> Table:
         before, after = adaptation.taught.before, adaptation.taught.after
         rows["agrees with the teacher on road"] = _row(before.road, after.road)
         rows["agrees with the teacher on layout"] = _row(before.layout, after.layout)
-    return _table(rows)
+    return _table("mean over the pictures", rows)
 
 
 def score_table(evaluation: Evaluation) -> Table:
@@ -96,7 +94,7 @@ def score_table(evaluation: Evaluation) -> Table:
     names = list(evaluation.detectors)
     differences = evaluation.comparison.differences[names[1]]
     rows = {}
-    for measure in evaluation.shown_in("pairs"):
+    for measure in evaluation.shown_in("compared"):
         if measure.key in differences:
             of_both = [evaluation.detectors[name] for name in names]
             before, after = (
@@ -109,9 +107,9 @@ def score_table(evaluation: Evaluation) -> Table:
             )
             change = differences[measure.key]
             under = measure.key.rpartition("/")[0].replace("/", ", ")
-            title = f"{under}, {measure.line}" if under else measure.line
+            title = f"{under}, {measure.name}" if under else measure.name
             rows[title] = (before, after, _score(change.value, change.interval, signed))
-    return _table(rows)
+    return _table("measure", rows)
 
 
 def score_line(adaptation: Adaptation) -> str:
@@ -141,10 +139,10 @@ def _score(value: float, ends: Interval, text: Callable[[float], str]) -> Cell:
     return Cell(text(value), note=note)
 
 
-def _table(rows: Mapping[str, Row]) -> Table:
-    table = Table(list(rows))
+def _table(title: str, rows: Mapping[str, Row]) -> Table:
+    table = Table(title, list(rows))
     for place, header in enumerate(("before", "after", "change")):
-        table.add(header, "", [row[place] for row in rows.values()])
+        table.add(header, [row[place] for row in rows.values()])
     return table
 
 
@@ -167,7 +165,7 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def trust_chart(adaptation: Adaptation) -> str:
-    """Trust after over trust before, a mark a picture, as SVG text; empty without trust."""
+    """Return a chart of trust after over trust before, a mark an image; empty without trust."""
     pairs = [
         (picture.first_trust, picture.second_trust)
         for picture in adaptation.seen.pictures
@@ -184,4 +182,4 @@ def trust_chart(adaptation: Adaptation) -> str:
         low = max(0.0, min(*before, *after) - 0.05)
         axes.set(xlabel="trust before", ylabel="trust after", xlim=(low, 1), ylim=(low, 1))
 
-    return to_svg("trust", "Trust of each picture before and after", 260, draw)
+    return svg_uri(WIDTH, 260, draw)

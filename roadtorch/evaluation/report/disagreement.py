@@ -12,7 +12,7 @@ from roadtorch.base.image_cache import image_cache
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreements
 from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned, jpeg_uri
-from roadtorch.evaluation.report.table import Table, number_cell, page_text, percent, table_text
+from roadtorch.evaluation.report.table import Cell, Table, page_text, percent
 
 ON_SCREEN = 10  # pictures
 
@@ -26,18 +26,18 @@ COLUMNS = (
 
 def disagreement_text(seen: Disagreements) -> str:
     """The screen: how much differs in all, and the pictures that differ most."""
-    return f"{table_text(_table(seen, ON_SCREEN), 'picture')}\n\n{_summary(seen)}"
+    return f"{_table(seen, ON_SCREEN).text()}\n\n{_summary(seen)}"
 
 
 def _table(seen: Disagreements, most: int | None = None) -> Table:
     """The shares of each picture, or of the ``most`` first."""
     pictures = seen.pictures[:most]
-    table = Table([picture.item.name for picture in pictures])
+    table = Table("picture", [picture.item.name for picture in pictures])
     first, second = (f"road {contender.name}" for contender in seen.methods)
     headers = ("differs", first, second, "only A", "only B")
     for header, key in zip(headers, SHARES, strict=True):
         shares = [getattr(picture, key) for picture in pictures]
-        table.add(header, "", [number_cell(percent(share), share) for share in shares])
+        table.add(header, [Cell(percent(share)) for share in shares])
     return table
 
 

@@ -1,69 +1,66 @@
-"""What a run leaves behind in a folder: figures, curves, rows, sheets of pictures, the page.
+"""What a run leaves behind in a folder: figures, rows, tables, sheets of images, the page."""
 
-report.html says what a run found, in one file that a person can read without anything else.
-"""
-
-import json
 import math
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
 from roadtorch.base.atomic import csv_text, write_json, write_text
-from roadtorch.evaluation.document import RunCurves, defined, document, group_curves
-from roadtorch.evaluation.report import charts
+from roadtorch.base.version import __version__
+from roadtorch.evaluation.measure import Figures, Measure
+from roadtorch.evaluation.report.charts import run_charts
 from roadtorch.evaluation.report.montage import write_montages
-from roadtorch.evaluation.report.screen import outcome
-from roadtorch.evaluation.report.svg import MAX_SERIES, choose_series
 from roadtorch.evaluation.report.table import page_text
-from roadtorch.evaluation.report.tables import baselines, measures_shown, page_tables
-from roadtorch.evaluation.result import Evaluation, Failure, PictureRow, picture_rows
+from roadtorch.evaluation.report.tables import run_tables
+from roadtorch.evaluation.result import (
+    DetectorFigures,
+    Evaluation,
+    Failure,
+    ImageRow,
+    image_rows,
+)
 
-SHEETS = 4  # pictures of a sheet, if nobody says
+SHEETS = 4  # images of a sheet, if nobody says
 
-COLUMNS = (*(each.name for each in fields(PictureRow)), "status")
-
-MAX_FAILURES = 200  # listed; metrics.json has them all
-
-PARTS = {"best": "Best", "median": "Median", "worst": "Worst"}  # sheets, in this order
-
-Sheets = Mapping[str, Mapping[str, Mapping[str, str]]]
-"""By detector: the pictures ``best``, ``median`` and ``worst``, as ``montage.on_page`` has them."""
+COLUMNS = (*(each.name for each in fields(ImageRow)), "status")
 
 
-def write(evaluation: Evaluation, out: Path, command: str = "", pictures: int = SHEETS) -> None:
+def write(evaluation: Evaluation, out: Path, command: str = "", images: int = SHEETS) -> None:
     """Write everything that stays of a run; the folder has to be there.
 
-    command: what made it, for the record. pictures: how many the sheets of the best, median
+    command: what made it, for the record. images: how many the sheets of the best, median
     and worst show; none for 0.
     """
-    curves = {
-        name: group_curves(tally, evaluation.detectors[name].counting)
-        for name, tally in evaluation.tallies.items()
-    }
     rows = [
         row
         for name, tally in evaluation.tallies.items()
-        for row in picture_rows(name, tally, evaluation.detectors[name])
+        for row in image_rows(name, tally, evaluation.detectors[name])
     ]
-    write_json(out / "metrics.json", defined(document(evaluation, command)))
-    write_json(out / "curves.json", defined(curves))
+    write_json(out / "metrics.json", document(evaluation, command))
     write_text(out / "images.csv", rows_csv(rows, evaluation.failures, evaluation.left_out))
-    sheets = write_montages(out, evaluation, pictures) if pictures else {}
-    write_text(out / "report.html", render_page(evaluation, curves, rows, sheets, command))
+    tables = run_tables(evaluation)
+    write_text(out / "tables.md", "\n".join(table.markdown() for table in tables))
+    sheets = write_montages(out, evaluation, images) if images else {}
+    parts = (figures.headline for figures in evaluation.detectors.values())
+    known = set(chain.from_iterable(parts))
+    values = {
+        "evaluation": evaluation,
+        "tables": tables,
+        "charts": run_charts(evaluation),
+        "sheets": sheets,
+        "measures": [one for one in evaluation.measures if one.shown and one.key in known],
+    }
+    write_text(out / "report.html", page_text("report.html", command, values))
 
 
 def rows_csv(
-    rows: Sequence[PictureRow], failures: Sequence[Failure], left_out: Collection[str] = ()
+    rows: Sequence[ImageRow], failures: Sequence[Failure], left_out: Collection[str] = ()
 ) -> str:
-    """CSV text: a line for each picture and detector, then one for each picture that failed.
+    """Return CSV text: a line for each image and detector, then one for each image that failed.
 
-    left_out: groups whose pictures say so, since no mean counts them.
+    left_out: groups whose images say so, since no mean counts them.
     """
 
     def cell(value: str | float) -> str:
@@ -83,55 +80,82 @@ def rows_csv(
     return csv_text(COLUMNS, chain(scored, failed))
 
 
-# --- the page ---------------------------------------------------------------------------
+# --- metrics.json -----------------------------------------------------------------------
 
 
-def render_page(
-    evaluation: Evaluation,
-    curves: RunCurves,
-    rows: Sequence[PictureRow],
-    sheets: Sheets,
-    command: str = "",
-) -> str:
-    """The page: text that needs no other file and asks for none.
-
-    rows: the figures of single pictures. sheets: pictures to look at. command: what made
-    the run, for the record. What is missing in any of them is left out; what is undefined is
-    a dash.
-    """
-    detectors, dataset = evaluation.detectors, evaluation.dataset
-    series = choose_series(evaluation)
-    in_charts = [detector.name for detector in series]
-    drawn = charts.all_charts(evaluation, series, curves, rows)
-    settings = {name: detectors[name].contender.settings for name in in_charts}
-    groups = [*evaluation.groups, *evaluation.left_out]
-    scored = Counter(item.group for item in dataset.items)
-    scored.subtract(failure.group for failure in evaluation.failures)
-    values: dict[str, Any] = {
-        "evaluation": evaluation,
-        "dataset": dataset,
-        "title": dataset.root.resolve().name if dataset.name == "folder" else dataset.name,
+def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
+    """Return the content of metrics.json: the run, then every detector's figures."""
+    dataset, measures = evaluation.dataset, evaluation.measures
+    return _defined({
+        "roadtorch": __version__,
+        "dataset": dataset.name,
+        "split": dataset.split,
+        "images": evaluation.images,
+        "void": "ignored",
+        "command": command,
+        "levels": dataset.levels,
         "view": "the picture" if dataset.view is None else dataset.view.name,
-        "series": series,
-        "groups": {group: scored[group] for group in sorted(groups)},
-        "baselines": baselines(evaluation),
-        "left_out": len(detectors) - len(series),
-        "outcome": outcome(evaluation),
-        "tables": page_tables(evaluation, in_charts),
-        "measures": measures_shown(evaluation),
-        "charts": {name: Markup(svg) for name, svg in drawn.items()},
-        "sheets": {
-            name: {PARTS[part]: sheets[name][part] for part in PARTS if part in sheets[name]}
-            for name in [name for name in evaluation.ranked() if sheets.get(name)][:MAX_SERIES]
+        "left_out": evaluation.left_out,
+        "failed": [
+            {"image": failure.image, "reason": failure.reason} for failure in evaluation.failures
+        ],
+        "detectors": {
+            name: _detector(figures, measures) for name, figures in evaluation.detectors.items()
         },
-        "sheets_left_out": max(len(sheets) - MAX_SERIES, 0),
-        "failures": evaluation.failures[:MAX_FAILURES],
-        "failures_left_out": max(len(evaluation.failures) - MAX_FAILURES, 0),
-        "settings": {
-            name: json.dumps(own, indent=2, ensure_ascii=False)
-            for name, own in settings.items()
-            if own
+        "paired": {
+            "against": evaluation.comparison.against,
+            "detectors": {
+                name: {
+                    key.replace("/", "_"): {"difference": change.value, "ci95": change.interval}
+                    for key, change in changes.items()
+                }
+                for name, changes in evaluation.comparison.differences.items()
+            },
         },
-        "sources": sorted({figures.threshold_from for figures in detectors.values()} - {""}),
+    })  # fmt: skip
+
+
+def _detector(one: DetectorFigures, measures: Sequence[Measure]) -> dict[str, Any]:
+    content = {
+        **_levels(one.headline),
+        "maxf_threshold": one.best_threshold,
+        "threshold_from": one.threshold_from,
     }
-    return page_text("report.html", command, values)
+    if one.groups:
+        content["groups"] = {group: _levels(figures) for group, figures in one.groups.items()}
+        content["left_out"] = {group: _levels(figures) for group, figures in one.left_out.items()}
+        content["pooled"] = _levels(one.pooled)
+    if one.conditions:
+        content["conditions"] = {name: _levels(part) for name, part in one.conditions.items()}
+    content["ci95"] = {
+        measure.key.replace("/", "_"): one.intervals[measure.key]
+        for measure in measures
+        if measure.key in one.intervals
+    }
+    return {
+        **content,
+        "threshold_default": one.contender.threshold,
+        "settings": one.contender.settings,
+        "baseline": one.is_baseline,
+    }
+
+
+def _levels(figures: Figures) -> dict[str, Any]:
+    """Return figures with keys like "layout/mean" as nested mappings."""
+    levels: dict[str, Any] = {}
+    for key, value in figures.items():
+        *outer, last = key.split("/")
+        branch = levels
+        for name in outer:
+            branch = branch.setdefault(name, {})
+        branch[last] = value
+    return levels
+
+
+def _defined(value: Any) -> Any:
+    """Return the same with None for every NaN, as JSON wants it."""
+    if isinstance(value, Mapping):
+        return {key: _defined(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_defined(part) for part in value]
+    return None if isinstance(value, float) and math.isnan(value) else value

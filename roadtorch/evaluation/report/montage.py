@@ -32,17 +32,15 @@ JPEG_QUALITY = 80  # on pages; ours: no artefact is seen at the size they are sh
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
 
 
-def write_montages(
-    out: Path, evaluation: Evaluation, count: int
-) -> dict[str, dict[str, dict[str, str]]]:
+def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, dict[str, str]]:
     """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
 
     Baselines get none, and of many detectors only the ``MAX_DETECTORS`` with the highest MaxF do.
-    Returns what the page shows of them, by detector and part.
+    Returns the images for the page, by detector and part.
     """
     detectors = evaluation.detectors
     shown = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
-    sheets: dict[str, dict[str, dict[str, str]]] = {}
+    sheets: dict[str, dict[str, str]] = {}
     for name in shown[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
         look = detectors[name].contender.prepare(evaluation.dataset)
@@ -52,7 +50,7 @@ def write_montages(
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
                 made = sheet(evaluation.dataset, look, pictures, thresholds)
                 write_pixels(path, made)
-                sheets.setdefault(name, {})[part] = on_page(made)
+                sheets.setdefault(name, {})[part] = jpeg_uri(_small(made))
     return sheets
 
 
@@ -140,12 +138,10 @@ def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
     return canvas
 
 
-def on_page(sheet: np.ndarray) -> dict[str, str]:
-    """A sheet, uint8 RGB (H,W,3), as the attributes of a picture on the page."""
+def _small(sheet: np.ndarray) -> np.ndarray:
+    """Return a sheet, uint8 RGB (H,W,3), as wide as the page shows it at most."""
     scale = min(1.0, MAX_WIDTH / sheet.shape[1])
-    small = cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    height, width = small.shape[:2]
-    return {"uri": jpeg_uri(small), "width": str(width), "height": str(height)}
+    return cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def jpeg_uri(pixels: np.ndarray) -> str:

@@ -1,14 +1,11 @@
-"""One table, two renderers: text for a screen, and cells for a page; and how pages are written."""
+"""One table in three forms: text for a screen, Markdown, and HTML; and how pages are written."""
 
-import base64
-import hashlib
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import jinja2
-from tabulate import tabulate
 
 from roadtorch.base.version import __version__
 from roadtorch.evaluation.measure import Figures, Measure
@@ -19,117 +16,107 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def share(value: float) -> str:
-    """Three decimals."""
+    """Return three decimals."""
     return NONE if math.isnan(value) else f"{value:.3f}"
 
 
 def signed(value: float) -> str:
-    """Three decimals with a sign."""
+    """Return three decimals with a sign."""
     return NONE if math.isnan(value) else f"{value:+.3f}".replace("-", MINUS)
 
 
 def percent(value: float) -> str:
-    """Per cent with one decimal."""
+    """Return per cent with one decimal."""
     return NONE if math.isnan(value) else f"{100 * value:.1f} %"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell: its text, the number to sort by, whether it stands out, and a note."""
+    """A cell: its text, whether it stands out, and a note beside it, such as an interval."""
 
     text: str
-    value: float | None = None
     strong: bool = False
-    note: str = ""  # small, below; on the screen in a column of its own
-
-
-def number_cell(text: str, value: float, strong: bool = False, note: str = "") -> Cell:
-    """A cell that is sorted by a number; undefined ones have none to be sorted by."""
-    return Cell(text, None if math.isnan(value) else value, strong, note)
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns under headers, each header with a line that explains it; rows by name.
+    """Columns of cells under headers; title: the header above the names of the rows.
 
-    baselines: the rows that are set apart, for they never look at the picture.
+    baselines: the rows that are set apart, for they never look at the image. omitted: rows
+    that metrics.json has beside these.
     """
 
+    title: str
     names: Sequence[str]
     baselines: Collection[str] = ()
-    headers: list[tuple[str, str]] = field(default_factory=list)
+    omitted: int = 0
+    headers: list[str] = field(default_factory=list)
     columns: list[list[Cell]] = field(default_factory=list)
 
-    def add(self, header: str, hint: str, cells: Iterable[Cell]) -> None:
-        """One more column."""
-        self.headers.append((header, hint))
+    def add(self, header: str, cells: Iterable[Cell]) -> None:
+        """Add a column."""
+        self.headers.append(header)
         self.columns.append(list(cells))
 
     def measure(
-        self,
-        measure: Measure,
-        parts: Iterable[Figures],
-        header: str = "",
-        strong: Callable[[Sequence[float]], float | None] | None = None,
+        self, measure: Measure, parts: Iterable[Figures], header: str = "", is_ranked: bool = True
     ) -> None:
-        """A column of one measure; none if nobody has the measure.
-
-        strong: which of the values stands out, the best if not given.
-        """
+        """Add a column of a measure, the best value strong; none if no part has the measure."""
         rows = list(parts)
         if any(measure.key in figures for figures in rows):
             values = [measure.of(figures) for figures in rows]
-            alone = sum(not math.isnan(value) for value in values) < 2
-            chosen = None if alone else (strong or measure.best)(values)
-            cells = (
-                number_cell(measure.text(value, NONE), value, value == chosen) for value in values
-            )
-            self.add(header or measure.name, measure.meaning, cells)
+            is_alone = sum(not math.isnan(value) for value in values) < 2
+            best = measure.best(values) if is_ranked and not is_alone else None
+            cells = (Cell(measure.text(value, NONE), value == best) for value in values)
+            self.add(header or measure.name, cells)
 
     def rows(self) -> list[tuple[str, list[Cell]]]:
-        """Name and cells of each row."""
+        """Return name and cells of each row."""
         cells = zip(*self.columns, strict=True) if self.columns else ([] for _ in self.names)
         return [(name, list(row)) for name, row in zip(self.names, cells, strict=True)]
 
+    def text(self) -> str:
+        """Return the table for a screen; notes, which are intervals, have a column of their own."""
+        columns = [[self.title, *self.names]]
+        for header, cells in zip(self.headers, self.columns, strict=True):
+            columns.append([header, *(_plain(cell.text) for cell in cells)])
+            if any(cell.note for cell in cells):
+                columns.append(["95 %", *(_plain(cell.note) for cell in cells)])
+        omitted = f"\n{self.omitted} more are in metrics.json (--out DIR)" if self.omitted else ""
+        return aligned(list(zip(*columns, strict=True))) + omitted
 
-# --- the screen -------------------------------------------------------------------------
-
-
-def table_text(table: Table, title: str) -> str:
-    """The table under a title, for a screen; headers on one line; "" for one without rows.
-
-    Notes are intervals, and have a column "95 %" of their own.
-    """
-    if not table.names:
-        return ""
-    headers, columns = [title], [list(table.names)]
-    for (header, _), cells in zip(table.headers, table.columns, strict=True):
-        headers.append(header.replace("\n/", "/").replace("\n", " "))
-        columns.append([_plain(cell.text) for cell in cells])
-        if any(cell.note for cell in cells):
-            headers.append("95 %")
-            columns.append([_plain(cell.note) for cell in cells])
-    return aligned([headers, *zip(*columns, strict=True)])
+    def markdown(self) -> str:
+        """Return the table as Markdown, notes in brackets."""
+        rows = [
+            [name, *(f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in cells)]
+            for name, cells in self.rows()
+        ]
+        rule = ["---", *("---:" for _ in self.headers)]
+        lines = [[self.title, *self.headers], rule, *rows]
+        return "".join(f"| {' | '.join(map(_escaped, cells))} |\n" for cells in lines)
 
 
 def _plain(text: str) -> str:
-    """A cell that can be searched for and copied from a screen."""
+    """Return a cell that can be searched for and copied from a screen."""
     return "-" if text == NONE else text.replace(MINUS, "-")
 
 
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace("|", "\\|")
+
+
 def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of text in columns: the first to the left, the others to the right."""
-    sides = ("left", *["right"] * (len(rows[0]) - 1))
-    return tabulate(rows, tablefmt="plain", disable_numparse=True, colalign=sides)
+    """Return rows of text in columns: the first to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for first, *cells in rows:
+        words = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+        lines.append("  ".join([first.ljust(widths[0]), *words]).rstrip())
+    return "\n".join(lines)
 
 
 # --- pages ------------------------------------------------------------------------------
-
-
-def _sha256(script: str) -> str:
-    """The name by which a content security policy allows one script and no other."""
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-
 
 PAGES = jinja2.Environment(
     loader=jinja2.PackageLoader("roadtorch.evaluation.report", "."),
@@ -137,11 +124,11 @@ PAGES = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-PAGES.filters |= {"sha256": _sha256, "share": share, "percent": percent}
+PAGES.filters |= {"share": share, "percent": percent}
 
 
 def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
-    """A page from a template of this package, one file that asks for no other.
+    """Return a page from a template of this package, one file that asks for no other.
 
     Whatever is put in is text and only text. command: what made the page.
     """

@@ -1,0 +1,155 @@
+"""The tables of a run: on the screen, as Markdown, and what they leave out."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pytest
+
+from roadtorch.evaluation.measures import MEASURES
+from roadtorch.evaluation.report.table import Cell, Table
+from roadtorch.evaluation.report.tables import MAX_SHOWN, run_tables, screen, shortlist
+from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Interval
+from tests.reports import GROUPS, NAMES, changed, made_run, scored
+
+
+def texts(evaluation: Evaluation, most: int | None = 20) -> Mapping[str, str]:
+    """The tables as text by their title."""
+    return {table.title: table.text() for table in run_tables(evaluation, most)}
+
+
+def test_a_table_is_text_and_markdown() -> None:
+    table = Table("name", ["a|b", "c"], omitted=2)
+    table.add("F", [Cell("0.912"), Cell("–")])
+    table.add("change", [Cell("\N{MINUS SIGN}0.100", True, "\N{MINUS SIGN}0.2 to +0.1"), Cell("–")])
+
+    assert table.text().splitlines() == [
+        "name      F  change          95 %",
+        "a|b   0.912  -0.100  -0.2 to +0.1",
+        "c         -       -",
+        "2 more are in metrics.json (--out DIR)",
+    ]
+    assert table.markdown().splitlines() == [
+        "| name | F | change |",
+        "| --- | ---: | ---: |",
+        "| a\\|b | 0.912 | \N{MINUS SIGN}0.100 (\N{MINUS SIGN}0.2 to +0.1) |",
+        "| c | – | – |",
+    ]
+
+
+def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
+    road, trust, layout, pairs = (
+        re.split(" {2,}", text.splitlines()[0]) for text in texts(made_run()).values()
+    )
+
+    assert road == [
+        *("detector", *(f"MaxF {group}" for group in GROUPS), "F of mask", "IoU of mask", "MaxF"),
+        *("95 %", "pooled", "AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "ECE"),
+    ]
+    assert trust[:2] == ["trust", "rank corr. of trust"]
+    assert layout[:6] == ["layout", "group", "sky", "vertical", "horizontal", "mean"]
+    assert pairs[:4] == ["minus fusion", "F of mask", "95 %", "MaxF"]
+
+
+def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
+    worse = [f"oneclass:gaussian:{number}" for number in range(100)]
+    evaluation = made_run(["fusion", *worse, "prior:rows", "prior:mean"])
+
+    text = screen(evaluation)
+
+    kept = ["fusion", *worse[: MAX_SHOWN - 1], "prior:rows", "prior:mean"]
+    assert shortlist(evaluation) == kept
+    assert text.endswith("61 more detectors, with lower MaxF, are in metrics.json (--out DIR)")
+    assert worse[MAX_SHOWN - 2] in text
+    assert worse[MAX_SHOWN - 1] not in text
+
+
+def test_of_many_groups_the_worst_are_shown_and_have_a_table_with_the_worst_on_top() -> None:
+    cameras = [f"camera{number}" for number in range(30)]
+    many = made_run(["fusion", "prior:rows"], cameras)
+    worst, level = (many.detectors[name].groups["camera0"] for name in many.detectors)
+
+    header, row = texts(many)["detector"].splitlines()[:2]
+    by_group, whole = (texts(many, most)["fusion by group"].splitlines() for most in (20, None))
+
+    assert "MaxF camera5" not in header
+    assert "worst F of mask  worst MaxF" in re.sub(" {2,}", "  ", header)
+    assert f"{worst['f_mask']:.3f} camera0" in row
+    assert f"{worst['maxf']:.3f} camera0" in row
+    assert by_group[1].split()[:2] == ["camera0", "10"]
+    assert by_group[1].split()[-1] == f"{level['maxf']:.3f}"
+    assert [line.split()[0] for line in by_group[20:]] == ["camera19", "mean", "10"]
+    assert [line.split()[0] for line in whole[1:]] == [*cameras, "mean"]
+    assert "fusion by group" not in texts(made_run(["fusion"]))
+    assert "fusion by group" in texts(made_run(["fusion"]), None)
+
+
+def test_groups_that_are_left_out_are_listed_below_the_mean() -> None:
+    evaluation = made_run(["fusion"])
+    groups = dict(evaluation.detectors["fusion"].groups)
+    left_out = {GROUPS[0]: groups.pop(GROUPS[0])}
+
+    shown = texts(changed(evaluation, "fusion", groups=groups, left_out=left_out))
+
+    assert f"MaxF {GROUPS[0]}" not in shown["detector"]
+    rows = shown["fusion by group"].splitlines()[1:]
+    assert [row.split("  ")[0] for row in rows] == [*GROUPS[1:], "mean", "0001TP (left out)"]
+
+
+def test_conditions_have_a_table_and_baselines_none() -> None:
+    evaluation = made_run(["fusion", "prior:rows"])
+    items = tuple(
+        replace(item, conditions=("day", "night") if item.group == GROUPS[0] else ("day",))
+        for item in evaluation.dataset.items
+    )
+    evaluation = replace(evaluation, dataset=replace(evaluation.dataset, items=items))
+    for name in evaluation.detectors:
+        parts = {"day": {"f_mask": 0.8, "maxf": 0.9}, "night": {"f_mask": 0.3, "maxf": 0.5}}
+        evaluation = changed(evaluation, name, conditions=parts)
+
+    shown = texts(evaluation)
+
+    assert [line.split("  ")[0] for line in shown["fusion by condition"].splitlines()] == [
+        *("fusion by condition", "night (1 group)", "day (3 groups)")
+    ]
+    assert shown["fusion by condition"].splitlines()[1].split()[-3:] == ["0.300", "0.500", "0.500"]
+    assert "prior:rows by condition" not in shown
+
+
+def test_only_detectors_with_trust_have_a_row_of_it() -> None:
+    run = made_run(["fusion", "cpf"])
+    headline = run.detectors["cpf"].headline
+    silent = {key: value for key, value in headline.items() if not key.startswith("trust/")}
+
+    lines = texts(changed(run, "cpf", headline=silent))["trust"].splitlines()
+
+    assert [line.split()[0] for line in lines] == ["trust", "fusion"]
+
+
+def test_detectors_without_a_score_stand_last() -> None:
+    unscored = scored({"d": math.nan, "a": math.nan, "c": 0.1, "b": None})
+
+    assert unscored.ranked() == ["c", "a", "b", "d"]
+    assert [line.split() for line in screen(unscored).splitlines()] == [
+        *(["detector", "MaxF", "95", "%"], ["c", "0.100", "-"]),
+        *([name, "-", "-"] for name in "abd"),
+    ]
+
+
+@pytest.mark.parametrize("key", [measure.key for measure in MEASURES])
+def test_a_measure_that_is_missing_or_undefined_somewhere_is_a_dash(key: str) -> None:
+    whole = made_run()
+    figures = whole.detectors["fusion"]
+    headline = {name: value for name, value in figures.headline.items() if name != key}
+    groups = {**figures.groups, "0006R0": {}}
+    lacking = changed(whole, "fusion", headline=headline, groups=groups)
+    undefined = {name: {**part, key: math.nan} for name, part in figures.groups.items()}
+    nothing = {"labeller": {"maxf": Difference(math.nan, Interval())}, "cpf:v2": {}}
+    run = changed(replace(whole, comparison=Comparison("fusion", nothing)), "labeller",
+                  groups=undefined, intervals={})  # fmt: skip
+
+    for evaluation in (lacking, run):
+        text = "".join(texts(evaluation, None).values())
+        assert not re.search(r"\bnan\b|None", text)
+        assert all(name in text for name in NAMES)
