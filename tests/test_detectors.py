@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 
 import roadtorch.base.plugins
+from roadtorch.base.compute import one_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import Settings
-from roadtorch.base.threads import one_thread
 from roadtorch.detectors import catalogue as catalogue_module
 from roadtorch.detectors.catalogue import (
     detector_entry,

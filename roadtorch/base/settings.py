@@ -15,6 +15,15 @@ from roadtorch.base.errors import ConfigError, InputError, shortened, unknown_na
 
 SHOWN = 200  # letters of what was given that a refusal repeats
 
+CONFIGS = Path(__file__).parents[1] / "configs"
+"""The configs that come with roadtorch: a link to the repository's ``configs/``, so that they are
+found beside the package in a checkout and in a wheel alike."""
+
+THRESHOLDS = "thresholds/"
+"""What the names of configs for detectors begin with; the others are for training."""
+
+SUFFIX = ".toml"
+
 
 class Settings(pydantic.BaseModel):
     """The base of every group of settings: frozen, and unknown keys are refused."""
@@ -149,3 +158,26 @@ def _found_beside(path: Path, values: dict[str, Any]) -> dict[str, Any]:
 def to_toml(detector: str, settings: Settings) -> str:
     """The text of a file for ``--config`` that gives this detector with these settings."""
     return tomli_w.dumps({"detector": detector, **settings.model_dump(exclude_none=True)})
+
+
+# --- shipped configs --------------------------------------------------------------------
+
+
+def shipped_configs() -> list[str]:
+    """Return the sorted names of all shipped configs: paths below ``configs/`` without suffix."""
+    found = CONFIGS.rglob(f"*{SUFFIX}")
+    return sorted(path.relative_to(CONFIGS).with_suffix("").as_posix() for path in found)
+
+
+def config_file(text: str) -> Path:
+    """Return the file that ``--config`` names: one that exists, or else one that is shipped.
+
+    What ends in ``.toml`` is a file in any case. Raises ConfigError, with the known names, for
+    a name that is neither.
+    """
+    path = Path(text)
+    if path.suffix == SUFFIX or path.is_file():
+        return path
+    if text not in shipped_configs():
+        raise unknown_name("config, and no file", text, shipped_configs())
+    return CONFIGS / f"{text}{SUFFIX}"

@@ -59,8 +59,7 @@ def adapt(
     import torch
 
     from roadtorch.base.errors import ConfigError
-    from roadtorch.base.settings import merge, parse_assignments, read_settings_file
-    from roadtorch.base.shipped_configs import config_file
+    from roadtorch.base.settings import config_file, merge, parse_assignments, read_settings_file
     from roadtorch.data.catalogue import open_named
     from roadtorch.train.adaptation.adapt import adapt as run
     from roadtorch.train.before_after import write_page

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from roadtorch.base.bounded import reason
-from roadtorch.base.memory import peak_mebibytes
+from roadtorch.base.compute import peak_mebibytes
 from roadtorch.base.version import __version__
 
 if TYPE_CHECKING:

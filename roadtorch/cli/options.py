@@ -182,7 +182,7 @@ class ConfigFile(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The file; ConfigError for a name that is neither."""
-        from roadtorch.base.shipped_configs import config_file
+        from roadtorch.base.settings import config_file
 
         return config_file(str(value))
 

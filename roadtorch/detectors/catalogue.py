@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from roadtorch.base.device import check_device
+from roadtorch.base.compute import check_device
 from roadtorch.base.errors import ConfigError, unknown_name
 from roadtorch.base.image import Order
 from roadtorch.base.plugins import load_plugins

@@ -18,10 +18,10 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
+from roadtorch.base.compute import one_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import ImageLike, Order, as_image, checked_order
 from roadtorch.base.settings import Settings, build_settings, merge
-from roadtorch.base.threads import one_thread
 from roadtorch.detectors.detection import Detection
 from roadtorch.imaging.levels import at_least
 from roadtorch.imaging.resize import (

@@ -13,8 +13,7 @@ from torch.nn import functional
 
 from roadtorch.base.bounded import printable, read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.settings import read_settings_file
-from roadtorch.base.shipped_configs import SUFFIX, THRESHOLDS, config_file
+from roadtorch.base.settings import SUFFIX, THRESHOLDS, config_file, read_settings_file
 from roadtorch.data import maps
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import (

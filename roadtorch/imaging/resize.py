@@ -11,9 +11,9 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.compute import one_thread
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
-from roadtorch.base.threads import one_thread
 
 SHORTEST = 16  # pixels that a long, thin picture keeps on its short side
 

@@ -15,8 +15,8 @@ from functools import partial
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError
-from roadtorch.base.threads import Threads
 from roadtorch.run.workers import Workers, pickled
 
 PATIENCE = 10.0  # seconds until a cluster has to answer; ours

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 
 from roadtorch.base.atomic import digest_of, write_json
+from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ExitCode, RoadtorchError
 from roadtorch.base.signals import Terminated
-from roadtorch.base.threads import Threads
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import corrected_pictures, tensors_hash

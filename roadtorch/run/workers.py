@@ -25,11 +25,9 @@ from typing import Any, Protocol, TypeVar
 import torch
 from torch import Tensor
 
-from roadtorch.base.device import check_device
+from roadtorch.base.compute import Threads, check_device, keep_freed_memory
 from roadtorch.base.errors import InputError
-from roadtorch.base.memory import keep_freed_memory
 from roadtorch.base.signals import SIGNALS, end_with_parent, interrupting_none_started
-from roadtorch.base.threads import Threads
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")

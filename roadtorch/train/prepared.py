@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from roadtorch.base.compute import single_threaded
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop
-from roadtorch.base.threads import single_threaded
 from roadtorch.detectors.detector import checked_image
 from roadtorch.inputs.item import Item
 from roadtorch.run.loop import until_asked

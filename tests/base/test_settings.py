@@ -8,10 +8,13 @@ from pydantic import AfterValidator, Field
 
 from roadtorch.base.errors import ConfigError, InputError, unknown_name
 from roadtorch.base.settings import (
+    CONFIGS,
     Settings,
     build_settings,
+    config_file,
     parse_assignments,
     read_settings_file,
+    shipped_configs,
     to_toml,
 )
 
@@ -133,3 +136,26 @@ def test_only_names_of_files_with_a_suffix_are_those_beside_the_file(tmp_path: P
     assert values["detector"] == "fusion"
     assert values["long"] == long
     assert values["ego"] == {"mask": str(tmp_path / "ego.png"), "no": "a.png"}
+
+
+# --- shipped configs --------------------------------------------------------------------
+
+
+def test_every_config_of_the_repository_has_a_name_that_leads_to_it() -> None:
+    files = {config_file(name).resolve() for name in shipped_configs()}
+
+    assert CONFIGS.resolve() == Path(__file__).resolve().parents[2] / "configs"
+    assert files == set(CONFIGS.resolve().rglob("*.toml"))
+    assert {"adapt", "layout-free", "thresholds/labeller"} <= {*shipped_configs()}
+
+
+def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "layout-free").mkdir()  # a folder is no config
+    assert config_file("layout-free") == CONFIGS / "layout-free.toml"
+
+    (tmp_path / "adapt").write_text("random_seed = 1")
+    assert config_file("adapt") == Path("adapt")
+    assert config_file("none.toml") == Path("none.toml")  # to be refused when it is read
+    with pytest.raises(ConfigError, match=r"adpat: unknown config, and no file \(did you mean"):
+        config_file("adpat")

@@ -39,10 +39,3 @@ def test_one_of_another_build_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     assert told.startswith("torchvision: cannot be imported beside torch ")
     assert "compiled with another CUDA (pip install" in told
     assert "\n" not in told
-
-
-def test_none_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(vision, "find_spec", lambda _: None)
-
-    with pytest.raises(vision.RoadtorchError, match=r"torchvision: is not installed \(pip install"):
-        vision.import_torchvision.__wrapped__()

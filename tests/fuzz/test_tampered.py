@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadtorch.base.compute import forget_peak, peak_mebibytes
 from roadtorch.base.errors import InputError, RoadtorchError
-from roadtorch.base.memory import forget_peak, peak_mebibytes
 from tests.fuzz.footage import FOOTAGE
 from tests.fuzz.kinds import KINDS
 from tests.fuzz.tampered import Draw, unhurried

@@ -78,15 +78,6 @@ def test_a_frame_has_the_same_number_and_pixels_whatever_the_start(
             assert torch.equal(frame.read(), every[frame.number].read())
 
 
-def test_what_lies_ahead_of_the_start_is_not_decoded(tmp_path: Path) -> None:
-    options = {"g": "10", "x264-params": "scenecut=0"}
-    path = write_video(tmp_path / "drive.mp4", FORTY, options=options)
-    frames = video_frames(path, "drive", start=2.5)
-
-    assert next(frames).number == 20
-    frames.close()
-
-
 def test_rotation_is_applied(tmp_path: Path) -> None:
     path = write_video(tmp_path / "drive.mp4")
     data = bytearray(path.read_bytes())
@@ -107,10 +98,8 @@ def test_rotation_is_applied(tmp_path: Path) -> None:
 
 CODECS = [
     (".mp4", "libx264"),
-    (".mkv", "libx264"),
     (".webm", "libvpx"),
     (".avi", "mjpeg"),
-    (".avi", "mpeg4"),
     (".mp4", "mpeg4"),
 ]
 
@@ -156,9 +145,6 @@ def test_damage_in_the_middle_fails_its_frames_or_is_told_behind_the_last_one(
         (".ts", "libx264", {"x264-params": "interlaced=1"}),
         (".webm", "libvpx", {"auto-alt-ref": "1", "lag-in-frames": "16"}),
         (".avi", "mpeg4", {"bf": "2"}),
-        (".avi", "mjpeg", {}),
-        (".mkv", "libx264", {}),
-        (".mov", "libx264", {}),
     ],
 )
 def test_nothing_is_missing_in_a_whole_video(

@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from roadtorch.base.threads import Threads
+from roadtorch.base.compute import Threads
 from roadtorch.data.polygons import read_outlined_mask
 from roadtorch.testing.scenes import render_scene, write_picture
 from tests.command import ROWS, Call, bytes_in, rows_of, save_picture

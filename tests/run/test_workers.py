@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from roadtorch.base.compute import Threads
 from roadtorch.base.errors import InputError
-from roadtorch.base.threads import Threads
 from roadtorch.run import workers
 from roadtorch.run.workers import AHEAD, MIN_ITEMS, Workers, processors, workers_for
 from tests.command import ROWS, save_picture

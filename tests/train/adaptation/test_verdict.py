@@ -8,8 +8,7 @@ from torch import Tensor
 
 from roadtorch import load_detector
 from roadtorch.base.image import write_jpeg
-from roadtorch.base.settings import merge, read_settings_file
-from roadtorch.base.shipped_configs import config_file
+from roadtorch.base.settings import config_file, merge, read_settings_file
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import find_pictures

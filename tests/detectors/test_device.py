@@ -50,13 +50,3 @@ def test_a_device_that_is_not_there_is_refused_when_the_detector_is_made(
 ) -> None:
     with pytest.raises(ConfigError, match=rf"^device: {what}"):
         load_detector("fusion", device=device)
-
-
-def test_mixing_is_refused() -> None:
-    with PretendedDevice(), pytest.raises(RuntimeError, match="and on the CPU"):
-        _ = Pretended(torch.ones(3)) + torch.ones(3)
-
-
-def test_numpy_cannot_look_at_it() -> None:
-    with pytest.raises(RuntimeError):
-        Pretended(torch.ones(3)).numpy()

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 HELD = """
-from roadtorch.base.memory import forget_peak, peak_mebibytes
+from roadtorch.base.compute import forget_peak, peak_mebibytes
 forget_peak()
 before = peak_mebibytes()
 held = bytearray(64 * 2**20)
