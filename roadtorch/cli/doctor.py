@@ -186,15 +186,10 @@ def _video() -> Check:
 
 
 def check_weights() -> list[Check]:
-    """Every weight file that comes with roadtorch: read, its hash and its card's compared."""
+    """Every weight file that comes with roadtorch: read, and held against its header's hash."""
     from roadtorch.base.atomic import digest_of
     from roadtorch.base.errors import WeightsError
-    from roadtorch.layout.weights import (
-        STATED,
-        list_shipped_weights,
-        load_network,
-        shipped_weights,
-    )
+    from roadtorch.layout.weights import list_shipped_weights, load_network, shipped_weights
 
     checks: list[Check] = []
     for path in map(shipped_weights, list_shipped_weights()):
@@ -204,10 +199,7 @@ def check_weights() -> list[Check]:
             checks.append(Check(path.name, "broken", problem.what, AGAIN))
             continue
         count = sum(weight.numel() for weight in network.parameters())
-        card = path.with_suffix(".md")
-        stated = card.is_file() and STATED.search(card.read_text(encoding="utf-8"))
-        origin = f"as {card.name} states" if stated else "no card states it"
-        what = f"{count:,} weights, SHA-256 {digest_of(path)[:12]}…, {origin}"
+        what = f"{count:,} weights, SHA-256 {digest_of(path)[:12]}…"
         checks.append(Check(path.name, "ok", what, figures={"weights": count}))
     return checks or [Check("weights", "broken", "none are there", AGAIN)]
 

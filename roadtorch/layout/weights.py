@@ -5,10 +5,9 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import torch
 from pydantic import BaseModel, Field, ValidationError
@@ -16,9 +15,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from roadtorch.base.atomic import atomic, digest_of
-from roadtorch.base.bounded import read_regular, reason, regular_size
-from roadtorch.base.errors import ConfigError, WeightsError
+from roadtorch.base.atomic import atomic
+from roadtorch.base.bounded import reason
+from roadtorch.base.errors import ConfigError, WeightsError, shortened
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
@@ -30,21 +29,13 @@ FORMAT = 1
 HEADER = "roadtorch"
 """The one key of the metadata: safetensors writes several keys in no settled order."""
 
-MAX_WEIGHT = 1e6
-"""The largest weight that is believed; ours: those that ship stay below 3, and the convolutions
-of a network a million times larger overflow."""
+MISFIT = 200  # letters of what torch says where weights do not fit
 
 SHIPPED = Path(__file__).parents[1] / "weights"
 """Where the weights lie that come with roadtorch."""
 
-STATED = re.compile(r"^\|\s*sha256\s*\|\s*`([0-9a-f]{64})`\s*\|", re.MULTILINE)
-"""The row of a card, NAME.md beside NAME.safetensors, that states the hash of the file."""
-
 TERMS = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
-"""The row of a card that says in a few words what the weights may be used for."""
-
-MAX_CARD_BYTES = 2**20
-"""Bytes; ours: cards have thousands."""
+"""The row of a card, NAME.md beside the weights, that says what they may be used for."""
 
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
@@ -91,9 +82,8 @@ def _stored_type(network: nn.Module, values: Tensor) -> torch.dtype:
 def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     """The network of a weight file, ready for use.
 
-    Raises WeightsError for a file that is missing, damaged, foreign, of a newer format, whose
-    tensors do not fit its settings or make no sense, and for one that is not what its header
-    or the card beside it states.
+    Raises WeightsError for a file that is missing, damaged, foreign, of a newer format, or whose
+    tensors do not fit its settings or are not finite.
     """
     header, tensors = _read(Path(path))
     network_class, settings_class = NETWORKS[header.kind]
@@ -132,10 +122,7 @@ def weights_path(text: str) -> Path:
 
 
 def terms_of(path: Path) -> str:
-    """What weights may be used for, as the card beside them says; nothing where none does.
-
-    WeightsError for a card that cannot be read.
-    """
+    """What weights may be used for, as the card beside them says; nothing where none does."""
     row = TERMS.search(card_of(path))
     return row[1] if row else ""
 
@@ -165,26 +152,18 @@ def corrected_pictures(settings: Mapping[str, Any]) -> int:
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
     """Give a network its weights.
 
-    Raises WeightsError when a name, a shape or a type differs, and for values that are not
-    finite or beyond ``MAX_WEIGHT``.
+    Raises WeightsError when a name or a shape differs, and for values that are not finite.
     """
-    own = network.state_dict()
-    for name in sorted({*own, *tensors}):
-        shapes = [
-            "×".join(map(str, values[name].shape)) or "a number" if name in values else "missing"
-            for values in (tensors, own)
-        ]
-        if shapes[0] != shapes[1]:
-            message = f"holds another network: {name} is {shapes[0]}, not {shapes[1]}"
-            raise WeightsError(path, message, "use weights of this network")
-        values, dtype = tensors[name], own[name].dtype
-        if values.dtype not in (dtype, _stored_type(network, own[name])):
-            message = f"holds {values.dtype} in {name}, not {dtype}".replace("torch.", "")
-            raise WeightsError(path, message, "use weights of this network")
-        if values.is_floating_point() and not (values.abs() <= MAX_WEIGHT).all():  # or NaN
-            message = f"holds weights in {name} that are not finite, or beyond {MAX_WEIGHT:g}"
+    try:
+        network.load_state_dict(dict(tensors))
+    except RuntimeError as problem:
+        _, first, *_ = str(problem).splitlines()
+        message = f"holds another network: {shortened(first.strip(), MISFIT)}"
+        raise WeightsError(path, message, "use weights of this network") from None
+    for name, values in network.state_dict().items():
+        if not values.isfinite().all():
+            message = f"holds weights in {name} that are not finite"
             raise WeightsError(path, message, "fetch or train it again")
-    network.load_state_dict(dict(tensors))
 
 
 def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
@@ -200,61 +179,38 @@ class _Header(BaseModel):
     """The header of a weight file; files of earlier versions state no hash."""
 
     format: int
-    kind: str
+    kind: Literal["patches", "pictures", "pictures, backbone"]
     settings: dict[str, Any]
     origin: dict[str, Any]
     sha256: str | None = None
 
 
 def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
-    """The header and the tensors of a weight file of ours, as it and its card state them."""
+    """Return the header and the tensors of a weight file of ours."""
     if not path.is_file():
         raise WeightsError(path, "is not a file", "give a .safetensors file")
     try:
-        regular_size(path)
         with safe_open(path, "pt") as file:
-            header = _header(path, (file.metadata() or {}).get(HEADER))
+            header = _Header.model_validate_json((file.metadata() or {}).get(HEADER, ""))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except SafetensorError as problem:
-        message = f"is damaged or no weight file: {problem}"
+    except ValidationError:
+        raise WeightsError(path, "has no header of roadtorch's", "give weights of ours") from None
+    except (SafetensorError, OSError, RuntimeError) as problem:  # torch, which maps it, the last
+        message = f"is damaged or no weight file: {reason(problem)}"
         raise WeightsError(path, message, "fetch or train it again") from None
-    except (OSError, RuntimeError) as problem:  # torch, which maps the file, raises the second
-        message = f"cannot be read: {reason(problem)}"
-        raise WeightsError(path, message, "check the file") from None
+    if header.format > FORMAT:
+        message = f"has the format {header.format}; this roadtorch reads up to {FORMAT}"
+        raise WeightsError(path, message, "install a newer roadtorch")
     if header.sha256 is not None and header.sha256 != tensors_hash(tensors):
         message = "is damaged: its weights are not those that its header states"
         raise WeightsError(path, message, "fetch or train it again")
-    row = STATED.search(card_of(path))
-    if row is not None and row[1] != digest_of(path):
-        message = f"is not the file whose SHA-256 {path.stem}.md states"
-        raise WeightsError(path, message, "fetch it again, or remove the card")
     return header, tensors
 
 
-def _header(path: Path, text: str | None) -> _Header:
-    """The header of a weight file, if this code can use it."""
-    if text is None:
-        raise WeightsError(path, "holds weights that are not roadtorch's", "give weights of ours")
-    with suppress(ValidationError):
-        header = _Header.model_validate_json(text)
-        if header.format > FORMAT:
-            message = f"has the format {header.format}; this roadtorch reads up to {FORMAT}"
-            raise WeightsError(path, message, "install a newer roadtorch")
-        if header.kind in NETWORKS:
-            return header
-    raise WeightsError(path, "has a header that makes no sense", "fetch or train it again")
-
-
 def card_of(path: Path) -> str:
-    """The card beside a weight file; nothing where there is none. WeightsError where unreadable."""
+    """Return the card beside a weight file; nothing where there is none."""
     card = path.with_suffix(".md")
-    if not card.is_file():
-        return ""
-    try:
-        return read_regular(card, MAX_CARD_BYTES).decode(errors="replace")
-    except OSError as problem:
-        message = f"cannot be read: {problem.strerror}"
-        raise WeightsError(card, message, "check the file, or remove it") from None
+    return card.read_text(encoding="utf-8", errors="replace") if card.is_file() else ""
 
 
 # --- the network of a detector ----------------------------------------------------------

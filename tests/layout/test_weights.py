@@ -2,19 +2,19 @@
 
 import json
 import math
-from collections.abc import Callable
-from hashlib import sha256
 from pathlib import Path
 
 import pytest
 import torch
 from safetensors.torch import save_file
 
+from roadtorch.base.atomic import digest_of
 from roadtorch.base.errors import WeightsError
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import (
     LayoutNetwork,
+    card_of,
     list_shipped_weights,
     load_network,
     read_origin,
@@ -70,7 +70,7 @@ def assert_refused(path: Path, message: str) -> None:
     [
         (b"<!DOCTYPE html><html><body>Not found</body></html>", "damaged or no weight file"),
         (b"", "damaged or no weight file"),
-        (b"\x08\x00\x00\x00\x00\x00\x00\x00{}      ", "not roadtorch's"),
+        (b"\x08\x00\x00\x00\x00\x00\x00\x00{}      ", "no header of roadtorch's"),
         (None, "is not a file"),
     ],
 )
@@ -90,29 +90,12 @@ def change_header(path: Path, tensors: dict[str, torch.Tensor], **changes: objec
     save_file(tensors, path, {"roadtorch": json.dumps({**header, **changes})})
 
 
-Change = Callable[[torch.Tensor], torch.Tensor]
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_weights_that_are_not_finite_are_refused(weights: Path, value: float) -> None:
+    tensors = NETWORKS[0].state_dict() | {"last.bias": torch.tensor([0.0, value, 0.0])}
+    change_header(weights, tensors, sha256=None)  # as files of earlier versions
 
-
-@pytest.mark.parametrize("all_of_them", [True, False])
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda values: values * math.nan, "not finite, or beyond 1e\\+06"),
-        (lambda values: values + math.inf, "not finite, or beyond"),
-        (lambda values: values * 1e30, "not finite, or beyond"),
-        (lambda values: values.to(torch.int32), "holds int32 in .*, not float32"),
-        (lambda values: values.double(), "holds float64 in .*, not float32"),
-    ],
-    ids=["nan", "inf", "1e30", "int32", "float64"],
-)
-def test_weights_that_make_no_sense_are_refused(
-    weights: Path, change: Change, message: str, all_of_them: bool
-) -> None:
-    tensors = NETWORKS[0].state_dict()
-    first = next(iter(tensors))
-    changed = {k: change(v) if all_of_them or k == first else v for k, v in tensors.items()}
-    change_header(weights, changed, sha256=None)  # as files of earlier versions
-    assert_refused(weights, message)
+    assert_refused(weights, r"holds weights in last\.bias that are not finite")
 
 
 def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
@@ -130,11 +113,11 @@ def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
     ("changes", "message"),
     [
         ({"format": 2}, "has the format 2; this roadtorch reads up to 1"),
-        ({"format": "x"}, "a header that makes no sense"),
-        ({"kind": "transformer"}, "a header that makes no sense"),
+        ({"format": "x"}, "no header of roadtorch's"),
+        ({"kind": "transformer"}, "no header of roadtorch's"),
         ({"settings": {"topology": {"k9": 1}}}, "made for other settings"),
-        ({"settings": {"topology": {"k1": 4}}}, "holds another network: first.bias is 6, not 4"),
-        ({"kind": "pictures", "settings": {}}, "holds another network"),
+        ({"settings": {"topology": {"k1": 4}}}, "holds another network: size mismatch for first"),
+        ({"kind": "pictures", "settings": {}}, "holds another network: Missing key"),
     ],
 )
 def test_headers_that_do_not_fit_are_refused(
@@ -145,49 +128,28 @@ def test_headers_that_do_not_fit_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("header", "message"),
+    "header",
     [
-        ({"roadtorch": '{"format": 1e999, "kind": "patches"}'}, "a header that makes no sense"),
-        ({"roadtorch": "[" * 100_000}, "a header that makes no sense"),  # trips the parser
-        ({"format": "pt"}, "not roadtorch's"),
+        {"roadtorch": '{"format": 1e999, "kind": "patches"}'},
+        {"roadtorch": "[" * 100_000},  # trips the parser
+        {"format": "pt"},
     ],
 )
-def test_headers_of_others_are_refused(
-    header: dict[str, str], message: str, tmp_path: Path
-) -> None:
+def test_headers_of_others_are_refused(header: dict[str, str], tmp_path: Path) -> None:
     save_file({"layer": torch.zeros(3)}, tmp_path / "other", header)
-    assert_refused(tmp_path / "other", message)
+    assert_refused(tmp_path / "other", "no header of roadtorch's")
 
 
 # --- cards ---------------------------------------------------------------------------------
 
 
-def test_a_file_that_is_not_what_its_card_states_is_refused(
-    weights: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    card = weights.with_suffix(".md")
-    own = sha256(weights.read_bytes()).hexdigest()
-    card.write_text(f"| | |\n|---|---|\n| sha256 | `{own}` |\n")
-    load_network(weights)
-
-    card.write_text(f"| | |\n|---|---|\n| sha256 | `{own[::-1]}` |\n")
-    assert_refused(weights, r"is not the file whose SHA-256 weights\.md states")
-
-    monkeypatch.setattr("roadtorch.layout.weights.MAX_CARD_BYTES", 5)
-    with pytest.raises(WeightsError, match=r"weights\.md: .* it has more than 5 bytes"):
-        load_network(weights)
-
-
 @pytest.mark.parametrize("name", list_shipped_weights())
-def test_shipped_weights_are_what_their_cards_state(name: str, tmp_path: Path) -> None:
-    path, copy = shipped_weights(name), tmp_path / f"{name}.safetensors"
+def test_shipped_weights_are_what_their_cards_state(name: str) -> None:
+    path = shipped_weights(name)
+
     load_network(path)
 
-    data = bytearray(path.read_bytes())
-    data[-5] ^= 1
-    copy.write_bytes(data)
-    copy.with_suffix(".md").write_bytes(path.with_suffix(".md").read_bytes())
-    assert_refused(copy, "states")
+    assert f"| sha256 | `{digest_of(path)}` |" in card_of(path)
 
 
 def test_the_cards_of_shipped_weights_say_what_they_may_be_used_for() -> None:
