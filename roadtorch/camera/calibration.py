@@ -16,8 +16,6 @@ from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.base.settings import build_settings
 from roadtorch.camera.ground import COEFFICIENTS, GroundCamera, Lens, pose_of
 
-MAX_BYTES = 2**20  # of a camera_info file; ours: they have a thousand
-
 REMEDY = "give what camera_calibration writes, or ros2 topic echo --once of the camera_info topic"
 
 ROWS = {"P2": 12, "R0_rect": 9, "Tr_cam_to_road": 12}
@@ -77,23 +75,20 @@ def lens_of_info(
 
 
 def _first_document(path: Path) -> Any:
-    """The first document of a YAML file; ConfigError when it is not YAML or nested too deep."""
+    """The first document of a YAML file; ConfigError when it is not YAML."""
     try:
         import yaml
     except ImportError:
         remedy = "pip install 'roadtorch[grid]'"
         raise ConfigError(path, "reading YAML needs PyYAML, which is missing", remedy) from None
     try:
-        return next(yaml.safe_load_all(read_regular(path, MAX_BYTES).decode()), None)
+        return next(yaml.safe_load_all(read_regular(path).decode()), None)
     except OSError as problem:
         raise InputError(path, f"cannot be read: {problem.strerror}", REMEDY) from None
-    except UnicodeDecodeError:
-        raise ConfigError(path, "is not UTF-8 text", REMEDY) from None
     except (yaml.YAMLError, RecursionError, ValueError) as problem:
-        message = getattr(problem, "problem", None) or "nested too deep, or no such value"
         mark = getattr(problem, "problem_mark", None)
         line = f"line {mark.line + 1}: " if mark else ""
-        raise ConfigError(path, f"is not YAML: {line}{message}", REMEDY) from None
+        raise ConfigError(path, f"is not YAML: {line}{reason(problem)}", REMEDY) from None
 
 
 def _numbers(path: Path, values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:

@@ -22,7 +22,7 @@ SHORT = (
     "ß\N{RIGHT-TO-LEFT OVERRIDE}".encode(),
 )
 LONG = (
-    *(b"9" * 5_000, b"a." * 40_000 + b"a", b"[" * 3_000, b'{"a":' * 3_000, b"<a>" * 3_000),
+    *(b"9" * 5_000, b"[" * 3_000, b'{"a":' * 3_000, b"<a>" * 3_000),
     b"x" * 200_000,
 )
 PIECES = st.integers(0, 9).flatmap(lambda at: st.sampled_from(SHORT if at else LONG))
