@@ -1,26 +1,34 @@
-"""Time detectors beside their peers: LRASPP of torchvision, and superpixels of scikit-image.
+"""Time detectors beside their peers (LRASPP, scikit-image's superpixels), commands, and the tests.
 
     python scripts/bench.py                                      # every detector, one thread
     python scripts/bench.py fusion ufl --size 960 720
     python scripts/bench.py fusion ufl --against ../before       # another checkout's beside them
     python scripts/bench.py --write                              # and keep what documents show
+    python scripts/bench.py --commands DATA --against ../before  # images a second, 1 and 2 jobs
     python scripts/bench.py --suite -n 2                         # CPU seconds of the tests
 
 Each round runs every contestant once, every other round in the reverse order. Times are medians
 over the rounds; a ratio is the median of the rounds' ratios: what slows the whole machine for a
 while slows both sides of it. Other work on the same cores does not; measure on a quiet machine, or
-count the process's own time (``--clock process``). ``--suite`` hands the words behind it to pytest.
+count the process's own time (``--clock process``).
+
+A command runs as a process of its own, on few images and on all of them. Its rate is that of the
+images between, so that imports, weights and the start of workers do not count. Training gets as
+many processors instead of jobs. ``--suite`` hands the words behind it to pytest.
 """
 
 import argparse
 import importlib
-import json
+import os
 import resource
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import median
 from types import ModuleType
@@ -35,16 +43,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.imaging.slic import slic
 from roadtorch.testing.scenes import render_scene
-from scripts.readme_tables import TIMED
+from scripts.readme_figures import keep_records
 
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ROOT / "docs" / "figures" / "bench.json"
 COMMAND = "python scripts/bench.py --write"
 LRASPP = "LRASPP (torchvision)"
 SEGMENTS = 400
 SLIC, SKIMAGE = f"slic, {SEGMENTS} segments", f"slic, {SEGMENTS} segments (scikit-image)"
 PEERS = {LRASPP: "LRASPP", SLIC: "slic", SKIMAGE: "slic-skimage"}
 """Peers, and the names of their records."""
+
 BEFORE = ", before"
 WARM_UP = 2  # rounds that are not counted
 CLOCKS = {"wall": time.perf_counter, "process": time.process_time}
@@ -56,7 +64,7 @@ Times = dict[str, list[float]]
 
 
 def interleaved(calls: Calls, rounds: int, clock: Callable[[], float]) -> Times:
-    """Milliseconds of every call in every counted round, on one thread of torch."""
+    """Time every call in every counted round, in milliseconds, on one thread of torch."""
     torch.set_num_threads(1)
     times: Times = {name: [] for name in calls}
     for number in range(WARM_UP + rounds):
@@ -69,12 +77,12 @@ def interleaved(calls: Calls, rounds: int, clock: Callable[[], float]) -> Times:
 
 
 def ratio(one: Sequence[float], other: Sequence[float]) -> float:
-    """The median of the rounds' ratios."""
+    """Return the median of the rounds' ratios."""
     return median(a / b for a, b in zip(one, other, strict=True))
 
 
 def lraspp(image: Tensor) -> Callable[[], Any]:
-    """torchvision's small network for segmentation on this image, with random weights."""
+    """Return torchvision's small network for segmentation on this image, with random weights."""
     from roadtorch.base.vision import import_torchvision
 
     torch.manual_seed(0)
@@ -89,7 +97,7 @@ def lraspp(image: Tensor) -> Callable[[], Any]:
 
 
 def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Tensor], Any]]:
-    """``detect`` of another checkout's detectors; modules that are loaded stay loaded."""
+    """Return ``detect`` of another checkout's detectors; modules that are loaded stay loaded."""
 
     def loaded() -> dict[str, ModuleType]:
         ours = [name for name in sys.modules if name.partition(".")[0] == "roadtorch"]
@@ -114,7 +122,7 @@ def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Tens
 
 
 def contestants(names: Sequence[str], image: Tensor, before: Path | None = None) -> Calls:
-    """``detect`` of the named detectors, that of another checkout, and the peers."""
+    """Return ``detect`` of the named detectors, that of another checkout, and the peers."""
     import skimage.segmentation
 
     others = detects_of(before.resolve(), names) if before else {}
@@ -129,7 +137,7 @@ def contestants(names: Sequence[str], image: Tensor, before: Path | None = None)
 
 
 def table(times: Times) -> str:
-    """Markdown: a row a contestant, its share of LRASPP, and of the other checkout's where told."""
+    """Format a row a contestant, with its ratio to LRASPP and to the other checkout."""
     lines = ["| one thread | ms | of LRASPP | of before |", "|---|---:|---:|---:|"]
     for name, values in times.items():
         shares = [f"{ratio(values, times[LRASPP]):.2f}"]
@@ -139,7 +147,7 @@ def table(times: Times) -> str:
 
 
 def suite(words: Sequence[str]) -> str:
-    """CPU seconds of the tests for each millisecond of LRASPP, measured before and after them."""
+    """Measure CPU seconds of the tests for each millisecond of LRASPP before and after them."""
     calls = {LRASPP: lraspp(render_scene(0, 480, 640).image.contiguous())}
     before = interleaved(calls, 20, time.perf_counter)[LRASPP]
     subprocess.run([sys.executable, "-m", "pytest", "-q", *words], cwd=ROOT, check=False)
@@ -149,15 +157,71 @@ def suite(words: Sequence[str]) -> str:
     return f"tests: {cpu:.0f} s of CPU; {LRASPP}: {taken:.1f} ms; {cpu / taken:.2f} s per ms"
 
 
-def keep(times: Times) -> None:
-    """Write the figures where documents find them (scripts/readme_figures.py)."""
-    values: dict[str, float] = {}
-    for name in set(times) & {*TIMED, *PEERS}:
-        taken = times[name]
-        values[f"bench.{PEERS.get(name, name)}.ms"] = median(taken)
-        values[f"bench.{PEERS.get(name, name)}.of_lraspp"] = ratio(taken, times[LRASPP])
-    text = json.dumps({"command": COMMAND, "values": dict(sorted(values.items()))}, indent=0)
-    KEPT.write_text(f"{text}\n", encoding="utf-8")
+# --- commands -----------------------------------------------------------------------------
+
+COMMANDS = {
+    "infer": "infer images",
+    "video": "infer clip.mp4 --limit {count}",
+    "bag": "infer drive",
+    "grid": "grid images --height 1.5 --pitch 3 --fov 60",
+    "label": "label images",
+    "evaluate": "evaluate camvid camvid --limit {count}",
+    "train": "train --config adapt --images images --set stopping.epochs=1 "
+    "--set samples_per_epoch=1",  # what is left of it is the preparation
+}
+FEW, ALL = 4, 100
+
+
+def make_inputs(data: Path, folder: Path, count: int) -> None:
+    """Link or write so many images, alone and as frames of a bag; a video, and CamVid."""
+    from scripts.freeze import write_bags
+
+    (folder / "images").mkdir(parents=True)
+    for file in sorted((data / "camvid/train").glob("*.jpg"))[:count]:
+        (folder / "images" / file.name).symlink_to(file)
+    (folder / "camvid").symlink_to(data / "camvid")
+    (folder / "clip.mp4").symlink_to(data / "clips/us_rural_damp.mp4")
+    write_bags(folder, slice(count))
+
+
+def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
+    """Time a command of a checkout in a folder of inputs."""
+    words = [sys.executable, "-m", "roadtorch", *line.split(), "--out", "out"]
+    if line.startswith("train"):
+        processors = sorted(os.sched_getaffinity(0))[:jobs]
+        words = ["taskset", "--cpu-list", ",".join(map(str, processors)), *words]
+    else:
+        words += ["--jobs", str(jobs)]
+    start = time.perf_counter()
+    environment = {**os.environ, "PYTHONPATH": str(checkout.resolve())}
+    subprocess.run(words, cwd=folder, env=environment, capture_output=True, check=True)
+    taken = time.perf_counter() - start
+    shutil.rmtree(folder / "out")
+    return taken
+
+
+def rates(data: Path, checkouts: Sequence[Path], rounds: int) -> Iterator[str]:
+    """Yield rows with the images a second of each command and checkout, with one job and two."""
+    yield "| command | checkout | 1 job | 2 jobs | ratio |\n|---|---|---:|---:|---:|"
+    ways = list(product(checkouts, (1, 2), (FEW, ALL)))
+    with tempfile.TemporaryDirectory() as folder:
+        for count in (FEW, ALL):
+            make_inputs(data.resolve(), Path(folder, str(count)), count)
+        for name, line in COMMANDS.items():
+            times: dict[tuple[Path, int, int], list[float]] = {way: [] for way in ways}
+            for turn in range(rounds):
+                for way in ways[turn % len(ways) :] + ways[: turn % len(ways)]:
+                    checkout, jobs, count = way
+                    words = line.format(count=count)
+                    times[way].append(seconds(checkout, words, jobs, Path(folder, str(count))))
+            for checkout in checkouts:
+                one, two = (
+                    (ALL - FEW)
+                    / (median(times[checkout, n, ALL]) - median(times[checkout, n, FEW]))
+                    for n in (1, 2)
+                )
+                where = checkout.resolve().name
+                yield f"| {name} | {where} | {one:.1f} | {two:.1f} | {two / one:.2f} |"
 
 
 def main() -> None:
@@ -170,10 +234,16 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="into docs/figures/bench.json")
     parser.add_argument("--against", type=Path, help="another checkout")
     parser.add_argument("--clock", choices=CLOCKS, default="wall")
+    parser.add_argument("--commands", type=Path, metavar="DATA", help="the development data")
     parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
     options = parser.parse_args()
     if options.suite is not None:
         print(suite(options.suite))
+        return
+    if options.commands:
+        checkouts = [ROOT, options.against] if options.against else [ROOT]
+        for row in rates(options.commands, checkouts, options.rounds):
+            print(row, flush=True)
         return
     names = options.detectors or [name for name in list_detectors() if "<" not in name]
     width, height = options.size
@@ -182,7 +252,10 @@ def main() -> None:
     times = interleaved(calls, options.rounds, CLOCKS[options.clock])
     print(table(times))
     if options.write:
-        keep(times)
+        values = {f"bench.{PEERS.get(name, name)}.ms": median(times[name]) for name in times}
+        for name, milliseconds in times.items():
+            values[f"bench.{PEERS.get(name, name)}.of_lraspp"] = ratio(milliseconds, times[LRASPP])
+        keep_records("bench", COMMAND, values)
 
 
 if __name__ == "__main__":

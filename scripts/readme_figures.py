@@ -4,22 +4,32 @@
     python scripts/readme_figures.py write           # documents as docs/figures have them
     python scripts/readme_figures.py check           # is every number bound, and as recorded?
 
-DATA holds many/, camvid/ and idd_lite/. ``evaluate`` takes about ten minutes on two quiet cores;
---only NAME… does some of it (camvid-slow, idd-slow: detectors of seconds a picture). A figure is
-bound by a comment right after it, which no reader sees, with the name of a record::
+docs/figures/RUN.json is {"command": …, "values": {name: value}}. DATA holds many/, camvid/ and
+idd_lite/; ``evaluate`` runs the commands anew and keeps what documents use, in about ten minutes on
+two quiet cores; --only RUN… does some of it. Names are RUN.DETECTOR.MEASURE, with ``.low`` and
+``.high`` its interval, ``@GROUP`` one camera, drive or condition, ``.worst`` and ``.worst.camera``
+the lowest of the groups, ``.less`` the difference to ``fusion``, ``.iou`` that of an F. What the
+code itself states is a record, too: ``code:MODULE:NAME``, ``setting:DETECTOR:KEY``,
+``config:NAME:KEY`` of configs/NAME.toml and ``card:NAME:SOME_WORDS``, the first number before these
+words on a card of weights; ``/GiB`` behind it divides.
+
+A figure is bound to a record by a comment right after it, and keeps as many digits as it has::
 
     F of the mask is .827<!-- figure: many.fusion.f_mask --> on average
     the worst camera is `dn_tas500`<!-- figure: many.fusion.f_mask.worst.camera -->
 
-It is said with as many digits as it has there. What the code itself says is a record, too:
-``code:MODULE:NAME``, ``setting:DETECTOR:KEY``, ``config:NAME:KEY`` of configs/NAME.toml and
-``card:NAME:SOME_WORDS``, the first number before these words on a card of weights; ``/GiB``
-behind it divides. Every other number that was measured names the study that it is of
-(scripts/readme_numbers.py). What stands between ``<!-- table: NAME -->`` and
-``<!-- end -->`` is written whole. A file of records is {"command": …, "values": {name: value}};
-names are RUN.DETECTOR.MEASURE, with ``.low`` and ``.high`` its interval, ``@GROUP`` one camera,
-drive or condition, ``.worst`` and ``.worst.camera`` the lowest of the groups, ``.less`` the
-difference to ``fusion``, ``.iou`` that of an F.
+A table is written whole. Its comment has the cells behind the first one, with ``[[RECORD|STYLE]]``
+for a record in the style of a figure (".000" where none is given; "ci": with its interval; a dash
+where a record with "?" does not exist), and the record by which rows are sorted::
+
+    <!-- table by many.{row}.maxf: [[many.{row}.maxf|ci]] | [[many.{row}.images|0]] -->
+
+{row} is the code in a row's first cell, or else its text, or what a comment there names
+(<!-- row: NAME -->); an "@" in it begins {at}.
+
+Every other number that was measured (with a fraction, in percent, or of a unit) has to be of a
+study: of a paragraph that names the commit and the date, "F rose by .031 (at 3f5c3f1, 2026-10-30)",
+or of a section or a page whose first paragraph says "Measured at 3f5c3f1, 2026-10-30".
 """
 
 import argparse
@@ -35,7 +45,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from statistics import fmean
-from typing import Any, NamedTuple
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
@@ -43,89 +53,42 @@ from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.layout.weights import card_of, shipped_weights
 from roadtorch.oneclass import CLASSIFIERS
-from scripts.readme_numbers import unbound
-from scripts.readme_tables import FUSIONS, MINUS, ROAD, SLOW, TABLES, Records, restated
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "figures"
+RUNS = tuple(sorted(path.stem for path in FIGURES.glob("*.json")))
+Records = Mapping[str, float | str]
 
-# --- what is scored ------------------------------------------------------------------------
-
-
-class Run(NamedTuple):
-    """One evaluation: the words of its command, who is scored, and the commands before it.
-
-    In the words DATA is the folder of the data, OUT that of all runs. compared: of ``compare``,
-    whose mean IoU of both masks is a record as well.
-    """
-
-    words: str
-    detectors: Sequence[str]
-    before: Sequence[str] = ()
-    compared: str = ""
-
-    def commands(self, name: str) -> list[str]:
-        """What is run: ``evaluate`` is the last but ``compare``."""
-        named = " ".join(f"--detector {detector}" for detector in self.detectors)
-        scored = f"{self.words} {named} --against fusion --montage 0 --out OUT/{name}"
-        last = [f"roadtorch compare {self.compared} --out OUT/{name}"] if self.compared else []
-        return [*self.before, f"roadtorch evaluate {scored}", *last]
+# --- records ------------------------------------------------------------------------------
 
 
-EXPORTED = ("fusion", "fusion:large")
+def evaluate(data: Path, out: Path, runs: Sequence[str], jobs: int) -> None:
+    """Run evaluations and keep their records; CalledProcessError where a command fails."""
+    for run in runs:
+        command = json.loads((FIGURES / f"{run}.json").read_text(encoding="utf-8"))["command"]
+        for line in command.split(" && "):
+            words = shlex.split(line.replace("DATA", str(data)).replace("OUT", str(out)))
+            program = ["-m", "roadtorch"] if words[0] == "roadtorch" else []
+            words += ["--jobs", str(jobs)] * (words[1] == "evaluate")
+            subprocess.run(
+                [sys.executable, *program, *words[1:]],
+                check=True,
+                cwd=ROOT,
+                stdout=subprocess.DEVNULL,
+            )
+        metrics = json.loads((out / run / "metrics.json").read_text(encoding="utf-8"))
+        keep_records(run, command, records_of(run, metrics) | records_of_masks(run, out / run))
 
 
-def of_exported(words: str, root: str, detectors: Sequence[str], compared: str = "") -> Run:
-    """Detectors beside their exported networks, which examples/infer.py runs on a set."""
-    before, maps = [], ""
-    for detector in detectors:
-        file, folder = f"OUT/{detector}.onnx", f"OUT/maps/{detector}"
-        before.append(f"roadtorch export {detector} --out {file}")
-        before.append(f"python docs/examples/infer.py {file} {root} {folder}")
-        maps += f" --maps {detector}={folder}"
-    return Run(words + maps, detectors, before, compared)
-
-
-RUNS = {
-    "many": Run("folder DATA/many --leave-out india_zed", (*FUSIONS, "labeller", "ufl")),
-    "camvid": Run("camvid DATA/camvid", ROAD),
-    "idd": Run(
-        "idd-lite DATA/idd_lite --mean-from camvid:DATA/camvid "
-        "--threshold-from OUT/camvid/metrics.json",
-        ROAD,
-    ),
-    "export": of_exported(
-        "folder DATA/many --leave-out india_zed",
-        "DATA/many",
-        EXPORTED,
-        "fusion OUT/maps/fusion --images 'DATA/many/[!i]*/images/*.jpg'",
-    ),
-    "export-camvid": of_exported("camvid DATA/camvid", "DATA/camvid", EXPORTED[:1]),
-    "camvid-slow": Run("camvid DATA/camvid --limit 24", SLOW),
-    "idd-slow": Run("idd-lite DATA/idd_lite --limit 24", SLOW),
-}
-
-
-def evaluate(data: Path, out: Path, names: Sequence[str], jobs: int) -> None:
-    """Run evaluations, and keep what documents use of them; CalledProcessError where one fails."""
-    asked = used()
-    for name in names:
-        commands = RUNS[name].commands(name)
-        for command in commands:
-            words = shlex.split(command.replace("DATA", str(data)).replace("OUT", str(out)))
-            start = [sys.executable, "-m", "roadtorch"] if words[0] == "roadtorch" else []
-            words = [*(start or [sys.executable]), *words[1:]]
-            words += ["--jobs", str(jobs)] * (words[3:4] == ["evaluate"])
-            subprocess.run(words, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
-        metrics = json.loads((out / name / "metrics.json").read_text(encoding="utf-8"))
-        values = records_of(name, metrics) | records_of_masks(name, out / name)
-        kept = {key: values[key] for key in sorted(values) if key in asked}
-        text = json.dumps({"command": " && ".join(commands), "values": kept}, indent=0)
-        (FIGURES / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
+def keep_records(run: str, command: str, values: Records) -> None:
+    """Write the records that documents use."""
+    kept = {key: values[key] for key in sorted(used() & values.keys())}
+    text = json.dumps({"command": command, "values": kept}, indent=0)
+    (FIGURES / f"{run}.json").write_text(f"{text}\n", encoding="utf-8")
 
 
 def records_of_masks(run: str, folder: Path) -> dict[str, float]:
-    """The mean IoU of two masks of each picture, where ``compare`` looked at them."""
+    """Return the mean IoU of two masks of each image, where a run compared them."""
     path = folder / "disagreement.csv"
     if not path.is_file():
         return {}
@@ -133,52 +96,55 @@ def records_of_masks(run: str, folder: Path) -> dict[str, float]:
         return {f"{run}.masks.iou": fmean(float(row["iou"]) for row in csv.DictReader(file))}
 
 
-NOT_FIGURES = ("settings", "ci95", "groups", "left_out", "pooled", "conditions")
-
-
 def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:
-    """All numbers of a metrics.json, flat."""
+    """Flatten the numbers of a metrics.json."""
     values: dict[str, float | str] = {f"{run}.images": metrics["images"]}
     base = metrics["detectors"].get("lbp", {}).get("auc_pooled")
     for detector, scores in metrics["detectors"].items():
-        own, groups = f"{run}.{detector}", scores.get("groups", {})
-        values |= {f"{own}.{key}": value for key, value in _flat(scores)}
-        values |= _ends(own, scores["ci95"])
+        prefix, groups = f"{run}.{detector}", scores.get("groups", {})
+        values |= {f"{prefix}.{key}": value for key, value in flatten(scores)}
+        values |= intervals_of(prefix, scores["ci95"])
         for group, figures in {**groups, **scores.get("conditions", {})}.items():
-            values |= {f"{own}.{key}@{group}": value for key, value in _flat(figures)}
+            values |= {f"{prefix}.{key}@{group}": value for key, value in flatten(figures)}
         for key in ("f_mask", "maxf"):
             f_of = {name: each[key] for name, each in groups.items() if each.get(key) is not None}
             if f_of:
                 worst = min(f_of, key=lambda name: f_of[name])
-                values |= {f"{own}.{key}.worst": f_of[worst], f"{own}.{key}.worst.camera": worst}
-                values |= {f"{own}.{key}.iou@{name}": f / (2 - f) for name, f in f_of.items()}
+                values |= {f"{prefix}.{key}.worst": f_of[worst]}
+                values |= {f"{prefix}.{key}.worst.camera": worst}
+                values |= {f"{prefix}.{key}.iou@{name}": f / (2 - f) for name, f in f_of.items()}
         if base:  # P2's improvement
-            values[f"{own}.auc_pooled.over_lbp"] = scores["auc_pooled"] / base - 1
+            values[f"{prefix}.auc_pooled.over_lbp"] = scores["auc_pooled"] / base - 1
         for key, change in metrics["paired"]["detectors"].get(detector, {}).items():
-            values[f"{own}.{key}.less"] = change["difference"]
-            values |= _ends(own, {f"{key}.less": change["ci95"]})
+            values[f"{prefix}.{key}.less"] = change["difference"]
+            values |= intervals_of(prefix, {f"{key}.less": change["ci95"]})
     return values
 
 
-def _flat(figures: Mapping[str, Any], under: str = "") -> Iterator[tuple[str, float]]:
+NOT_FIGURES = ("settings", "ci95", "groups", "left_out", "pooled", "conditions")
+
+
+def flatten(figures: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers of nested figures by their keys, joined by dots."""
     for key, value in figures.items():
         if isinstance(value, Mapping) and key not in NOT_FIGURES:
-            yield from _flat(value, f"{under}{key}.")
+            yield from flatten(value, f"{prefix}{key}.")
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield under + key, value
+            yield prefix + key, value
 
 
-def _ends(own: str, intervals: Mapping[str, Sequence[float] | None]) -> dict[str, float]:
-    known = {key: ends for key, ends in intervals.items() if ends and None not in ends}
+def intervals_of(prefix: str, intervals: Mapping[str, Sequence[float] | None]) -> dict[str, float]:
+    """Return the ends of confidence intervals."""
     return {
-        f"{own}.{key}.{end}": value
-        for key, ends in known.items()
+        f"{prefix}.{key}.{end}": value
+        for key, ends in intervals.items()
+        if ends and None not in ends
         for end, value in zip(("low", "high"), ends, strict=True)
     }
 
 
-class _Known(dict[str, float | str]):
-    """Records by name, and what the code, settings and cards say where they are asked."""
+class RecordsAndCode(dict[str, float | str]):
+    """Records by name, and what the code, settings and cards state when it is asked for."""
 
     def __missing__(self, key: str) -> float | str:
         kind, _, place = key.partition(":")
@@ -190,73 +156,186 @@ class _Known(dict[str, float | str]):
         return self[key]
 
 
-def _constant(module: str, name: str) -> Any:
-    return attrgetter(name)(importlib.import_module(module))
-
-
-def _setting(detector: str, key: str) -> Any:
+def setting_of(detector: str, key: str) -> Any:
+    """Return a setting of a detector."""
     entry = detector_entry(detector)
     return attrgetter(key)(build_settings(entry.settings, entry.values))
 
 
-def _config(name: str, key: str) -> Any:
+def config_value(name: str, key: str) -> Any:
+    """Return a value of a shipped config."""
     value: Any = read_settings_file(ROOT / "configs" / f"{name}.toml")
     for part in key.split("."):
         value = value[part]
     return value
 
 
-def _on_card(name: str, words: str) -> float:
-    number = re.findall(
-        rf"\b([\d,]*\d) {words.replace('_', ' ')}\b", card_of(shipped_weights(name))
-    )[0]
-    return float(number.replace(",", ""))
+def number_on_card(name: str, words: str) -> float:
+    """Return the first number before some words on a card of weights."""
+    pattern = rf"\b([\d,]*\d) {words.replace('_', ' ')}\b"
+    return float(re.findall(pattern, card_of(shipped_weights(name)))[0].replace(",", ""))
 
 
-STATED = {"code": _constant, "setting": _setting, "config": _config, "card": _on_card}
+STATED = {
+    "code": lambda module, name: attrgetter(name)(importlib.import_module(module)),
+    "setting": setting_of,
+    "config": config_value,
+    "card": number_on_card,
+}
 SIZES = {"GiB": 2**30, "MB": 1e6}
 
 
-def records() -> _Known:
-    """All records that are kept, and what the code itself says."""
+def records() -> RecordsAndCode:
+    """Return all records that are kept, and what the code itself states."""
     grid = {name.rpartition(":")[2] for name in list_detectors("oneclass:*")}
-    values = _Known({"facts.classifiers": len(CLASSIFIERS), "facts.representations": len(grid)})
-    for path in sorted(FIGURES.glob("*.json")):
-        values.update(json.loads(path.read_text(encoding="utf-8"))["values"])
+    facts = {"facts.classifiers": len(CLASSIFIERS), "facts.representations": len(grid)}
+    values = RecordsAndCode(facts)
+    for run in RUNS:
+        values.update(json.loads((FIGURES / f"{run}.json").read_text(encoding="utf-8"))["values"])
     return values
 
 
-# --- documents -----------------------------------------------------------------------------
+# --- figures and tables -------------------------------------------------------------------
 
+MINUS = "\N{MINUS SIGN}"
 NUMBER = rf"[+{MINUS}-]?(?:\d{{1,3}}(?:,\d{{3}})+|\d+)?(?:\.\d+|(?<=\d))(?:\s?%)?"
-MARK = re.compile(rf"(?P<said>`[^`\n]+`|{NUMBER})<!-- figure: (?P<key>\S[^\n>]*?) -->")
-TABLE = re.compile(r"<!-- table: (?P<name>\S+) -->\n.*?<!-- end -->", re.S)
+MARK = re.compile(rf"(?P<text>`[^`\n]+`|{NUMBER})<!-- figure: (?P<key>\S[^\n>]*?) -->")
+TABLE = re.compile(
+    r"(?P<comment><!-- table(?: by (?P<order>\S+))?:\s(?P<cells>.*?)\s-->\n)"
+    r"(?P<header>[^\n]*\n[^\n]*\n)(?P<rows>.*?)<!-- end -->",
+    re.S,
+)
 
 
-def rewritten(text: str, known: Records) -> str:
-    """A document with every figure and table as its records have it; KeyError for a name of none.
+def rewrite(text: str, values: Records) -> str:
+    """Return a document with every figure and table as its records have it.
 
-    A figure that agrees with its record stays as it is written.
+    KeyError for a name without a record. A figure that agrees with its record stays as it is.
     """
 
     def figure(match: re.Match[str]) -> str:
-        now = restated(match["said"], known[match["key"]])
-        return match[0] if now == match["said"] else f"{now}<!-- figure: {match['key']} -->"
+        return f"{restate(match['text'], values[match['key']])}<!-- figure: {match['key']} -->"
 
     def table(match: re.Match[str]) -> str:
-        return f"<!-- table: {match['name']} -->\n{TABLES[match['name']](known)}<!-- end -->"
+        first_cells = [row.removeprefix("| ").split(" | ")[0] for row in match["rows"].splitlines()]
+        if order := match["order"]:
+            first_cells.sort(key=lambda cell: -float(values[with_row(order, cell)]))
+        rows = [
+            f"| {cell} | {table_cells(with_row(match['cells'], cell), values)} |\n"
+            for cell in first_cells
+        ]
+        return f"{match['comment']}{match['header']}{''.join(rows)}<!-- end -->"
 
     return MARK.sub(figure, TABLE.sub(table, text))
 
 
+def with_row(template: str, cell: str) -> str:
+    """Fill the row that a first cell names into a template."""
+    named = re.search(r"<!-- row: (\S*?) ?-->", cell) or re.search(r"`([^`]+)`", cell)
+    row, at, group = (named[1] if named else cell).partition("@")
+    filled = template.replace("{row}", row).replace("{at}", at + group)
+    return re.sub(r"@(?=[]|])", "", " ".join(filled.split()))
+
+
+def table_cells(cells: str, values: Records) -> str:
+    """Fill records into the cells of a row."""
+
+    def cell(match: re.Match[str]) -> str:
+        key, _, style = match[1].removeprefix("?").partition("|")
+        if match[1].startswith("?") and key not in values:
+            return "–"
+        if style != "ci":
+            return restate(style or ".000", values[key])
+        ends = (restate(".000", values[name]) for name in (key, f"{key}.low", f"{key}.high"))
+        return "{} ({}–{})".format(*ends)
+
+    return re.sub(r"\[\[(.+?)\]\]", cell, cells)
+
+
+def restate(figure: str, value: float | str) -> str:
+    """Write a value in the form of an old figure: its digits, its sign, its percent.
+
+    ".827" and .8312 → ".831"; "1,318" and 55 → "55"; "470,000" and 474,373 → "474,000"; "18 %"
+    and .2 → "20 %"; "`a`" and "b" → "`b`". A minus is a true one.
+    """
+    if figure.startswith("`"):
+        return f"`{value}`"
+    percent = re.search(r"\s?%$", figure)
+    digits = figure.removesuffix(percent[0] if percent else "")
+    places = len(digits.partition(".")[2])
+    if not places and (zeros := len(digits) - len(digits.rstrip("0,"))) >= 3:
+        places = -3 * (zeros // 4) if "," in digits else -zeros
+    number = round(float(value) * (100 if percent else 1), places)
+    text = f"{abs(number):{',' if ',' in figure else ''}.{max(places, 0)}f}"
+    if places > 0 and re.match(rf"[+{MINUS}-]?\.", figure):
+        text = text.removeprefix("0")
+    signed = figure[0] in f"+-{MINUS}"
+    sign = MINUS if number < 0 else "+" if signed else ""
+    return sign + text + (percent[0] if percent else "")
+
+
+# --- numbers ------------------------------------------------------------------------------
+
+STUDY = re.compile(r"\bat (?P<commit>[0-9a-f]{7}), (?P<date>\d{4}-\d\d-\d\d)\b")
+SECTION_STUDY = re.compile(rf"^Measured {STUDY.pattern}", re.M)
+
+HIDDEN = (
+    TABLE.pattern,
+    r"^( *)(`{3,}).*?^\1\2 *$",  # code
+    r"\$\$.*?\$\$|\$[^$\n]+\$",  # formulas
+    r"(?:`[^`\n]+`|[^\s(`|]+(?:\s%)?)<!-- figure: [^\n>]*? -->",  # bound
+    r"<!--.*?-->",
+    r"`[^`\n]*`",
+    r"\]\([^)\s]*\)|https?://\S+",  # addresses
+    r"\b(?:arXiv|Python|torch|ROS|License|BY|BY-NC-SA|Fig\.|Figs\.|Table|eq\.|§) ?[\d.]*\d"
+    r"(?:(?:,| or| to) [\d.]+\d)*",  # names
+    r"\b95 %",  # the level of every interval
+)
+"""What holds no numbers of the page's own, in this order."""
+
+UNITS = (
+    *("ms", "s", "seconds?", "minutes?", "hours?", "[KMG]i?B", "bytes", "Hz", "fps"),
+    *("cm", "m", "degrees", "times", "pixels", "images", "frames", "worlds", "weights"),
+    r"(?:(?:real|rendered|free) )?(?:pictures|streets)",
+)
+MEASURED = re.compile(
+    r"(?<![\w.,/-])"
+    r"(?:[+\N{MINUS SIGN}×]?\d*\.\d+(?![\w.]*\d)|\d[\d,]* ?%"
+    rf"|\d[\d,]*\s(?:{'|'.join(UNITS)})\b)"
+)
+
+HEADING = re.compile(r"^#{1,6} .*$", re.M)
+
+
+def unbound_numbers(page: str) -> list[str]:
+    """List the numbers of a page (Markdown) that neither a record nor a study stands behind."""
+    for pattern in HIDDEN:
+        page = re.sub(pattern, " ", page, flags=re.M | re.S)
+    top, *sections = re.split(rf"(?={HEADING.pattern})", page.lstrip(), flags=re.M)
+    sections = [top, *sections] if top else sections
+    if sections and SECTION_STUDY.search(sections[0]):
+        return []
+    return [
+        number[0]
+        for section in sections
+        if not SECTION_STUDY.search(section)
+        for paragraph in re.split(r"\n\s*\n|^\s*[-*] ", section, flags=re.M)
+        if not STUDY.search(paragraph)
+        for number in MEASURED.finditer(paragraph)
+    ]
+
+
+# --- documents ----------------------------------------------------------------------------
+
+
 def documents() -> Iterator[Path]:
-    """README and every page of docs."""
+    """Yield README and every page of docs."""
     yield ROOT / "README.md"
     yield from sorted((ROOT / "docs").rglob("*.md"))
 
 
-class _Asked(dict[str, float | str]):
-    """Records that are all there, and remember who asked."""
+class UsedNames(dict[str, float | str]):
+    """Records that all exist, and remember which were used."""
 
     def __missing__(self, key: str) -> float | str:
         return self.setdefault(key, 0.0)
@@ -267,32 +346,32 @@ class _Asked(dict[str, float | str]):
 
 
 def used() -> set[str]:
-    """The records that documents and their tables name."""
-    asked = _Asked()
+    """Return the records that documents and their tables name."""
+    names = UsedNames()
     for path in documents():
-        rewritten(path.read_text(encoding="utf-8"), asked)
-    return set(asked)
+        rewrite(path.read_text(encoding="utf-8"), names)
+    return set(names)
 
 
 def stale() -> Iterator[tuple[Path, str, str]]:
-    """Documents that are not as their records have them: before and after."""
-    known = records()
+    """Yield documents that are not as their records have them: before and after."""
+    values = records()
     for path in documents():
         before = path.read_text(encoding="utf-8")
-        after = rewritten(before, known)
+        after = rewrite(before, values)
         if after != before:
             yield path, before, after
 
 
 def loose() -> Iterator[tuple[Path, list[str]]]:
-    """Documents with numbers that neither a record nor a study stands behind."""
+    """Yield documents with numbers that neither a record nor a study stands behind."""
     for path in documents():
-        if numbers := unbound(path.read_text(encoding="utf-8")):
+        if numbers := unbound_numbers(path.read_text(encoding="utf-8")):
             yield path, numbers
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Do what is asked; 1 where ``check`` finds a stale or a loose figure."""
+    """Run a task; return 1 where ``check`` finds a stale or a loose figure."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

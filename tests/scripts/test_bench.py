@@ -1,23 +1,22 @@
 """The benchmarks: a short run of each, and that two checkouts stay apart."""
 
-import json
 import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from roadtorch.testing.scenes import render_scene, write_picture
-from scripts import bench, bench_throughput
+from scripts import bench
 from tests.scripts.conftest import PrintedBy
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def test_detectors_stand_beside_their_peers_and_are_kept(
-    printed_by: PrintedBy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    printed_by: PrintedBy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench, "KEPT", tmp_path / "kept.json")
+    kept: dict[str, float] = {}
+    monkeypatch.setattr(bench, "keep_records", lambda *words: kept.update(words[-1]))
 
     printed = printed_by(bench, "fusion", "--size", 64, 48, "--rounds", 1, "--write")
 
@@ -25,7 +24,6 @@ def test_detectors_stand_beside_their_peers_and_are_kept(
         "fusion",
         bench.LRASPP,
     ]
-    kept = json.loads(bench.KEPT.read_text())["values"]
     assert f"| {kept['bench.fusion.ms']:.1f} | {kept['bench.fusion.of_lraspp']:.2f} |" in printed
 
 
@@ -56,19 +54,9 @@ def test_rates_are_those_behind_the_start(
     def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
         return 2 + int(folder.name) / (10 * jobs)
 
-    monkeypatch.setattr(bench_throughput, "make_inputs", lambda *_: None)
-    monkeypatch.setattr(bench_throughput, "seconds", seconds)
-    monkeypatch.setattr(bench_throughput, "ceiling", lambda *_: 25.0)
+    monkeypatch.setattr(bench, "make_inputs", lambda *_: None)
+    monkeypatch.setattr(bench, "seconds", seconds)
 
-    printed = printed_by(bench_throughput, tmp_path, "--only", "infer", "--rounds", 2)
+    printed = printed_by(bench, "--commands", tmp_path, "--rounds", 2)
 
-    assert printed.splitlines()[1:] == [
-        f"| infer | {CHECKOUT.name} | 10.00 | 20.00 | 2.00 | 1.00 | 1.00 |",
-        "| infer | two detectors alone |  | 25.00 |  |  | 1.25 |",
-    ]
-
-
-def test_a_process_that_only_detects_tells_its_rate(printed_by: PrintedBy, tmp_path: Path) -> None:
-    write_picture(tmp_path / "pictures" / "a.png", render_scene(0, 48, 64))
-
-    assert float(printed_by(bench_throughput, tmp_path, "--pictures", 2, "--alone")) > 0
+    assert printed.splitlines()[2] == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 |"

@@ -5,13 +5,12 @@ import re
 import subprocess
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 
 from roadtorch.testing.scenes import render_scene, write_picture
-from scripts import readme_figures, readme_numbers, readme_tables
-from scripts.readme_tables import Table, restated
+from scripts import readme_figures
+from scripts.readme_figures import restate, rewrite, unbound_numbers
+from tests.streets import write_drives
 
 ROOT = Path(__file__).resolve().parents[2]
 KNOWN = {"many.f": 0.82708, "many.f.low": 0.8, "many.f.high": 0.84, "b.f": 0.9, "worst": "ycor"}
@@ -25,28 +24,35 @@ def test_every_number_of_a_page_about_today_is_bound() -> None:
     assert list(readme_figures.loose()) == []
 
 
-PAGES = ("README", *(f"docs/{name}" for name in ("adapting", "camera", "export", "faq")))
-PAGES += tuple(f"docs/{name}" for name in ("footage", "grid", "how/index", "limits", "results"))
+def first_number(text: str) -> re.Match[str] | None:
+    """Return the first bound figure of a page that is a number."""
+    figures = readme_figures.MARK.finditer(text)
+    return next((figure for figure in figures if figure["text"][-1] != "`"), None)
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_a_changed_figure_and_a_new_one_are_noticed(page: str) -> None:
-    text = (ROOT / f"{page}.md").read_text("utf-8")
-    figure = next(match for match in readme_figures.MARK.finditer(text) if match["said"][-1] != "`")
-    digit = re.search(r"\d(?=\D*$)", figure["said"])
+@pytest.mark.parametrize(
+    "path",
+    [path for path in readme_figures.documents() if first_number(path.read_text("utf-8"))],
+    ids=lambda path: path.name,
+)
+def test_a_changed_figure_and_a_new_one_are_noticed(path: Path) -> None:
+    text = path.read_text("utf-8")
+    figure = first_number(text)
+    assert figure
+    digit = re.search(r"\d(?=\D*$)", figure["text"])
     assert digit
     place = figure.start() + digit.start()
     other = str((int(digit[0]) + 1) % 10)
 
     changed = text[:place] + other + text[place + 1 :]
 
-    assert readme_figures.rewritten(changed, readme_figures.records()) == text
-    assert readme_numbers.unbound(f"{text}\n## News\n\nF is .731 now.\n") == [".731"]
+    assert rewrite(changed, readme_figures.records()) == text
+    assert unbound_numbers(f"{text}\n## News\n\nF is .731 now.\n") == [".731"]
 
 
 def test_pages_name_commits_of_the_history_and_their_dates() -> None:
     pages = [path.read_text("utf-8") for path in readme_figures.documents()]
-    told = {study for page in pages for study in readme_numbers.studies(page)}
+    told = {study for page in pages for study in readme_figures.STUDY.findall(page)}
     named = {
         commit
         for page in pages
@@ -80,7 +86,7 @@ def test_pages_name_commits_of_the_history_and_their_dates() -> None:
     ],
 )
 def test_a_number_is_bound_of_a_study_or_alone(page: str, numbers: list[str]) -> None:
-    assert readme_numbers.unbound(page) == numbers
+    assert unbound_numbers(page) == numbers
 
 
 @pytest.mark.parametrize(
@@ -119,32 +125,49 @@ def test_no_record_is_kept_that_no_document_uses() -> None:
     ],
 )
 def test_a_value_is_said_as_the_old_figure_was(figure: str, value: float | str, now: str) -> None:
-    assert restated(figure, value) == now
+    assert restate(figure, value) == now
 
 
-def test_figures_and_tables_are_written_from_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    table = Table(
-        "who | F (95 %) | G", {"`a`": "many", "`b`": "b"}, "[[{row}.f]] | [[?{row}.g]]", "{row}.f"
-    )
-    monkeypatch.setitem(readme_tables.TABLES, "scores", table)  # type: ignore[arg-type]
-    text = "F .5<!-- figure: many.f -->, worst `x`<!-- figure: worst -->\n<!-- table: scores -->\n"
+def test_figures_and_tables_are_written_from_records() -> None:
+    text = """F .5<!-- figure: many.f -->, worst `x`<!-- figure: worst -->
+<!-- table by {row}.f: [[{row}.f|0.00]] | [[?{row}.g]] -->
+| name | F | G |
+| --- | --- | --- |
+| `many`, of cameras | .1 | – |
+| `b` | .2 | – |
+<!-- end -->
+<!-- table:
+[[many.f{at}|ci]]
+-->
+| name | F (95 %) |
+| --- | --- |
+| all | .0 |
+| one<!-- row: x@low --> | .0 |
+<!-- end -->
+"""
+    values = KNOWN | {"many.f@low": 0.8, "many.f@low.low": 0.7, "many.f@low.high": 0.9}
 
-    text = readme_figures.rewritten(f"{text}| old |\n<!-- end -->", KNOWN)
-
-    assert text.splitlines() == [
-        "F .8<!-- figure: many.f -->, worst `ycor`<!-- figure: worst -->",
-        "<!-- table: scores -->",
-        "| who | F (95 %) | G |",
-        "| --- | --- | --- |",
-        "| `b` | .900 | – |",
-        "| `a` | .827 | – |",
-        "<!-- end -->",
-    ]
-    assert Table("who | F", {"`a`": "many"}, "[[{row}.f|ci]]")(KNOWN).endswith(
-        "| `a` | .827 (.800–.840) |\n"
+    assert (
+        rewrite(text, values)
+        == """F .8<!-- figure: many.f -->, worst `ycor`<!-- figure: worst -->
+<!-- table by {row}.f: [[{row}.f|0.00]] | [[?{row}.g]] -->
+| name | F | G |
+| --- | --- | --- |
+| `b` | 0.90 | – |
+| `many`, of cameras | 0.83 | – |
+<!-- end -->
+<!-- table:
+[[many.f{at}|ci]]
+-->
+| name | F (95 %) |
+| --- | --- |
+| all | .827 (.800–.840) |
+| one<!-- row: x@low --> | .800 (.700–.900) |
+<!-- end -->
+"""
     )
     with pytest.raises(KeyError, match="gone"):
-        readme_figures.rewritten(".5<!-- figure: gone -->", KNOWN)
+        rewrite(".5<!-- figure: gone -->", KNOWN)
 
 
 METRICS = {
@@ -192,24 +215,19 @@ def test_an_evaluation_becomes_flat_records() -> None:
 def test_a_run_is_made_and_its_used_figures_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for camera in ("a", "b"):
-        (tmp_path / "many" / camera / "masks").mkdir(parents=True)
-        for seed in range(2):
-            street = render_scene(seed, 48, 64)
-            write_picture(tmp_path / "many" / camera / "images" / f"{seed}.png", street)
-            mask = street.road.numpy().astype(np.uint8) * 255
-            cv2.imwrite(str(tmp_path / "many" / camera / "masks" / f"{seed}.png"), mask)
-    run = readme_figures.Run("folder DATA/many", ("fusion",))
-    monkeypatch.setattr(readme_figures, "RUNS", {"many": run})
+    write_drives(tmp_path)
+    command = "roadtorch evaluate camvid DATA/camvid --detector fusion --against fusion"
+    record = {"command": f"{command} --out OUT/camvid", "values": {"camvid.old.maxf": 1}}
+    (tmp_path / "camvid.json").write_text(json.dumps(record))
     monkeypatch.setattr(readme_figures, "FIGURES", tmp_path)
-    monkeypatch.setattr(readme_figures, "used", lambda: {"many.fusion.f_mask", "other.figure"})
+    monkeypatch.setattr(readme_figures, "used", lambda: {"camvid.fusion.f_mask", "other.figure"})
 
-    readme_figures.evaluate(tmp_path, tmp_path / "out", ["many"], jobs=1)
+    readme_figures.evaluate(tmp_path, tmp_path / "out", ["camvid"], jobs=1)
 
-    record = json.loads((tmp_path / "many.json").read_text())
-    assert record["command"].startswith("roadtorch evaluate folder DATA/many --detector fusion")
-    assert [*record["values"]] == ["many.fusion.f_mask"]
-    assert 0 < record["values"]["many.fusion.f_mask"] <= 1
+    kept = json.loads((tmp_path / "camvid.json").read_text())
+    assert kept["command"] == record["command"]
+    assert [*kept["values"]] == ["camvid.fusion.f_mask"]
+    assert 0 < kept["values"]["camvid.fusion.f_mask"] <= 1
 
 
 def test_the_example_in_python_runs_as_it_stands(
