@@ -63,7 +63,7 @@ OUTPUTS = {
     "grid/ros2": "grid drive --height 1.5",
     "grid/ros1": "grid drive.bag --height 1.5 --pitch 3",
     "label/margin": "label pictures --overlay",
-    "label/maximum": "label pictures --support maximum",
+    "label/maximum": "label pictures --set support=maximum",
     "label/submit": "submit kitti",
     "evaluate/camvid": "evaluate camvid ../data/camvid --limit 12 {all}",
     "evaluate/idd": "evaluate idd-lite ../data/idd_lite --limit 6 {all} "

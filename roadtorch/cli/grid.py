@@ -1,7 +1,7 @@
 """roadtorch grid: the road in pictures and footage as metric maps of the ground."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,14 +10,16 @@ from roadtorch.cli.options import (
     CAMERA,
     PATH,
     DetectorOptions,
-    FrameSelection,
-    RunChoice,
     Sectioned,
     as_toml,
     with_detector,
-    with_frames,
     with_run,
+    with_selection,
 )
+
+if TYPE_CHECKING:
+    from roadtorch.inputs.item import Selection
+    from roadtorch.run.run import RunOptions
 
 
 def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
@@ -63,12 +65,11 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @click.option("--resolution", type=float, default=0.1, help="Metres a cell.")
 @click.option("--range", type=float, default=30.0, help="Metres ahead.")
 @click.option("--side", type=float, default=15.0, help="Metres left and right.")
-@click.option("--coarsest", type=float, default=10.0, help="Most cells a pixel may cover.")
 @with_detector
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
 @click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
-@with_frames
+@with_selection
 @click.option("--frame-id", default="base_link", help="Frame of the robot in bags of grids.")
 @with_run
 @click.pass_context
@@ -81,9 +82,9 @@ def grid(
     threshold: float | None,
     likelihood: bool,
     picture: bool,
-    frames: FrameSelection,
+    selection: "Selection",
     frame_id: str,
-    run: RunChoice,
+    run: "RunOptions",
     **mounting: Any,
 ) -> None:
     """Map the road in pictures and footage onto flat ground: x forward, y left (REP 103).
@@ -102,16 +103,17 @@ def grid(
     from roadtorch.base.settings import build_settings
     from roadtorch.camera.ground_grid import GridSettings
     from roadtorch.camera.mounting import Mounting, placing_of
+    from roadtorch.inputs.find import select_inputs
     from roadtorch.run.loop import Look, Task, method_of_detector
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
-    from roadtorch.run.workers import settle, workers_for
+    from roadtorch.run.workers import settle
     from roadtorch.run.writers.choice import GridOutput, is_from_bag
     from roadtorch.run.writers.grid import Grids
 
     settle(threads=1)
-    found = frames.inputs(inputs, out)
-    cells = {name: mounting.pop(name) for name in ("resolution", "range", "side", "coarsest")}
+    found = select_inputs(inputs, selection, out)
+    cells = {name: mounting.pop(name) for name in ("resolution", "range", "side")}
     of_bags = not found.pictures and all(map(is_from_bag, found.sources))
     placing = placing_of(Mounting(camera=camera, **mounting), of_bags)
     detector, known = choice.loaded(camera, threshold)
@@ -119,12 +121,11 @@ def grid(
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
     look = Look(detector, known)
     grids = Grids(out, placing, settings, kinds, frame_id=frame_id)
-    todo = plan(found, out, grids.suffixes, GridOutput(grids, look, frames.topic))
+    todo = plan(found, out, grids.suffixes, GridOutput(grids, look, selection.topic))
     effective = as_toml(detector.name, detector.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
-    workers = workers_for(run.jobs, todo.count)
-    own = context.with_resource(open_run(out, effective, workers, run.options))
+    own = context.with_resource(open_run(out, effective, todo.count, run))
     method = method_of_detector(detector, effective, kinds)
-    parts = repr((frames, frame_id)).encode()
+    parts = repr((selection, frame_id)).encode()
     of_footage = method_of_detector(detector, effective, (), parts)
     context.exit(own.all(todo, Task(look, grids, method), of_footage))

@@ -9,22 +9,20 @@ import click
 from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
-    OVERWRITE,
     PATH,
-    QUIET,
-    ComputeOptions,
     DetectorOptions,
-    FrameSelection,
     Sectioned,
     as_toml,
     command_line,
-    with_compute,
+    with_computing,
     with_detector,
-    with_frames,
+    with_selection,
 )
 
 if TYPE_CHECKING:
     from roadtorch.annotate.viewer import Viewer
+    from roadtorch.inputs.item import Selection
+    from roadtorch.run.run import RunOptions
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -61,7 +59,7 @@ def opened_viewer() -> "Viewer":
 
 
 @click.command(cls=Sectioned)
-@click.argument("inputs", metavar="INPUT...", nargs=-1, shell_complete=suggest_files)
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
 @with_detector
 @click.option("--out", type=PATH, default="roads", help="Folder for results.")
 @click.option(
@@ -70,7 +68,7 @@ def opened_viewer() -> "Viewer":
     help=f"What to write: some of {','.join(KINDS)}; of footage also {','.join(FOOTAGE_KINDS)}. "
     "[likelihood,mask,overlay; of footage overlay, of bags overlay,bag]",
 )
-@with_frames
+@with_selection
 @click.option(
     "--steady/--no-steady",
     default=True,
@@ -82,10 +80,7 @@ def opened_viewer() -> "Viewer":
 @click.option(
     "--depth", type=click.Choice(["8", "16"]), default="8", help="Bits of likelihood maps."
 )
-@with_compute
-@OVERWRITE
-@QUIET
-@click.option("--print-config", is_flag=True, help="Print the effective settings and stop.")
+@with_computing
 @click.pass_context
 def infer(
     context: click.Context,
@@ -93,16 +88,13 @@ def infer(
     choice: DetectorOptions,
     out: Path,
     save: tuple[str, ...] | None,
-    frames: FrameSelection,
+    selection: "Selection",
     steady: bool,
     view: bool,
     camera: Path | None,
     threshold: float | None,
     depth: str,
-    compute: ComputeOptions,
-    overwrite: bool,
-    quiet: bool,
-    print_config: bool,
+    run: "RunOptions",
 ) -> None:
     """Find the road in pictures, videos, cameras, streams and bags.
 
@@ -120,50 +112,44 @@ def infer(
     (of ROS 1: NAME.road.bag). index.csv lists every picture and frame, run.json
     says how it was made. A second run resumes where the first one stopped.
     """
-    if not inputs and not print_config:
-        raise click.UsageError("Missing argument 'INPUT...'", context)
-
+    from roadtorch.inputs.find import select_inputs
     from roadtorch.run.folder import result_folder
     from roadtorch.run.ledger import INDEX, open_ledger
     from roadtorch.run.loop import Look, Task, method_of_detector
     from roadtorch.run.plan import plan
     from roadtorch.run.record import RunRecord
-    from roadtorch.run.run import Run, RunOptions
+    from roadtorch.run.run import Run
     from roadtorch.run.workers import settle
     from roadtorch.run.writers.choice import OF_PICTURES, MapOutput
     from roadtorch.run.writers.coco import write_coco
     from roadtorch.run.writers.maps import Maps
 
-    settle(compute.threads, compute.device)
+    settle(run.threads, run.device)
     detector, known = choice.loaded(camera, threshold)
     effective = as_toml(detector.name, detector.settings)
-    if print_config:
-        click.echo(effective)
-        return
-    found = frames.inputs(inputs, out)
+    found = select_inputs(inputs, selection, out)
     kinds = OF_PICTURES if save is None else save
     bits = 16 if depth == "16" else 8
     maps = Maps(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(opened_viewer()) if view else None
-    output = MapOutput(maps, save, frames.topic, viewer)
+    output = MapOutput(maps, save, selection.topic, viewer)
     todo = plan(found, out, maps.suffixes, output)
-    workers = context.with_resource(compute.started(todo.count))
-    context.with_resource(result_folder(out, effective, overwrite))
-    of_frames = {**asdict(frames), "steady": steady}
-    look = Look(detector, known, compute.device)
+    workers = context.with_resource(run.workers(todo.count))
+    context.with_resource(result_folder(out, effective, run.overwrite))
+    of_frames = {**asdict(selection), "steady": steady}
+    look = Look(detector, known, run.device)
     method = method_of_detector(detector, effective, kinds, depth.encode())
     of_footage = method_of_detector(detector, effective, (), repr((depth, of_frames)).encode())
 
-    def run() -> int:
-        options = RunOptions(overwrite, quiet, compute.fail_fast)
+    def work() -> int:
         try:
             with open_ledger(out / INDEX) as ledger:
                 task = Task(look, maps, method)
-                return Run(out, ledger, workers, options).all(todo, task, of_footage, steady)
+                return Run(out, ledger, workers, run).all(todo, task, of_footage, steady)
         finally:
             if "polygons" in kinds:
                 write_coco(out)
 
-    given = {**asdict(compute), **of_frames, "save": kinds, "depth": bits}
+    given = {**asdict(run), **of_frames, "save": kinds, "depth": bits}
     command = command_line(context)
-    context.exit(RunRecord(out, detector, todo.row_names, given, command).around(run))
+    context.exit(RunRecord(out, detector, todo.row_names, given, command).around(work))

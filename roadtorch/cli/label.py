@@ -1,22 +1,20 @@
 """roadtorch label: machine labels of the scene layout, to look at or to train on."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from roadtorch.cli.completion import suggest_files
-from roadtorch.cli.options import PATH, SETTING, RunChoice, as_toml, with_run
+from roadtorch.cli.options import PATH, SETTING, as_toml, with_run
+
+if TYPE_CHECKING:
+    from roadtorch.run.run import RunOptions
 
 
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
 @click.option("--out", type=PATH, required=True, help="Folder for the labels.")
-@click.option(
-    "--support",
-    type=click.Choice(["margin", "maximum"]),
-    default="margin",
-    help="Leave doubtful segments unlabelled, or give each its likeliest class.",
-)
 @SETTING
 @click.option("--overlay", is_flag=True, help="Also write NAME.overlay.jpg.")
 @with_run
@@ -25,10 +23,9 @@ def label(
     context: click.Context,
     inputs: tuple[str, ...],
     out: Path,
-    support: str,
     assignments: tuple[str, ...],
     overlay: bool,
-    run: RunChoice,
+    run: "RunOptions",
 ) -> None:
     """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
 
@@ -42,16 +39,14 @@ def label(
     from roadtorch.run.loop import Task
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
-    from roadtorch.run.workers import settle, workers_for
+    from roadtorch.run.workers import settle
     from roadtorch.run.writers.labels import Labelling, Labels
 
     settle(threads=1)
-    values = {"support": support} | parse_assignments(assignments)
-    settings = build_settings(LabellerSettings, values)
+    settings = build_settings(LabellerSettings, parse_assignments(assignments))
     labels = Labels(out, ["labels", *["overlay"] * overlay])
     todo = plan(Inputs(find_pictures(inputs, out), []), out, labels.suffixes)
     effective = as_toml("labeller", settings)
-    workers = workers_for(run.jobs, todo.count)
-    own = context.with_resource(open_run(out, effective, workers, run.options))
+    own = context.with_resource(open_run(out, effective, todo.count, run))
     task = Task(Labelling(settings), labels, method_of(labels.kinds, effective))
     context.exit(own.pictures(todo.pictures, task))

@@ -1,9 +1,9 @@
 """Options that several commands share, written once."""
 
 import functools
+import importlib
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from roadtorch.camera.camera import Camera
     from roadtorch.data.dataset import Dataset
     from roadtorch.detectors.detector import Detector
-    from roadtorch.inputs.find import Inputs
-    from roadtorch.run.run import RunOptions
-    from roadtorch.run.workers import Workers
 
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
@@ -27,6 +24,7 @@ Command = Callable[..., Any]
 # --- what a user may say ------------------------------------------------------------------
 
 DEFAULT_DETECTOR = "fusion"
+RUN_OPTIONS = "roadtorch.run.run:RunOptions"
 
 
 @dataclass(frozen=True)
@@ -80,96 +78,13 @@ def as_toml(detector: str, settings: "Settings") -> str:
     return to_toml(detector, settings).removesuffix("\n")
 
 
-@dataclass(frozen=True)
-class FrameSelection:
-    """Which frames and pictures of the inputs are looked at.
-
-    every, start, end, limit: see ``roadtorch.inputs.item.Selection``. topic: of bags. patience:
-    seconds within which a stream has to answer.
-    """
-
-    every: int
-    start: float
-    end: float | None
-    limit: int | None
-    topic: str | None
-    patience: float
-
-    def inputs(self, inputs: tuple[str, ...], out: Path) -> "Inputs":
-        """The pictures and sources that inputs and options choose, but those of ``out``.
-
-        Raises as ``find_inputs`` and ``Selection.of_pictures`` do.
-        """
-        from roadtorch.inputs.find import SourceOptions, find_inputs
-        from roadtorch.inputs.item import Selection
-        from roadtorch.inputs.live import Patience
-
-        chosen = Selection(self.every, self.start, self.end, self.limit)
-        options = SourceOptions(out, Patience(answer=self.patience), self.topic)
-        found = find_inputs(inputs, chosen, options)
-        return found._replace(pictures=chosen.of_pictures(found.pictures))
-
-
-@dataclass(frozen=True)
-class ComputeOptions:
-    """With what the pictures of a run are worked on.
-
-    jobs: pictures at a time on this machine; None for one a processor. engine: ``local`` or
-    ``ray``. address: of a Ray cluster; None for one of this machine. workers: actors. threads: of
-    torch and OpenCV within a picture. device: of torch. fail_fast: end at the first failure.
-    """
-
-    jobs: int | None
-    engine: str
-    address: str | None
-    workers: int
-    threads: int
-    device: str
-    fail_fast: bool
-
-    @contextmanager
-    def started(self, count: int | None) -> "Iterator[Workers]":
-        """Who works on so many pictures (None: nobody knows), for the block.
-
-        Raises ConfigError where Ray is not there, or ``--address`` is given without it.
-        """
-        from roadtorch.base.errors import ConfigError
-        from roadtorch.run.workers import workers_for
-
-        if self.engine == "local":
-            if self.address is not None:
-                remedy = "add --engine ray, or leave it out"
-                raise ConfigError("--address", "is for Ray alone", remedy)
-            yield workers_for(self.jobs, count, self.device)
-            return
-        from roadtorch.run.ray_workers import ray_workers
-
-        with ray_workers(self.workers, self.address, self.device) as workers:
-            yield workers
-
-
-@dataclass(frozen=True)
-class RunChoice:
-    """How a run goes: processes (None for one a processor), redo what is done, no progress."""
-
-    jobs: int | None = None
-    overwrite: bool = False
-    quiet: bool = False
-
-    @property
-    def options(self) -> "RunOptions":
-        """The same for the run."""
-        from roadtorch.run.run import RunOptions
-
-        return RunOptions(self.overwrite, self.quiet)
-
-
 # --- options ------------------------------------------------------------------------------
 
 SECTIONS = {
-    **dict.fromkeys((*DetectorOptions.__dataclass_fields__, "camera", "threshold"), "Detector"),
-    **dict.fromkeys((*FrameSelection.__dataclass_fields__, "steady", "view"), "Footage"),
-    **dict.fromkeys(ComputeOptions.__dataclass_fields__, "Computing"),
+    **dict.fromkeys(("detector", "assignments", "config", "camera", "threshold"), "Detector"),
+    **dict.fromkeys(("every", "start", "end", "limit", "topic"), "Footage"),
+    **dict.fromkeys(("steady", "view"), "Footage"),
+    **dict.fromkeys(("jobs", "engine", "threads", "device"), "Computing"),
     **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }
 """The section of ``--help`` in which an option stands."""
@@ -227,17 +142,19 @@ class Sectioned(click.Command):
                 formatter.write_dl(records)
 
 
-def _gathered(
-    kind: type[Any], name: str, *options: Callable[..., Any]
-) -> Callable[[Command], Command]:
-    """What gives a command options that it gets as one argument ``name``, an object of a kind."""
+def _gathered(kind: str, name: str, *options: Callable[..., Any]) -> Callable[[Command], Command]:
+    """Give a command options that it gets as one argument ``name``.
+
+    kind: its dataclass as ``module:class``, so that ``--help`` need not import it.
+    """
 
     def decorated(command: Command) -> Command:
         @functools.wraps(command)
-        def gathered(*arguments: Any, **given: Any) -> Any:
-            fields = kind.__dataclass_fields__.keys() & given.keys()
-            options = kind(**{field: given.pop(field) for field in fields})
-            return command(*arguments, **{name: options}, **given)
+        def gathered(*arguments: Any, **values: Any) -> Any:
+            module, _, attribute = kind.partition(":")
+            made = getattr(importlib.import_module(module), attribute)
+            own = {field: values.pop(field) for field in made.__dataclass_fields__.keys() & values}
+            return command(*arguments, **{name: made(**own)}, **values)
 
         for option in reversed(options):
             gathered = option(gathered)
@@ -247,7 +164,7 @@ def _gathered(
 
 
 with_detector = _gathered(
-    DetectorOptions,
+    "roadtorch.cli.options:DetectorOptions",
     "choice",
     click.option(
         "--detector",
@@ -264,25 +181,17 @@ with_detector = _gathered(
 )
 """A command gets the options of ``DetectorOptions`` as ``choice``."""
 
-with_run = _gathered(RunChoice, "run", JOBS, OVERWRITE, QUIET)
-"""A command gets these as ``run``."""
+with_run = _gathered(RUN_OPTIONS, "run", JOBS, OVERWRITE, QUIET)
+"""A command gets the options of a ``RunOptions`` as ``run``."""
 
-with_compute = _gathered(
-    ComputeOptions,
-    "compute",
+with_computing = _gathered(
+    RUN_OPTIONS,
+    "run",
     JOBS,
     click.option(
         "--engine",
-        type=click.Choice(["local", "ray"]),
         default="local",
-        help="Processes of this machine, or actors on Ray (extra: ray).",
-    ),
-    click.option("--address", help="Address of a Ray cluster; without it one is started here."),
-    click.option(
-        "--workers",
-        type=click.IntRange(min=1),
-        default=2,
-        help="Actors on Ray, each with one processor.",
+        help="local: processes; ray: actors on Ray (extra: ray), or the address of its cluster.",
     ),
     click.option(
         "--threads",
@@ -291,13 +200,14 @@ with_compute = _gathered(
         help="Threads within a picture; likelihoods differ in the seventh digit.",
     ),
     click.option("--device", default="cpu", help="Device of the tensors: cpu, cuda, cuda:1."),
-    click.option("--fail-fast", is_flag=True, help="End at the first picture that fails."),
+    OVERWRITE,
+    QUIET,
 )
-"""A command gets the options of ``ComputeOptions`` as ``compute``."""
+"""A command gets all options of a ``RunOptions`` as ``run``."""
 
-with_frames = _gathered(
-    FrameSelection,
-    "frames",
+with_selection = _gathered(
+    "roadtorch.inputs.item:Selection",
+    "selection",
     click.option(
         "--every",
         type=click.IntRange(min=1),
@@ -321,14 +231,8 @@ with_frames = _gathered(
         "--limit", type=click.IntRange(min=1), help="At most this many frames or pictures."
     ),
     click.option("--topic", help="Image topic, where a bag has several."),
-    click.option(
-        "--patience",
-        type=click.FloatRange(min=0.1),
-        default=10.0,
-        help="Seconds within which a stream has to answer.",
-    ),
 )
-"""A command gets the options of ``FrameSelection`` as ``frames``."""
+"""A command gets the options of a ``Selection`` as ``selection``."""
 
 
 @dataclass(frozen=True)
@@ -353,7 +257,7 @@ class LabelledOptions:
 
 
 with_labelled = _gathered(
-    LabelledOptions,
+    "roadtorch.cli.options:LabelledOptions",
     "labelled",
     click.argument("dataset", shell_complete=suggest_datasets),
     click.argument("root", type=PATH),

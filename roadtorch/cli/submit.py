@@ -1,17 +1,20 @@
 """roadtorch submit: the files that the KITTI road benchmark's server wants."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from roadtorch.cli.options import (
     PATH,
     DetectorOptions,
-    RunChoice,
     as_toml,
     with_detector,
     with_run,
 )
+
+if TYPE_CHECKING:
+    from roadtorch.run.run import RunOptions
 
 
 @click.command()
@@ -25,7 +28,7 @@ def submit(
     root: Path,
     choice: DetectorOptions,
     out: Path,
-    run: RunChoice,
+    run: "RunOptions",
 ) -> None:
     """Write a submission to the KITTI road benchmark.
 
@@ -39,7 +42,7 @@ def submit(
     from roadtorch.run.loop import Look, Task, method_of_detector
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
-    from roadtorch.run.workers import settle, workers_for
+    from roadtorch.run.workers import settle
     from roadtorch.run.writers.kitti import ARCHIVE, BirdsEyeMaps, pack, pictures_to_submit
 
     settle(threads=1)
@@ -49,8 +52,7 @@ def submit(
     pictures = pictures_to_submit(base / "image_2", maps.calib, out)
     todo = plan(Inputs(pictures, []), out, maps.suffixes)
     effective = as_toml(detector.name, detector.settings)
-    workers = workers_for(run.jobs, todo.count)
-    own = context.with_resource(open_run(out, effective, workers, run.options))
+    own = context.with_resource(open_run(out, effective, todo.count, run))
     method = method_of_detector(detector, effective, ["map"])
     if failed := own.pictures(pictures, Task(Look(detector), maps, method)):
         click.echo(f"roadtorch: {out / ARCHIVE} not written, as maps are missing", err=True)

@@ -4,7 +4,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TextIO
@@ -17,7 +17,7 @@ from roadtorch.base.image import READABLE, read_image
 from roadtorch.base.urls import WEB, answer, scheme_of, without_password
 from roadtorch.inputs.bags import bag_source, is_bag
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.inputs.live import STREAMS, Patience, camera_source, stream_source
+from roadtorch.inputs.live import STREAMS, camera_source, stream_source
 from roadtorch.inputs.pictures import (
     File,
     each_once,
@@ -43,19 +43,6 @@ WHOLE = re.compile(
 """The address of a video that is read to its end, every frame, not of a stream."""
 
 
-@dataclass(frozen=True)
-class SourceOptions:
-    """What else sources are told, each kind something of its own.
-
-    apart: a folder that is left out where folders are searched, that of the results. patience:
-    with live sources. topic: of the images in bags; None where they have one.
-    """
-
-    apart: Path | None = None
-    patience: Patience = field(default_factory=Patience)
-    topic: str | None = None
-
-
 class Inputs(NamedTuple):
     """What inputs stand for: pictures that stand alone, and what is looked at frame by frame."""
 
@@ -66,13 +53,14 @@ class Inputs(NamedTuple):
 def find_inputs(
     inputs: Iterable[str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
-    options: SourceOptions = SourceOptions(),
+    apart: Path | None = None,
     names: TextIO | None = None,
 ) -> Inputs:
     """Return the images and sources that inputs stand for, in order; a folder may hold both.
 
-    names: what ``-`` reads, standard input where it is None. Raises InputError for a list that
-    cannot be read, for what holds neither, does not exist or cannot be opened.
+    apart: a folder that is left out where folders are searched, that of the results. names: what
+    ``-`` reads, standard input where it is None. Raises InputError for a list that cannot be read,
+    for what holds neither, does not exist or cannot be opened.
     """
     inputs = list(inputs)
     pictures: list[Item] = []
@@ -83,14 +71,14 @@ def find_inputs(
             name = PurePosixPath(urlsplit(given).path).with_suffix("")
             pictures.append(web_picture_item(given, slug(name.as_posix())))
         elif number is not None:
-            sources.append(camera_source(number, selection, options.patience))
+            sources.append(camera_source(number, selection))
         elif WHOLE.match(given):
             sources.append(video_source(given, slug(given), selection))
         elif scheme in STREAMS:
-            sources.append(stream_source(given, slug(given), selection, options.patience))
+            sources.append(stream_source(given, slug(given), selection))
         elif is_bag(given):
-            sources.append(bag_source(given, options.topic, selection))
-        elif isinstance(videos := files_at(given, names_video, options.apart), File):
+            sources.append(bag_source(given, selection.topic, selection))
+        elif isinstance(videos := files_at(given, names_video, apart), File):
             if videos.name.lower().endswith(VIDEO_SUFFIXES):
                 sources.append(video_source(videos.path, videos.path.stem, selection))
             else:
@@ -99,12 +87,21 @@ def find_inputs(
             for video in videos:
                 name = Path(video.name).with_suffix("").as_posix()
                 sources.append(video_source(video.path, name, selection))
-            pictures += (here := pictures_at(given, options.apart))
+            pictures += (here := pictures_at(given, apart))
             if not here and not videos:
                 raise InputError(given, "holds no pictures", f"give {READABLE} files")
     if inputs and not pictures and not sources:
         raise InputError(inputs[0], "names nothing", "give names, one a line")
     return Inputs(each_once(pictures), sources)
+
+
+def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:
+    """Return the chosen images and sources of inputs but those in ``out``, where results go.
+
+    Raises as ``find_inputs`` and ``Selection.of_pictures`` do.
+    """
+    pictures, sources = find_inputs(inputs, selection, out)
+    return Inputs(selection.of_pictures(pictures), sources)
 
 
 def is_picture_of_web(url: str) -> bool:

@@ -69,13 +69,15 @@ class Selection:
     """Which items of a source to look at.
 
     every: the first of so many. start, end: seconds since the source began, the end left out;
-    frames without a clock are counted as one a second. limit: at most so many.
+    frames without a clock are counted as one a second. limit: at most so many. topic: of the
+    images in bags; None where they have one.
     """
 
     every: int = 1
     start: float = 0.0
     end: float | None = None
     limit: int | None = None
+    topic: str | None = None
 
     def of(self, items: Iterable[Item]) -> Generator[Item]:
         """The chosen items; none is asked for behind the last one.

@@ -3,19 +3,18 @@
 import time
 from collections.abc import Callable, Generator
 from contextlib import closing, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from queue import Empty, Queue
 from threading import Event, Thread
 
 import cv2
-from pydantic import Field
 from torch import Tensor
 
 from roadtorch.base.decoding import quiet_opencv
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import from_pixels
-from roadtorch.base.settings import Settings
 from roadtorch.base.urls import without_password
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.video import import_av, moving_pictures, reason_of, upright
@@ -33,12 +32,17 @@ STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp
 GRACE = 5.0  # seconds beyond the time limit, for what FFmpeg does not interrupt (names looked up)
 
 
-class Patience(Settings):
-    """How long a stream may be silent, and how often it is connected to anew."""
+@dataclass(frozen=True)
+class Patience:
+    """How long a stream may be silent, and how often it is connected to anew.
 
-    answer: float = Field(default=10, gt=0, description="seconds to wait for an answer or a frame")
-    tries: int = Field(default=5, ge=0, description="connections anew, one after the other")
-    pause: float = Field(default=0.5, ge=0, description="seconds before the first; then doubled")
+    answer: seconds to wait for an answer or a frame. tries: connections anew, one after the other.
+    pause: seconds before the first; then doubled.
+    """
+
+    answer: float = 10
+    tries: int = 5
+    pause: float = 0.5
 
     @property
     def longest(self) -> float:
@@ -47,13 +51,22 @@ class Patience(Settings):
         return (self.tries + 1) * self.answer + pauses + GRACE
 
 
-def camera_source(number: int, selection: Selection, patience: Patience) -> Source:
+def camera_source(
+    number: int,
+    selection: Selection,
+    patience: Patience = Patience(),
+) -> Source:
     """The camera of that number (OpenCV's) as a live source."""
     connect = partial(_camera, number)
     return live_source(connect, f"camera-{number}", f"camera:{number}", selection, patience)
 
 
-def stream_source(url: str, name: str, selection: Selection, patience: Patience) -> Source:
+def stream_source(
+    url: str,
+    name: str,
+    selection: Selection,
+    patience: Patience = Patience(),
+) -> Source:
     """A stream by its address (RTSP, HTTP, RTMP, UDP, SRT) as a live source."""
     connect = partial(_stream, url, patience)
     return live_source(connect, name, without_password(url), selection, patience)

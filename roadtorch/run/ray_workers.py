@@ -77,7 +77,7 @@ class RayPool:
 
 @contextmanager
 def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Workers]:
-    """So many workers of a cluster, which is left, or ended where it is a local one, at the end.
+    """Give so many workers of a cluster, which is left, or ended where it is one of this machine.
 
     address: of the cluster; None for one of this machine. Raises ConfigError where Ray is not
     installed, or no cluster is at the address.
@@ -172,5 +172,5 @@ def _join(ray: Any, workers: int, address: str | None, folder: str) -> None:
         ray.init(address=address, **quiet)
     except (OSError, ValueError, RuntimeError) as problem:
         what = f"no Ray cluster answers: {' '.join(str(problem).split())[:200]}"
-        remedy = "start one with 'ray start --head', or leave --address out"
-        raise ConfigError(address, what, remedy) from None
+        remedy = "give local, ray, or the address of a cluster, HOST:PORT"
+        raise ConfigError(f"--engine {address}", what, remedy) from None

@@ -43,7 +43,7 @@ from roadtorch.run.loop import (
     until_asked,
 )
 from roadtorch.run.plan import Output, Plan, Writers
-from roadtorch.run.workers import Workers
+from roadtorch.run.workers import Workers, processors, workers_for
 
 LEAST_TRUSTED = 5
 """Pictures that are named at the end of a run, to be looked at first."""
@@ -51,11 +51,31 @@ LEAST_TRUSTED = 5
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a run goes: redo what is done, no progress on stderr, end at the first failure."""
+    """Options of a run.
 
+    jobs: processes, or actors on Ray; None for as many as pay. overwrite: redo what is done. quiet:
+    no progress on stderr. engine: ``local``, ``ray`` for a cluster of this machine, or the address
+    of one. threads: within an image. device: of torch.
+    """
+
+    jobs: int | None = None
     overwrite: bool = False
     quiet: bool = False
-    fail_fast: bool = False
+    engine: str = "local"
+    threads: int = 1
+    device: str = "cpu"
+
+    @contextmanager
+    def workers(self, count: int | None) -> Iterator[Workers]:
+        """Give the workers for so many items (None: unknown); ConfigError where Ray is missing."""
+        if self.engine == "local":
+            yield workers_for(self.jobs, count, self.device)
+            return
+        from roadtorch.run.ray_workers import ray_workers
+
+        address = None if self.engine == "ray" else self.engine
+        with ray_workers(self.jobs or processors(), address, self.device) as workers:
+            yield workers
 
 
 @dataclass(frozen=True)
@@ -79,9 +99,9 @@ class Run:
         """Work through the pictures that are not done yet; the exit code.
 
         A picture is done when index.csv says so, of this method and of the bytes that it has now,
-        and its files exist. One that fails becomes a failed row, and the others go on, unless
-        the options say to stop there. At the first SIGINT or SIGTERM what is in hand is finished,
-        and all that is done is kept: KeyboardInterrupt.
+        and its files exist. One that fails becomes a failed row, and the others go on. At the first
+        SIGINT or SIGTERM what is in hand is finished, and all that is done is kept:
+        KeyboardInterrupt.
         """
         if not items:
             return 0
@@ -91,22 +111,17 @@ class Run:
         todo = [item for item in items if item.row_name not in done]
         known = [] if redo else [item for item in todo if item.row_name in rows]
         again = sum(is_complete(self.folder, item, suffixes) for item in known)
-        tried: list[Row] = []
         with stop_on_signals() as stop:
             made = self.workers.map(task, until_asked(todo, stop), died_over)
-            for row in self._recorded(made, "image", total=len(todo)):
-                tried.append(row)
-                if self.options.fail_fast and row.failed:
-                    break
+            tried = list(self._recorded(made, "image", total=len(todo)))
             self._refuse_removed(todo[: len(tried)], suffixes)
             self._remove_leftovers(items)  # of workers that died
         stop.interrupt()
-        failed = sum(rows[item.row_name].failed for item in todo[: len(tried)])
+        failed = sum(rows[item.row_name].failed for item in todo)
         if not self.options.quiet or failed:
-            made_now = len(tried) - failed
+            done_now = f"{len(todo) - failed} done" + (f" ({again} anew)" if again else "")
             others = {"skipped (done before)": len(items) - len(todo), FAILED: failed}
-            others["not tried (--fail-fast)"] = len(todo) - len(tried)
-            self._summarise(f"{made_now} done" + (f" ({again} anew)" if again else ""), others)
+            self._summarise(done_now, others)
             for line in least_trusted(tried):
                 click.echo(line)
         return 1 if failed else 0
@@ -216,9 +231,10 @@ def is_complete(folder: Path, item: Item | Source, suffixes: Iterable[str]) -> b
 
 
 @contextmanager
-def open_run(out: Path, effective: str, workers: Workers, options: RunOptions) -> Iterator[Run]:
+def open_run(out: Path, effective: str, count: int | None, options: RunOptions) -> Iterator[Run]:
     """A run into a folder; raises as ``result_folder`` and ``open_ledger``."""
     with (
+        options.workers(count) as workers,
         result_folder(out, effective, options.overwrite),
         open_ledger(out / INDEX) as ledger,
     ):

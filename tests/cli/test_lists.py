@@ -70,11 +70,13 @@ def test_planes_lists_planes_and_representations(call: Call) -> None:
 # --- configs by name --------------------------------------------------------------------
 
 
-def test_a_detectors_config_is_found_by_name(call: Call) -> None:
-    result = call("infer", "--config", "thresholds/cpf-v2", "--print-config")
+def test_a_detectors_config_is_found_by_name(call: Call, footage: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = call("infer", footage / "a.jpg", "--config", "thresholds/cpf-v2", "--out", out)
 
     assert result.exit_code == 0, result.stderr
-    assert result.stdout.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
+    kept = (out / "config.toml").read_text()
+    assert kept.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import pytest
 
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.inputs.find import (
-    SourceOptions,
     camera_number,
     find_inputs,
     open_source,
@@ -40,9 +39,7 @@ def mixed(tmp_path: Path) -> Path:
 def test_folders_and_globs_are_searched_for_both(
     mixed: Path, end: str, apart: str | None, pictures: list[str], videos: list[str]
 ) -> None:
-    options = SourceOptions(mixed / apart if apart else None)
-
-    inputs = find_inputs([str(mixed / end)], options=options)
+    inputs = find_inputs([str(mixed / end)], apart=mixed / apart if apart else None)
 
     assert [picture.name for picture in inputs.pictures] == pictures
     assert [source.name for source in inputs.sources] == videos

@@ -20,7 +20,7 @@ from tests.command import bytes_in, rows_of
 
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
 WORK = ("--detector", "cpf", "--threads", "1", "--save", "likelihood,mask,overlay,json")
-RAY = ("--engine", "ray", "--workers", "2")
+RAY = ("--engine", "ray", "--jobs", "2")
 LONGEST = 180.0  # seconds for what takes ten on an idle machine
 
 
@@ -134,10 +134,10 @@ def test_an_interrupted_run_keeps_what_was_finished(
 
 @pytest.mark.slow
 def test_no_cluster_at_the_address_is_one_line(pictures: Path, tmp_path: Path) -> None:
-    run = start(pictures, *WORK, "--out", tmp_path / "out", *RAY, "--address", "127.0.0.1:9")
+    run = start(pictures, *WORK, "--out", tmp_path / "out", "--engine", "127.0.0.1:9")
 
     told = run.communicate(timeout=LONGEST)[1]
 
     assert run.returncode == 2
-    assert told.startswith("roadtorch: error: 127.0.0.1:9: no Ray cluster answers: ")
+    assert told.startswith("roadtorch: error: --engine 127.0.0.1:9: no Ray cluster answers: ")
     assert told.count("\n") == 1

@@ -12,7 +12,7 @@ from PIL import Image
 from roadtorch.base.compute import Threads
 from roadtorch.data.polygons import read_outlined_mask
 from roadtorch.testing.scenes import render_scene, write_picture
-from tests.command import ROWS, Call, bytes_in, rows_of, save_picture
+from tests.command import ROWS, Call, bytes_in, rows_of
 
 # --- polygons and facts -----------------------------------------------------------------
 
@@ -75,28 +75,3 @@ def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: 
     assert record["started"] < record["ended"]
     lines = [f"{row['sha256']}  {name}\n" for name, row in rows_of(out).items() if row["sha256"]]
     assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
-
-
-# --- how it goes ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_fail_fast_ends_at_the_first_failure_and_goes_on_later(
-    run: Call, footage: Path, out: Path, jobs: int
-) -> None:
-    for name in ("aa.png", "z.png"):
-        (footage / name).write_bytes(b"no picture")
-    for letter in "defgh":
-        save_picture(footage / f"{letter}.png")
-
-    stopped = run("--jobs", jobs, "--fail-fast")
-
-    assert stopped.exit_code == 1
-    assert list(rows_of(out)) == ["a.jpg", "aa.png"]
-    told = f"roadtorch: 1 done, 1 failed, 8 not tried (--fail-fast); results in {out}\n"
-    assert stopped.stderr.endswith(told)
-    assert run("--jobs", jobs).exit_code == 1
-    assert len(rows_of(out)) == 10
-    again = run("--jobs", jobs, "--fail-fast")  # the other failure is of the run before
-    told = "roadtorch: 0 done, 8 skipped (done before), 1 failed, 1 not tried (--fail-fast)"
-    assert again.stderr.splitlines()[-1] == f"{told}; results in {out}"

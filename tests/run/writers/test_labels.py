@@ -19,7 +19,7 @@ def test_labels_are_written_as_one_byte_a_pixel(
 ) -> None:
     street = tmp_path / "in" / "sub" / "street.png"
     write_picture(street, render_scene(1, 96, 128))
-    options = [] if support == "margin" else ["--support", support, "--overlay"]
+    options = [] if support == "margin" else ["--set", f"support={support}", "--overlay"]
 
     result = call("label", tmp_path / "in", "--out", out, *options)
 
