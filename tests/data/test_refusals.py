@@ -1,6 +1,8 @@
-"""What cannot be read is refused in one line that names the file: a table for all readers."""
+"""The refusals of labelled sets that users meet: one row a mistake.
 
-import io
+That anything else is refused, in one line, is held by tests/fuzz/test_refusals.py.
+"""
+
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from roadtorch.base.errors import ConfigError, DatasetError, InputError, RoadtorchError
 from roadtorch.data.catalogue import open_dataset
@@ -43,38 +44,20 @@ def grey(*values: int, kind: type = np.uint8) -> np.ndarray:
     return np.array([values], kind)
 
 
-STRANGE = np.zeros((4, 4, 3), np.uint8)
-STRANGE[0, :2], STRANGE[1] = (255, 0, 254), (3, 2, 1)
-WHOLE = io.BytesIO()
-Image.fromarray(np.arange(1600, dtype=np.uint8).reshape(40, 40)).save(WHOLE, "png")
 BLACK = np.zeros((1, 1, 3), np.uint8)
 
 LABEL_PICTURES: Rows = [
-    (partial(truth, NUMBERS), {"a.png": picture}, "a.png", what)
-    for picture, what in [
-        (grey(0, 3, 77, 77, 255), r"values 77 \(2 pixels\), 3 \(1 pixels\), 255 "),
-        (grey(*range(20, 30)), r"24 \(1 pixels\) and 5 others \(known: 0, 1, 5, 7, 9"),
-        (grey(0, 257, 5, kind=np.uint16), r"unknown values 257 \(1 pixels\)"),
-        (np.array([[(255, 0, 255)]], np.uint8), "is a colour picture"),
-        (np.array([[(255, 255, 255, 0)]], np.uint8), "is a colour picture"),
-        (WHOLE.getvalue()[:60], "cannot be decoded"),
-    ]
-] + [
-    (partial(truth, NUMBERS), {}, "a.png", "is missing"),
-    (partial(truth, COLOURS), {}, "a.png", "is missing"),
-    (partial(truth, COLOURS), {"a.png": STRANGE}, "a.png",
-     r"colours 3 2 1 \(4 pixels\), 255 0 254 \(2 pixels\)"),
-    *(
-        (lambda root: [*pairs(root / "images", root / "labels", "_L.png")], files, where, what)
-        for files, where, what in [
-            ({"images/a.png": BLACK, "images/b.jpg": BLACK, "labels/x": ""}, "labels/a_L.png",
-             "is missing, 2 of 2"),
-            ({"images/a.png": BLACK}, "labels", "does not exist"),
-            ({"images/a.txt": "", "labels/a_L.png": BLACK}, "images", "holds no pictures"),
-            ({"images/a.png": BLACK, "images/a.bmp": BLACK, "labels/a_L.png": BLACK}, "a.png",
-             r"has the name of a\.bmp"),
-        ]
-    ),
+    (partial(truth, NUMBERS), {"a.png": grey(0, 3, 77, 77, 255)}, "a.png",
+     r"values 77 \(2 pixels\), 3 \(1 pixels\), 255 .*\(known: 0, 1, 5, 7, 9"),
+    (partial(truth, NUMBERS), {"a.png": BLACK + np.uint8([1, 2, 3])}, "a.png", "a colour picture"),
+    (partial(truth, COLOURS), {"a.png": BLACK + np.uint8([3, 2, 1])}, "a.png",
+     r"colours 3 2 1 \(1 pixels\)"),
+    (lambda root: [*pairs(root / "images", root / "labels", "_L.png")],
+     {"images/a.png": BLACK, "images/b.jpg": BLACK, "labels/x": ""}, "labels/a_L.png",
+     "is missing, 2 of 2"),
+    (lambda root: [*pairs(root / "images", root / "labels", "_L.png")],
+     {"images/a.png": BLACK, "images/a.bmp": BLACK, "labels/a_L.png": BLACK}, "a.png",
+     r"has the name of a\.bmp"),
 ]  # fmt: skip
 
 # --- sets -------------------------------------------------------------------------------
@@ -86,63 +69,43 @@ def first_truth(name: str, folder: Path) -> object:
 
 
 FRAME = {"images/0016E5_00390.png": BLACK, "labels/0016E5_00390_L.png": BLACK}
-CITY = "leftImg8bit/val/ulm/ulm_000001_000019_leftImg8bit.png"
-KITTI = {f"image_2/{name}.png": BLACK for name in ("um_000000", "uu_000000")}
-KITTI |= {f"gt_image_2/{name}.png": BLACK for name in ("um_road_000000", "uu_road_000000")}
+STREET = {"images/street_1.png": BLACK, "labels/street_1_L.png": BLACK}
+KITTI = {"image_2/um_000000.png": BLACK, "gt_image_2/um_road_000000.png": BLACK}
 
 SETS: Rows = [
     (partial(open_dataset, "camvid32"), {}, "", "no CamVid in 32 colours .*LabeledApproved_full"),
     (lambda folder: open_dataset("camvid32", folder, "test"), FRAME, "",
      "holds no pictures of the split test"),
-    (partial(open_dataset, "camvid32"), {"images/0016E5_00390.png": BLACK, "labels/x": ""},
-     "labels/0016E5_00390_L.png", "is missing, 1 of 1"),
-    (partial(open_dataset, "camvid32"),
-     {**FRAME, "images/street_1.png": BLACK, "labels/street_1_L.png": BLACK},
-     "street_1", "is not the name of a CamVid frame"),
+    (partial(open_dataset, "camvid32"), FRAME | STREET, "street_1",
+     "is not the name of a CamVid frame"),
     (partial(first_truth, "idd-lite"),
      {"images/a.png": np.zeros((2, 3), np.uint8), "labels/a.png": grey(0)},
      "a.png", "is 1 by 1 .* 3 by 2"),
-    (partial(open_dataset, "folder"), {"notes/a.txt": ""}, "", "has no folder images, nor folders"),
     (partial(first_truth, "folder"), {"images/a.png": BLACK, "masks/a.png": grey(0, 1, 255)},
      "a.png", "both 1 and 255"),
     (partial(first_truth, "folder"),
      {"images/a.png": BLACK, "road/a.png": grey(0, 1), "layout/a.png": grey(0, 1, 2)},
      "layout/a.png", r"is 3 by 1 pixels, unlike a\.png"),
-    (partial(open_dataset, "cityscapes"), {}, "leftImg8bit/val", "does not exist"),
-    (partial(open_dataset, "cityscapes"), {CITY: BLACK, "gtFine/val/x": ""},
-     "_gtFine_labelIds.png", "is missing, 1 of 1"),
     (partial(open_dataset, "cityscapes"), {"leftImg8bit/val/x": "", "gtFine/val/x": ""},
      "leftImg8bit/val", r"holds no pictures CITY/\*_leftImg8bit\.png"),
-    (partial(open_dataset, "kitti-road"), {}, "image_2", "does not exist"),
-    (partial(open_dataset, "kitti-road"), {"image_2/uu_000000.png": BLACK},
-     "uu_road_000000.png", "is missing"),
     (partial(open_dataset, "kitti-road"), {**KITTI, "image_2/thumb.png": BLACK},
      "thumb", "is not the name of a KITTI road picture"),
     (lambda folder: birds_eye(open_dataset("kitti-road", folder)), KITTI, "calib",
      "does not exist"),
-    (lambda folder: open_dataset("camvid", folder / "nowhere"), {}, "nowhere", "is not a folder"),
 ]  # fmt: skip
 
 # --- tables of conditions ---------------------------------------------------------------
 
-CAMERAS = {f"{name}.png": BLACK for name in (
-    *("near/images/a", "near/masks/a", "far/images/a", "far/masks/a"),
-    *("far/images/b", "far/masks/b"),
-)}  # fmt: skip
-TABLE = "name,file,condition\nnear,a.png,day\nfar,b.png,night\n"
+CAMERAS = {f"{name}/{part}/{file}.png": BLACK for name, file in ("na", "fa", "fb")
+           for part in ("images", "masks")}  # fmt: skip
+TABLE = "name,file,condition\nn,a.png,day\nf,b.png,night\n"
 
 CONDITIONS: Rows = [
     (partial(open_dataset, "folder"), {**CAMERAS, "pictures.csv": text}, where, what)
     for text, where, what in [
-        ("name,file\nnear,a.png\n", "csv", r"has no column condition \(its first line has to name"),
-        ("", "csv", "has no column name and none file and none condition"),
-        ("file,condition\na.png,day\n", "csv", "has no column name"),
-        (TABLE + "far,a.jpg,day\n", "line 4", r"there is no picture far/a.jpg \(did.*far/a.png"),
-        (TABLE + "zzzzzz,q.tiff,day\n", "line 4", r"there is no picture zzzzzz/q.tiff \(mend"),
-        (TABLE + "far,b.png,day\n", "line 4", r"names far/b.png a second time \(keep one"),
-        ("name,file,condition\nfar\n", "line 2", "there is no picture far"),
-        ("name,file,condition\nfar,\0,\n", "", "cannot be read|there is no picture"),
-        (b"name,file,condition\n\xff\xfe,a,b\n", "csv", "cannot be read: 'utf-8' codec"),
+        ("name,file\nn,a.png\n", "csv", r"has no column condition \(its first line has to name"),
+        (TABLE + "f,a.jpg,day\n", "line 4", r"there is no picture f/a.jpg \(did.*f/a.png"),
+        (TABLE + "f,b.png,day\n", "line 4", r"names f/b.png a second time \(keep one"),
     ]
 ]
 
@@ -172,28 +135,15 @@ def image(file: str, **more: object) -> dict[str, object]:
 COCO: Rows = [
     (partial(read_format, "coco"), {"coco.json": text}, "coco.json", what)
     for text, what in [
-        ("", "is not JSON"),
-        ("[" * 100_000, "is not JSON"),
-        ("[]", "it: input should be an object"),
-        ("{}", "images is missing"),
-        (coco(annotations={}), "annotations: input should be a valid array"),
-        (coco(images=[]), "no image for any of the pictures"),
         (coco(images=[image("other.jpg")]), "no image for any of the pictures"),
         (coco(images=[image("one/a.jpg"), image("two/a.jpg")]), r"two images are a\.jpg"),
         (coco(images=[image("a.jpg", width=3)]), r"a\.jpg is for 3 by 1 pixels, .* has 2 by 1"),
-        (coco(images=[image("a.jpg", width=2**70)]), r"images\.0\.width: .* was given"),
         (coco({"category_id": 2}), "category 'cat' on a.jpg says nothing .* use road"),
         (coco({"category_id": 3}), "category ''"),
-        (coco({"segmentation": None}), r"segmentation.*None was given"),
         (coco({"segmentation": []}), r"a region on a\.jpg has no area"),  # a box
-        (coco({"segmentation": [[0, 0, 1, 0]]}), "at least 6 items"),
         (coco({"segmentation": [[0, 0, 1, 0, 1, 1, 1]]}), "7 coordinates, an odd number"),
-        (coco({"segmentation": [[0, 0, 1, 0, 1, float("nan")]]}), "nan was given"),
-        (coco({"segmentation": [[0, 0, 1, 0, 1, 1e9]]}), "1000000000.0 was given"),
         (coco({"segmentation": {"counts": [1]}}), "1 pixels are counted, not 2 by 1"),
         (coco({"segmentation": {"counts": [0, 2**30, 2**30]}}), "are counted, not 2 by 1"),
-        (coco({"segmentation": {"counts": [-1, 3]}}), "-1 was given"),
-        (coco({"segmentation": {"counts": "02"}}), "'02' was given"),
     ]
 ]  # fmt: skip
 
@@ -208,12 +158,7 @@ def log(*lines: Mapping[str, object]) -> str:
 LOGS: Rows = [
     (read_corrections, {LOG: text}, where, what)
     for text, where, what in [
-        ("{}\n", LOG, "cannot be read: picture is missing"),
-        ("\n{}\n", LOG, "cannot be read: it is not JSON"),
         (log(HEAD | {"height": 10**6, "width": 10**6}), LOG, "more than 100 megapixels"),
-        (log(HEAD | {"width": 0}), LOG, "width: "),
-        ('{"picture": "a", "height": 1, "width": 1e400}\n', LOG, "width: "),
-        (log(HEAD | {"user": "bob"}), LOG, "user: "),
         (log({"roadtorch": 1, **HEAD}) + "nonsense\n", f"{LOG}:2", "is no event"),
         (log(HEAD, BROUGHT | {"labels": {"road": [0, 9]}}), LOG, "an event that does not fit"),
         ("", "", "holds no corrections"),
@@ -230,8 +175,6 @@ LOGS: Rows = [
 # --- maps -------------------------------------------------------------------------------
 
 RAMP = np.linspace(0, 1, 24).reshape(4, 6)
-ARCHIVE = io.BytesIO()
-np.savez(ARCHIVE, a=RAMP)
 
 
 def read_map(folder: Path) -> object:
@@ -243,17 +186,10 @@ MAPS: Rows = [
     for content, what in [
         (np.where(RAMP > 0.9, np.nan, RAMP), "has values from nan to nan"),
         (RAMP * 1.5, r"has values from 0 to 1\.5"),
-        (RAMP - 0.1, r"has values from -0\.1"),
-        (RAMP * 1e300, "has values from 0 to inf"),
         (RAMP[:3], r"is 6 by 3 pixels \(it should be 6 by 4\)"),
         ((RAMP * 255).astype(np.uint8), r"holds uint8 of shape \(4, 6\)"),
-        (RAMP[None], r"holds float64 of shape \(1, 4, 6\)"),
-        (np.array(["x"], dtype=object), "cannot be read"),
-        (b"", "cannot be read"),
-        (ARCHIVE.getvalue(), "is an archive of arrays"),
     ]
 ] + [
-    (read_map, {"m.png": np.full((4, 6, 3), (1, 2, 3), np.uint8)}, "m.png", "is a colour picture"),
     (read_map, {}, "m.png", "is missing"),
     (
         read_map,
@@ -268,12 +204,7 @@ def named_maps(name: str, folder: Path) -> object:
     return parse_maps([f"{name}={folder}"])
 
 
-def numbers(wrong: dict[str, tuple[int, ...]], _: Path) -> object:
-    return NumberLabels(**({"road": (1,), "void": (), "values": (0, 1)} | wrong))
-
-
 OPTIONS: Rows = [
-    (lambda folder: open_dataset("camvit", folder), {}, "camvit", "unknown data set .*camvid"),
     (lambda folder: open_dataset("camvid", folder, "trian"), {}, "trian",
      "unknown split of camvid .*train"),
     (lambda folder: birds_eye(open_dataset("camvid32", folder)), FRAME, "camvid32",
@@ -283,23 +214,16 @@ OPTIONS: Rows = [
      {"a/x/m": "", "b/x/m": ""}, "--maps", "gives two folders one name"),
     *(
         (partial(named_maps, name), {}, "--maps", "cannot be that of a file")
-        for name in ("x/y", "a/../../ESC", "..", ".", "", "a\\b", "a\nb")
+        for name in ("a/../../ESC", "..", "", "a\\b", "a\nb")
     ),
-    *(
-        (partial(numbers, wrong), {}, "NumberLabels", what)
-        for wrong, what in [
-            ({"road": (2,)}, "not among its values"),
-            ({"void": (2,)}, "not among its values"),
-            ({"values": (0, 1, 300)}, "not among its values"),
-            ({"void": (1,)}, "is road and void"),
-            ({"layout": (0, 1, 2)}, "has 3 layout classes for 2 values"),
-        ]
-    ),
+    (lambda _: NumberLabels(road=(2,), void=(), values=(0, 1)), {}, "NumberLabels",
+     "not among its values"),
+    (lambda _: NumberLabels(road=(1,), void=(1,), values=(0, 1)), {}, "NumberLabels",
+     "is road and void"),
 ]  # fmt: skip
 
 REFUSALS = [
-    *((DatasetError, row) for row in (*LABEL_PICTURES, *SETS, *CONDITIONS)),
-    *((DatasetError, row) for row in (*COCO, *LOGS)),
+    *((DatasetError, row) for row in (*LABEL_PICTURES, *SETS, *CONDITIONS, *COCO, *LOGS)),
     *((InputError, row) for row in MAPS),
     *((ConfigError, row) for row in OPTIONS),
 ]
@@ -322,4 +246,3 @@ def test_what_cannot_be_read_is_refused_with_its_name(
     assert type(problem) is error
     assert problem.where.endswith(where)
     assert re.search(what, f"{problem.what} ({problem.remedy})")
-    assert "\n" not in str(problem)

@@ -1,0 +1,207 @@
+"""The contract of every reader: what it cannot use is refused in one line that helps.
+
+    python -m pytest tests/fuzz                              # some of each kind
+    python -m pytest tests/fuzz --hypothesis-profile long    # thousands of each
+
+A file is read and makes sense, or is refused as ``FILE: what is wrong (what to do)``: no traceback,
+no hang, no memory without end, nothing half-written.
+"""
+
+import faulthandler
+import os
+import re
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.memory import forget_peak, peak_mebibytes
+from tests.command import Call, call, files_in, save_picture
+from tests.fuzz.footage import FOOTAGE
+from tests.fuzz.kinds import KINDS
+from tests.fuzz.pictures import scene
+from tests.fuzz.tampered import Draw, unhurried
+from tests.streets import write_drives
+
+__all__ = ["call"]
+
+Read = Callable[[Path], bool]
+
+SECONDS, GIBIBYTES = 20, 2.0
+LONGEST = 1_500  # letters of a refusal, its file's name left out
+STDERR = 2  # whatever sys.stderr is meanwhile
+
+
+def check_line(problem: RoadtorchError, path: Path) -> None:
+    """Assert that a refusal is one line: the file or its folder, what is wrong, what to do."""
+    text = str(problem)
+    assert path.name in problem.where or problem.where == str(path.parent), "the name is missing"
+    assert problem.what, "it does not say what is wrong"
+    assert problem.remedy, "it does not say what to do"
+    assert len(text) <= LONGEST + 3 * len(str(path)), "a refusal without end"
+    assert len(text.splitlines()) == 1, "several lines"
+
+
+def verdict(path: Path, read: Read) -> str:
+    """Return "read" or "refused"; AssertionError where neither is right.
+
+    A hang ends the process, with the stack.
+    """
+    faulthandler.dump_traceback_later(SECONDS, exit=True, file=STDERR)
+    forget_peak()
+    refusal = None
+    try:
+        assert read(path), "what was read makes no sense"
+    except RoadtorchError as problem:
+        refusal = problem
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+    assert peak_mebibytes() < GIBIBYTES * 2**10
+    if refusal is None:
+        return "read"
+    check_line(refusal, path)
+    return "refused"
+
+
+# --- files that were tampered with ----------------------------------------------------------
+
+FILES = {name: (kind.write, kind.read) for name, kind in KINDS.items()} | FOOTAGE
+
+
+@pytest.mark.parametrize(("make", "read"), FILES.values(), ids=FILES)
+def test_tampered_files_are_read_or_refused(make: Callable[[Draw, Path], Path], read: Read) -> None:
+    seen: Counter[str] = Counter()
+
+    @unhurried()
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            seen[verdict(make(data.draw, Path(folder)), read)] += 1
+
+    check()
+
+    assert seen["refused"] > 0
+
+
+# --- files of another kind ------------------------------------------------------------------
+
+FOREIGN: Mapping[str, Callable[[Path], object]] = {
+    "missing": lambda path: None,
+    "empty": lambda path: path.write_bytes(b""),
+    "folder": lambda path: path.mkdir(),
+    "pipe": os.mkfifo,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "loop": lambda path: path.symlink_to(path.name),
+    "picture": lambda path: scene(0).save(path, "PNG"),
+    "page": lambda path: path.write_text("<!DOCTYPE html>\n<html><body>404</body></html>\n"),
+    "values": lambda path: path.write_text('{"a": [1, 2, {}], "detectors": 3}'),
+    "settings": lambda path: path.write_text('detector = "none"\n[network]\nwide = -1\n'),
+    "noise": lambda path: path.write_bytes(bytes(range(256)) * 40),
+}
+HARMLESS: Mapping[str, set[str]] = {
+    "pictures": {"picture"},
+    "configs": {"empty"},
+    "sets": {*FOREIGN} - {"page", "settings", "noise"},  # texts, not files
+    "journals": {"missing", "empty", "values"},  # a line without its end is that of a crash
+    "index": {"missing", "empty", "loop", "values"},
+    **{kind: {"missing", "loop"} for kind in ("checkpoints", "records")},
+    "results": {"missing", "loop", "settings"},
+}
+"""What is no mistake of a kind."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_of_another_kind_are_refused(kind: str, tmp_path: Path) -> None:
+    for name in FOREIGN.keys() - HARMLESS.get(kind, set()):
+        path = tmp_path / name / KINDS[kind].name
+        path.parent.mkdir()
+        FOREIGN[name](path)
+
+        assert verdict(path, KINDS[kind].read) == "refused", name
+
+
+@pytest.mark.parametrize(
+    ("refusal", "wrong"),
+    [
+        (("", "bad", "mend it"), "the name is missing"),
+        (("a.bin", "bad", ""), "what to do"),
+        (("a.bin", "bad\nworse", "mend it"), "several lines"),
+        (("a.bin", "bad", "r" * 10_000), "without end"),
+    ],
+)
+def test_a_refusal_that_is_wrong_is_found(refusal: tuple[str, str, str], wrong: str) -> None:
+    def refuse(path: Path) -> bool:
+        raise InputError(*refusal)
+
+    with pytest.raises(AssertionError, match=wrong):
+        verdict(Path("a.bin"), refuse)
+
+
+# --- the command line -----------------------------------------------------------------------
+
+PRIOR = "--detector prior:rows"
+COMMANDS: Mapping[str, set[str]] = {
+    f"infer @a.png {PRIOR}": {"picture"},
+    f"infer @a.mp4 {PRIOR}": {"picture"},  # FFmpeg goes by the content
+    f"infer @a.bag {PRIOR}": set(),
+    f"infer @a.mcap {PRIOR}": set(),
+    "infer PICTURE --config @a.toml": {"empty"},
+    f"infer PICTURE {PRIOR} --camera @camera.toml": set(),
+    f"infer PICTURE {PRIOR} --set ego.mask=@ego.png": {"picture"},
+    "infer PICTURE --detector layout:cnn-7 --set weights.file=@a.safetensors": set(),
+    "label @a.png": {"picture"},
+    f"grid PICTURE {PRIOR} --camera-info @info.yaml --height 1": set(),
+    f"grid PICTURE {PRIOR} --calibration @calib.txt": set(),
+    "camera @a.mp4": set(),
+    "train --images @a.png --config cnn7": {"picture"},
+    "train --images PICTURE --config @a.toml": {"empty"},
+    "train --images PICTURE --config cnn7 --corrections @corrections": set(),
+    "adapt @a.mp4": set(),
+    f"evaluate camvid @camvid {PRIOR}": set(),
+    f"evaluate camvid CAMVID {PRIOR} --conditions @a.csv": set(),
+    f"evaluate camvid CAMVID {PRIOR} --threshold-from @metrics.json": set(),
+    f"evaluate camvid CAMVID {PRIOR} --camera @camera.toml": set(),
+    "annotate FOLDER --import coco --from @coco.json": set(),
+}
+"""Commands with the file that is wrong, and what is no mistake of theirs."""
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
+    """What commands need beside the file that is wrong."""
+    folder = tmp_path_factory.mktemp("inputs")
+    picture = save_picture(folder / "folder" / "street.png")
+    write_drives(folder)
+    return {
+        "PICTURE": str(picture),
+        "FOLDER": str(picture.parent),
+        "CAMVID": str(folder / "camvid"),
+    }
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_command_says_in_a_line_what_is_wrong_and_leaves_nothing_half_written(
+    line: str, call: Call, places: Mapping[str, str], tmp_path: Path
+) -> None:
+    for name in FOREIGN.keys() - COMMANDS[line]:
+        folder = tmp_path / name
+        folder.mkdir()
+        FOREIGN[name](folder / re.findall(r"@(\S+)", line)[0])
+        words = [places.get(word, word).replace("@", f"{folder}/") for word in line.split()]
+
+        result = call(*words, "--out", folder / "out")
+
+        about = f"{name}: {result.stderr}"
+        (file,) = re.findall(rf"{folder}/(\S+)", " ".join(words))
+        key = "none|network.wide" if name == "settings" and "--config @" in line else file
+        assert result.exit_code in (1, 2), about
+        assert "fault of roadtorch" not in about
+        assert re.search(rf"^roadtorch: .*({key})", result.stderr, re.M), about
+        assert not any(".part" in written for written in files_in(folder)), about
+        if result.exit_code == 2:
+            assert re.fullmatch(r"(.+\n)?roadtorch: error: .+ \(.+\)\n", result.stderr), about
