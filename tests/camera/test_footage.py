@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.camera.camera import Camera, check_picture
 from roadtorch.camera.footage import best_path, camera_of, still_ego
@@ -104,29 +104,6 @@ def test_the_picture_to_check_shows_the_ego_car(camera: Camera) -> None:
 def test_what_is_not_footage_of_one_camera_is_refused(frames: list[Tensor], told: str) -> None:
     with pytest.raises(InputError, match=told):
         camera_of(frames)
-
-
-KNOWN = "width = 64\nheight = 48\nframes = 9\nhorizon = 0.4\nseed_row = 0.9\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("detector = 'fusion'", "is no file of a camera: width: is missing"),
-        ("width =", "is not TOML"),
-        ("width = 9\nheight = 9\nframes = 9\nhorizon = 2.0\nseed_row = 1.0", "horizon: 2.0 was"),
-        (
-            f"{KNOWN}[look]\nrows = [0.9, 0.95]\ncolumns = [0.1]\nacross = []\ndown = []\n",
-            r"foreign\.toml: is no file of a camera: look: .* was given",  # points are cut short
-        ),
-    ],
-)
-def test_a_foreign_file_is_refused(text: str, told: str, tmp_path: Path) -> None:
-    path = tmp_path / "foreign.toml"
-    path.write_text(text)
-
-    with pytest.raises(ConfigError, match=told):
-        Camera.read(path)
 
 
 # --- real cameras ---------------------------------------------------------------------------

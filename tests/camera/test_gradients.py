@@ -41,8 +41,3 @@ def test_what_no_horizon_can_be_told_from_is_refused(top: int, told: str) -> Non
 
     with pytest.raises(InputError, match=told):
         horizon_of(image, potentials(layout))
-
-
-def test_a_broken_layout_is_refused() -> None:
-    with pytest.raises(InputError, match="not finite"):
-        horizon_of(torch.zeros(3, 20, 20), torch.full((3, 20, 20), torch.nan))

@@ -13,8 +13,6 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import (
     Axes,
-    arranged,
-    arranged_axes,
     axes_of,
     circular_mean,
     mean_hues,
@@ -113,14 +111,6 @@ def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> Non
         np.testing.assert_allclose(away.abs(), expected, atol=1e-6)
 
 
-def test_hue_as_a_plain_number_is_left_as_it_is() -> None:
-    planes = torch.rand(1, 5)
-
-    assert arranged(planes, HUE, "linear", torch.zeros(1)) is planes
-    assert arranged_axes(HUE, "linear") == HUE
-    assert arranged_axes(HUE, "unrolled") == Axes(("H",), (-0.5,), (0.5,), (True,))
-
-
 def test_a_fit_sees_hue_as_distance_from_the_mean() -> None:
     fitted = middle_of(line(0.9, 0.1), axes=HUE, rejected=0.0)
 
@@ -170,11 +160,6 @@ def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_root_of_th
 )
 def test_where_the_threshold_comes_from(fitted: Callable[[], Fitted], threshold: float) -> None:
     assert float(fitted().threshold) == pytest.approx(threshold, rel=1e-4)
-
-
-def test_a_classifier_that_refuses_a_single_plane_says_why() -> None:
-    with pytest.raises(ConfigError, match=r"^middle: not today .choose other planes"):
-        middle_of(line(0.2), single="not today")
 
 
 def test_memory_is_bounded_by_chunks(monkeypatch: pytest.MonkeyPatch) -> None:

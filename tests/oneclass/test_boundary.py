@@ -82,14 +82,6 @@ def test_a_wide_ball_is_the_smallest_ball_of_colour_space():
     assert float(learned.threshold) * 1000 / 2**0.5 == pytest.approx(0.2, rel=1e-4)
 
 
-def test_rejecting_everything_leaves_parzens_density():
-    samples, pixels = road(30, 2), some(300, 2)
-    distance = fitted(SVDD, samples, SvddSettings(sigma=0.1, rejected=1.0)).distance(pixels)
-    density = torch.from_numpy(reference.kernel(doubles(pixels), doubles(samples), 0.1).sum(1))
-    clear = density > 1e-3
-    assert rank_correlation(-distance[clear], density[clear]) > 0.9999
-
-
 @pytest.mark.parametrize(
     ("values", "median"),  # of the pairs, the lower one in the middle
     [([0.1, 0.2, 0.5, 0.9], 0.4), ([0.1, 0.1, 0.2, 0.5], 0.1), ([0.5, 0.5, 0.5], 1.0)],
@@ -119,18 +111,6 @@ def test_minimax_score_is_the_toolboxs(dimensions, sigma):
         score = score_of(given_samples, pixels, MinimaxSettings(sigma=sigma))
         expected = reference.minimax_score(doubles(given_samples), doubles(pixels), 1e-6, sigma)
         np.testing.assert_allclose(score, expected, rtol=1e-6, atol=1e-7)
-
-
-def test_minimax_direction_has_the_least_spread_for_its_margin():
-    rows = doubles(some(15, 15))
-    direction = boundary.minimax_direction(rows, np.ones(15), 1e-3)
-    matrix = np.cov(rows.T, bias=True) + 1e-3 * np.eye(15)
-    assert direction @ rows.mean(0) == pytest.approx(1)
-    strength = rows.mean(0) @ np.linalg.solve(matrix, rows.mean(0))  # ξ²
-    assert direction @ matrix @ direction == pytest.approx(1 / strength)
-    for step in doubles(some(20, 15)) - 0.5:
-        other = direction + step - (step @ rows.mean(0)) * direction
-        assert other @ matrix @ other >= direction @ matrix @ direction
 
 
 @DIMENSIONS
@@ -191,12 +171,6 @@ def test_distance_ranks_as_the_weighted_sum_of_dissimilarities(kind, dimensions)
     assert rank_correlation(learned.distance(pixels), expected) > 0.9999
 
 
-def test_the_sigmoid_is_exact_from_the_nearest_to_the_farthest():
-    away = torch.logspace(-6, 0.5, 50, dtype=torch.float64)
-    found = DISSIMILARITIES["toolbox"](away.square())
-    np.testing.assert_allclose(found, 2 * torch.tanh(away**2 / 2), rtol=1e-12)
-
-
 @DIMENSIONS
 @pytest.mark.parametrize("rejected", [0.025, 0.1])
 def test_threshold_is_the_programmes_margin(dimensions, rejected):
@@ -230,16 +204,6 @@ def test_too_many_different_samples_are_refused_with_what_to_do(classifier, most
 
 
 # --- all five ---------------------------------------------------------------------------
-
-
-@ALL
-def test_a_constant_plane_changes_no_rank_among_pixels_that_share_it(classifier):
-    samples, pixels = road(40, 2), some(300, 2)
-    with_constant, pixels_too = (
-        torch.cat([values, torch.full((len(values), 1), 0.25)], 1) for values in (samples, pixels)
-    )
-    plain = fitted(classifier, samples).distance(pixels)
-    assert rank_correlation(plain, fitted(classifier, with_constant).distance(pixels_too)) > 0.9999
 
 
 @ALL

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
-from roadtorch.oneclass.histogram import HistogramSettings, bin_of, with_noisy_copy
+from roadtorch.oneclass.histogram import HistogramSettings, with_noisy_copy
 from tests.draws import random, seeded
 
 SIMPLE, NOISY = CLASSIFIERS["hist64_s"], CLASSIFIERS["hist64_sn"]
@@ -25,14 +25,6 @@ def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -
 
     assert found.tolist() == pytest.approx([0, (2 * np.log(3)) ** 0.5, np.inf])
     assert fitted.likelihood(torch.tensor([[0.3]])) == 0
-
-
-def test_values_beyond_the_range_fall_into_the_last_bins() -> None:
-    low, scale = torch.tensor([-1.0]), torch.tensor([4.0])
-
-    found = bin_of(torch.tensor([[-9.0, -1.0, -0.76, -0.75, 0.99, 1.0, 9.0]]), low, scale, 8)
-
-    assert found.tolist() == [[0, 0, 0, 1, 7, 7, 7]]
 
 
 def test_the_noisy_copy_has_the_deviation_of_p3_in_ranges_of_the_plane() -> None:

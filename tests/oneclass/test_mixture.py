@@ -13,7 +13,6 @@ from roadtorch.oneclass.mixture import (
     log_parts,
     maximise,
     mixtures_of,
-    parameters,
     spread_starts,
 )
 from tests.draws import random, seeded
@@ -116,20 +115,6 @@ def test_every_round_is_the_textbooks() -> None:
     np.testing.assert_allclose(found[2], expected[2], rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("number", [2, 4])
-def test_the_likelihood_is_that_of_the_mixture_at_the_end(number: int) -> None:
-    samples, start = clusters(number), memberships(clusters(number), number)
-    weights = samples.new_ones(1, len(samples))
-
-    _, likelihood = maximise(samples, weights, start, WIDENING, rounds=500)
-
-    final = reference.expectation_maximisation(
-        samples.numpy(), start[0].numpy(), WIDENING.numpy(), rounds=60
-    )
-    expected = reference.log_sum(reference.log_parts(samples.numpy(), *final)).sum()
-    assert float(likelihood) == pytest.approx(expected, rel=1e-3)
-
-
 def test_runs_side_by_side_do_not_touch_each_other() -> None:
     samples = clusters(3)
     weights = samples.new_ones(2, len(samples))
@@ -143,33 +128,9 @@ def test_runs_side_by_side_do_not_touch_each_other() -> None:
     assert (both[1, 2] == 0).all()
 
 
-def test_starts_are_spread_over_the_heaps() -> None:
-    samples = clusters(4)
-    weights = samples.new_ones(50, len(samples))
-
-    start = spread_starts(samples, weights, torch.full((50,), 4), seeded())
-
-    heaps = start[:, :, torch.arange(4)].sum(-1)  # the first four samples are of four heaps
-    assert (heaps == 1).all(1).float().mean() > 0.8
-    assert torch.equal(start.sum(1), weights)
-
-
 # --- how many ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
 def test_the_criterion_finds_the_heaps(number: int) -> None:
     assert components(fit(BEST, clusters(number), AXES)) == number
-
-
-def test_a_full_covariance_has_its_numbers_counted() -> None:
-    assert parameters(torch.tensor([1, 2]), 3).tolist() == [9, 19]
-    assert parameters(torch.tensor([1, 3]), 1).tolist() == [2, 8]
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_few_samples_have_few_components(count: int) -> None:
-    fitted = fit(BEST, clusters(3)[:count], AXES)
-
-    assert 1 <= components(fitted) <= count
-    assert fitted.likelihood(clusters(3).float()).isfinite().all()

@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.layout.classes import CLASSES
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.augmentation import (
     EgoCar,
@@ -140,13 +139,6 @@ def test_weather_changes_what_it_lies_on(weather, changed, kept) -> None:
     assert change[..., kept[0], kept[1]].mean() < change[..., changed[0], changed[1]].mean() / 3
 
 
-def test_a_wet_road_mirrors_the_sky() -> None:
-    image, scene = street()
-    wet = wetted(image, scene, WeatherAugmentation(mirror=1.0), seeded(3))
-    road = wet[..., 40:72, 24:40]
-    assert road[:, 2].mean() > road[:, 0].mean() + 0.05  # bluer than it was, which was grey
-
-
 def test_weather_leaves_the_ego_car_as_it_is() -> None:
     image, scene = street()
     for seed in range(8):
@@ -218,16 +210,6 @@ def test_on_the_ego_car_there_is_no_road_no_layout_and_the_rest_stays() -> None:
     assert torch.equal(planes[:, :, :5], targets[:, :, :5])
 
 
-def test_a_soft_edge_is_mixed_in_the_picture_and_one_or_the_other_in_the_targets() -> None:
-    car = EgoCar(torch.ones(1, 3, 1, 2), torch.tensor([0.4, 0.6]).reshape(1, 1, 1, 2))
-    targets = torch.full((1, sum(PLANES), 1, 2), 0.5)
-
-    image, planes = laid_over(torch.zeros(1, 3, 1, 2), targets, car)
-
-    torch.testing.assert_close(image[0, 0, 0], torch.tensor([0.4, 0.6]))
-    assert planes[0, CLASSES + 3, 0].tolist() == [0.5, 1.0]  # the ego car's plane
-
-
 def test_a_varied_car_covers_the_lower_edge_in_bounds_and_is_larger_or_brighter() -> None:
     settings = EgoCarAugmentation(tallest=0.7, flattest=0.3, widest=0.25)
     cars = [varied(car_of(80, 60, 20), settings, seeded(seed)) for seed in range(30)]
@@ -242,17 +224,6 @@ def test_a_varied_car_covers_the_lower_edge_in_bounds_and_is_larger_or_brighter(
     assert heights.min() < 18
     assert heights.max() > 30
     assert light.max() - light.min() > 0.2
-
-
-def test_without_variation_a_car_is_seen_as_it_is_at_either_side() -> None:
-    car = car_of(16, 20, 4)
-    car.ego[..., 10:] = 0
-
-    cars = [varied(car, STILL_CAR, seeded(seed)) for seed in range(20)]
-
-    of_ego = sides([other.ego for other in cars], car.ego)
-    assert of_ego == sides([other.image for other in cars], car.image, 1e-3)
-    assert set(of_ego) == {1, -1}
 
 
 def write_frame(path: Path, level: int) -> Path:

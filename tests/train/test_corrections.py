@@ -17,8 +17,8 @@ from roadtorch.data.corrections import Correction
 from roadtorch.data.events import EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
-from roadtorch.train.config import Descent, PatchTraining, Training, build_training
-from roadtorch.train.corrections import corrections_summary, paced, write_corrected
+from roadtorch.train.config import PatchTraining, Training, build_training
+from roadtorch.train.corrections import write_corrected
 from roadtorch.train.loop import RoundStart
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, corrected_centres, repeated
 from roadtorch.train.pictures import corrected_shares, corrected_targets
@@ -123,23 +123,6 @@ def test_patches_are_taken_where_people_named_a_class() -> None:
     assert weights.tolist() == [1, 1, *[2.5] * 24]
 
 
-def test_few_corrected_pictures_shorten_the_steps() -> None:
-    descent = Descent(learning_rate=0.3, batch=7)
-    assert paced(descent, 10, 0) == paced(descent, 0, 5) == descent
-    assert paced(descent, 10, 5).learning_rate == pytest.approx(0.1)
-    assert paced(descent, 10, 5).batch == 7
-    assert paced(descent, 10, 1000).learning_rate < descent.learning_rate
-
-
-def test_every_label_counts_in_the_summary() -> None:
-    assert corrections_summary({}) is None
-    hashes = {
-        (corrections_summary({"a.png": correction(quarters() * factor)}) or {})["sha256"]
-        for factor in (1, 0)
-    }
-    assert len(hashes) == 2
-
-
 # --- runs ----------------------------------------------------------------------------------
 
 
@@ -231,18 +214,6 @@ def test_after_corrections_zero_are_the_log_odds_that_part_road(tmp_path: Path) 
     values = read_settings_file(file)
     assert values["calibration"] == {"centre": 0.0}
     load_detector("fusion", calibration=values["calibration"])
-
-
-def test_a_folder_with_corrected_weights_can_be_moved(tmp_path: Path) -> None:
-    made, moved = tmp_path / "made", tmp_path / "moved"
-    made.mkdir()
-    (made / "weights.safetensors").write_bytes(b"weights")
-    write_corrected(made / "fusion.toml", made / "weights.safetensors", [correction(quarters())])
-
-    made.rename(moved)
-
-    file = read_settings_file(moved / "fusion.toml")["weights"]["file"]
-    assert file == str(moved / "weights.safetensors")
 
 
 @pytest.mark.parametrize("label", [VOID, UNTOUCHED])

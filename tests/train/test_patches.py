@@ -68,14 +68,6 @@ def test_a_street_gives_patches_with_the_labels_of_their_places() -> None:
     assert (truth == arrays["classes"]).float().mean() > 0.85
 
 
-def test_certain_labels_are_fewer_than_those_of_largest_support() -> None:
-    recipes = [
-        PatchRecipe(training_of(labeller={"support": support})) for support in ("margin", "maximum")
-    ]
-    certain, every = (len(each.make(scene(4, 60, 80).image, "")["classes"]) for each in recipes)
-    assert 0 < certain < every
-
-
 # --- how they are cut ----------------------------------------------------------------------
 
 
@@ -161,12 +153,6 @@ def test_an_epoch_has_every_patch_once(files: list[Path]) -> None:
     assert all(len(batch.inputs) == len(batch.targets) for batch in batches)
     assert max(len(batch.inputs) for batch in batches) <= 12
     assert {tuple(batch.inputs.shape[1:]) for batch in batches} == {(3, 32, 32)}
-
-
-def test_epochs_differ_and_each_is_the_same_again(files: list[Path]) -> None:
-    first, again, second = (all_batches(files, training_of(), epoch) for epoch in (0, 0, 1))
-    assert all(torch.equal(a.inputs, b.inputs) for a, b in zip(first, again, strict=True))
-    assert not torch.equal(first[0].inputs[:3], second[0].inputs[:3])
 
 
 def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:

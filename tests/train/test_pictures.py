@@ -104,11 +104,6 @@ def test_every_picture_can_get_an_ego_car(files: list[Path]) -> None:
 # --- visits --------------------------------------------------------------------------------
 
 
-def test_the_order_is_drawn() -> None:
-    at, shares = seeded(1), torch.ones(50)
-    assert not torch.equal(draw_members(shares, 50, at), draw_members(shares, 50, at))
-
-
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=60), st.integers(0, 2**31))
 def test_nobody_is_visited_a_whole_time_more_or_less_than_is_fair(
     values: list[float], seed: int

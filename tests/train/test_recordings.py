@@ -104,19 +104,6 @@ def test_that_there_is_none_is_kept_until_a_frame_changes(
     assert len(shown) == 2
 
 
-def test_frames_of_another_shape_are_looked_at_by_themselves(
-    shown: list[list[torch.Tensor]], tmp_path: Path
-) -> None:
-    for number in range(6):
-        shape = (20, 20) if number % 2 else (20, 40)
-        cv2.imwrite(str(tmp_path / f"cam_{number}.png"), torch.zeros(*shape, 3).byte().numpy())
-
-    find_ego_cars(find_pictures([str(tmp_path)]), tmp_path / "kept", FEW, *ALONE)
-
-    shapes = [{tuple(frame.shape) for frame in frames} for frames in shown]
-    assert shapes == [{(3, 20, 40)}, {(3, 20, 20)}]
-
-
 def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
     shown: list[list[torch.Tensor]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

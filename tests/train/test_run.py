@@ -4,22 +4,23 @@ import json
 import math
 import os
 import signal
-import time
 from pathlib import Path
 
 import pytest
 import torch
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.cli import main
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import Training
 from roadtorch.train.loop import Batch, Loop, RoundStart
 from roadtorch.train.run import Outcome, Request, recipe_of, train
+from tests.command import Call, call
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write_config
+
+__all__ = ["call"]
 
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
@@ -122,17 +123,6 @@ def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(
         assert not ego[:20].any()
 
 
-def test_the_bytes_of_a_checkpoint_are_settled(
-    trained: Trained, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(time, "perf_counter", lambda: 0.0)
-    quick = ("rounds.count=1", "stopping.epochs=1")
-
-    first, again = (folder_of(trained("pictures", *quick)) / "checkpoint.pt" for _ in range(2))
-
-    assert first.read_bytes() == again.read_bytes()
-
-
 @pytest.mark.parametrize(
     ("kind", "size"), [("patches", None), ("pictures", (32, 40)), ("pictures", (40, 48))]
 )
@@ -203,21 +193,14 @@ def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
 
 
 def test_the_status_of_the_command_names_the_signal(
-    streets: Path,
-    kept: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    call: Call, streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, out = write_config(tmp_path / "c.toml", PATCHES), tmp_path / "run"
     interrupt_after(1, monkeypatch)
     words = ["--config", config, "--images", streets, "--out", out, "--prepared", kept / "patches"]
 
-    with pytest.raises(SystemExit) as left:
-        main(["train", *map(str, words)])
+    result = call("train", *words)
 
-    assert left.value.code == 143
-    assert capsys.readouterr().err.endswith("stopped by SIGTERM; resume with --resume\n")
-    assert (out / "checkpoint.pt").exists()
-    assert load_network(out / "weights.safetensors")
+    assert result.exit_code == 143
+    assert result.stderr.endswith("stopped by SIGTERM; resume with --resume\n")
     assert read_origin(out / "weights.safetensors")["finished"] is False

@@ -18,7 +18,6 @@ from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import PictureTraining, Rounds, Teacher, build_training
 from roadtorch.train.teachers import (
     Targets,
-    best_class,
     centred_as,
     label_with_network,
     lends_ego,
@@ -152,11 +151,6 @@ def test_the_ego_car(
     assert (targets.layout_weight.item(), targets.road_weight.item()) == (layout_weight, 1)
 
 
-def test_the_best_class_is_the_one_that_argmax_names() -> None:
-    layout = torch.rand(2, CLASSES, 5, 7, generator=seeded(0))
-    assert best_class(layout).equal(layout.argmax(1, keepdim=True))
-
-
 # --- teachers -----------------------------------------------------------------------------
 
 
@@ -230,17 +224,6 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
     assert int(arrays["maps"].max()) <= 128
     write_arrays(tmp_path / "a.npz", arrays)
     assert lends_ego(tmp_path / "a.npz")
-
-
-def test_the_network_sees_the_ego_car_and_is_told_where_it_is() -> None:
-    ego = bonnet(64, 96)
-    image = ego.float().expand(3, 64, 96)
-
-    arrays = prepare_picture(image, ego, [load_detector("labeller")], small_training())
-
-    assert torch.equal(arrays["ego"], arrays["image"][0])
-    assert (arrays["ego"][-1] == 255).all()
-    assert not arrays["ego"][:24].any()
 
 
 def test_a_prepared_picture_has_the_networks_size_and_what_is_not_known_of_the_ego_car(

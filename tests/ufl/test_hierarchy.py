@@ -25,14 +25,6 @@ def stable(seed: int) -> torch.Tensor:
     return torch.randn(9, 11, generator=seeded(seed), dtype=torch.float64)
 
 
-def two_hills() -> torch.Tensor:
-    """A plain at 0.2 with a wide hill of height 1 and a narrow one of 0.7."""
-    values = torch.full((8, 12), 0.2, dtype=torch.float64)
-    values[2:7, 1:6], values[3:6, 2:5] = 0.6, 1.0
-    values[3:6, 8:11] = 0.7
-    return values
-
-
 def test_thresholds_of_the_program_and_of_the_text() -> None:
     assert hierarchy.thresholds(4, "included").tolist() == [0, 0.25, 0.5, 0.75, 1]
     assert hierarchy.thresholds(4, "left_out").tolist() == [0, 0.25, 0.5, 0.75]
@@ -90,20 +82,6 @@ def test_single_regions_are_worth_at_least_as_much_as_runs(seed: int) -> None:
     assert worth("regions") >= worth("runs") - 1e-9
 
 
-def test_an_only_region_joins_the_node_and_two_start_their_own() -> None:
-    tree = hierarchy.build_tree(hierarchy.threshold_regions(two_hills(), STEPS), 4)
-
-    # 0 and 1/6: the plain; 2/6: the two hills; 4/6: both still; 5/6 and 1: the wide one alone.
-    areas = [int(hierarchy.node_area(tree, node).sum()) for node in range(len(tree.node))]
-    assert areas == [96, 25, 9]
-    assert tree.parent.tolist() == [-1, 0, 0]
-    levels = [tree.regions.level[tree.node_of == node].tolist() for node in range(3)]
-    assert levels == [[0, 1], [2, 3, 4, 5, 6], [2, 3, 4]]
-    without_the_small = hierarchy.build_tree(tree.regions, 10)
-    assert len(without_the_small.node) == 1
-    assert hierarchy.node_area(without_the_small, 0).all()
-
-
 @pytest.mark.parametrize(
     ("value", "whole", "road", "best"),
     [
@@ -123,14 +101,3 @@ def test_the_whole_map_is_road_only_where_nothing_splits_and_only_if_allowed(
 
     assert choice.selected.tolist() == [road]
     assert choice.best.tolist() == [best]
-
-
-def test_nothing_below_a_winner_is_chosen_however_deep() -> None:
-    regions = hierarchy.threshold_regions(two_hills(), STEPS)
-    chain = torch.tensor([-1, 0, 1, 2])
-    tree = hierarchy.Tree(regions, torch.arange(1, 5), chain, torch.zeros(0))
-
-    choice = hierarchy.select_nodes(tree, torch.tensor([9.0, 5.0, 0.5, 1.0]))
-
-    assert choice.selected.tolist() == [False, True, False, False]
-    assert choice.best.tolist() == [5, 5, 1, 1]

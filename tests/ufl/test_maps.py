@@ -27,13 +27,6 @@ def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) ->
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(("rows", "first", "last"), [(115, -57, 57), (114, -57, 56)])
-def test_the_programs_row_weights(rows: int, first: int, last: int) -> None:
-    weights = maps.row_weights(rows, "centred")
-
-    assert (weights[0], weights[-1], weights.diff().unique().tolist()) == (first, last, [1])
-
-
 @pytest.mark.parametrize("kind", ["base", "patch"])
 @pytest.mark.parametrize(("share", "count"), [(0.3, 12), (0.5, 21), (0.01, 1), (1.0, 41)])
 def test_the_best_maps_are_kept_best_first(kind: str, share: float, count: int) -> None:
@@ -56,12 +49,3 @@ def test_patches_that_are_all_equal_give_maps_of_0() -> None:
     assert (found.maps == 0).all()
     assert (found.scores == 0).all()
     assert (maps.mean_map(found.maps, "maximum") == 0).all()
-
-
-def test_the_mean_map_reaches_1_or_is_just_the_mean() -> None:
-    stack = random(4, *SIZE) / 2
-
-    mean = stack.mean(0)
-
-    assert torch.equal(maps.mean_map(stack, "none"), mean)
-    assert torch.equal(maps.mean_map(stack, "maximum"), mean / mean.max())

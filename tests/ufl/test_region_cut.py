@@ -13,7 +13,6 @@ from roadtorch.ufl.region_cut import (
     connected_regions,
     cut_road,
     density_peaks,
-    shared_borders,
     source_side,
 )
 from tests.draws import random, seeded
@@ -26,13 +25,6 @@ def test_pieces_of_one_cluster_are_regions_of_their_own() -> None:
     assert found[0, 3] == found[2, 3]
     assert found.unique().tolist() == [0, 1, 2, 3]
     assert connected_regions(torch.eye(2)).unique().tolist() == [0, 1, 2, 3]  # not by corners
-
-
-def test_borders_are_counted_in_pixels() -> None:
-    pairs, length = shared_borders(torch.tensor([[0, 0, 1], [2, 2, 1]]))
-
-    found = dict(zip(map(tuple, pairs.tolist()), length.tolist(), strict=True))
-    assert found == {(0, 1): 1, (0, 2): 2, (1, 2): 1}
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -100,12 +92,6 @@ def test_every_blob_has_its_peak() -> None:
     peaks = density_peaks(blobs(0.0, 1.0, 3.0), 3, 0.02)
 
     assert sorted((peaks // 40).tolist()) == [0, 1, 2]
-
-
-def test_the_densest_point_is_a_peak_however_near_the_others_are() -> None:
-    points = torch.tensor([[0.0], [0.1], [0.2], [0.3], [1.0]])
-
-    assert int(density_peaks(points, 1, 0.3)[0]) in (1, 2)
 
 
 def test_points_that_are_all_the_same_have_peaks_all_the_same() -> None:

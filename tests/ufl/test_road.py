@@ -21,13 +21,6 @@ def lower_half() -> torch.Tensor:
 # Place
 
 
-def test_place_of_the_program_is_symmetric() -> None:
-    found = road.place_weights(11, 14, "symmetric")
-
-    np.testing.assert_allclose(found, found.flip(1))
-    np.testing.assert_allclose(found[:, 0] - found[5, 0], -(found[:, 0] - found[5, 0]).flip(0))
-
-
 def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
     found = road.place_ahead(100, 200, apex=0.5, base=0.8)
 
@@ -52,18 +45,6 @@ def test_the_error_is_equation_10(centring: road.Centring, seed: int, kept: floa
 
     expected = reference.errors(maps.numpy(), lower_half().numpy(), kept, centring == "road")
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-7)
-
-
-def test_the_centred_basis_on_raw_features_keeps_the_mean_as_error() -> None:
-    maps = 5 + 0.1 * random(4, 9, 12)
-
-    error = road.reconstruction_error(maps, lower_half(), "basis", 1.0)
-    centred = road.reconstruction_error(maps, lower_half(), "road", 1.0)
-
-    assert float(centred.max()) < 1e-6
-    assert float(error.max()) < 1e-6  # all four directions are kept
-    least = road.reconstruction_error(maps, lower_half(), "basis", 0.01)
-    assert float(least.min()) > 1
 
 
 def test_road_that_is_all_alike_is_explained_by_its_mean_alone() -> None:
@@ -133,17 +114,6 @@ def test_a_round_that_finds_no_road_ends_it() -> None:
     assert len(rounds) == 1
     assert rounds[0].model is None
     assert not rounds[0].road.any()
-
-
-def test_the_node_that_is_learned_from() -> None:
-    choice = hierarchy.NodeChoice(
-        torch.tensor([False, False, True, True]),
-        torch.tensor([9.0, 1.0, 2.0, 3.0]),
-        torch.tensor([5.0, 5.0, 2.0, 3.0]),
-    )
-
-    assert road.model_node(choice, "selected") == 3
-    assert road.model_node(choice, "best") == 1
 
 
 # Back to the image

@@ -17,7 +17,6 @@ from roadtorch.ufl.vanishing import (
     angle_between,
     angles_from,
     colour_difference,
-    consistency,
     dominant_orientation,
     filter_spectrum,
     find_borders,
@@ -135,29 +134,6 @@ def wedge(first: float, second: float) -> Tensor:
     road = (angle > first) & (angle < second)
     grey, green = torch.full((3, 1, 1), 0.5), torch.tensor([0.2, 0.5, 0.2])[:, None, None]
     return torch.where(road, grey, green) + 0.1 * random(3, *SIZE, dtype=torch.float32)
-
-
-def test_rays_are_29_from_20_to_160_degrees() -> None:
-    assert CANDIDATES.tolist() == list(range(20, 161, 5))
-
-
-def test_a_ray_along_which_all_texture_runs_is_consistent() -> None:
-    along, none = (
-        consistency(POINT[None], orientation, BorderSettings())[0]
-        for orientation in (AIMING, (AIMING + 90).remainder(180))
-    )
-
-    assert (along > 0.95).all()
-    assert not none.any()
-
-
-def test_rays_that_leave_the_picture_soon_are_none() -> None:
-    corner = torch.tensor([[60.0, 118.0]])
-
-    found = consistency(corner, angles_from(corner[0], SIZE), BorderSettings())[0]
-
-    assert not found[0]  # 20°, to the right
-    assert found[-1] > 0.9  # 160°, to the left
 
 
 def test_colours_differ_most_at_the_borders() -> None:
