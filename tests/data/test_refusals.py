@@ -45,13 +45,14 @@ def grey(*values: int, kind: type = np.uint8) -> np.ndarray:
 
 
 BLACK = np.zeros((1, 1, 3), np.uint8)
+GREEN = np.array([3, 9, 1], np.uint8)
 
 LABEL_PICTURES: Rows = [
     (partial(truth, NUMBERS), {"a.png": grey(0, 3, 77, 77, 255)}, "a.png",
      r"values 77 \(2 pixels\), 3 \(1 pixels\), 255 .*\(known: 0, 1, 5, 7, 9"),
-    (partial(truth, NUMBERS), {"a.png": BLACK + np.uint8([1, 2, 3])}, "a.png", "a colour picture"),
-    (partial(truth, COLOURS), {"a.png": BLACK + np.uint8([3, 2, 1])}, "a.png",
-     r"colours 3 2 1 \(1 pixels\)"),
+    (partial(truth, NUMBERS), {"a.png": BLACK + GREEN}, "a.png", "a colour picture"),
+    (partial(truth, COLOURS), {"a.png": BLACK + GREEN}, "a.png",
+     r"colours 3 9 1 \(1 pixels\)"),
     (lambda root: [*pairs(root / "images", root / "labels", "_L.png")],
      {"images/a.png": BLACK, "images/b.jpg": BLACK, "labels/x": ""}, "labels/a_L.png",
      "is missing, 2 of 2"),

@@ -15,15 +15,17 @@ from PIL import Image
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import build_settings, parse_assignments, to_toml
 from roadtorch.camera.birds_eye import to_birds_eye
-from roadtorch.camera.calibration import read_calibration
+from roadtorch.camera.calibration import read_calibration, read_camera_info
 from roadtorch.camera.camera import Camera, EgoLook
 from roadtorch.cli.options import DetectorOptions
+from roadtorch.data.camvid import COLOURS32, READINGS
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import FORMATS as IMPORTED
 from roadtorch.data.corrections import Correction
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.events import read_log
 from roadtorch.data.folder import FolderLabels, with_conditions
+from roadtorch.data.labels import ColourLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask, read_map
 from roadtorch.data.polygons import labelme_document, read_outlined_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
@@ -209,6 +211,22 @@ def read_labels(path: Path) -> bool:
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
 
 
+CAMVID32 = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), READINGS["camvid32"])
+
+
+def make_colours(draw: Draw, _: Path) -> bytes:
+    """A label image of CamVid in 32 colours."""
+    colours, data = np.array([colour for colour, _, _ in COLOURS32], np.uint8), io.BytesIO()
+    mode = one_of(draw, "RGB", "P", "RGBA")
+    Image.fromarray(colours.reshape(4, 8, 3)).convert(mode).save(data, "PNG")
+    return tampered(draw, data.getvalue(), OF_PICTURES)
+
+
+def read_colours(path: Path) -> bool:
+    truth = CAMVID32.truth(LabelledItem("a", path, path))
+    return truth.road.shape == truth.valid.shape
+
+
 NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
 SAID = Correction(Path("a.png"), "a.png", NUMBERS, False, 0, 0, Path("log"))
 
@@ -282,6 +300,14 @@ def make_calibration(draw: Draw, _: Path) -> bytes:
 
 def read_from_above(path: Path) -> bool:
     return to_birds_eye(torch.rand(HEIGHT, WIDTH), read_calibration(path)).shape == (800, 400)
+
+
+CAMERA_INFO = """image_width: 640
+image_height: 480
+camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320.5, 0, 510, 240, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.3, 0.1, 0.001, -0.001, 0]}
+"""
 
 
 # --- results of earlier runs ----------------------------------------------------------------
@@ -367,11 +393,15 @@ KINDS: Mapping[str, Kind] = {
         lambda path: read_outlined_mask(path, (HEIGHT, WIDTH)).shape == (HEIGHT, WIDTH),
     ),
     "labels": Kind("label.png", make_labels, read_labels),
+    "colours": Kind("a_L.png", make_colours, read_colours),
     "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),
     "imported coco": imported("coco", "coco.json"),
     "journals": Kind("a.png.strokes.jsonl", make_journal, read_journal),
     "conditions": Kind("conditions.csv", of_text(CONDITIONS), read_conditions),
     "calibration": Kind("calib.txt", make_calibration, read_from_above),
+    "camera info": Kind(
+        "info.yaml", of_text(CAMERA_INFO), lambda path: read_camera_info(path).focal_x > 0
+    ),
     "index": Kind("index.csv", of_file(lambda path: write_index(path, INDEX), OF_TEXT), read_rows),
     "results": Kind(CONFIG, of_text(RESULTS), read_results),
     "maps": Kind("a.npy", make_map, read_maps),
