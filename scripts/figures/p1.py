@@ -1,11 +1,11 @@
 """P1, Tables I and II.
 
 P1's own sets (After-Rain, Sunny-Shadows, Nanjing, Kitti-Layout) are not public any more or not
-here: Table I is its protocol on CamVid, IDD and KITTI road, of which few pictures are taken so
-that a command ends within minutes.
+here: Table I is its protocol on CamVid, IDD and KITTI road, of which few images are taken so that
+a command ends within minutes.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -16,19 +16,17 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth, every_kth
 from roadtorch.data.kitti import birds_eye
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.evaluation.evaluate import Evaluation, evaluate
+from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import SCORES
 from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure, precision, recall
 from roadtorch.ufl.preprocess import WorkingShape, bicubic
-from scripts.figures.chart import tell
+from scripts.figures.chart import show_table
 
 SETS = {"camvid": ("camvid", 18), "idd-lite": ("idd_lite", 10), "kitti-road": ("kitti_road", 5)}
-"""By name of the set: its folder in the data, and how many of its pictures are taken."""
+"""By name of the set: its folder in the data, and how many of its images are taken."""
 
 TABLE = ("vanishing-point", "kmeans-road", "ufl:paper", "ufl:original", "ufl", "prior:triangle")
 """The three of Table I in its order, its own as text and as program, our best, a blind baseline."""
-
-COLUMNS = ("set", "pictures", "method", "P", "R", "F")
 
 TABLE2 = tuple(measure for measure in SCORES if measure.key in ("maxf", "ap"))
 
@@ -39,10 +37,10 @@ BENCHMARK = (
 """Table II: P1, Xia et al., Kong et al.; its "CN [17]" is P2."""
 
 
-def small(image: Tensor, truth: Truth) -> tuple[Tensor, Truth]:
-    """A picture (3,H,W) and its truth at the size at which P1 works and scores.
+def resize_as_p1(image: Tensor, truth: Truth) -> tuple[Tensor, Truth]:
+    """Bring an image (3,H,W) and its truth to the size at which P1 works and scores.
 
-    160x120 for pictures of 4:3, 397x120 for KITTI's; the label by its nearest pixel, where the
+    160x120 for images of 4:3, 397x120 for KITTI's; the label by its nearest pixel, where the
     authors' program calls road whatever a bicubic label leaves above 0.
     """
     height, width = image.shape[-2:]
@@ -53,17 +51,17 @@ def small(image: Tensor, truth: Truth) -> tuple[Tensor, Truth]:
     return bicubic(image, (rows, columns)), reduced
 
 
-def pooled(
-    pictures: Sequence[tuple[Tensor, Truth]], methods: Sequence[str]
+def pooled_counts(
+    images: Sequence[tuple[Tensor, Truth]], detectors: Sequence[str]
 ) -> Mapping[str, Decisions]:
-    """Counts of each method's masks, pooled over pictures and their truth (P1, eq. 11)."""
-    found: dict[str, Decisions] = {}
-    for name in methods:
+    """Count each detector's masks, pooled over images and their truth (P1, eq. 11)."""
+    counts: dict[str, Decisions] = {}
+    for name in detectors:
         detector = load_detector(name)
-        for image, truth in Progress(pictures, desc=name, unit="image"):
-            counts = count_mask(detector.detect(image).mask, truth.road, truth.valid)
-            found[name] = found[name] + counts if name in found else counts
-    return found
+        for image, truth in Progress(images, desc=name, unit="image"):
+            of_image = count_mask(detector.detect(image).mask, truth.road, truth.valid)
+            counts[name] = counts[name] + of_image if name in counts else of_image
+    return counts
 
 
 def table1(data: Path, out: Path) -> None:
@@ -71,31 +69,25 @@ def table1(data: Path, out: Path) -> None:
     rows = []
     for set_name, (folder, count) in SETS.items():
         dataset = every_kth(open_dataset(set_name, data / folder), count)
-        pictures = [small(*dataset.read(item)) for item in dataset.items]
-        for name, counts in pooled(pictures, TABLE).items():
-            figures = (precision(counts), recall(counts), f_measure(counts))
-            percent = [f"{100 * float(figure):.2f}" for figure in figures]
-            cells = (dataset.name, len(pictures), name, *percent)
-            rows.append(dict(zip(COLUMNS, cells, strict=True)))
-    tell(out / "p1-table1.csv", COLUMNS, rows)
+        images = [resize_as_p1(*dataset.read(item)) for item in dataset.items]
+        for name, counts in pooled_counts(images, TABLE).items():
+            figures = {"P": precision(counts), "R": recall(counts), "F": f_measure(counts)}
+            percents = {key: f"{100 * float(value):.2f}" for key, value in figures.items()}
+            rows.append({"set": dataset.name, "images": len(images), "method": name, **percents})
+    show_table(out / "p1-table1.csv", rows)
 
 
 def table2(data: Path, out: Path) -> None:
     """MaxF and AP in bird's-eye view by category: evaluate kitti-road --bev."""
-    evaluation = evaluate(
-        birds_eye(open_dataset("kitti-road", data / "kitti_road")), BENCHMARK, quiet=False
-    )
+    dataset = birds_eye(open_dataset("kitti-road", data / "kitti_road"))
+    evaluation = evaluate(dataset, BENCHMARK, quiet=False)
     for failure in evaluation.failures:
         print(f"left out: {failure.image}: {failure.reason}")
-    rows = list(benchmark_rows(evaluation))
-    tell(out / "p1-table2.csv", list(rows[0]), rows)
-
-
-def benchmark_rows(evaluation: Evaluation) -> Iterator[Mapping[str, str]]:
-    """The columns of Table II: MaxF and AP of each category, and of all pictures pooled."""
+    rows = []
     for name in evaluation.ranked():
         figures, row = evaluation.detectors[name], {"method": name}
         for group, part in (*sorted(figures.groups.items()), ("total", figures.pooled)):
             for measure in TABLE2:
                 row[f"{group} {measure.name}"] = f"{100 * measure.of(part):.2f}"
-        yield row
+        rows.append(row)
+    show_table(out / "p1-table2.csv", rows)

@@ -1,6 +1,6 @@
 """P2, Figs. 4b and 4c (layout of CNN-7 and of its teacher), 6a and 6b (road)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.atomic import atomic
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem, every_kth
 from roadtorch.detectors.detector import Detection
@@ -23,35 +22,35 @@ from roadtorch.evaluation.metrics import auc
 from roadtorch.evaluation.tally import Part, Tally, of_groups
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.road.seed_area import seed_rectangle
-from scripts.figures.chart import tell
+from scripts.figures.chart import chart, show_table
 
 EVERY = 16
-"""Figures look at every so-manieth picture of CamVid; Fig. 6a at twice as many."""
+"""Figures take every so-manieth image of CamVid; Fig. 6a twice as many."""
 
-IDD_PICTURES = 50
+IDD_IMAGES = 50
 
 
 def streets(data: Path, every: int = EVERY) -> Dataset:
-    """CamVid's test split, which P2's figures show, where ``data`` has it; else its dev drives."""
+    """Open CamVid's test split, which P2's figures show, where it is there; else its dev drives."""
     root = data / "camvid"
     split = "test" if (root / "test").is_dir() else "dev"
     dataset = open_dataset("camvid", root, split)
     chosen = every_kth(dataset, -(-len(dataset.items) // every))
-    print(f"CamVid {split}, {len(chosen.items)} of {len(dataset.items)} pictures", end="\n\n")
+    print(f"CamVid {split}, {len(chosen.items)} of {len(dataset.items)} images", end="\n\n")
     return chosen
 
 
-def scored(
+def tally_detectors(
     dataset: Dataset,
     detectors: Mapping[str, tuple[str, Mapping[str, Any]]],
-    changed: Callable[[Contender], Contender] = lambda contender: contender,
+    change: Callable[[Contender], Contender] = lambda contender: contender,
 ) -> Mapping[str, Tally]:
-    """What is counted of detectors; by title, their names and settings. changed: of each one.
+    """Count what detectors find, by title; RuntimeError for an image that fails.
 
-    RuntimeError for a picture that fails.
+    detectors: names and settings by title. change: what is applied to each of them.
     """
     entries = [
-        replace(changed(named_detector(name, settings)), name=title)
+        replace(change(named_detector(name, settings)), name=title)
         for title, (name, settings) in detectors.items()
     ]
     run = evaluated(dataset, entries, measures=(), quiet=False)
@@ -61,7 +60,7 @@ def scored(
 
 
 def pooled(tally: Tally) -> Part:
-    """The pixels of all drives together, as P2 has them."""
+    """Pool the pixels of all drives, as P2 does."""
     return of_groups(tally, dict.fromkeys(tally.road, 0.5))
 
 
@@ -76,62 +75,55 @@ PRINTED = {
 }
 """P2, Fig. 4b and 4c, on CamVid's test split: rows truth, columns decision."""
 
-Shares = Sequence[Sequence[float]]
 
-
-def confusion_of_cnn7(data: Path, out: Path) -> None:
+def fig4b(data: Path, out: Path) -> None:
     """Fig. 4b: the confusion of CNN-7, beside P2's."""
-    _confusion("p2-fig4b", "layout:paper", streets(data), out)
+    show_confusion("p2-fig4b", "layout:paper", streets(data), out)
 
 
-def confusion_of_labeller(data: Path, out: Path) -> None:
+def fig4c(data: Path, out: Path) -> None:
     """Fig. 4c: the confusion of the teacher; ours is `labeller`, P2's is Hoiem et al."""
-    _confusion("p2-fig4c", "labeller", streets(data), out)
+    show_confusion("p2-fig4c", "labeller", streets(data), out)
 
 
-def _confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
-    counts = pooled(scored(dataset, {name: (name, {})})[name]).layout
+def show_confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
+    """Show a detector's confusion of classes beside P2's."""
+    counts = pooled(tally_detectors(dataset, {name: (name, {})})[name]).layout
     assert counts is not None
-    readings = {"void ignored": counts, "void vertical": metrics.void_as_vertical(counts)}
-    shares = {text: printed_shares(each) for text, each in readings.items()}
-    rows = []
-    for number, truth in enumerate(PRINTED_ORDER):
-        line = {"truth": truth}
-        for column, decided in enumerate(PRINTED_ORDER):
-            own = (f"{each[number][column]:.3f}" for each in shares.values())
-            keys = (f"{decided}, {text}" for text in shares)
-            line |= dict(zip(keys, own, strict=True))
-            line[f"{decided}, P2"] = f"{PRINTED[figure][number][column]:.3f}"
-        rows.append(line)
-    tell(out / f"{figure}.csv", list(rows[0]), rows)
-    for text, each in (*shares.items(), ("P2", PRINTED[figure])):
-        print(f"{name}, {text}: global average accuracy {np.diagonal(each).mean():.3f}")
-    draw_confusion(shares["void vertical"], name, out / f"{figure}.png")
+    void_as_vertical = printed_ratios(metrics.void_as_vertical(counts))
+    ratios = {
+        "void ignored": printed_ratios(counts),
+        "void vertical": void_as_vertical,
+        "P2": np.array(PRINTED[figure]),
+    }
+    rows = [
+        {"truth": truth}
+        | {
+            f"{decided}, {title}": float(each[row, column])
+            for column, decided in enumerate(PRINTED_ORDER)
+            for title, each in ratios.items()
+        }
+        for row, truth in enumerate(PRINTED_ORDER)
+    ]
+    show_table(out / f"{figure}.csv", rows)
+    for title, each in ratios.items():
+        print(f"{name}, {title}: global average accuracy {np.diagonal(each).mean():.3f}")
+    with chart(out / f"{figure}.png", 4.2, 4) as page:
+        axes = page.subplots()
+        axes.grid(visible=False)
+        axes.imshow(void_as_vertical, cmap="Blues", vmin=0, vmax=1)
+        for (row, column), value in np.ndenumerate(void_as_vertical):
+            colour = "white" if value > 0.5 else "black"
+            axes.text(column, row, f"{value:.3f}", ha="center", va="center", color=colour)
+        axes.set_xticks(range(3), list(PRINTED_ORDER))
+        axes.set_yticks(range(3), list(PRINTED_ORDER))
+        axes.set(xlabel="decision", ylabel="truth", title=f"{name}, void vertical")
 
 
-def printed_shares(counts: Tensor) -> Shares:
-    """A confusion (4,4) as P2 prints it: rows sum to 1, in the order of ``PRINTED_ORDER``."""
+def printed_ratios(counts: Tensor) -> np.ndarray:
+    """Normalise a confusion (4,4) as P2 prints it: rows sum to 1, in ``PRINTED_ORDER``."""
     order = list(PRINTED_ORDER.values())
-    return metrics.normalised_confusion(counts)[order][:, order].tolist()
-
-
-def draw_confusion(shares: Shares, title: str, path: Path) -> None:
-    """A confusion as squares, the darker the larger."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.2, 4), layout="constrained")
-    axes = figure.subplots()
-    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1)
-    for (row, column), value in np.ndenumerate(shares):
-        colour = "white" if value > 0.5 else "black"
-        axes.text(column, row, f"{value:.3f}", ha="center", va="center", color=colour)
-    axes.set_xticks(range(3), list(PRINTED_ORDER))
-    axes.set_yticks(range(3), list(PRINTED_ORDER))
-    axes.set(xlabel="decision", ylabel="truth")
-    axes.set_title(f"{title}: mean of the diagonal {np.diagonal(shares).mean():.3f}", fontsize=10)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=120)
-    print(path)
+    return metrics.normalised_confusion(counts)[order][:, order].numpy()
 
 
 # --- road --------------------------------------------------------------------------------
@@ -156,43 +148,45 @@ GAINS = {TEXTURE: "8 %", COMBINED: "24 %"}
 """P2, section 6.2: by how much these are better than the baseline. (The areas themselves are
 printed in the figure alone.)"""
 
-
 WHOLE = " (isolated areas kept)"
 """Behind the titles of lines whose likelihood is taken as it is."""
 
 
-def roc_curves(data: Path, out: Path) -> None:
+def fig6a(data: Path, out: Path) -> None:
     """Fig. 6a: ROC curves and their areas, isolated areas discarded, on CamVid and IDD."""
     sets = {"camvid": streets(data, EVERY // 2)}
     if (data / "idd_lite").is_dir():
-        sets["idd"] = every_kth(open_dataset("idd-lite", data / "idd_lite"), IDD_PICTURES)
+        sets["idd"] = every_kth(open_dataset("idd-lite", data / "idd_lite"), IDD_IMAGES)
     rows = []
     for name, dataset in sets.items():
         whole = {title + WHOLE: line for title, line in LINES.items()}
-        tallies = {**scored(dataset, LINES, discarding), **scored(dataset, whole)}
+        tallies = {
+            **tally_detectors(dataset, LINES, discard_isolated),
+            **tally_detectors(dataset, whole),
+        }
         rows += [{"set": name, **row} for row in area_rows(tallies)]
-        lines = {title: roc(pooled(tallies[title]).road) for title in LINES}
-        draw_roc(lines, out / f"p2-fig6a-{name}.png")
-    tell(out / "p2-fig6a.csv", list(rows[0]), rows)
+        curves = {title: roc(pooled(tallies[title]).road) for title in LINES}
+        draw_roc(curves, out / f"p2-fig6a-{name}.png")
+    show_table(out / "p2-fig6a.csv", rows)
 
 
-def discarding(contender: Contender) -> Contender:
-    """The same with every area discarded that does not touch the seed area, at every threshold."""
-    return replace(contender, prepare=partial(_discarding, contender.prepare))
+def discard_isolated(contender: Contender) -> Contender:
+    """Discard every area that does not touch the seed area, at every threshold."""
+    return replace(contender, prepare=partial(_prepare_discarding, contender.prepare))
 
 
-def _discarding(prepare: Callable[[Dataset], Look], dataset: Dataset) -> Look:
+def _prepare_discarding(prepare: Callable[[Dataset], Look], dataset: Dataset) -> Look:
     detect = prepare(dataset)
 
     def look(image: Tensor, item: LabelledItem) -> Detection:
         detection = detect(image, item)
-        return replace(detection, likelihood=reaching_seed(detection.likelihood))
+        return replace(detection, likelihood=reach_of_seed(detection.likelihood))
 
     return look
 
 
-def reaching_seed(likelihood: Tensor) -> Tensor:
-    """The highest threshold at which each pixel of a map (H,W) is joined to the seed area.
+def reach_of_seed(likelihood: Tensor) -> Tensor:
+    """Return the highest threshold at which each pixel of a map (H,W) is joined to the seed area.
 
     Thresholded, it is what is left of the map, thresholded, when isolated areas are discarded
     (P2, section 6.2): the greyscale reconstruction of the map from its seed area (Vincent 1993).
@@ -206,65 +200,62 @@ def reaching_seed(likelihood: Tensor) -> Tensor:
 
 
 def area_rows(tallies: Mapping[str, Tally]) -> list[dict[str, str]]:
-    """AUC of each line pooled and by drives, the gains over the baseline, and P2's."""
-
-    def areas(title: str) -> tuple[float, float]:
-        road = tallies[title].road
-        return float(auc(pooled(tallies[title]).road)), fmean(map(float, map(auc, road.values())))
-
-    rows, bases = [], {kind: areas(BASELINE + kind) for kind in ("", WHOLE)}
+    """Return AUC of each line pooled and by drives, the gains over the baseline, and P2's."""
+    areas = {
+        title: {
+            "AUC, pooled": float(auc(pooled(tally).road)),
+            "mean of drives": fmean(map(float, map(auc, tally.road.values()))),
+        }
+        for title, tally in tallies.items()
+    }
+    rows = []
     for title in (title for title in tallies if not title.endswith(WHOLE)):
         row = {"method": title}
-        for kind, base in bases.items():
-            names = ("AUC, pooled", "over LBP", "mean of drives", "over LBP by drives")
-            values = [
-                text
-                for area, of_base in zip(areas(title + kind), base, strict=True)
-                for text in (f"{area:.3f}", f"{100 * (area / of_base - 1):+.0f} %")
-            ]
-            row |= {name + kind: value for name, value in zip(names, values, strict=True)}
+        for kind in ("", WHOLE):
+            for average, value in areas[title + kind].items():
+                gain = 100 * (value / areas[BASELINE + kind][average] - 1)
+                row |= {
+                    f"{average}{kind}": f"{value:.3f}",
+                    f"over LBP, {average}{kind}": f"{gain:+.0f} %",
+                }
         rows.append(row | {"P2's gain": GAINS.get(title, "")})
     return rows
 
 
 def draw_roc(curves: Mapping[str, Curve], path: Path) -> None:
-    """ROC curves in one picture."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 5.5), layout="constrained")
-    axes = figure.subplots()
-    for text, curve in curves.items():
-        style = ":" if "baseline" in text else "-"
-        axes.plot(curve.x, curve.y, style, label=f"{text}: {float(area(curve)):.3f}")
-    axes.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1))
-    axes.grid(alpha=0.3)
-    axes.legend(loc="lower right")
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=120)
-    print(path)
+    """Draw ROC curves in one chart."""
+    with chart(path, 6, 5.5) as figure:
+        axes = figure.subplots()
+        for title, curve in curves.items():
+            style = ":" if "baseline" in title else "-"
+            axes.plot(curve.x, curve.y, style, label=f"{title}: {float(area(curve)):.3f}")
+        axes.set(xlabel="false positive rate", ylabel="true positive rate")
+        axes.set(xlim=(0, 1), ylim=(0, 1))
+        axes.legend(loc="lower right")
 
 
 ACCURACY = ("fusion:paper", "fusion:untrained", "fusion", "prior:rows")
 
 
-def road_accuracy(data: Path, out: Path) -> None:
-    """Fig. 6b: road accuracy, the share of road that is found; what it costs stands beside."""
-    rows = []
-    for name, tally in scored(streets(data), {name: (name, {}) for name in ACCURACY}).items():
-        own = {"detector": name, "threshold": f"{named_detector(name, {}).threshold:g}"}
-        rows.append(own | accuracy_row(pooled(tally)))
-    tell(out / "p2-fig6b.csv", list(rows[0]), rows)
+def fig6b(data: Path, out: Path) -> None:
+    """Fig. 6b: road accuracy, the ratio of road that is found; what it costs stands beside."""
+    tallies = tally_detectors(streets(data), {name: (name, {}) for name in ACCURACY})
+    rows = [
+        {"detector": name, "threshold": f"{named_detector(name, {}).threshold:g}"}
+        | accuracy_row(pooled(tally))
+        for name, tally in tallies.items()
+    ]
+    show_table(out / "p2-fig6b.csv", rows)
 
 
-def accuracy_row(counts: Part) -> dict[str, str]:
-    """Recall, FPR, precision and F of the detector's own masks; the FPR at a recall of 0.95."""
-    figures = {
-        "road accuracy (recall)": metrics.recall,
-        "FPR": metrics.false_positive_rate,
-        "precision": metrics.precision,
-        "F": metrics.f_measure,
-    }
-    own = {text: f"{float(figure(counts.mask)):.3f}" for text, figure in figures.items()}
+def accuracy_row(counts: Part) -> dict[str, float]:
+    """Return recall, FPR, precision and F of the detector's masks; the FPR at a recall of 0.95."""
     curve = roc(counts.road)
     at = int(torch.searchsorted(curve.y.contiguous(), 0.95))
-    return own | {"FPR where recall is .95": f"{float(curve.x[at]):.3f}"}
+    return {
+        "road accuracy (recall)": float(metrics.recall(counts.mask)),
+        "FPR": float(metrics.false_positive_rate(counts.mask)),
+        "precision": float(metrics.precision(counts.mask)),
+        "F": float(metrics.f_measure(counts.mask)),
+        "FPR where recall is .95": float(curve.x[at]),
+    }

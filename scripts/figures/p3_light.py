@@ -5,19 +5,24 @@ pixels moves, over the plane's standard deviation in the pictures: 0 is no chang
 the plane varies in them at all (ours; P3 argues from theory and gives signs only).
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
-from roadtorch.imaging.color import plane
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.evaluation.metrics import auc, count_levels
+from roadtorch.imaging.color import PLANES, plane
+from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.testing.scenes import RenderedScene, render_scene
-from scripts.figures.chart import apart, area_of, chart, middle, open_sets, spread, tell
+from scripts.figures.chart import chart, show_table
 
 NAMES = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "a", "b", "H", "S")
 
@@ -34,7 +39,7 @@ SIGNS = {
 """P3's Table II as its text has it: a sign for each of the ``PRINTED`` columns."""
 
 SCENES = 12
-PICTURES = 36  # of CamVid
+IMAGES = 36  # of CamVid
 ROBUST = 0.25  # a plane has "+" below it; ours
 TELLING = 0.75  # AUC from which a plane is discriminative; ours
 SHADE = 0.03  # grey levels of 1 that a shadow takes at least
@@ -53,7 +58,7 @@ Row = Mapping[str, object]
 """A property and, by plane, its measure."""
 
 Change = Callable[[int], Pair]
-"""A pair of pictures of the scene with a seed."""
+"""A pair of images of the scene with a seed."""
 
 CLEAR: Mapping[str, float] = {"dusk": 0.0, "shadows": 0, "cars": 0}
 
@@ -62,55 +67,55 @@ CLEAR: Mapping[str, float] = {"dusk": 0.0, "shadows": 0, "cars": 0}
 
 
 def clear_scene(seed: int, **options: float) -> RenderedScene:
-    """The scene of a seed at noon, without shadows and cars, but for the options."""
+    """Render the scene of a seed at noon, without shadows and cars, but for the options."""
     return render_scene(seed, 120, 160, **{**CLEAR, **options})
 
 
 def eight_bits(image: Tensor) -> Tensor:
-    """What a camera would make of an image: in [0,1], at 256 levels."""
+    """Quantise an image as a camera does: in [0,1], at 256 levels."""
     return (image.clamp(0, 1) * 255).round() / 255
 
 
 def dimmed(seed: int) -> Pair:
-    """Half of every channel."""
+    """Halve every channel."""
     scene = clear_scene(seed)
     return Pair(scene.image, eight_bits(scene.image / 2), scene.road, scene.road)
 
 
 def at_dusk(seed: int) -> Pair:
-    """The same street at noon and at late dusk, which is darker and redder."""
+    """Compare a street at noon and at late dusk, which is darker and redder."""
     noon, dusk = clear_scene(seed), clear_scene(seed, dusk=0.8)
     return Pair(noon.image, dusk.image, noon.road, dusk.road)
 
 
 def in_shadow(seed: int) -> Pair:
-    """The same street with and without shadows across it: the pixels that they darken."""
+    """Compare a street with and without shadows, in the pixels that they darken."""
     lit, shaded = clear_scene(seed), clear_scene(seed, shadows=3)
     darker = lit.road & ((lit.image - shaded.image).mean(0) > SHADE)
     return Pair(lit.image, shaded.image, darker, darker)
 
 
 def with_highlight(seed: int) -> Pair:
-    """White light reflected by the surface: 0.2 more in every channel."""
+    """Add white light reflected by the surface: 0.2 in every channel."""
     scene = clear_scene(seed)
     return Pair(scene.image, eight_bits(scene.image + 0.2), scene.road, scene.road)
 
 
 def near_and_far(seed: int) -> Pair:
-    """The lowest and the highest third of the road's rows in one picture."""
+    """Compare the lowest and the highest third of the road's rows in one image."""
     scene = clear_scene(seed)
     return Pair(scene.image, scene.image, *thirds(scene.road))
 
 
 def other_shape(seed: int) -> Pair:
-    """The same surface as a straight and as a bent, narrower road."""
+    """Compare the same surface as a straight and as a bent, narrower road."""
     straight = clear_scene(seed, curvature=0.0, road_width=8.0)
     bent = clear_scene(seed, curvature=0.005, road_width=6.0)
     return Pair(straight.image, bent.image, straight.road, bent.road)
 
 
 def other_road(seed: int) -> Pair:
-    """Another street altogether: other asphalt, other houses."""
+    """Compare two streets: other asphalt, other houses."""
     one, other = clear_scene(seed), clear_scene(seed + 1)
     return Pair(one.image, other.image, one.road, other.road)
 
@@ -128,7 +133,7 @@ CHANGES: Mapping[str, Change] = {
 
 
 def thirds(road: Tensor) -> tuple[Tensor, Tensor]:
-    """The lowest and the highest third of the rows of road bool (H,W), each bool (H,W)."""
+    """Return the lowest and the highest third of the rows of road bool (H,W), each bool (H,W)."""
     rows = road.any(1).nonzero()[:, 0]
     top, bottom = int(rows[0]), int(rows[-1]) + 1
     third = max(1, (bottom - top) // 3)
@@ -138,98 +143,91 @@ def thirds(road: Tensor) -> tuple[Tensor, Tensor]:
     return near, far
 
 
-# --- what is measured -------------------------------------------------------------------
+# --- measures ---------------------------------------------------------------------------
+
+
+def median_of(values: Tensor, name: str) -> Tensor:
+    """Return the median of values (n,) of a plane; of hue along the circle, from the mean."""
+    if not PLANES[name].circular:
+        return values.median()
+    mean = circular_mean(values)
+    return (unrolled(values, mean).median() + mean).remainder(1)
+
+
+def distance(one: Tensor, other: Tensor, name: str) -> Tensor:
+    """Return how far values of a plane are from others, ≥ 0; of hue along the circle."""
+    return (unrolled(one, other) if PLANES[name].circular else one - other).abs()
+
+
+def deviation(values: Tensor, name: str) -> float:
+    """Return the standard deviation of values (n,) of a plane."""
+    mean = circular_mean(values) if PLANES[name].circular else values.mean()
+    return float(distance(values, mean, name).square().mean().sqrt())
 
 
 def moves(change: Change, seeds: Sequence[int]) -> dict[str, float]:
-    """By plane, how far the road's median moves, over the plane's deviation in the pictures."""
+    """Return how far the road's median moves, over the plane's deviation in the images."""
     pairs = [pair for pair in map(change, seeds) if pair.here.any() and pair.there.any()]
-    found = {}
+    moved = {}
     for name in NAMES:
         ones = [plane(pair.one, name) for pair in pairs]
         others = [plane(pair.other, name) for pair in pairs]
-        shifts = [
-            float(apart(middle(one[pair.here], name), middle(other[pair.there], name), name))
-            for one, other, pair in zip(ones, others, pairs, strict=True)
-        ]
-        found[name] = fmean(shifts) / spread(torch.stack(ones).flatten(), name)
-    return found
+        here = [median_of(one[pair.here], name) for one, pair in zip(ones, pairs, strict=True)]
+        there = [median_of(two[pair.there], name) for two, pair in zip(others, pairs, strict=True)]
+        shifts = distance(torch.stack(here), torch.stack(there), name)
+        moved[name] = float(shifts.mean()) / deviation(torch.stack(ones).flatten(), name)
+    return moved
 
 
-def telling(pictures: Sequence[tuple[Tensor, Tensor, Tensor]]) -> dict[str, float]:
-    """By plane, the mean AUC of one Gaussian; pictures as (image, road, valid)."""
-    return {
-        name: fmean(area_of(f"oneclass:gaussian:{name}", *picture) for picture in pictures)
-        for name in NAMES
-    }
-
-
-# --- CamVid's drives --------------------------------------------------------------------
-
-
-class Drive(NamedTuple):
-    """By plane: the road's median in each picture (n,), near and far, and the deviation of all."""
-
-    road: dict[str, Tensor]
-    near: dict[str, Tensor]
-    far: dict[str, Tensor]
-    all: dict[str, float]
-
-
-def read_drive(dataset: Dataset, group: str) -> Drive:
-    """The planes of a drive's pictures that show road."""
-    read = [dataset.read(item) for item in dataset.items if item.group == group]
-    seen = [(image, truth) for image, truth in read if truth.road.any()]
-    ends = [thirds(truth.road) for _, truth in seen]
-    drive = Drive({}, {}, {}, {})
+def discriminative_power(dataset: Dataset) -> dict[str, float]:
+    """Return the mean AUC of one Gaussian in the images of a set that show road, by plane."""
+    read = [dataset.read(item) for item in dataset.items]
+    areas = {}
     for name in NAMES:
-        values = [plane(image, name) for image, _ in seen]
-        drive.all[name] = spread(torch.cat([one.flatten() for one in values]), name)
-        for into, masks in (
-            (drive.road, [truth.road for _, truth in seen]),
-            (drive.near, [near for near, _ in ends]),
-            (drive.far, [far for _, far in ends]),
-        ):
-            found = [middle(one[mask], name) for one, mask in zip(values, masks, strict=True)]
-            into[name] = torch.stack(found)
-    return drive
+        detector = load_detector(f"oneclass:gaussian:{name}")
+        areas[name] = fmean(
+            float(auc(count_levels(detector.detect(image).likelihood, truth.road, truth.valid)))
+            for image, truth in read
+            if truth.road.any()
+        )
+    return areas
 
 
-def drive_rows(drives: Mapping[str, Drive]) -> Iterator[Row]:
-    """How far the road moves between the drives, inside of them and from near to far."""
-    unit = {name: fmean(one.all[name] for one in drives.values()) for name in NAMES}
-    centres = {
-        drive: {name: middle(one.road[name], name) for name in NAMES}
-        for drive, one in drives.items()
-    }
-    for one, other in combinations(drives, 2):
-        yield {"property": f"{one} against {other}"} | {
-            name: float(apart(centres[one][name], centres[other][name], name)) / unit[name]
-            for name in NAMES
-        }
-    for drive, found in drives.items():
-        yield {"property": f"inside {drive}"} | {
-            name: float(apart(found.road[name], centres[drive][name], name).mean()) / unit[name]
-            for name in NAMES
-        }
-    yield {"property": "distance, CamVid"} | {
-        name: fmean(float(apart(d.near[name], d.far[name], name).mean()) for d in drives.values())
-        / unit[name]
-        for name in NAMES
-    }
+def drive_rows(dataset: Dataset) -> list[Row]:
+    """Return how far the road moves between the drives of a set, and inside of them."""
+    read = [(item.group, *dataset.read(item)) for item in dataset.items]
+    rows: dict[str, dict[str, float]] = {}
+    for name in NAMES:
+        values: dict[str, list[Tensor]] = {}
+        medians: dict[str, list[Tensor]] = {}
+        for drive, image, truth in read:
+            if truth.road.any():
+                values.setdefault(str(drive), []).append(plane(image, name))
+                medians.setdefault(str(drive), []).append(
+                    median_of(values[str(drive)][-1][truth.road], name)
+                )
+        unit = fmean(deviation(torch.stack(each).flatten(), name) for each in values.values())
+        centres = {drive: median_of(torch.stack(each), name) for drive, each in medians.items()}
+        for one, other in combinations(centres, 2):
+            apart = float(distance(centres[one], centres[other], name)) / unit
+            rows.setdefault(f"{one} against {other}", {})[name] = apart
+        for drive, each in medians.items():
+            apart = float(distance(torch.stack(each), centres[drive], name).mean()) / unit
+            rows.setdefault(f"inside {drive}", {})[name] = apart
+    return [{"property": label, **row} for label, row in rows.items()]
 
 
 # --- the table --------------------------------------------------------------------------
 
 
 def printed_sign(name: str, of: str) -> str:
-    """P3's sign for a plane and a property, "+" or "-"; a and b share a column."""
+    """Return P3's sign for a plane and a property, "+" or "-"; a and b share a column."""
     signs = SIGNS[of.partition(" (")[0]]
     return signs[PRINTED.index("ab" if name in "ab" else name)]
 
 
 def agreement(rows: Sequence[Row]) -> tuple[int, int]:
-    """In how many cells the measured sign is P3's, of how many."""
+    """Count the cells whose measured sign is P3's, and all cells."""
     same = [
         (float(str(row[name])) >= TELLING) == (printed_sign(name, of) == "+")
         if (of := str(row["property"])).startswith("discriminative")
@@ -240,29 +238,8 @@ def agreement(rows: Sequence[Row]) -> tuple[int, int]:
     return sum(same), len(same)
 
 
-def sign_rows(rows: Sequence[Row]) -> Iterator[Row]:
-    """Each row followed by P3's signs."""
-    for row in rows:
-        yield dict(row)
-        signs = {name: printed_sign(name, str(row["property"])) for name in NAMES}
-        yield {"property": "  P3", **signs}
-
-
-def measured_rows(dataset: Dataset, seeds: Sequence[int]) -> list[Row]:
-    """The rows of Table II on rendered scenes; discriminative power on the set as well."""
-    scenes = [clear_scene(seed) for seed in seeds]
-    read = [dataset.read(item) for item in dataset.items]
-    rows: list[Row] = [
-        {"property": name, **moves(change, seeds)} for name, change in CHANGES.items()
-    ]
-    shown = [(one.image, one.road, ~one.void) for one in scenes]
-    rows.append({"property": "discriminative power (AUC, scenes)", **telling(shown)})
-    seen = [(image, truth.road, truth.valid) for image, truth in read if truth.road.any()]
-    return [*rows, {"property": "discriminative power (AUC, CamVid)", **telling(seen)}]
-
-
 def draw_moves(path: Path, rows: Sequence[Row]) -> None:
-    """A row of squares a property, the darker the farther the road moves."""
+    """Draw a row of squares a property, the darker the farther the road moves."""
     values = [[float(str(row[name])) for name in NAMES] for row in rows]
     with chart(path, 6.4, 0.5 + 0.21 * len(rows)) as figure:
         axes = figure.subplots()
@@ -272,20 +249,24 @@ def draw_moves(path: Path, rows: Sequence[Row]) -> None:
         axes.set_yticks(range(len(rows)), [str(row["property"]) for row in rows])
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
-        for y, row in enumerate(values):
-            for x, value in enumerate(row):
-                ink = "white" if value > 1 else "black"
-                axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=6.5, color=ink)
+        for (y, x), value in np.ndenumerate(values):
+            ink = "white" if value > 1 else "black"
+            axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=6.5, color=ink)
 
 
 def table2(data: Path, out: Path) -> None:
     """P3, Table II: how far the road moves in each plane when light, place or shape change."""
-    (camvid,) = open_sets(data, "camvid")
-    few = every_kth(camvid, PICTURES)
-    rows = measured_rows(few, range(SCENES))
-    tell(out / "p3-table2.csv", ("property", *NAMES), list(sign_rows(rows)))
+    few = every_kth(open_dataset("camvid", data / "camvid"), IMAGES)
+    rows: list[Row] = [
+        {"property": name, **moves(change, range(SCENES))} for name, change in CHANGES.items()
+    ]
+    rows.append({"property": "discriminative power (AUC)", **discriminative_power(few)})
+    with_signs: list[Row] = []
+    for row in rows:
+        signs = {name: printed_sign(name, str(row["property"])) for name in NAMES}
+        with_signs += [row, {"property": "  P3", **signs}]
+    show_table(out / "p3-table2.csv", with_signs)
     print("Signs as P3's: {} of {}\n".format(*agreement(rows)))
-    drives = {name: read_drive(few, name) for name in few.groups()}
-    moved = list(drive_rows(drives))
-    tell(out / "p3-table2-camvid.csv", ("property", *NAMES), moved)
+    moved = drive_rows(few)
+    show_table(out / "p3-table2-camvid.csv", moved)
     draw_moves(out / "p3-table2.png", [*rows[: len(CHANGES)], *moved])

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
+from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import every_kth
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.evaluation.curves import vertical_average, vertical_sample
@@ -26,9 +26,9 @@ from roadtorch.evaluation.report.charts import COLOURS, DASHES, GRID, INK, WIDTH
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
-from scripts.figures.chart import chart, open_sets, tell
+from scripts.figures.chart import chart, show_table
 
-PICTURES = 24
+IMAGES = 24
 DOTS = 80  # per inch: the file stays small
 ROW, KEY = 190, 60  # points, of the panels of one classifier and of the names of the lines
 PRINTED = Path(__file__).resolve().parents[2] / "docs" / "research" / "oneclass_table3.csv"
@@ -51,7 +51,7 @@ Key = tuple[str, str]
 
 
 def printed_table() -> Mapping[Key, float]:
-    """P3's own values, 307 of them: Table III of arXiv 1412.3506, both halves side by side."""
+    """Read P3's own 307 values: Table III of arXiv 1412.3506, both halves side by side."""
     with PRINTED.open(encoding="utf-8", newline="") as file:
         return {
             (row["classifier"], row["representation"]): float(row["p3"])
@@ -60,28 +60,30 @@ def printed_table() -> Mapping[Key, float]:
         }
 
 
-def scored(data: Path, patterns: Sequence[str]) -> Evaluation:
-    """The AUC of detectors on some pictures of CamVid."""
-    (camvid,) = open_sets(data, "camvid")
-    few = every_kth(camvid, PICTURES)
+def evaluate_few(data: Path, patterns: Sequence[str]) -> Evaluation:
+    """Measure the AUC of detectors on some images of CamVid."""
+    few = every_kth(open_dataset("camvid", data / "camvid"), IMAGES)
     return evaluate(few, patterns, measures=(AUC_MEAN,), quiet=False)
 
 
 def cells(evaluation: Evaluation) -> Mapping[Key, str]:
-    """The one-class detectors of a run by classifier and representation."""
-    names = [name.split(":") for name in evaluation.detectors if name.startswith("oneclass:")]
-    return {(":".join([kind, *paper]), planes): ":".join([family, kind, planes, *paper])
-            for family, kind, planes, *paper in names}  # fmt: skip
+    """Return the one-class detectors of a run by classifier and representation."""
+    by_key = {}
+    for name in evaluation.detectors:
+        family, kind, *rest = name.split(":")
+        if family == "oneclass":
+            by_key[":".join([kind, *rest[1:]]), rest[0]] = name
+    return by_key
 
 
 def percents(evaluation: Evaluation) -> Mapping[Key, float]:
-    """AUC in percent."""
+    """Return AUC in percent."""
     figures = evaluation.headlines
     return {key: 100 * AUC_MEAN.of(figures[name]) for key, name in cells(evaluation).items()}
 
 
 def mean_lines(evaluation: Evaluation) -> Mapping[Key, np.ndarray]:
-    """P3's average ROC curve, mean over drives: FPR and TPR (2,points) of each cell."""
+    """Return P3's average ROC curve, mean over drives: FPR and TPR (2,points) of each cell."""
     lines = {}
     for key, name in cells(evaluation).items():
         tally, groups = evaluation.tallies[name], evaluation.detectors[name].counting
@@ -91,8 +93,8 @@ def mean_lines(evaluation: Evaluation) -> Mapping[Key, np.ndarray]:
     return lines
 
 
-def table_rows(ours: Mapping[Key, float]) -> list[Mapping[str, object]]:
-    """One row a cell, beside P3's value."""
+def table_rows(values: Mapping[Key, float]) -> list[Mapping[str, object]]:
+    """Return a row a cell, beside P3's value."""
     paper = printed_table()
     return [
         {
@@ -101,15 +103,15 @@ def table_rows(ours: Mapping[Key, float]) -> list[Mapping[str, object]]:
             "auc": f"{value:.2f}",
             "paper": paper.get((name.removesuffix(":paper"), planes), ""),
         }
-        for (name, planes), value in ours.items()
+        for (name, planes), value in values.items()
     ]
 
 
-def rank_correlation(ours: Mapping[Key, float], columns: Sequence[str]) -> float:
-    """Spearman's coefficient with P3's table, over the cells of some columns that both have."""
+def rank_correlation(values: Mapping[Key, float], columns: Sequence[str]) -> float:
+    """Return Spearman's coefficient with P3's table, over cells of some columns that both have."""
     paper = printed_table()
-    both = [key for key in ours if key in paper and key[1] in columns]
-    ranked: Any = spearmanr([ours[key] for key in both], [paper[key] for key in both])
+    both = [key for key in values if key in paper and key[1] in columns]
+    ranked: Any = spearmanr([values[key] for key in both], [paper[key] for key in both])
     return float(ranked.statistic)
 
 
@@ -122,28 +124,25 @@ def draw_families(
     """Draw a row of panels for each classifier and, below them, the names of the lines."""
     panels = figure.subplots(len(classifiers), len(HALVES), sharex=True, sharey=True, squeeze=False)
     for row, name in zip(panels, classifiers, strict=True):
-        for axes, (title, planes) in zip(row, HALVES.items(), strict=True):
-            _panel(axes, f"{name}, {title}", {one: lines.get((name, one)) for one in planes})
+        for axes, (half, planes) in zip(row, HALVES.items(), strict=True):
+            axes.set_title(f"{name}, {half}", fontsize=9, color=INK)
+            axes.plot([0, 1], [0, 1], color=GRID, linewidth=1)
+            for number, representation in enumerate(planes):
+                line = lines.get((name, representation), ([], []))
+                dash = DASHES[number // len(COLOURS)]
+                series = Series(representation, COLOURS[number % len(COLOURS)], dash)
+                axes.plot(*line, label=representation, **series.line(1.2))
+            axes.set(xlim=(0, 1), ylim=(0, 1))
+            axes.label_outer()
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.28), "ncols": 4, "fontsize": 8}
     for axes in panels[-1]:
         axes.set_xlabel("false positive rate")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.28), ncols=4, fontsize=8,
-                    handlelength=2.2, columnspacing=1)  # fmt: skip
+        axes.legend(**below, handlelength=2.2, columnspacing=1)
 
 
-def _panel(axes: Axes, title: str, lines: Mapping[str, np.ndarray | None]) -> None:
-    axes.set_title(title, fontsize=9, color=INK)
-    axes.plot([0, 1], [0, 1], color=GRID, linewidth=1)
-    for place, (planes, line) in enumerate(lines.items()):
-        dash = DASHES[place // len(COLOURS)]
-        series = Series(planes, COLOURS[place % len(COLOURS)], dash)
-        axes.plot(*([], []) if line is None else line, label=planes, **series.line(1.2))
-    axes.set(xlim=(0, 1), ylim=(0, 1))
-    axes.label_outer()
-
-
-def _families(data: Path, parts: Mapping[Path, Sequence[str]]) -> None:
+def draw_curves(data: Path, parts: Mapping[Path, Sequence[str]]) -> None:
     """Draw the curves of each part's classifiers to its file."""
-    run = scored(data, [f"oneclass:{name}:*" for name in chain.from_iterable(parts.values())])
+    run = evaluate_few(data, [f"oneclass:{name}:*" for name in chain(*parts.values())])
     lines = mean_lines(run)
     for path, classifiers in parts.items():
         with chart(path, WIDTH / 72, (KEY + ROW * len(classifiers)) / 72, DOTS) as figure:
@@ -152,18 +151,20 @@ def _families(data: Path, parts: Mapping[Path, Sequence[str]]) -> None:
 
 def fig8(data: Path, out: Path) -> None:
     """P3, Fig. 8: ROC curves of the four histograms, in planes and in combinations."""
-    _families(data, {out / "p3-fig8.png": HISTOGRAMS})
+    draw_curves(data, {out / "p3-fig8.png": HISTOGRAMS})
 
 
 def fig9(data: Path, out: Path) -> None:
     """P3, Fig. 9: ROC curves of representative classifiers, in planes and in combinations."""
-    _families(data, {out / f"p3-fig9{name}.png": part for name, part in REPRESENTATIVE.items()})
+    draw_curves(data, {out / f"p3-fig9{name}.png": part for name, part in REPRESENTATIVE.items()})
 
 
 def table3(data: Path, out: Path) -> None:
     """P3, Table III: AUC of 17 classifiers in 19 representations, ours and P3's to the letter."""
-    ours = percents(scored(data, ["oneclass:*:*", *list_detectors("oneclass:*:paper")]))
-    columns = ("classifier", "representation", "auc", "paper")
-    tell(out / "p3-table3.csv", columns, table_rows(ours))
+    patterns = ["oneclass:*:*", *list_detectors("oneclass:*:paper")]
+    values = percents(evaluate_few(data, patterns))
+    show_table(out / "p3-table3.csv", table_rows(values))
     for half, planes in HALVES.items():
-        print(f"Spearman's rank correlation with P3, {half}: {rank_correlation(ours, planes):+.2f}")
+        print(
+            f"Spearman's rank correlation with P3, {half}: {rank_correlation(values, planes):+.2f}"
+        )

@@ -60,7 +60,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(p1, "BENCHMARK", ("fusion:paper",))
     monkeypatch.setattr(p3_light, "SCENES", 1)
     for module in (p3_light, p3_table3):
-        monkeypatch.setattr(module, "PICTURES", 1)
+        monkeypatch.setattr(module, "IMAGES", 1)
 
 
 @pytest.mark.parametrize(("figure", "command"), COMMANDS, ids=[figure for figure, _ in COMMANDS])
