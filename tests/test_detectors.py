@@ -56,19 +56,15 @@ def with_value(value: float) -> Tensor:
     ("image", "what"),
     [
         (with_value(float("nan")), "has values from nan to nan"),
-        (with_value(float("inf")), "has values from 0"),
         (with_value(1.5), "has values from 0"),
-        (with_value(-0.5), "has values from -0.5"),
         (street(32, 32)[:1], "has the shape (1, 32, 32)"),
         (street(32, 32)[None], "has the shape (1, 3, 32, 32)"),
         (street(15, 15), "is 15×15 pixels"),
-        (torch.zeros(3, 32, 0), "is 0×32 pixels"),
         (torch.zeros(3, 32, 32, dtype=torch.int32), "is torch.int32"),
         ([[0.5]], "is a list, not one picture"),
-        (torch.zeros(3, 32, 32).to_sparse(), "has the layout torch.sparse_coo"),
         (torch.zeros(3, 32, 32, device="meta"), "is on the device meta"),
     ],
-    ids="nan inf bright negative grey batch small none int list sparse meta".split(),  # noqa: SIM905
+    ids="nan bright grey batch small int list meta".split(),  # noqa: SIM905
 )
 def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -165,15 +161,10 @@ def registered(name: str, kind: Any, build: Callable[[Any], Any]) -> None:
             r"other: gives no likelihood: Silent\.forward has to",
         ),
         (
-            lambda: registered("other", Simple, lambda _: Silent({"road": torch.ones(16, 16)})),
-            r"other: gives no likelihood: Silent\.forward has to",
-        ),
-        (
             lambda: load_detector("many:<gain>:<kind>"),
             r"stands for many detectors \(name one; 'many:\*' lists",
         ),
         (lambda: list_detectors("*:1:*"), r"\*:1:\*: fits only .* many:<gain>:<kind> \(begin it"),
-        (lambda: list_detectors("many:3:*"), r"many:3:\*: unknown detector"),
         (lambda: load_detector("0"), "known: bright, many:<gain>:<kind>, zebra"),
     ],
 )

@@ -136,35 +136,6 @@ def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:
         assert float(values[number]) == pytest.approx(float(wanted), abs=1e-6)
 
 
-@pytest.mark.parametrize(("least", "kept"), [(0.5, True), (0.7, True), (0.8, False), (1.0, False)])
-def test_the_share_a_segment_needs_is_a_setting(least: float, kept: bool) -> None:
-    image, labels = DULL.clone(), torch.zeros(32, 32, dtype=torch.int64)
-    image[:, :8] = 0.0  # a quarter
-
-    _, values, _ = unsaturated_uniformity(
-        image, labels, seed_rectangle((32, 32)), TextureSettings(), Saturation(least=least)
-    )
-
-    assert bool(values[0] > 0) == kept
-
-
-@pytest.mark.parametrize("grey", [0.0, 1.0])
-def test_where_all_is_saturated_nothing_is_road(grey: float) -> None:
-    found = load_detector("cpf:v2").detect(torch.full((3, 32, 48), grey))
-
-    assert found.likelihood.abs().max() == 0
-    assert found.cues["saturated"].all()
-    assert found.cues["fused_plane"].isfinite().all()
-
-
-def test_with_nothing_saturated_both_rules_agree() -> None:
-    image = street() * 0.8 + 0.1
-
-    one, two = (load_detector(name).detect(image) for name in ("cpf", "cpf:v2"))
-
-    assert torch.allclose(one.likelihood, two.likelihood)
-
-
 def test_a_seed_area_without_enough_usable_pixels_gives_the_weights_with_all_of_them() -> None:
     labels, seed = squares(96, 128, 16), seed_rectangle((96, 128))
     above = (torch.arange(96) < 80)[:, None].expand(96, 128)

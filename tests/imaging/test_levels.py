@@ -5,18 +5,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from skimage.filters import threshold_otsu
 
 from roadtorch.imaging.levels import BINS, order_statistic, otsu_threshold
 from roadtorch.road.fusion import centred_odds
 from roadtorch.road.seed_area import lower_quartile
 from tests.reference import otsu as reference
-
-
-def clusters(*groups: tuple[float, float, int], seed: int = 0) -> torch.Tensor:
-    """Normal values by mean, deviation and number."""
-    at = torch.Generator().manual_seed(seed)
-    return torch.cat([torch.randn(many, generator=at) * wide + mean for mean, wide, many in groups])
 
 
 @given(st.lists(st.integers(-3 * BINS, 5 * BINS), min_size=2, max_size=40))
@@ -28,16 +21,6 @@ def test_no_other_cut_parts_the_values_better(integers: list[int]) -> None:
     seen = reference.binned(values.double().numpy(), BINS)
     best = reference.most_between(seen)
     assert reference.between_classes(seen, found) == pytest.approx(best, rel=1e-4)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_it_is_that_of_skimage_up_to_a_bin(seed: int) -> None:
-    values = clusters((-2, 0.8, 3000), (1.5, 1.2, 1000 * (seed + 1)), seed=seed)
-
-    found = float(otsu_threshold(values))
-
-    bin_width = float(values.max() - values.min()) / BINS
-    assert abs(found - threshold_otsu(values.numpy(), nbins=BINS)) <= bin_width
 
 
 @given(st.floats(-50, 50), st.floats(0.01, 50), st.integers(1, 99))
@@ -67,17 +50,6 @@ def test_of_equal_values_it_is_their_value(value: float) -> None:
     assert found == value
 
 
-@pytest.mark.parametrize("kind", [torch.float32, torch.float64])
-def test_the_shape_of_the_values_does_not_matter_and_their_type_stays(kind: torch.dtype) -> None:
-    values = clusters((0, 1, 60), (9, 1, 60)).to(kind)
-
-    found = otsu_threshold(values)
-
-    assert found.dtype == kind
-    assert found.isfinite()
-    assert torch.equal(found, otsu_threshold(values.flip(0).reshape(1, 10, 12)))
-
-
 @pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf])
 def test_of_values_that_are_not_finite_no_road_is_made(odd: float) -> None:
     assert not centred_odds(torch.tensor([0.0, 1.0, odd]), 0.0, 0.25).sum().isfinite()
@@ -101,8 +73,3 @@ def test_the_lower_quartile_is_that_of_torch(values: list[float]) -> None:
 
     wanted = float(torch.tensor(values, dtype=torch.float64).quantile(0.25))
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
-
-
-def test_there_is_no_value_behind_the_last() -> None:
-    with pytest.raises(ValueError, match="kth"):
-        order_statistic(torch.zeros(3), 3)

@@ -60,10 +60,3 @@ def test_small_pictures_keep_their_shape_and_enough_rows_for_the_flow(size, want
     assert tuple(grey.shape) == wanted
     assert grey.dtype == torch.uint8
     assert set(np.unique(grey.numpy())) == {128}
-
-
-def test_pictures_too_small_for_the_flow_are_refused() -> None:
-    small = torch.zeros(20, 60, dtype=torch.uint8)
-
-    with pytest.raises(ValueError, match="32 pixels"):
-        dense_flow(small, small)

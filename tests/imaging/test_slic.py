@@ -52,10 +52,6 @@ def test_the_segments_of_a_picture_of_any_size_are_connected_and_numbered_withou
     check_segments(labels)
 
 
-def test_one_segment_is_the_whole_picture() -> None:
-    assert slic(textured(40, 30), segments=1).max() == 0
-
-
 @pytest.mark.parametrize("grey", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize(("height", "width"), [(16, 16), (64, 96)])
 def test_a_flat_picture_is_cut_into_even_pieces(grey: float, height: int, width: int) -> None:
@@ -151,13 +147,6 @@ def test_the_largest_region_of_each_label_stays_and_the_others_join_one(
 )
 def test_the_largest_one_takes_all_through_others(labels: list, smallest: int) -> None:
     assert not connect(torch.tensor([labels]), smallest).any()
-
-
-def test_pictures_of_a_batch_are_repaired_apart() -> None:
-    labels = torch.randint(5, (4, 11, 13), generator=seeded())
-
-    alone = torch.cat([connect(picture, 3) for picture in labels.split(1)])
-    assert torch.equal(connect(labels, 3), alone)
 
 
 def test_squares_are_numbered_by_rows_and_cut_off_at_the_edges():

@@ -184,13 +184,6 @@ def test_a_picture_less_its_mean_over_its_deviation_forgets_light_and_cast() -> 
     assert float(one.pixels.square().mean()) == pytest.approx(1, abs=1e-3)
 
 
-def test_fixed_normalisation_and_a_flat_picture() -> None:
-    flat = torch.full((3, 16, 16), 0.5)
-    assert normalise(flat, Normalisation()).pixels.abs().max() == 0
-    assert normalise(flat, Normalisation(kind="picture")).pixels.abs().max() == 0
-    assert normalise(flat + 0.25, Normalisation()).pixels.unique().tolist() == [1]
-
-
 def test_dark_pictures_are_brightened_before_the_network_where_asked() -> None:
     dark = scene(3).image * 0.1
     bright = normalise(dark, Normalisation(kind="brightened")).pixels

@@ -22,8 +22,6 @@ from roadtorch.road.fusion import (
     RoadRules,
     fused_log_odds,
     likelihood_product,
-    log_odds,
-    neighbour_mean,
     prior_rows,
     road_place,
     segment_road,
@@ -59,13 +57,6 @@ def test_naive_bayes_is_the_product_normalised_against_the_background(
     assert road.flatten().tolist() == pytest.approx([wanted] * 4, abs=1e-9)
 
 
-@given(LIKELIHOODS.filter(lambda value: value > 0), LIKELIHOODS)
-def test_a_uniform_prior_changes_nothing_in_equation_four(prior: float, likelihood: float) -> None:
-    cue = as_map(likelihood)
-
-    assert torch.equal(likelihood_product(as_map(prior), [cue, cue]), cue * cue)
-
-
 def test_equation_four_by_hand_and_odds_that_rank_pixels_the_other_way_round() -> None:
     prior, layout, texture = torch.tensor([[0.2, 0.4], [0.8, 0.5], [0.6, 1.0]])
 
@@ -90,17 +81,6 @@ def test_extreme_cues_stay_finite_and_can_be_outvoted(dtype: torch.dtype, extrem
     assert alone.isfinite().all()
     assert ((alone - extreme).abs() < 1e-3).all()
     assert ((outvoted > 0.5) == (extreme == 0.0)).all()
-
-
-@given(LIKELIHOODS)
-def test_log_odds_are_finite_odd_and_undone_by_the_sigmoid(likelihood: float) -> None:
-    value = torch.tensor(likelihood, dtype=torch.float64)
-
-    odds = log_odds(value)
-
-    assert odds.isfinite()
-    assert float(log_odds(1 - value)) == pytest.approx(-float(odds), abs=1e-7)
-    assert abs(float(odds.sigmoid()) - likelihood) <= 1e-4
 
 
 # --- place and distance -------------------------------------------------------------------
@@ -199,15 +179,6 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
     )
     wanted = (torch.tensor(scores) / 2).sigmoid()
     assert (road - wanted).abs().max() < 2e-3
-
-
-def test_a_segment_without_neighbours_hears_nothing_and_is_at_no_distance() -> None:
-    image = torch.rand(3, 16, 16)
-    alone = measure_segments(image, torch.zeros(16, 16, dtype=torch.int64))
-
-    assert neighbour_mean(alone).tolist() == [[0.0]]
-    assert segment_road(alone, *cues(1)).isfinite().all()
-    assert seed_distance(alone, torch.tensor([0])).tolist() == [0.0]
 
 
 # --- priors -------------------------------------------------------------------------------

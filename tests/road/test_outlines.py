@@ -91,10 +91,3 @@ def test_what_is_enclosed_and_thin_is_road_by_the_least_that_a_byte_can_say(
     expected[hole] = 0.5 + BARELY if is_filled else NOT
 
     assert torch.equal(filled(likelihood, 0.5), expected)
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0])
-def test_all_or_nothing_has_no_holes(value: float) -> None:
-    likelihood = torch.full((40, 60), value)
-
-    assert filled(likelihood, 0.5) is likelihood
