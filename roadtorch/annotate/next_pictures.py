@@ -1,4 +1,4 @@
-"""Which pictures to correct next: at random, the least trusted, or those unlike what is corrected.
+"""Which pictures to correct next: the least trusted, or at random.
 
 The rules are pure functions of what is known of n pictures. A batch does not repeat one scene:
 neighbouring frames of a recording teach a network nearly the same, and cost a person as much.
@@ -70,29 +70,6 @@ def least_trust_first(candidates: Candidates, corrected: Collection[int], count:
     return unlike(waiting, candidates.features, corrected, count)
 
 
-def most_different(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
-    """Each the farthest from all that are corrected or chosen before it.
-
-    The greedy k-centre of Gonzalez (1985), as Sener and Savarese choose a core set, "Active
-    Learning for Convolutional Neural Networks: A Core-Set Approach", ICLR 2018. Where nothing is
-    corrected it begins with the picture nearest to the mean.
-    """
-    features, chosen = candidates.features, []
-    if not corrected and len(features):
-        chosen.append(int((features - features.mean(0)).square().sum(1).argmin()))
-    known = [*corrected, *chosen]
-    far = torch.full((len(features),), torch.inf)
-    if known:
-        far = torch.cdist(features, features[known]).amin(1)
-    far[known] = -1
-    while len(chosen) < min(count, len(features) - len(corrected)):
-        best = int(far.argmax())
-        chosen.append(best)
-        far = far.minimum(torch.cdist(features, features[best : best + 1])[:, 0])
-        far[best] = -1
-    return chosen[:count]
-
-
 def unlike(
     order: Sequence[int], features: Tensor, corrected: Collection[int], count: int
 ) -> list[int]:
@@ -116,7 +93,6 @@ def unlike(
 RULES: Mapping[str, Rule] = {
     "least-trust": least_trust_first,
     "random": random_pictures,
-    "different": most_different,
 }
 
 

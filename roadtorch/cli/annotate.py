@@ -6,7 +6,7 @@ import click
 
 from roadtorch.cli.options import PATH, DetectorOptions, Sectioned, with_detector
 
-ORDERS = ("least-trust", "random", "different")
+ORDERS = ("least-trust", "random")
 
 FORMATS = ("png", "coco")
 
@@ -19,7 +19,7 @@ FORMATS = ("png", "coco")
     "--order",
     type=click.Choice(ORDERS),
     default=ORDERS[0],
-    help="Which picture comes next; different: most unlike those corrected.",
+    help="Which picture comes next.",
 )
 @with_detector
 @click.option("--report", "reports", is_flag=True, help="Say what was corrected, and stop.")

@@ -1,4 +1,4 @@
-"""Which picture next: three rules, and batches that do not repeat a scene."""
+"""Which picture next: two rules, and batches that do not repeat a scene."""
 
 import pytest
 import torch
@@ -50,12 +50,6 @@ def test_the_least_trusted_come_first_but_no_scene_twice() -> None:
     assert RULES["least-trust"](known, [1], 2) == [3, 4]  # 0 is the scene of what is corrected
 
 
-def test_the_most_different_is_the_farthest_from_all_that_are_known() -> None:
-    known = Candidates(torch.full((5,), torch.nan), scenes_of(0, 1, 4, 9, 10))
-    assert RULES["different"](known, [0], 3) == [4, 2, 1]
-    assert RULES["different"](known, [], 2) == [2, 4]  # begins nearest to the mean
-
-
 @pytest.mark.parametrize("count", [0, 1])
 def test_few_pictures_are_no_trouble(count: int) -> None:
     assert unlike(list(range(count)), torch.zeros(count, 3), [], 5) == list(range(count))
@@ -74,7 +68,7 @@ def test_features_tell_what_stands_where() -> None:
 
 
 def test_the_page_is_told_turns_once_pictures_were_looked_at(session: Session) -> None:
-    session.order = PictureOrder("different")
+    session.order = PictureOrder("random")
     assert [one["turn"] for one in session.listing()] == [None, None, None]
 
     class Once:
