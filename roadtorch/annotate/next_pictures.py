@@ -29,6 +29,12 @@ BATCH = 20
 APART = 0.5
 """Share of the median distance between pictures from which two are different scenes."""
 
+SAMPLE = 1000
+"""Images of which the median distance is taken; all where there are no more."""
+
+CHUNK = 256
+"""Corrected images whose distances to all images are in memory at the same time."""
+
 
 class Candidates(NamedTuple):
     """What is known of n pictures. trust: (n,), NaN unknown; features: (n,d), see below."""
@@ -67,27 +73,40 @@ def least_trust_first(candidates: Candidates, corrected: Collection[int], count:
     """
     order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
     waiting = [place for place in order if place not in corrected]
-    return unlike(waiting, candidates.features, corrected, count)
+    return new_scenes_first(waiting, candidates.features, corrected, count)
 
 
-def unlike(
+def new_scenes_first(
     order: Sequence[int], features: Tensor, corrected: Collection[int], count: int
 ) -> list[int]:
-    """The first of an order that repeat no scene, then the rest of it, ``count`` in all.
+    """Return the first of an order that repeat no scene, then the rest of it, ``count`` in all.
 
-    features: (n,d) of all pictures; no scene of ``corrected`` ones is repeated either.
+    features: (n,d) of all images; no scene of ``corrected`` ones is repeated either. Memory grows
+    with n, not with its square.
     """
     if len(features) < 2:
         return list(order[:count])
-    distance = torch.cdist(features, features)
-    rows, columns = torch.triu_indices(len(features), len(features), 1)
-    apart = APART * float(distance[rows, columns].median())
-    known, chosen = list(corrected), []
+    apart, chosen = APART * median_distance(features), []
+    nearest = torch.full((len(features),), torch.inf)  # distance to what is corrected or chosen
+    for start in range(0, len(corrected), CHUNK):
+        places = [*corrected][start : start + CHUNK]
+        nearest = nearest.minimum(torch.cdist(features, features[places]).amin(1))
     for place in order:
-        if len(chosen) < count and (not known or float(distance[place, known].min()) >= apart):
+        if len(chosen) == count:
+            break
+        if nearest[place] >= apart:
             chosen.append(place)
-            known.append(place)
-    return [*chosen, *(place for place in order if place not in set(chosen))][:count]
+            nearest = nearest.minimum(torch.cdist(features, features[place : place + 1])[:, 0])
+    repeated = set(order).difference(chosen)
+    return [*chosen, *(place for place in order if place in repeated)][:count]
+
+
+def median_distance(features: Tensor) -> float:
+    """Return the median distance between images, of at most ``SAMPLE`` evenly spaced ones."""
+    count = min(len(features), SAMPLE)
+    sample = features[torch.linspace(0, len(features) - 1, count).round().long()]
+    first, second = torch.triu_indices(count, count, 1)
+    return float(torch.cdist(sample, sample)[first, second].median())
 
 
 RULES: Mapping[str, Rule] = {
@@ -121,8 +140,8 @@ class PictureOrder:
         Pictures that nobody looked at yet have no turn.
         """
         known = [name for name in names if name in self.features]
-        done = [place for place, name in enumerate(known) if name in corrected]
-        key = (tuple(known), tuple(done))
+        done = {place for place, name in enumerate(known) if name in corrected}
+        key = (tuple(known), frozenset(done))
         with self._lock:
             if known and self._turns[0] != key:
                 trust = torch.tensor([trusts.get(name, np.nan) for name in known])

@@ -1,17 +1,21 @@
 """Which picture next: two rules, and batches that do not repeat a scene."""
 
+from typing import Any
+
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from roadtorch.annotate.machine import PictureView
 from roadtorch.annotate.next_pictures import (
+    APART,
     RULES,
     Candidates,
     PictureOrder,
-    unlike,
+    new_scenes_first,
     view_features,
 )
 from roadtorch.annotate.session import Session, look_at_all
@@ -50,9 +54,56 @@ def test_the_least_trusted_come_first_but_no_scene_twice() -> None:
     assert RULES["least-trust"](known, [1], 2) == [3, 4]  # 0 is the scene of what is corrected
 
 
+def from_all_distances(known: Candidates, corrected: list[int], count: int) -> list[int]:
+    """The same order, from a table of all distances."""
+    distance = torch.cdist(known.features, known.features)
+    first, second = torch.triu_indices(len(distance), len(distance), 1)
+    apart = APART * distance[first, second].median()
+    order = known.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
+    order = [place for place in order if place not in corrected]
+    chosen: list[int] = []
+    for place in order:
+        scenes = [*corrected, *chosen]
+        if not scenes or distance[place, scenes].min() >= apart:
+            chosen.append(place)
+    return [*chosen, *(place for place in order if place not in chosen)][:count]
+
+
+@pytest.mark.parametrize("corrected", [[], [3], [*range(0, 300, 2)]])
+def test_the_order_is_that_of_all_distances(corrected: list[int]) -> None:
+    known = candidates(300)
+    for count in (20, 300):
+        expected = from_all_distances(known, corrected, count)
+        assert RULES["least-trust"](known, corrected, count) == expected
+
+
+class Largest(TorchDispatchMode):
+    """Counts the elements of the largest tensor that is made in the block."""
+
+    elements = 0
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        result = func(*args, **(kwargs or {}))
+        if isinstance(result, torch.Tensor):
+            self.elements = max(self.elements, result.numel())
+        return result
+
+
+@pytest.mark.parametrize("rule", sorted(RULES))
+@pytest.mark.parametrize("corrected", [[], [*range(0, 6000, 2)]])
+def test_memory_grows_with_the_images_and_not_with_their_pairs(
+    rule: str, corrected: list[int]
+) -> None:
+    with Largest() as largest:
+        assert len(RULES[rule](candidates(6000), corrected, 20)) == 20
+    assert largest.elements < 6000**2 / 20
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_few_pictures_are_no_trouble(count: int) -> None:
-    assert unlike(list(range(count)), torch.zeros(count, 3), [], 5) == list(range(count))
+    assert new_scenes_first(list(range(count)), torch.zeros(count, 3), [], 5) == list(range(count))
 
 
 def test_features_tell_what_stands_where() -> None:
