@@ -37,9 +37,9 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from roadtorch.annotate.session import Session, look_at_all
+from roadtorch.annotate.session import MissingImageError, Session, look_at_all
 from roadtorch.base.atomic import atomic
-from roadtorch.base.errors import ConfigError, RoadtorchError
+from roadtorch.base.errors import ConfigError, RoadtorchError, UnwritableError
 from roadtorch.base.image import read_image, to_pixels
 from roadtorch.base.settings import Settings
 from roadtorch.data.events import parse_event
@@ -193,7 +193,8 @@ def annotation_app(session: Session, token: str, port: int) -> Starlette:
         Route("/api/state", page.state),
         Route("/api/event", page.event, methods=["POST"]),
     ]
-    handlers: dict[Any, Any] = {RoadtorchError: _mistake, OSError: _disk}
+    handlers: dict[Any, Any] = {kind: partial(_refuse, status) for kind, status in STATUSES.items()}
+    handlers[OSError] = _disk
     guard = Middleware(Guard, token=token, port=port)
     return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
 
@@ -272,10 +273,11 @@ thumbnail_jpeg = lru_cache(maxsize=2000)(partial(shown_jpeg, most=THUMBNAIL, qua
 """The same, small; a file that changed has a new one."""
 
 
-async def _mistake(_: Request, problem: RoadtorchError) -> Response:
-    """What a person can mend, told as everywhere; 410 for what is gone, 507 for a full disk."""
-    statuses = {"no longer there": 410, "cannot be written": 507}
-    status = next((statuses[words] for words in statuses if words in problem.what), 400)
+STATUSES = {RoadtorchError: 400, MissingImageError: 410, UnwritableError: 507}
+"""HTTP status by kind of error; the page keeps what was refused with 500 and more."""
+
+
+async def _refuse(status: int, _: Request, problem: RoadtorchError) -> Response:
     return refusal(status, problem.where, problem.what, problem.remedy)
 
 

@@ -50,6 +50,11 @@ HELD = 2**26  # bytes of labels in memory, and one picture's in any case
 
 FRESH = 2.0  # seconds for which a listing holds
 
+
+class MissingImageError(InputError):
+    """An image that was in the folder and is gone."""
+
+
 # --- what there is to correct -----------------------------------------------------------
 
 
@@ -85,15 +90,15 @@ class PictureFolder:
     def path(self, name: str) -> Path:
         """The file of a name that came from outside.
 
-        Raises InputError for one that was never in ``names``, letter by letter, one that leads out
-        of the folder by now, and one that is gone.
+        Raises InputError for one that was never in ``names``, letter by letter, and one that leads
+        out of the folder by now, MissingImageError for one that is gone.
         """
         self.names()
         path = self.root / name if name in self._known else None
         if path is None or not path.resolve().is_relative_to(self.root):
             raise InputError(name[:200], "is no picture of this folder", "choose one of the list")
         if not path.is_file():
-            raise InputError(name, "is no longer there", "choose another picture")
+            raise MissingImageError(name, "is no longer there", "choose another picture")
         return path
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from time import monotonic, sleep
 
 from roadtorch.base.bounded import printable
-from roadtorch.base.errors import InputError
+from roadtorch.base.errors import InputError, UnwritableError
 
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """The names of temporary files, those of earlier versions among them."""
@@ -61,12 +61,12 @@ def digest_of_folder(path: Path) -> str:
 
 
 def make_folder(path: Path, remedy: str = "give another folder") -> None:
-    """Make a folder and those above it; InputError with the remedy when that is not possible."""
+    """Make a folder and those above it; UnwritableError with the remedy when it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         what = f"cannot be made a folder: {problem.strerror}"
-        raise InputError(path, what, remedy) from None
+        raise UnwritableError(path, what, remedy) from None
 
 
 @contextmanager
@@ -75,7 +75,7 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Whatever happens, ``path`` holds its old content or all of the new one, and no temporary
     file stays; ``remove_leftovers`` takes those of a process that was killed. The temporary
-    name is short, whatever the name of ``path``. Raises InputError when it cannot be written.
+    name is short, whatever the name of ``path``. Raises UnwritableError when it cannot be written.
     """
     path = Path(path)
     temporary = path.with_name(f".roadtorch.{secrets.token_hex(4)}.part")
@@ -90,10 +90,10 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def unwritable(path: Path, problem: OSError, what: str = "cannot be written") -> InputError:
-    """The error for a file that cannot be written, with what helps."""
+def unwritable(path: Path, problem: OSError, what: str = "cannot be written") -> UnwritableError:
+    """Return the error for a file that cannot be written, with what helps."""
     remedy = REMEDIES.get(problem.errno, "choose a folder that you may write to")
-    return InputError(path, f"{what}: {problem.strerror or problem}", remedy)
+    return UnwritableError(path, f"{what}: {problem.strerror or problem}", remedy)
 
 
 def remove_leftovers(folders: Iterable[Path]) -> None:

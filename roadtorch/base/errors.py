@@ -2,6 +2,7 @@
 
 RoadtorchError
 ├── InputError      a picture, map or folder that cannot be used
+│   └── UnwritableError  a file or folder that cannot be written
 ├── ConfigError     a setting, a name or an option that is wrong
 ├── DatasetError    a data set that is incomplete or not what it says
 │   └── UnscorableError  one whose labels say nothing about road
@@ -55,6 +56,10 @@ def shortened(text: str, most: int = MAX_LETTERS) -> str:
 
 class InputError(RoadtorchError):
     """A picture, map or folder that cannot be used."""
+
+
+class UnwritableError(InputError):
+    """A file or folder that cannot be written, for want of room or of permission."""
 
 
 class ConfigError(RoadtorchError):

@@ -26,7 +26,7 @@ from pydantic import Field, model_validator
 
 from roadtorch.base.atomic import make_folder
 from roadtorch.base.decoding import check_pixels
-from roadtorch.base.errors import DatasetError, InputError
+from roadtorch.base.errors import DatasetError, InputError, UnwritableError
 from roadtorch.base.settings import Settings
 from roadtorch.data.correction_labels import LABELS, after_saying
 from roadtorch.data.imported import Side, first_mistake, imported
@@ -292,7 +292,7 @@ class EventLog:
     def add(self, event: AnyEvent) -> None:
         """Take an event and have it on disk; nothing is done for one that is there.
 
-        Raises InputError for one that does not fit the picture, or cannot be written.
+        Raises InputError for one that does not fit the picture, UnwritableError for a full disk.
         """
         with self._lock:
             if any(event.id == known.id for known in self.events):
@@ -332,7 +332,7 @@ def read_log(path: Path) -> EventLog | None:
 def append_event(path: Path, head: LogHead, event: AnyEvent) -> None:
     """Add an event at the end, of a new log behind its head; on disk when this returns.
 
-    InputError when it cannot be written; then what was there stands, and no more of this event.
+    UnwritableError when it cannot be; then what was there stands, and no more of this event.
     """
     make_folder(path.parent, "give a folder that you may write to with --out")
     try:
@@ -352,7 +352,9 @@ def append_event(path: Path, head: LogHead, event: AnyEvent) -> None:
                 raise
     except OSError as problem:
         message = f"cannot be written: {problem.strerror or problem}"
-        raise InputError(path, message, "make room, or give another folder with --out") from None
+        raise UnwritableError(
+            path, message, "make room, or give another folder with --out"
+        ) from None
 
 
 def _whole_size(file: FileIO) -> int:

@@ -212,6 +212,19 @@ def test_what_is_refused(
     assert not log_path(session.out, NAME).exists()
 
 
+@pytest.mark.parametrize("call", ["pathlib.Path.mkdir", "roadtorch.data.events.os.fsync"])
+def test_a_stroke_that_finds_no_room_on_the_disk_may_be_sent_again(
+    client: Client, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(call, full)
+        assert client.post(f"/api/event?{WHICH}", json=click()).status_code == 507
+    assert client.post(f"/api/event?{WHICH}", json=click()).status_code == 200
+
+
 def test_the_list_comes_once_until_it_changes(client: Client) -> None:
     first = client.get("/api/pictures").json()
     assert [one["name"] for one in first["pictures"]] == [f"street_{n}.png" for n in range(3)]
