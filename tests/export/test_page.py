@@ -3,7 +3,7 @@
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +26,6 @@ for package in ("onnx", "onnxscript", "onnxruntime"):
     pytest.importorskip(package, reason="the extra onnx is not installed")
 
 BROWSER = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt: chromium)")
-
-Visit = Callable[..., "Page"]
 
 
 @pytest.fixture(scope="module")
@@ -59,54 +57,32 @@ def browser() -> Iterator["Browser"]:
 
 
 @pytest.fixture
-def visit(browser: "Browser", folder: Path) -> Iterator[Visit]:
-    """Opens the page and waits until its status begins with a text."""
+def page(browser: "Browser", folder: Path) -> Iterator["Page"]:
+    """The page, ready."""
     with served(folder) as address:
         context = browser.new_context(permissions=["camera"])
         context.set_default_timeout(PATIENCE)
-
-        def opened(begins: str = "Ready", before: str = "") -> "Page":
-            page = context.new_page()
-            if before:
-                page.add_init_script(before)
-            page.goto(address)
-            wait_for_status(page, begins)
-            return page
-
-        yield opened
+        page = context.new_page()
+        page.goto(address)
+        wait_for_status(page, "Ready")
+        yield page
         context.close()
 
 
-def check_parity(page: "Page", paths: list[Path]) -> None:
+@BROWSER
+def test_masks_and_trust_are_those_of_python(page: "Page", tmp_path: Path) -> None:
     detector = load_detector("fusion")
-    for path in paths:
-        state, detection = looked_at(page, path), detector.detect(read_image(path))
+    for name, size in (("a.png", (240, 320)), ("b.png", (333, 500)), ("wide.png", (120, 400))):
+        write_pixels(tmp_path / name, to_pixels(street(*size, len(name))))
+        state = looked_at(page, tmp_path / name)
+        detection = detector.detect(read_image(tmp_path / name))
         assert detection.trust is not None
-        assert (state["mask"] != detection.mask.numpy()).mean() <= 0.005, path
-        assert abs(state["trust"] - detection.trust) <= 0.02, path
+        assert (state["mask"] != detection.mask.numpy()).mean() <= 0.005, name
+        assert abs(state["trust"] - detection.trust) <= 0.02, name
 
 
 @BROWSER
-def test_masks_and_trust_are_those_of_python(visit: Visit, tmp_path: Path) -> None:
-    paths = [tmp_path / name for name in ("a.png", "b.png", "wide.png")]
-    for path, size in zip(paths, ((240, 320), (333, 500), (120, 400)), strict=True):
-        write_pixels(path, to_pixels(street(*size, len(path.name))))
-
-    check_parity(visit(), paths)
-
-
-@BROWSER
-@pytest.mark.data
-def test_masks_of_real_pictures_are_those_of_python(visit: Visit, data_root: Path) -> None:
-    sets = sorted(path for path in (data_root / "many").iterdir() if path.is_dir())
-    chosen = [path for folder in sets for path in sorted(folder.glob("images/*.jpg"))[::7][:2]]
-
-    check_parity(visit(), chosen[:20])
-
-
-@BROWSER
-def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(visit: Visit) -> None:
-    page = visit()
+def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(page: "Page") -> None:
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     page.evaluate("navigator.serviceWorker.ready")
@@ -124,73 +100,24 @@ def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(visi
 
 
 @BROWSER
-def test_the_keyboard_suffices(visit: Visit) -> None:
-    page = visit()
-    for _ in range(3):  # the file, the camera, the example
+def test_the_camera_by_keyboard_and_what_cannot_be_looked_at(page: "Page", tmp_path: Path) -> None:
+    for _ in range(2):  # the file, the camera
         page.keyboard.press("Tab")
     page.keyboard.press("Enter")
-    wait_for_status(page, "A rendered street")
-    before = page.inner_text("#share")
-
-    for _ in range(2):  # the views, the threshold
-        page.keyboard.press("Tab")
-    page.keyboard.press("End")
-
-    page.wait_for_function("document.getElementById('share').textContent === '0.0 %'")
-    assert before != "0.0 %"
-    assert page.inner_text("#level") == "1.00"
-
-
-@BROWSER
-def test_a_camera_is_looked_at_until_it_is_stopped(visit: Visit) -> None:
-    page = visit()
-
-    page.click("#camera")
     page.wait_for_function("document.getElementById('time').textContent.includes('a second')")
     page.click("#stop")
     wait_for_status(page, "Stopped.")
-
     assert page.is_hidden("#stop")
 
-
-@BROWSER
-def test_what_cannot_be_looked_at_is_said(visit: Visit, tmp_path: Path) -> None:
-    page = visit()
     text, large = tmp_path / "notes.jpg", tmp_path / "large.png"
     text.write_text("no picture")
     Image.new("1", (11_000, 10_000)).save(large)
-
-    for path, said in (
+    for path, message in (
         (text, "notes.jpg is no picture or video that this browser reads."),
         (large, "large.png has 110 megapixels: more than 100. Make it smaller."),
     ):
         page.set_input_files("#file", path)
-        wait_for_status(page, said)
-
-
-@BROWSER
-def test_a_browser_without_simd_is_told(visit: Visit) -> None:
-    page = visit("This browser has no WebAssembly SIMD", "WebAssembly.validate = () => false")
-
-    assert page.is_disabled("#example")
-
-
-@BROWSER
-def test_it_takes_more_threads_where_headers_allow_it(browser: "Browser", folder: Path) -> None:
-    alone = (
-        ("Cross-Origin-Opener-Policy", "same-origin"),
-        ("Cross-Origin-Embedder-Policy", "require-corp"),
-    )
-    with served(folder, *alone) as address:
-        page = browser.new_page()
-        page.goto(address)
-        wait_for_status(page, "Ready: ")
-
-        threads = min(8, os.cpu_count() or 1)
-        assert page.inner_text("#status") == (
-            f"Ready: {threads} threads." if threads > 1 else "Ready: one thread."
-        )
-        page.close()
+        wait_for_status(page, message)
 
 
 @pytest.mark.parametrize(
