@@ -14,7 +14,6 @@ from roadtorch.annotate.machine import AnnotationSettings, PictureView, look_at_
 from roadtorch.base.image import read_image
 from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.segments import segment_mean, segment_size
-from roadtorch.run.loop import method_of_detector
 from roadtorch.run.memo import keep, kept, key_of
 
 VIEWS = ".machine"
@@ -64,13 +63,12 @@ class ViewStore:
         return held[1] if held else None
 
     def _key(self, picture: Path) -> str:
-        return key_of(self._method, self.settings, picture)
+        return key_of(self._detector_key, self.settings, picture)
 
     @cached_property
-    def _method(self) -> str:
-        """Of the detector, and of the files that its settings name."""
-        effective = f"{self.detector.name} {self.detector.settings!r}"
-        return method_of_detector(self.detector, effective, ()).digest
+    def _detector_key(self) -> str:
+        """Of the detector alone, which takes a while."""
+        return key_of(self.detector)
 
 
 def view_path(folder: Path, name: str) -> Path:

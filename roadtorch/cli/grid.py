@@ -104,7 +104,9 @@ def grid(
     from roadtorch.camera.ground_grid import GridSettings
     from roadtorch.camera.mounting import Mounting, placing_of
     from roadtorch.inputs.find import select_inputs
-    from roadtorch.run.loop import Look, Task, method_of_detector
+    from roadtorch.run.ledger import Method
+    from roadtorch.run.loop import Inference, Task
+    from roadtorch.run.memo import key_of
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle
@@ -119,13 +121,12 @@ def grid(
     detector, known = choice.loaded(camera, threshold)
     settings = build_settings(GridSettings, {**cells, "threshold": detector.settings.threshold})
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
-    look = Look(detector, known)
+    inference = Inference(detector, known)
     grids = Grids(out, placing, settings, kinds, frame_id=frame_id)
-    todo = plan(found, out, grids.suffixes, GridOutput(grids, look, selection.topic))
+    todo = plan(found, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
     effective = as_toml(detector.name, detector.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
     own = context.with_resource(open_run(out, effective, todo.count, run))
-    method = method_of_detector(detector, effective, kinds)
-    parts = repr((selection, frame_id)).encode()
-    of_footage = method_of_detector(detector, effective, (), parts)
-    context.exit(own.all(todo, Task(look, grids, method), of_footage))
+    key = key_of(detector, effective)
+    method, of_footage = Method(key, kinds), Method(key_of(key, selection, frame_id), ())
+    context.exit(own.all(todo, Task(inference, grids, method), of_footage))

@@ -114,8 +114,9 @@ def infer(
     """
     from roadtorch.inputs.find import select_inputs
     from roadtorch.run.folder import result_folder
-    from roadtorch.run.ledger import INDEX, open_ledger
-    from roadtorch.run.loop import Look, Task, method_of_detector
+    from roadtorch.run.ledger import INDEX, Method, open_ledger
+    from roadtorch.run.loop import Inference, Task
+    from roadtorch.run.memo import key_of
     from roadtorch.run.plan import plan
     from roadtorch.run.record import RunRecord
     from roadtorch.run.run import Run
@@ -137,14 +138,14 @@ def infer(
     workers = context.with_resource(run.workers(todo.count))
     context.with_resource(result_folder(out, effective, run.overwrite))
     of_frames = {**asdict(selection), "steady": steady}
-    look = Look(detector, known, run.device)
-    method = method_of_detector(detector, effective, kinds, depth.encode())
-    of_footage = method_of_detector(detector, effective, (), repr((depth, of_frames)).encode())
+    inference = Inference(detector, known, run.device)
+    key = key_of(detector, depth)
+    method, of_footage = Method(key, kinds), Method(key_of(key, of_frames), ())
 
     def work() -> int:
         try:
             with open_ledger(out / INDEX) as ledger:
-                task = Task(look, maps, method)
+                task = Task(inference, maps, method)
                 return Run(out, ledger, workers, run).all(todo, task, of_footage, steady)
         finally:
             if "polygons" in kinds:

@@ -35,8 +35,9 @@ def label(
     from roadtorch.inputs.find import Inputs
     from roadtorch.inputs.pictures import find_pictures
     from roadtorch.layout.labeller import LabellerSettings
-    from roadtorch.run.ledger import method_of
+    from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Task
+    from roadtorch.run.memo import key_of
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle
@@ -48,5 +49,6 @@ def label(
     todo = plan(Inputs(find_pictures(inputs, out), []), out, labels.suffixes)
     effective = as_toml("labeller", settings)
     own = context.with_resource(open_run(out, effective, todo.count, run))
-    task = Task(Labelling(settings), labels, method_of(labels.kinds, effective))
+    method = Method(key_of(settings), tuple(labels.kinds))
+    task = Task(Labelling(settings), labels, method)
     context.exit(own.pictures(todo.pictures, task))

@@ -39,7 +39,9 @@ def submit(
     """
     from roadtorch.data.kitti import base_folder, calib_folder
     from roadtorch.inputs.find import Inputs
-    from roadtorch.run.loop import Look, Task, method_of_detector
+    from roadtorch.run.ledger import Method
+    from roadtorch.run.loop import Inference, Task
+    from roadtorch.run.memo import key_of
     from roadtorch.run.plan import plan
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle
@@ -53,8 +55,8 @@ def submit(
     todo = plan(Inputs(pictures, []), out, maps.suffixes)
     effective = as_toml(detector.name, detector.settings)
     own = context.with_resource(open_run(out, effective, todo.count, run))
-    method = method_of_detector(detector, effective, ["map"])
-    if failed := own.pictures(pictures, Task(Look(detector), maps, method)):
+    method = Method(key_of(detector), ("map",))
+    if failed := own.pictures(pictures, Task(Inference(detector), maps, method)):
         click.echo(f"roadtorch: {out / ARCHIVE} not written, as maps are missing", err=True)
         context.exit(failed)
     archive = pack(pictures, out)

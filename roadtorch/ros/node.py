@@ -29,7 +29,7 @@ from roadtorch.ros.messages import (
     label_info_message,
     ros_module,
 )
-from roadtorch.run.loop import Detected, Look, detections
+from roadtorch.run.loop import Inference, detections
 from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import CONFIDENCE, GRIDS, LABELS, MASK, OVERLAY, pixels_of
 
@@ -114,7 +114,7 @@ class RoadNode:
         known = Camera.read(parameters.camera) if parameters.camera else None
         settings = parse_assignments(parameters.settings)
         self.detector = load_detector(parameters.detector, camera=known, **settings)
-        self.look = Look(self.detector, known)
+        self.infer = Inference(self.detector, known)
         self.steady = Steady(SteadySettings()) if parameters.steadied else None
         self.node, self.parameters, self.inbox = node, parameters, Inbox()
         self.times, self.refused, self.told = deque[float](maxlen=30), 0, ""
@@ -142,13 +142,13 @@ class RoadNode:
         self.node.get_logger().info(f"{self.detector.name} looks at {topic}")
         self.node.create_timer(SECOND, self._diagnose)
         source = self.inbox.source(topic, stop)
-        with closing(detections(source, self.look, Workers(), self.steady, stop=stop)) as frames:
+        with closing(detections(source, self.infer, Workers(), self.steady, stop=stop)) as frames:
             for frame in frames:
-                if isinstance(frame, Detected):
-                    self._publish(frame.detection)
-                else:
+                if isinstance(frame.outcome, RoadtorchError):
                     self.refused += 1
-                    self._warn(str(frame.problem))
+                    self._warn(str(frame.outcome))
+                else:
+                    self._publish(frame.outcome)
 
     def _publish(self, detection: Detection) -> None:
         """Mask and confidence; overlay and grid where somebody listens."""

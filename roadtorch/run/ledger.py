@@ -5,7 +5,6 @@ at the end.
 """
 
 import csv
-import hashlib
 import io
 import re
 from collections.abc import Iterable, Iterator
@@ -16,7 +15,6 @@ from pathlib import Path
 from roadtorch.base.atomic import csv_text, from_cell, unwritable, write_text
 from roadtorch.base.bounded import printable, read_regular
 from roadtorch.base.errors import ExitCode, InputError
-from roadtorch.base.version import __version__
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
@@ -71,30 +69,22 @@ def failed_row(name: str, problem: object) -> Row:
 class Method:
     """What results are made with: two runs of one method give the same bytes.
 
-    digest: of everything that the results depend on but the picture, see ``method_of``.
+    key: of everything that the results depend on but the image, see ``roadtorch.run.memo.key_of``.
     kinds: what is written.
     """
 
-    digest: str
+    key: str
     kinds: tuple[str, ...]
 
     def made(self, row: Row) -> Row:
         """The row of a result with what it was made with; failed rows stay as they are."""
-        return row if row.failed else replace(row, saved=" ".join(self.kinds), method=self.digest)
+        return row if row.failed else replace(row, saved=" ".join(self.kinds), method=self.key)
 
     def covers(self, row: Row | None) -> bool:
         """Whether a row says that these kinds were made with this method, of whatever bytes."""
-        if row is None or row.failed or row.method != self.digest:
+        if row is None or row.failed or row.method != self.key:
             return False
         return set(self.kinds) <= set(row.saved.split())
-
-
-def method_of(kinds: Iterable[str], settings: str, *parts: bytes) -> Method:
-    """The method of settings as TOML, our version, and whatever else decides on the results."""
-    digest = hashlib.sha256()
-    for part in (settings.encode("utf-8", "surrogateescape"), __version__.encode(), *parts):
-        digest.update(hashlib.sha256(part).digest())
-    return Method(digest.hexdigest()[:16], tuple(kinds))
 
 
 def read_index(path: Path) -> dict[str, Row]:

@@ -1,8 +1,8 @@
-"""The loop of every command: read, look, write, remember.
+"""The loop of every command: read, infer, write, remember.
 
-A command chooses what looks and what is written. What stands alone is worked on by workers from
-reading to writing; of footage they only look, for its frames steady one another, and go into one
-video. The results do not depend on who works.
+A command chooses the inference and the writers. On images that stand alone workers do all of it,
+from reading to writing; on frames of footage they only infer, for frames smooth one another and go
+into one video. The results do not depend on who works.
 """
 
 import os
@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple, Protocol, TypeVar
@@ -23,11 +24,9 @@ from roadtorch.camera.camera import Camera
 from roadtorch.detectors.detector import Detection, Detector, Evidence
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.layout.weights import tensors_hash
 from roadtorch.road.steady import Steady
 from roadtorch.run.folder import ELSEWHERE
-from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row, method_of
-from roadtorch.run.memo import file_digests
+from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row
 from roadtorch.run.workers import DIED, Workers
 
 Value = TypeVar("Value")
@@ -36,8 +35,8 @@ Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
-class Look:
-    """A detector that looks at pictures, of one camera where that is known.
+class Inference:
+    """A detector, for images of one camera where that is known.
 
     device: where the tensors are while the road is looked for; steps of OpenCV fetch what they
     need.
@@ -48,30 +47,30 @@ class Look:
     device: str = "cpu"
 
     def __call__(self, image: Tensor) -> Detection:
-        """What the detector says of an image (3,H,W)."""
+        """Detect the road in an image (3,H,W)."""
         return self.detector.to(self.device).detect(self.checked(image))
 
     def find(self, image: Tensor) -> Evidence:
-        """The part of it that needs no other frame."""
+        """Do the part of it that needs no other frame."""
         return self.detector.to(self.device).find(self.checked(image))
 
     def checked(self, image: Tensor) -> Tensor:
-        """The image on its device; InputError where it is of another camera."""
+        """Return the image on its device; InputError where it is of another camera."""
         if self.camera is not None:
             self.camera.check(image)
         return image.to(self.device)
 
 
 class Writer(Protocol):
-    """What writes detections: into files of each item, or into one that ``close()`` finishes."""
+    """Writes detections: into files of each item, or into one that ``close()`` finishes."""
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write one; gives what index.csv says otherwise than ``row_of``. InputError on a fault."""
+        """Write one; gives what index.csv says otherwise than usual. InputError on a fault."""
         ...
 
 
 class FileWriter(Writer, Protocol):
-    """What writes files of each item, below ``folder``."""
+    """Writes files of each item, below ``folder``."""
 
     @property
     def folder(self) -> Path:
@@ -84,163 +83,165 @@ class FileWriter(Writer, Protocol):
         ...
 
 
-def row_of(name: str, detection: Detection) -> Row:
-    """The row of what was written of a detection."""
-    height, width = detection.mask.shape
-    share = float(detection.mask.double().mean())
-    trust = "" if detection.trust is None else f"{detection.trust:.2f}"
-    status = f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE
-    return Row(name, str(width), str(height), "", f"{share:.4f}", trust, status)
-
-
 @dataclass(frozen=True)
 class Task:
-    """All that is done to a picture that stands alone: read, look, write."""
+    """All that is done to an image that stands alone: read, infer, write."""
 
-    look: Callable[[Tensor], Detection]
+    infer: Callable[[Tensor], Detection]
     writer: FileWriter
     method: Method
 
     def __call__(self, item: Item) -> Row:
-        """The row of one picture; whatever goes wrong inside stays inside."""
-        start = perf_counter()
-        try:
-            detection = self.look(item.read())
-            make_folder((self.writer.folder / item.name).parent, ELSEWHERE)
-            changes = self.writer.write(item, detection)
-            row = replace(row_of(item.row_name, detection), ms=elapsed(start), **changes)
-            return self.method.made(replace(row, sha256=item.digest() if item.digest else ""))
-        except Exception as problem:  # one that trips a detector must not cost the night's run
-            return failed_row(item.row_name, fault(item.origin, problem))
+        """Return the row of one image; whatever goes wrong inside stays inside."""
+        return write_row(item, lambda: self.infer(item.read()), self.writer, self.method)
 
 
-def method_of_detector(
-    detector: Detector, effective: str, kinds: Iterable[str], *parts: bytes
-) -> Method:
-    """The method of a detector: settings, weights, and the files that its settings name.
+def write_row(
+    item: Item, detect: Callable[[], Detection], writer: FileWriter, method: Method, ms: float = 0
+) -> Row:
+    """Write the results of an image or a frame and return its row, a failed one on any fault.
 
-    effective: its settings as TOML. parts: what else decides on the results.
+    detect: gives the detection, or raises why there is none. ms: what was spent on it before.
     """
-    weights = tensors_hash(detector.state_dict()).encode()
-    files = repr(file_digests(detector.settings.model_dump())).encode()
-    return method_of(kinds, effective, *parts, files, weights)
+    start = perf_counter()
+    seconds = "" if item.seconds is None else f"{item.seconds:.3f}"
+    try:
+        detection = detect()
+        if writer.suffixes:
+            make_folder((writer.folder / item.name).parent, ELSEWHERE)
+        changes = writer.write(item, detection)
+        height, width = detection.mask.shape
+        row = Row(
+            item.row_name,
+            str(width),
+            str(height),
+            elapsed(start, ms),
+            road_share=f"{float(detection.mask.double().mean()):.4f}",
+            trust="" if detection.trust is None else f"{detection.trust:.2f}",
+            status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
+            sha256=item.digest() if item.digest else "",
+            seconds=seconds,
+        )
+        return method.made(replace(row, **changes))
+    except Exception as problem:  # one that trips a detector must not cost the night's run
+        return replace(failed_row(item.row_name, fault(item.origin, problem)), seconds=seconds)
 
 
 def elapsed(start: float, before: float = 0.0) -> str:
-    """Milliseconds since a moment, and those before it."""
+    """Return the milliseconds since a moment, and those before it."""
     return f"{before + 1000 * (perf_counter() - start):.0f}"
 
 
-def died_over(item: Item) -> Row:
-    """The row of a picture over which a worker died."""
+def crashed_row(item: Item) -> Row:
+    """Return the row of an image over which a worker died."""
     return failed_row(item.row_name, InputError(item.origin, *DIED))
 
 
 # --- frames -------------------------------------------------------------------------------
 
 
-class Detected(NamedTuple):
-    """A frame that was looked at. ms: from reading to the end of detection."""
+class FrameResult(NamedTuple):
+    """A frame and what was detected in it, or why it has no result.
+
+    ms: from reading to the end of detection.
+    """
 
     item: Item
-    detection: Detection
+    outcome: Detection | RoadtorchError
     ms: float
 
+    def detection(self) -> Detection:
+        """Return the detection, or raise what went wrong."""
+        if isinstance(self.outcome, RoadtorchError):
+            raise self.outcome
+        return self.outcome
 
-class Missed(NamedTuple):
-    """A frame without a result, and why."""
 
-    item: Item
-    problem: RoadtorchError
-
-
-class _Frame(NamedTuple):
-    item: Item
-    image: Tensor | RoadtorchError
-    ms: float
+def _timed(where: str, step: Callable[[], Value]) -> tuple[Value | RoadtorchError, float]:
+    """Do a step on a frame: its result, or what went wrong, and the milliseconds that it took."""
+    start = perf_counter()
+    try:
+        result = step()
+    except Exception as problem:  # as in ``write_row``
+        result = fault(where, problem)
+    return result, 1000 * (perf_counter() - start)
 
 
 @dataclass(frozen=True)
 class _Find:
     """What workers do with frames; cues: whether those are wanted in full size, too."""
 
-    look: Look
+    inference: Inference
     cues: bool
 
-    def __call__(self, image: Tensor | RoadtorchError) -> tuple[Evidence, float] | RoadtorchError:
-        start = perf_counter()
-        try:
-            if isinstance(image, RoadtorchError):
-                return image
-            evidence = self.look.find(image)
-        except Exception as problem:  # as in ``Task``
-            return fault("image", problem)
+    def __call__(self, image: Tensor | RoadtorchError) -> tuple[Evidence | RoadtorchError, float]:
+        return _timed("image", partial(self._evidence, image))
+
+    def _evidence(self, image: Tensor | RoadtorchError) -> Evidence:
+        if isinstance(image, RoadtorchError):
+            raise image
+        evidence = self.inference.find(image)
         maps = evidence.maps if self.cues else evidence.maps.only("likelihood", "ego")
-        return evidence._replace(maps=maps, image=None), 1000 * (perf_counter() - start)
+        return evidence._replace(maps=maps, image=None)
 
 
 def detections(
     source: Source,
-    look: Look,
+    inference: Inference,
     workers: Workers,
     steady: Steady | None = None,
     cues: bool = True,
     stop: Stop | None = None,
-) -> Generator[Detected | Missed]:
-    """What is seen in every frame of a source, in order.
+) -> Generator[FrameResult]:
+    """Detect the road in every frame of a source, in order.
 
-    cues: whether the detections have them. A frame that cannot be read or looked at is missed, and
-    the others go on. Raises what ``source.items`` raises.
+    cues: whether the detections have them. A frame that cannot be read or looked at has no
+    detection, and the others go on. Raises what ``source.items`` raises.
     """
-    waiting: deque[_Frame] = deque()
+    waiting: deque[tuple[Item, Tensor | RoadtorchError, float]] = deque()
 
     def images(items: Iterable[Item]) -> Iterator[Tensor | RoadtorchError]:
         for item in items:
-            start = perf_counter()
-            image = _image_of(item)
-            waiting.append(_Frame(item, image, 1000 * (perf_counter() - start)))
+            image, ms = _timed(item.origin, item.read)
+            waiting.append((item, image, ms))
             yield image
 
     items = source.items()
-    asked = items if stop is None else until_asked(items, stop, source.live)
+    asked = items if stop is None else until_stopped(items, stop, source.live)
     with closing(items) if isinstance(items, Generator) else nullcontext():
-        find = _Find(look, cues)
-        found = workers.map(find, images(asked), lambda _: InputError("image", *DIED))
-        with closing(found):
-            for result in found:
-                item, image, ms = waiting.popleft()
-                if isinstance(result, RoadtorchError) or isinstance(image, RoadtorchError):
-                    yield Missed(item, fault(item.origin, result))  # type: ignore[arg-type]
-                else:
-                    evidence, more = result
-                    evidence = evidence._replace(image=image)
-                    yield _concluded(item, evidence, look.detector, steady, ms + more)
+        crashed = InputError("image", *DIED), 0.0
+        results = workers.map(_Find(inference, cues), images(asked), lambda _: crashed)
+        with closing(results):
+            for evidence, find_ms in results:
+                item, image, read_ms = waiting.popleft()
+                step = partial(_conclude, item, image, evidence, inference.detector, steady)
+                outcome, ms = _timed(item.origin, step)
+                yield FrameResult(item, outcome, read_ms + find_ms + ms)
 
 
-def _image_of(item: Item) -> Tensor | RoadtorchError:
-    try:
-        return item.read()
-    except Exception as problem:
-        return fault(item.origin, problem)
-
-
-def _concluded(
-    item: Item, evidence: Evidence, detector: Detector, steady: Steady | None, ms: float
-) -> Detected:
-    """The decision on a frame; what steadies it sees one frame after the other, in order."""
-    start = perf_counter()
+def _conclude(
+    item: Item,
+    image: Tensor | RoadtorchError,
+    evidence: Evidence | RoadtorchError,
+    detector: Detector,
+    steady: Steady | None,
+) -> Detection:
+    """Decide on a frame; the temporal filter sees one frame after the other, in order."""
+    if isinstance(evidence, RoadtorchError):
+        raise evidence
+    assert isinstance(image, Tensor)
+    evidence = evidence._replace(image=image)
     if steady is None:
         detection = detector.conclude(evidence)
     else:
         maps = evidence.maps
-        likelihood = steady(evidence.image, maps["likelihood"], maps.get("ego"))
+        likelihood = steady(image, maps["likelihood"], maps.get("ego"))
         detection = detector.conclude(evidence, likelihood, steady.hidden)
-    detection = replace(detection, name=item.name, seconds=item.seconds)
-    return Detected(item, detection, ms + 1000 * (perf_counter() - start))
+    return replace(detection, name=item.name, seconds=item.seconds)
 
 
-def until_asked(values: Iterable[Value], stop: Stop, live: bool = False) -> Iterator[Value]:
-    """The values until somebody asks to stop; a live source is not waited for."""
+def until_stopped(values: Iterable[Value], stop: Stop, live: bool = False) -> Iterator[Value]:
+    """Yield values until a stop is requested; do not block on a live source."""
     values = iter(values)
     while not stop.asked:
         stop.at_once = live
@@ -262,7 +263,7 @@ def detect_stream(
     progress: Callable[[int, float | None], None] | None = None,
     failed: Callable[[Item, RoadtorchError], None] | None = None,
 ) -> Generator[Detection]:
-    """What a detector says of frame after frame of a video, camera, stream, bag or folder.
+    """Detect the road in frame after frame of a video, camera, stream, bag or folder.
 
     source: a path, an address or a source of one's own; ``selection`` is for the first two.
     steady: what steadies the likelihood (``roadtorch.road.steady``), made for this source alone.
@@ -278,13 +279,11 @@ def detect_stream(
     """
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
-    with closing(detections(source, Look(detector), Workers(), steady)) as frames:
+    with closing(detections(source, Inference(detector), Workers(), steady)) as frames:
         for done, frame in enumerate(frames, 1):
-            if isinstance(frame, Detected):
-                yield frame.detection
-            elif failed is None:
-                raise frame.problem
+            if failed is not None and isinstance(frame.outcome, RoadtorchError):
+                failed(frame.item, frame.outcome)
             else:
-                failed(frame.item, frame.problem)
+                yield frame.detection()
             if progress is not None:
                 progress(done, frame.item.seconds)

@@ -14,7 +14,8 @@ from roadtorch.base.atomic import atomic, digest_of, make_folder
 from roadtorch.base.bounded import read_regular
 from roadtorch.base.errors import InputError
 from roadtorch.base.version import __version__
-from roadtorch.layout.weights import weights_path
+from roadtorch.detectors.detector import Detector
+from roadtorch.layout.weights import tensors_hash, weights_path
 
 Arrays = dict[str, Tensor]
 
@@ -27,10 +28,12 @@ quarter of the time of varying it."""
 
 
 def key_of(*parts: object) -> str:
-    """A key of everything that something depends on, and of our version: 32 hexadecimal digits.
+    """Return a key of all that a result depends on, and of our version: 32 hexadecimal digits.
 
-    Of a path the bytes count, of a folder those of all files below it; of all else what ``repr``
-    says.
+    Of a path the bytes count, of a folder those of all files below it; of a detector its settings,
+    the files that they name, and its weights; of all else what ``repr`` gives. Whatever is not done
+    again because it was done before (results of ``infer``, images made ready for training, frames
+    of an adaptation, views of ``annotate``) has such a key.
     """
     digest = hashlib.sha256(__version__.encode())
     for part in parts:
@@ -38,6 +41,9 @@ def key_of(*parts: object) -> str:
         if isinstance(part, Path):
             files = sorted(part.rglob("*")) if part.is_dir() else [part]
             text = repr([(str(file.relative_to(part)), digest_of(file)) for file in files])
+        if isinstance(part, Detector):
+            settings, weights = part.settings, tensors_hash(part.state_dict())
+            text = repr((part.name, settings, file_digests(settings.model_dump()), weights))
         digest.update(f"{len(text)} {text}".encode("utf-8", "surrogateescape"))
     return digest.hexdigest()[:32]
 

@@ -32,15 +32,13 @@ from roadtorch.run.ledger import (
     open_ledger,
 )
 from roadtorch.run.loop import (
-    Detected,
-    Look,
-    Missed,
+    Inference,
     Task,
+    crashed_row,
     detections,
-    died_over,
     elapsed,
-    row_of,
-    until_asked,
+    until_stopped,
+    write_row,
 )
 from roadtorch.run.plan import Output, Plan, Writers
 from roadtorch.run.workers import Workers, processors, workers_for
@@ -112,7 +110,7 @@ class Run:
         known = [] if redo else [item for item in todo if item.row_name in rows]
         again = sum(is_complete(self.folder, item, suffixes) for item in known)
         with stop_on_signals() as stop:
-            made = self.workers.map(task, until_asked(todo, stop), died_over)
+            made = self.workers.map(task, until_stopped(todo, stop), crashed_row)
             tried = list(self._recorded(made, "image", total=len(todo)))
             self._refuse_removed(todo[: len(tried)], suffixes)
             self._remove_leftovers(items)  # of workers that died
@@ -337,29 +335,17 @@ class _SourceRun:
     def _frames(self, writers: Writers, stop: Stop) -> Iterator[Row]:
         """The rows of frames, which steady one another and go into the same files."""
         steady = Steady(SteadySettings()) if self.steady else None
-        run, cues, look = self.run, self.output.cues, self.task.look
-        assert isinstance(look, Look)
-        with closing(detections(self.source, look, run.workers, steady, cues, stop)) as frames:
+        run, cues, infer = self.run, self.output.cues, self.task.infer
+        assert isinstance(infer, Inference)
+        with closing(detections(self.source, infer, run.workers, steady, cues, stop)) as frames:
             for frame in frames:
-                row = self._written(frame, writers)
-                if frame.item.seconds is not None:
-                    row = replace(row, seconds=f"{frame.item.seconds:.3f}")
-                yield self.task.method.made(row)
-
-    def _written(self, frame: Detected | Missed, writers: Writers) -> Row:
-        """The row of a frame whose results are written, a failed one without its files."""
-        item = frame.item
-        if isinstance(frame, Missed):
-            return failed_row(item.row_name, frame.problem)
-        start, detection = perf_counter(), frame.detection
-        try:
-            changes = writers.files.write(item, detection)
-            row = replace(row_of(item.row_name, detection), **changes)
-        except RoadtorchError as problem:
-            row = failed_row(item.row_name, problem)
-        for writer in writers.streams:
-            writer.write(item, detection)
-        return row if row.failed else replace(row, ms=elapsed(start, frame.ms))
+                item, method = frame.item, self.task.method
+                row = write_row(item, frame.detection, writers.files, method, frame.ms)
+                start = perf_counter()
+                if not isinstance(frame.outcome, RoadtorchError):
+                    for writer in writers.streams:
+                        writer.write(item, frame.outcome)
+                yield row if row.failed else replace(row, ms=elapsed(start, float(row.ms)))
 
     def _row(self, count: _Count, problem: BaseException | None) -> Row:
         """The row of the source; to be interrupted is the usual end of a live one."""

@@ -16,7 +16,7 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop
 from roadtorch.detectors.detector import checked_image
 from roadtorch.inputs.item import Item
-from roadtorch.run.loop import until_asked
+from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, keep, kept, key_of
 from roadtorch.run.workers import DIED, workers_for
 
@@ -84,7 +84,7 @@ def prepare(
     made, count = list[PreparedPicture](), len(pictures)
     with single_threaded():
         workers = workers_for(None, count)
-        results = workers.map(preparation, until_asked(pictures, stop), _died)
+        results = workers.map(preparation, until_stopped(pictures, stop), _died)
         bar = Progress(results, total=count, desc="labels", unit="image", quiet=quiet)
         with closing(results):
             for result in bar:

@@ -14,7 +14,7 @@ from roadtorch.base.signals import Stop
 from roadtorch.camera.footage import still_ego
 from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
 from roadtorch.inputs.item import Item, spread
-from roadtorch.run.loop import until_asked
+from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, keep, kept, key_of
 from roadtorch.train.config import Recordings
 
@@ -53,7 +53,7 @@ def find_ego_cars(
     long = {name: each for name, each in recordings.items() if len(each) >= settings.least}
     files = {name: folder / f"{name}.npz" for name in long}
     bar = Progress(files.items(), desc="ego cars", unit="image", quiet=quiet)
-    for name, file in until_asked(bar, stop):
+    for name, file in until_stopped(bar, stop):
         frames = spread(long[name], MAX_FRAMES)
         key = key_of(settings.least, *(picture.path for picture in frames))
         if kept(file, key) is None:

@@ -24,7 +24,7 @@ from roadtorch.layout.picture_network import EGO, ROAD, potentials_of
 from roadtorch.layout.weights import WholePictureNetwork
 from roadtorch.road.ego import continued
 from roadtorch.road.fusion import centred_odds, log_odds
-from roadtorch.run.loop import until_asked
+from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, keep, kept, key_of, read_arrays
 from roadtorch.train.config import PictureTraining, Rounds, Teacher
 from roadtorch.train.prepared import from_bytes, to_bytes
@@ -191,7 +191,7 @@ def label_with_network(
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
     pairs = list(zip(files, names, strict=True))
     bar = Progress(pairs, desc="labels again", unit="image", quiet=quiet)
-    for file, name in until_asked(bar, stop):
+    for file, name in until_stopped(bar, stop):
         key = key_of(weights, file)
         if kept(name, key) is None:
             image = from_bytes(read_arrays(file, "image")["image"])

@@ -17,7 +17,7 @@ from roadtorch.camera.camera import Camera
 from roadtorch.detectors.detector import Evidence
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.loop import Detected, Look, Missed, detections
+from roadtorch.run.loop import FrameResult, Inference, detections
 from roadtorch.run.workers import Workers
 from tests.command import save_picture
 from tests.streets import scene
@@ -110,6 +110,10 @@ def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
         list(detect_stream(source, ROWS))
 
 
+def is_missed(frame: FrameResult) -> bool:
+    return isinstance(frame.outcome, RoadtorchError)
+
+
 # --- whoever works ----------------------------------------------------------------------
 
 
@@ -131,13 +135,13 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 
     never = Never()
 
-    frames = list(detections(of_scenes(5), Look(GREY), workers, never))  # type: ignore[arg-type]
+    frames = list(detections(of_scenes(5), Inference(GREY), workers, never))  # type: ignore[arg-type]
 
     for frame in frames:
-        assert isinstance(frame, Detected)
-        assert not frame.detection.mask.any()
-        assert not frame.detection.likelihood.any()
-        assert torch.equal(frame.detection.cues["ego"], never.hidden)
+        detection = frame.detection()
+        assert not detection.mask.any()
+        assert not detection.likelihood.any()
+        assert torch.equal(detection.cues["ego"], never.hidden)
     for number, image in enumerate(never.images):
         assert torch.equal(image, scene(number % 4, 48, 64).image)
 
@@ -145,33 +149,31 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 @pytest.mark.parametrize("cues", [True, False])
 def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
     alone, side_by_side = (
-        list(detections(of_scenes(7), Look(GREY), workers, Steady(SteadySettings()), cues))
+        list(detections(of_scenes(7), Inference(GREY), workers, Steady(SteadySettings()), cues))
         for workers in (Workers(), Workers(3))
     )
 
     for first, second in zip(alone, side_by_side, strict=True):
-        assert isinstance(first, Detected)
-        assert isinstance(second, Detected)
         assert first.item == second.item
-        assert torch.equal(first.detection.likelihood, second.detection.likelihood)
-        assert torch.equal(first.detection.mask, second.detection.mask)
-        assert first.detection.cues.keys() == second.detection.cues.keys()
-        assert ("uniformity" in first.detection.cues) == cues
+        own, other = first.detection(), second.detection()
+        assert torch.equal(own.likelihood, other.likelihood)
+        assert torch.equal(own.mask, other.mask)
+        assert own.cues.keys() == other.cues.keys()
+        assert ("uniformity" in own.cues) == cues
 
 
 @pytest.mark.parametrize("workers", [Workers(), Workers(2)])
 def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) -> None:
     source = of_scenes(4, bad=1)
-    frames = list(detections(source, Look(ROWS), workers))
-    assert [frame.item.number for frame in frames if isinstance(frame, Missed)] == [1]
+    frames = list(detections(source, Inference(ROWS), workers))
+    assert [frame.item.number for frame in frames if is_missed(frame)] == [1]
 
-    other = Look(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
+    other = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
     for number, frame in enumerate(detections(source, other, workers)):
-        assert isinstance(frame, Missed)
-        assert str(frame.problem).startswith(f"frame {number}: is ")
+        assert str(frame.outcome).startswith(f"frame {number}: is ")
 
 
-class Deadly(Look):
+class Deadly(Inference):
     """Dies over the fourth frame."""
 
     def find(self, image: Tensor) -> Evidence:
@@ -184,15 +186,15 @@ def test_a_worker_that_dies_over_a_frame_costs_that_one() -> None:
     frames = list(detections(of_scenes(6), Deadly(ROWS), Workers(2)))
 
     assert [frame.item.number for frame in frames] == [*range(6)]
-    (missed,) = [frame for frame in frames if isinstance(frame, Missed)]
+    (missed,) = [frame for frame in frames if is_missed(frame)]
     told = "frame 3: a worker died over it (run it again; with less memory, --jobs 1)"
-    assert (missed.item.number, str(missed.problem)) == (3, told)
+    assert (missed.item.number, str(missed.outcome)) == (3, told)
 
 
 def test_stopping_ends_the_frames() -> None:
     closed: list[bool] = []
     stop = Stop()
-    frames = detections(of_scenes(10**6, closed), Look(ROWS), Workers(), stop=stop)
+    frames = detections(of_scenes(10**6, closed), Inference(ROWS), Workers(), stop=stop)
     next(frames)
     stop.ask(signal.SIGINT)
     assert len(list(frames)) <= 1

@@ -16,7 +16,7 @@ from PIL import Image
 from roadtorch.base.image import read_image, write_jpeg
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
-from roadtorch.run.loop import Look
+from roadtorch.run.loop import Inference
 from roadtorch.run.writers.maps import cue_picture
 from roadtorch.testing.scenes import render_scene
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
@@ -243,14 +243,14 @@ def test_a_detector_that_trips_costs_one_row(
     out: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    real = Look.__call__
+    real = Inference.__call__
 
-    def trips(self: Look, image: torch.Tensor) -> Detection:
+    def trips(self: Inference, image: torch.Tensor) -> Detection:
         if torch.equal(image, read_image(footage / "b.png")):
             raise problem
         return real(self, image)
 
-    monkeypatch.setattr(Look, "__call__", trips)
+    monkeypatch.setattr(Inference, "__call__", trips)
 
     assert run().exit_code == 1
     assert told in rows_of(out)["b.png"]["status"]

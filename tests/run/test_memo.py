@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from roadtorch.base.errors import InputError
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run import memo
 from roadtorch.run.memo import cached_arrays, keep, kept, key_of, read_arrays
 
@@ -75,6 +76,13 @@ def test_a_key_changes_with_every_part(tmp_path: Path, monkeypatch: pytest.Monke
     keys.append(key_of("a", 1, file, folder))
     (folder / "below" / "x").rename(folder / "y")
     keys.append(key_of("a", 1, file, folder))
+    detector = load_detector("prior:rows")
+    keys += [key_of(detector), key_of(load_detector("prior:rows", threshold=0.4))]
+    changed = load_detector("layout:cnn-7")
+    keys.append(key_of(changed))
+    with torch.no_grad():
+        next(changed.parameters()).add_(1)
+    keys.append(key_of(changed))
     monkeypatch.setattr(memo, "__version__", "99")
     keys.append(key_of("a", 1, file, folder))
 

@@ -19,7 +19,7 @@ import torch
 from roadtorch.base.image import write_mask
 from roadtorch.detectors import catalogue
 from roadtorch.inputs.item import Item
-from roadtorch.run import ledger
+from roadtorch.run import memo
 from roadtorch.run.ledger import Row
 from roadtorch.run.loop import Task
 from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
@@ -71,7 +71,7 @@ def test_results_made_otherwise_are_done_anew_even_without_their_config(
     if what == "settings":
         (out / "config.toml").unlink()
     elif what == "version":
-        monkeypatch.setattr(ledger, "__version__", "99.0")
+        monkeypatch.setattr(memo, "__version__", "99.0")
     else:  # of a version that did not note the method
         lines = (out / "index.csv").read_text().splitlines()
         (out / "index.csv").write_text("".join(line.rsplit(",", 4)[0] + "\n" for line in lines))

@@ -14,7 +14,7 @@ from roadtorch.camera.mounting import Pitch, Placing, median_pitch
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.bags import camera_info, image_topic, is_bag
 from roadtorch.inputs.item import Source
-from roadtorch.run.loop import Detected, Look, detections
+from roadtorch.run.loop import Inference, detections
 from roadtorch.run.plan import Output, Writer, Writers
 from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
@@ -134,11 +134,11 @@ class MapOutput:
 class GridOutput:
     """What ``grid`` writes of a source: a grid a frame, in bags also as messages; one pitch.
 
-    grids: of a picture. look: what sees the road. topic: of bags.
+    grids: of a picture. infer: what finds the road. topic: of bags.
     """
 
     grids: Grids
-    look: Look
+    infer: Inference
     topic: str | None = None
 
     def __call__(self, source: Source) -> Output:
@@ -159,7 +159,7 @@ class GridOutput:
             size = (info.width, info.height)
             placing = placing.through(lens_of_info(source.origin, size, matrix, bent, info.model))
         if placing.asks_pictures:
-            placing = steadied(placing, self.look, source)
+            placing = steadied(placing, self.infer, source)
         if suffixes:
             stem = self.grids.folder / source.name
             path, threshold = stem.with_name(stem.name + suffixes[0]), self.grids.settings.threshold
@@ -168,19 +168,18 @@ class GridOutput:
             yield Writers(grids)
 
 
-def steadied(placing: Placing, look: Look, source: Source) -> Placing:
+def steadied(placing: Placing, infer: Inference, source: Source) -> Placing:
     """The placing with one pitch for a whole source: the median of what some frames tell.
 
     InputError when no frame tells it.
     """
     pitches: list[Pitch] = []
     problem: RoadtorchError | None = None
-    with closing(detections(source.sampled(MEDIAN_FRAMES), look, Workers())) as frames:
+    with closing(detections(source.sampled(MEDIAN_FRAMES), infer, Workers())) as frames:
         for frame in frames:
             try:
-                if not isinstance(frame, Detected):
-                    raise frame.problem
-                image, layout = frame.detection.image, frame.detection.cues.get("layout")
+                detection = frame.detection()
+                image, layout = detection.image, detection.cues.get("layout")
                 assert image is not None
                 pitches.append(placing(image, layout)[1])
             except RoadtorchError as raised:

@@ -16,14 +16,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.atomic import atomic, make_folder, write_text
+from roadtorch.base.atomic import atomic, write_text
 from roadtorch.base.errors import RoadtorchError, fault
 from roadtorch.base.image import tint_mask, to_pixels, write_jpeg, write_npy
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, Grid, GridSettings, ground_grid
 from roadtorch.camera.mounting import Placing
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
-from roadtorch.run.folder import ELSEWHERE
 from roadtorch.run.ledger import DONE, DOUBTFUL
 from roadtorch.run.writers.bag import BagWriter
 
@@ -130,7 +129,6 @@ class Grids:
         road = likelihood * (detection.mask | (likelihood < threshold))
         grid = ground_grid(road, camera, self.settings, detection.cues.get("ego"))
         stem = self.folder / item.name
-        make_folder(stem.parent, ELSEWHERE)
         write_grid(stem, grid, f"pitch {pitch.degrees:.2f} degrees, {pitch.reason}")
         if "likelihood" in self.kinds:
             write_npy(stem.with_name(stem.name + SUFFIXES["likelihood"]), grid.likelihood)

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from roadtorch.base.atomic import make_folder, write_json
+from roadtorch.base.atomic import write_json
 from roadtorch.base.image import write_colours, write_map, write_mask, write_npy, write_overlay
 from roadtorch.base.version import __version__
 from roadtorch.data.maps import MASK
@@ -16,7 +16,6 @@ from roadtorch.data.polygons import labelme_document
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
-from roadtorch.run.folder import ELSEWHERE
 from roadtorch.run.writers.coco import POLYGONS
 
 SUFFIXES = {
@@ -61,8 +60,6 @@ class Maps:
         def path(suffix: str) -> Path:
             return stem.with_name(stem.name + suffix)
 
-        if kinds:
-            make_folder(stem.parent, ELSEWHERE)
         if "likelihood" in kinds:
             write_map(path(SUFFIXES["likelihood"]), detection.likelihood, self.depth)
         if "mask" in kinds:
