@@ -224,7 +224,7 @@ def rates(data: Path, checkouts: Sequence[Path], rounds: int) -> Iterator[str]:
                 yield f"| {name} | {where} | {one:.1f} | {two:.1f} | {two / one:.2f} |"
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -236,7 +236,7 @@ def main() -> None:
     parser.add_argument("--clock", choices=CLOCKS, default="wall")
     parser.add_argument("--commands", type=Path, metavar="DATA", help="the development data")
     parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
-    options = parser.parse_args()
+    options = parser.parse_args(words)
     if options.suite is not None:
         print(suite(options.suite))
         return

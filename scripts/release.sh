@@ -56,8 +56,13 @@ rm -rf dist
 git archive --prefix=source/ HEAD | tar -x -C "$place" # what is committed, and nothing else
 "$place/build/bin/python" -m build --outdir dist "$place/source" >"$place/said" 2>&1 ||
   { cat "$place/said" >&2; refuse "$place/source" "cannot be built" "see above"; }
-"$place/build/bin/python" scripts/release_contents.py dist
 wheel=$(echo dist/*.whl)
+"$python" -m zipfile -e "$wheel" "$place/wheel"
+tar -x -C "$place" -f dist/*.tar.gz
+for made in "$place/wheel" "$place"/roadtorch-*; do # wheel and sdist; links count as what they lead to
+  diff -rq "$place/source/roadtorch" "$made/roadtorch" ||
+    refuse "$made" "has other files than the commit" "mend package-data in pyproject.toml"
+done
 
 said "installing $wheel in a fresh environment"
 "$python" -m venv "$place/env"

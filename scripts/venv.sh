@@ -26,27 +26,11 @@ checksum() {
   cat pyproject.toml constraints.txt requirements/*.txt | cksum
 }
 
-# Succeeds when the index of CPU wheels knows torch, and says so within CPU_INDEX_SECONDS; the
-# thread is there because no time limit of Python's own covers the look-up of a name.
+# Succeeds when the index of CPU wheels has torch and answers within CPU_INDEX_SECONDS. `timeout`,
+# because no time limit of Python's own covers the look-up of a name.
 cpu_index_answers() {
-  "$PYTHON" - "$CPU_INDEX/torch/" "$CPU_INDEX_SECONDS" <<'PYTHON'
-import os, sys, threading, urllib.request
-
-answers = []
-
-def ask(address, seconds):
-    try:
-        with urllib.request.urlopen(address, timeout=seconds) as reply:
-            answers.append(reply.status == 200)
-    except (OSError, ValueError):
-        pass
-
-seconds = float(sys.argv[2])
-asking = threading.Thread(target=ask, args=(sys.argv[1], seconds), daemon=True)
-asking.start()
-asking.join(seconds)
-os._exit(0 if any(answers) else 1)
-PYTHON
+  timeout "$CPU_INDEX_SECONDS" "$PYTHON" -c "import sys, urllib.request as u; u.urlopen(sys.argv[1])" \
+    "$CPU_INDEX/torch/" 2>/dev/null
 }
 
 # Sets INDEX, pip's options that say where torch comes from. pip takes the CPU wheels of that

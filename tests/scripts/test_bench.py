@@ -7,23 +7,21 @@ from pathlib import Path
 import pytest
 
 from scripts import bench
-from tests.scripts.conftest import PrintedBy
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def test_detectors_stand_beside_their_peers_and_are_kept(
-    printed_by: PrintedBy, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept: dict[str, float] = {}
     monkeypatch.setattr(bench, "keep_records", lambda *words: kept.update(words[-1]))
 
-    printed = printed_by(bench, "fusion", "--size", 64, 48, "--rounds", 1, "--write")
+    bench.main(["fusion", "--size", "64", "48", "--rounds", "1", "--write"])
 
-    assert [line.split("|")[1].strip() for line in printed.splitlines()[2:4]] == [
-        "fusion",
-        bench.LRASPP,
-    ]
+    printed = capsys.readouterr().out
+    rows = [line.split("|")[1].strip() for line in printed.splitlines()[2:4]]
+    assert rows == ["fusion", bench.LRASPP]
     assert f"| {kept['bench.fusion.ms']:.1f} | {kept['bench.fusion.of_lraspp']:.2f} |" in printed
 
 
@@ -39,24 +37,22 @@ def test_contestants_take_turns_and_a_ratio_is_that_of_the_rounds() -> None:
 
 
 def test_a_checkout_has_its_own_package_and_others_stay_loaded() -> None:
-    before = dict(sys.modules)
+    before = sys.modules["roadtorch"]
 
-    detects = bench.detects_of(CHECKOUT, ["prior:rows"])
+    detect = bench.detects_of(CHECKOUT, ["prior:rows"])["prior:rows"]
 
-    own = type(getattr(detects["prior:rows"], "__self__"))  # noqa: B009
+    own = type(getattr(detect, "__self__"))  # noqa: B009
     assert own is not sys.modules["roadtorch.detectors.detector"].Detector
-    assert sys.modules["roadtorch"] is before["roadtorch"]
+    assert sys.modules["roadtorch"] is before
 
 
-def test_rates_are_those_behind_the_start(
-    printed_by: PrintedBy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_rates_are_those_behind_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
         return 2 + int(folder.name) / (10 * jobs)
 
     monkeypatch.setattr(bench, "make_inputs", lambda *_: None)
     monkeypatch.setattr(bench, "seconds", seconds)
 
-    printed = printed_by(bench, "--commands", tmp_path, "--rounds", 2)
+    _, row, *_ = bench.rates(CHECKOUT, [CHECKOUT], 2)
 
-    assert printed.splitlines()[2] == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 |"
+    assert row == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 |"
