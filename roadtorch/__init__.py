@@ -12,13 +12,19 @@ import lazy_loader
 from roadtorch.base.version import __version__
 
 if TYPE_CHECKING:
+    from roadtorch.base.errors import RoadtorchError
     from roadtorch.base.image import read_image
+    from roadtorch.camera.camera import Camera
     from roadtorch.detectors.catalogue import list_detectors, load_detector
     from roadtorch.detectors.detection import Detection
+    from roadtorch.detectors.detector import DetectorSettings
     from roadtorch.run.loop import detect_stream
 
 __all__ = [
+    "Camera",
     "Detection",
+    "DetectorSettings",
+    "RoadtorchError",
     "__version__",
     "detect_stream",
     "list_detectors",
@@ -29,9 +35,12 @@ __all__ = [
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "detectors.detection": ["Detection"],
-        "detectors.catalogue": ["list_detectors", "load_detector"],
+        "base.errors": ["RoadtorchError"],
         "base.image": ["read_image"],
+        "camera.camera": ["Camera"],
+        "detectors.detection": ["Detection"],
+        "detectors.detector": ["DetectorSettings"],
+        "detectors.catalogue": ["list_detectors", "load_detector"],
         "run.loop": ["detect_stream"],
     },
 )

@@ -33,6 +33,13 @@ class RoadtorchError(Exception):
     The text reads ``where: what (remedy)``; the command line prints it behind
     ``roadtorch: error:`` and nothing else. Where and what lose their middle when they are
     longer than ``MAX_LETTERS``; paths are told whole.
+
+        >>> from roadtorch import RoadtorchError, load_detector
+        >>> try:
+        ...     load_detector("prior:rows", threshold=2)
+        ... except RoadtorchError as error:
+        ...     print(error.where, "|", error.what)
+        threshold | 2 was given
     """
 
     exit_code = ExitCode.WRONG_USAGE

@@ -51,7 +51,12 @@ TUNED = "road from this likelihood on; the default has the best F on CamVid's th
 
 
 class DetectorSettings(Settings):
-    """What every detector can be told: how its likelihood becomes a mask."""
+    """What every detector can be told: how its likelihood becomes a mask.
+
+        >>> from roadtorch import DetectorSettings, load_detector
+        >>> isinstance(load_detector("cpf").settings, DetectorSettings)
+        True
+    """
 
     threshold: Threshold = 0.5
     isolated: Isolated = "keep"
