@@ -111,11 +111,11 @@ REMEDY = "give pictures of the camera that the file was made for, or make one fo
 class Camera(Settings):
     """One camera, as its footage shows it. Rows are shares of the height from the top.
 
-        >>> from roadtorch import Camera
-        >>> camera = Camera(width=640, height=480, frames=12, horizon=0.4, seed_row=0.9)
-        >>> camera.write("camera.toml")
-        >>> Camera.read("camera.toml") == camera
-        True
+    >>> from roadtorch import Camera
+    >>> camera = Camera(width=640, height=480, frames=12, horizon=0.4, seed_row=0.9)
+    >>> camera.write("camera.toml")
+    >>> Camera.read("camera.toml") == camera
+    True
     """
 
     width: int = Field(ge=1, description="of the footage, in pixels")

@@ -13,7 +13,7 @@ from roadtorch.detectors.detector import (
     WorkingSettings,
 )
 from roadtorch.imaging.color import plane
-from roadtorch.imaging.resize import WorkingSize, full_size
+from roadtorch.imaging.resize import WorkingSize, at_picture_size
 from roadtorch.road.fusion import PRIORS, Prior
 from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.ufl.features import DictionarySettings, assign
@@ -95,9 +95,8 @@ def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor
     seed = seed_rectangle(size, settings.seed_area)
     road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
     shown = clusters / max(1, settings.peaks.clusters - 1)
-    cues = {"road": road, "clusters": map_to_image(shown.to(image), side)}
-    full = full_size(cues, (height, width))
-    return {"likelihood": full["road"].to(image), "clusters": full["clusters"]}
+    likelihood = at_picture_size(road, (height, width)).to(image)
+    return {"likelihood": likelihood, "clusters": map_to_image(shown.to(image), side)}
 
 
 def located(image: Tensor, settings: DetectorSettings, prior: Prior) -> dict[str, Tensor]:

@@ -3,7 +3,7 @@
 import importlib
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +13,36 @@ from PIL import Image, ImageShow
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic
+from roadtorch.base.compute import one_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import overlay_pixels, png_bytes, write_map, write_mask, write_pixels
+from roadtorch.imaging.resize import at_picture_size
 
 NOTEBOOK_SIDE = 960  # pixels of the longer side of what notebooks show; ours: the width of a page
+
+
+@dataclass(frozen=True, eq=False)
+class Cues(Mapping[str, Tensor]):
+    """The cues of an image, kept at the size at which they were found, enlarged when asked for.
+
+    maps: by name, (h,w) or (C,h,w). size: rows and columns of the image.
+    """
+
+    maps: Mapping[str, Tensor]
+    size: tuple[int, int]
+
+    @one_thread()
+    def __getitem__(self, name: str) -> Tensor:
+        """The cue of that name at the size of the image; KeyError where there is none."""
+        return at_picture_size(self.maps[name], self.size)
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of all cues."""
+        return iter(self.maps)
+
+    def __len__(self) -> int:
+        """How many cues there are."""
+        return len(self.maps)
 
 
 @dataclass(frozen=True)

@@ -22,17 +22,9 @@ from roadtorch.base.compute import one_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import ImageLike, Order, as_image, checked_order
 from roadtorch.base.settings import Settings, build_settings, merge
-from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import (
-    Cue,
-    Maps,
-    WorkingSize,
-    at_picture_size,
-    at_work,
-    full_size,
-    size_of,
-)
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.road.outlines import Outlines, guided
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
@@ -53,9 +45,9 @@ TUNED = "road from this likelihood on; the default has the best F on CamVid's th
 class DetectorSettings(Settings):
     """What every detector can be told: how its likelihood becomes a mask.
 
-        >>> from roadtorch import DetectorSettings, load_detector
-        >>> isinstance(load_detector("cpf").settings, DetectorSettings)
-        True
+    >>> from roadtorch import DetectorSettings, load_detector
+    >>> isinstance(load_detector("cpf").settings, DetectorSettings)
+    True
     """
 
     threshold: Threshold = 0.5
@@ -92,11 +84,14 @@ class Evidence(NamedTuple):
     """What one picture shows by itself: all of a detection that needs no other frame.
 
     analysed: likelihood and cues as the analysis gave them, at the size at which it thinks.
-    maps: the same at the picture's own size, without road on the ego car. image: (3,H,W) in [0,1].
+    likelihood: float32 (H,W), without road on the ego car. ego: that, bool (H,W), where the
+    settings or the analysis have one. cues: the other ones. image: (3,H,W) in [0,1].
     """
 
     analysed: Mapping[str, Tensor]
-    maps: Maps
+    likelihood: Tensor
+    ego: Tensor | None
+    cues: Cues
     image: Tensor
 
 
@@ -262,7 +257,7 @@ class Detector(nn.Module):
             raise InputError("images", what, "give a batch (B, 3, height, width)")
         if not len(images):
             return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
-        return torch.stack([self._find(image).maps["likelihood"] for image in images])
+        return torch.stack([self._find(image).likelihood for image in images])
 
     @one_thread()
     @torch.no_grad()
@@ -294,23 +289,20 @@ class Detector(nn.Module):
         if not analysed["likelihood"].sum().isfinite():  # one that is not makes the sum so
             what = f"gives {self.name} a likelihood that is not finite"
             raise InputError("image", what, "check the weights and the settings; else report it")
-        maps = Maps(analysed)
+        size, cues = size_of(image), dict(analysed)
+        likelihood = cues.pop("likelihood")
         if settings:
             if settings.outlines == "guided":
-                fine = guided(maps, small, ground, settings.working, settings.threshold)
-                maps = maps.but(likelihood=fine)
-            maps = full_size(maps, size_of(image))
-        if "ego" in maps:
-            cars.append(maps["ego"])
-        if not cars:
-            return Evidence(analysed, maps, image)
-        ego = reduce(torch.logical_or, cars)
-        changed = {"likelihood", "seed_area"} & set(maps) if is_anywhere(ego) else ()
-        free = {
-            name: lambda name=name, maps=maps: maps[name].masked_fill(ego, 0) for name in changed
-        }
-        # The ego car is the last of the maps.
-        return Evidence(analysed, maps.but(**free).without("ego").but(ego=ego), image)
+                likelihood = guided(analysed, small, ground, settings.working, settings.threshold)
+            likelihood = at_picture_size(likelihood, size)
+        if "ego" in cues:
+            cars.append(at_picture_size(cues.pop("ego"), size))
+        ego = reduce(torch.logical_or, cars) if cars else None
+        if ego is not None and is_anywhere(ego):
+            likelihood = likelihood.masked_fill(ego, 0)
+            if "seed_area" in cues:
+                cues["seed_area"] = at_picture_size(cues["seed_area"], size).masked_fill(ego, 0)
+        return Evidence(analysed, likelihood, ego, Cues(cues, size), image)
 
     @one_thread()
     @torch.no_grad()
@@ -323,43 +315,45 @@ class Detector(nn.Module):
         of those of the evidence, as when frames of a video steady one another. Trust still rests on
         the frame's own.
         """
-        analysed, maps, image = evidence
-        if ego is not None:
-            maps = maps.but(ego=ego)
-        ego, seed = maps.get("ego"), analysed.get("seed_area")
+        analysed, seed = evidence.analysed, evidence.analysed.get("seed_area")
+        ego = evidence.ego if ego is None else ego
         if likelihood is None:
-            likelihood = maps["likelihood"]
+            likelihood = evidence.likelihood
         elif ego is not None:
             likelihood = likelihood.masked_fill(ego, 0)
         if seed is not None:
             seed = at_picture_size(seed, size_of(likelihood))
         mask = decide(likelihood, self.settings, seed, ego)
-        trust, doubt = None, ""
+        trust, doubt, cues = None, "", evidence.cues
         if isinstance(self.analysis, Judge):
             size = size_of(analysed["likelihood"])
             hidden = torch.zeros_like(mask) if ego is None else ego
-            cues = Maps(analysed).but(ego=at_picture_size(hidden, size))
-            trust, doubt = self.analysis.judge(at_picture_size(mask, size), cues)
-        return Detection(likelihood, mask, maps.without("likelihood"), trust, doubt, image=image)
+            small = {**analysed, "ego": at_picture_size(hidden, size)}
+            trust, doubt = self.analysis.judge(at_picture_size(mask, size), small)
+        if ego is not None:
+            cues = Cues({**cues.maps, "ego": ego}, cues.size)
+        return Detection(likelihood, mask, cues, trust, doubt, image=evidence.image)
 
     def extra_repr(self) -> str:
         """The name and settings, for ``print(detector)``."""
         return f"{self.name!r}, {self.settings!r}"
 
 
-def lean(find: Callable[..., Mapping[str, Cue]]) -> Callable[..., Maps]:
-    """Mark what an analysis does: image (3,H,W) in [0,1] and more → maps, or what makes them.
+def lean(find: Callable[..., Mapping[str, Tensor]]) -> Callable[..., dict[str, Tensor]]:
+    """Mark what an analysis does: image (3,H,W) in [0,1] and more → maps.
 
     It runs in inference mode, on the CPU and where no gradients are asked for: what autograd
-    notes of a thousand small kernels takes a fifteenth of the time. For analyses of our own:
-    others may want gradients inside.
+    notes of a thousand small kernels takes a fifteenth of the time. Its maps are copies, with
+    which can be done what can be done with any tensor. For analyses of our own: others may want
+    gradients inside.
     """
 
     @wraps(find)
-    def wrapped(*parts: Any) -> Maps:
+    def wrapped(*parts: Any) -> dict[str, Tensor]:
         on_cpu = all(part.device.type == "cpu" for part in parts if isinstance(part, Tensor))
         with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
-            return Maps(find(*parts))
+            maps = find(*parts)
+        return {name: map.clone() if map.is_inference() else map for name, map in maps.items()}
 
     return wrapped
 
@@ -367,12 +361,12 @@ def lean(find: Callable[..., Mapping[str, Cue]]) -> Callable[..., Maps]:
 class Analysis(nn.Module):
     """An analysis without weights: ``find(image, settings)`` gives the cues."""
 
-    def __init__(self, find: Callable[[Tensor, Any], Mapping[str, Cue]], settings: Any) -> None:
+    def __init__(self, find: Callable[[Tensor, Any], Mapping[str, Tensor]], settings: Any) -> None:
         super().__init__()
         self.find = find
         self.settings = settings
 
-    def forward(self, image: Tensor) -> Mapping[str, Cue]:
+    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         return self.find(image, self.settings)
 

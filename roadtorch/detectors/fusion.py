@@ -12,7 +12,6 @@ from roadtorch.base.settings import Settings
 from roadtorch.detectors.detector import (
     TUNED,
     Analysis,
-    Cue,
     Entry,
     Outlines,
     Threshold,
@@ -166,7 +165,7 @@ FROM_SCRATCH = "layout-free"
 
 
 @lean
-def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Cue]:
+def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
     """Naive Bayes of what one picture (3,H,W) shows by itself. Ours, after P2."""
     image = brightened(image, EXPOSURE)
     segments = measure_segments(image, settings.superpixels.cut(image))
@@ -175,8 +174,8 @@ def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, 
     near, even, cues = seen_from(image, segments, seed, seed_segments(labels, seed))
     return {
         "likelihood": paint(segment_road(segments, layout[:, HORIZONTAL], near, even), labels),
-        "layout": lambda: paint(layout.T, labels),
-        "layout_labels": lambda: paint(decide_layout(layout), labels),
+        "layout": paint(layout.T, labels),
+        "layout_labels": paint(decide_layout(layout), labels),
         "seed_area": seed,
         **cues,
     }
@@ -199,7 +198,7 @@ class Fusion(nn.Module):
         self.second = picture_network_of(WeightsFile(file=file), file) if file else None
 
     @lean
-    def forward(self, image: Tensor) -> Mapping[str, Cue]:
+    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         learned = self.learned(image)
         ego = ego_found(learned["ego"])
@@ -211,7 +210,7 @@ class Fusion(nn.Module):
         return {
             "likelihood": calibrated(odds, self.settings.calibration),
             "layout": layout,
-            "layout_labels": lambda: decide_layout(layout.flatten(1).T).view(road.shape),
+            "layout_labels": decide_layout(layout.flatten(1).T).view(road.shape),
             "learned_road": road,
             "seed_area": likely_seed_area(odds, self.settings.seed_area.share),
             "ego": ego,
@@ -275,7 +274,7 @@ class ScratchFusion(nn.Module):
         self.network = picture_network_of(settings.weights, FROM_SCRATCH)
 
     @lean
-    def forward(self, image: Tensor) -> Mapping[str, Cue]:
+    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
         learned = self.network.cues(image)
@@ -300,8 +299,8 @@ class ScratchFusion(nn.Module):
         odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
         return {
             "likelihood": calibrated(odds, settings.calibration),
-            "layout": lambda: pooled(paint(own.T, labels), learned["layout"], settings.share),
-            "layout_labels": lambda: paint(decide_layout(layout.T), labels),
+            "layout": pooled(paint(own.T, labels), learned["layout"], settings.share),
+            "layout_labels": paint(decide_layout(layout.T), labels),
             "learned_road": learned["road"],
             "seed_area": seed,
             "ego": ego,
@@ -316,7 +315,7 @@ class ScratchFusion(nn.Module):
 
 def seen_from(
     image: Tensor, segments: Segments, seed: Tensor, sources: Tensor
-) -> tuple[Tensor, Tensor, Mapping[str, Cue]]:
+) -> tuple[Tensor, Tensor, Mapping[str, Tensor]]:
     """How like the seed area segments are: likelihoods (n,) by distance and by texture, and cues.
 
     image: (3,H,W) as it was measured; seed: bool (H,W); sources: numbers (k,) of its segments.
@@ -325,13 +324,13 @@ def seen_from(
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
     even = uniformity_likelihood(uniformity, settings.even)
     near = distance_likelihood(seed_distance(segments, sources), RULES.reach)
-    cues: dict[str, Cue] = {
-        "texture": lambda: paint(even, labels),
-        "uniformity": lambda: paint(uniformity, labels),
+    cues = {
+        "texture": paint(even, labels),
+        "uniformity": paint(uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
-        "distance": lambda: paint(near, labels),
-        "place": lambda: paint(road_place(segments.row, segments.column), labels),
+        "distance": paint(near, labels),
+        "place": paint(road_place(segments.row, segments.column), labels),
         "segments": labels,
     }
     return near, even, cues

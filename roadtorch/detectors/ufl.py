@@ -8,7 +8,6 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.detectors.detector import Analysis, DetectorSettings, Entry, Threshold
-from roadtorch.imaging.resize import full_size
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
 from roadtorch.ufl.hierarchy import RegionTreeSettings, build_tree, threshold_regions, thresholds
@@ -63,16 +62,14 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     stable = torch.sigmoid(SHARPNESS * rounds[-1].pixels).to(mean)
     pixels = map_to_image(stable.where(mean > 0, 0), side)  # 0 where no selected base responds
     likelihood = road_likelihood(masks[-1], pixels)
-    cues = {
-        "likelihood": likelihood,
+    return {
+        "likelihood": enlarged_likelihood(likelihood, (height, width)),
         "equalised": learned.even,
         "dictionary": dictionary_picture(learned.dictionary, features.order, side, size),
         "selected_maps": mosaic(features.maps[:, None], size)[0],
         **map_pictures(features, mean, tree, rounds[-1], side),
         **{f"iteration_{number}": mask for number, mask in enumerate(masks, 1)},
     }
-    enlarged = enlarged_likelihood(likelihood, (height, width))
-    return full_size(cues, (height, width)).but(likelihood=enlarged)
 
 
 TEXT = {

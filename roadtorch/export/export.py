@@ -22,7 +22,7 @@ from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
 from roadtorch.export.files import Run, open_onnx, write_onnx
 from roadtorch.export.graph import OUTPUTS, EveryPixel, FusedRoad, Graph
-from roadtorch.imaging.resize import Maps, at_picture_size, at_work, resized, size_of
+from roadtorch.imaging.resize import at_picture_size, at_work, resized, size_of
 from roadtorch.layout.weights import FOR_PICTURES, terms_of, weights_path
 from roadtorch.road.outlines import outlined
 from roadtorch.testing.scenes import render_scene
@@ -106,7 +106,7 @@ def part_of(detector: Detector) -> Exportable:
 def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dict[str, Tensor]:
     """What ``FusedRoad`` has to give of an image (3,H,W) in [0,1]."""
     small, full = at_work(image, settings.working), size_of(image)
-    cues = Maps(analysis(small))
+    cues = analysis(small)
     likelihood = resized(outlined(cues, small, image, settings.working, settings.threshold), full)
     hidden = at_picture_size(cues["ego"], full)
     likelihood = likelihood.masked_fill(hidden, 0)

@@ -1,6 +1,6 @@
 """The size at which detectors think, and the way back to the size of the picture."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -11,7 +11,6 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.base.compute import one_thread
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 
@@ -120,7 +119,7 @@ def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
 
 def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
-    if cue.is_floating_point():
+    if cue.is_floating_point() or size_of(cue) == tuple(size):
         return resized(cue, size)
     pixels = cue.cpu().numpy()
     if not pixels.any():
@@ -136,60 +135,9 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     return torch.from_numpy(pixels).to(cue.device)
 
 
-Cue = Tensor | Callable[[], Tensor]
-"""A map (H,W) or (C,H,W), or what makes it when it is asked for."""
-
-
-class Maps(Mapping[str, Tensor]):
-    """Maps by name, (H,W) or (C,H,W), of which some are made when asked for, and anew each time.
-
-    A large picture has room for those that are wanted, not for all. What was made in torch's
-    inference mode comes out as a copy, with which can be done what can be done with any tensor.
-    """
-
-    def __init__(self, made: Mapping[str, Cue]) -> None:
-        self._made = dict(made._made if isinstance(made, Maps) else made)
-
-    @one_thread()
-    def __getitem__(self, name: str) -> Tensor:
-        """The map of that name; KeyError where there is none."""
-        made = self._made[name]
-        tensor = made if isinstance(made, Tensor) else made()
-        return tensor.clone() if tensor.is_inference() else tensor
-
-    def __iter__(self) -> Iterator[str]:
-        """The names of all maps."""
-        return iter(self._made)
-
-    def __len__(self) -> int:
-        """How many maps there are."""
-        return len(self._made)
-
-    def but(self, **others: Cue) -> "Maps":
-        """The same with others, in the place of those of their names or behind all."""
-        return Maps({**self._made, **others})
-
-    def only(self, *names: str) -> "Maps":
-        """The same with those names alone, as far as there are such maps."""
-        return Maps({name: made for name, made in self._made.items() if name in names})
-
-    def __reduce__(self) -> tuple[type["Maps"], tuple[dict[str, Tensor]]]:
-        """All maps as they are, so that they survive a process boundary."""
-        return Maps, (dict(self),)
-
-    def without(self, name: str) -> "Maps":
-        """The same without the one of that name."""
-        return Maps({kept: made for kept, made in self._made.items() if kept != name})
-
-
-def full_size(analysed: Mapping[str, Tensor], size: tuple[int, int]) -> Maps:
-    """Cues by name, each brought to the picture's own size when it is asked for."""
-    maps = Maps(analysed)
-    return Maps({name: lambda name=name: at_picture_size(maps[name], size) for name in maps})
-
-
 def at_working_size(
     analyse: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor, working: WorkingSize
-) -> Maps:
+) -> dict[str, Tensor]:
     """What ``analyse`` finds in an image (3,H,W) at its working size, brought back to full size."""
-    return full_size(analyse(at_work(image, working)), size_of(image))
+    found, size = analyse(at_work(image, working)), size_of(image)
+    return {name: at_picture_size(map, size) for name, map in found.items()}

@@ -1,5 +1,6 @@
 """Outlines: a likelihood enlarged as the picture's edges are, without thin holes in its road."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 import cv2
@@ -9,7 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import Maps, WorkingSize, at_work, resized, size_of
+from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
 from roadtorch.road.seed_area import remove_isolated
 
 Outlines = Annotated[
@@ -37,7 +38,7 @@ BARELY = 1 / 255
 
 
 def guided(
-    maps: Maps, small: Tensor, image: Tensor, working: WorkingSize, threshold: float
+    maps: Mapping[str, Tensor], small: Tensor, image: Tensor, working: WorkingSize, threshold: float
 ) -> Tensor:
     """The likelihood of the maps of a small image (3,h,w), as large as it is worth.
 
@@ -53,7 +54,7 @@ def guided(
 
 
 def outlined(
-    maps: Maps, small: Tensor, image: Tensor, working: WorkingSize, threshold: float
+    maps: Mapping[str, Tensor], small: Tensor, image: Tensor, working: WorkingSize, threshold: float
 ) -> Tensor:
     """The same but for its last step: thin holes are still there."""
     more = working.model_copy(update={"pixels": MAX_ENLARGEMENT * working.pixels})

@@ -21,7 +21,8 @@ from roadtorch.base.atomic import make_folder
 from roadtorch.base.errors import InputError, RoadtorchError, fault
 from roadtorch.base.signals import Stop
 from roadtorch.camera.camera import Camera
-from roadtorch.detectors.detector import Detection, Detector, Evidence
+from roadtorch.detectors.detection import Cues, Detection
+from roadtorch.detectors.detector import Detector, Evidence
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady
@@ -181,8 +182,8 @@ class _Find:
         if isinstance(image, RoadtorchError):
             raise image
         evidence = self.inference.find(image)
-        maps = evidence.maps if self.cues else evidence.maps.only("likelihood", "ego")
-        return evidence._replace(maps=maps, image=None)
+        cues = evidence.cues if self.cues else Cues({}, evidence.cues.size)
+        return evidence._replace(cues=cues, image=None)
 
 
 def detections(
@@ -234,8 +235,7 @@ def _conclude(
     if steady is None:
         detection = detector.conclude(evidence)
     else:
-        maps = evidence.maps
-        likelihood = steady(image, maps["likelihood"], maps.get("ego"))
+        likelihood = steady(image, evidence.likelihood, evidence.ego)
         detection = detector.conclude(evidence, likelihood, steady.hidden)
     return replace(detection, name=item.name, seconds=item.seconds)
 

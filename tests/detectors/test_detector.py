@@ -4,7 +4,7 @@ import io
 import pickle
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import overlay_pixels, read_image
 from roadtorch.detectors.detector import Detection, lean
 from roadtorch.imaging import slic as superpixels
-from roadtorch.imaging.resize import Maps, averaging_bands
+from roadtorch.imaging.resize import at_picture_size, averaging_bands
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.density import floor_of
@@ -30,59 +30,46 @@ from tests.streets import scene
 
 
 class Doubling(nn.Module):
-    """Twice the first plane, at once and when asked for."""
+    """Twice the first plane."""
 
     @lean
-    def forward(self, image: Tensor) -> Mapping[str, Tensor | Callable[[], Tensor]]:
-        return {"now": 2 * image[0], "later": lambda: 2 * image[0]}
+    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
+        return {"doubled": 2 * image[0]}
 
 
-@pytest.mark.parametrize("name", ["now", "later"])
-def test_without_gradients_maps_are_ordinary_tensors_all_the_same(name: str) -> None:
+def test_without_gradients_maps_are_ordinary_tensors_all_the_same() -> None:
     with torch.no_grad():
         found = Doubling()(torch.ones(3, 4, 4))
 
     weight = torch.ones((), requires_grad=True)
-    (weight * found[name].add_(1)).sum().backward()  # neither is allowed in inference mode
+    (weight * found["doubled"].add_(1)).sum().backward()  # neither is allowed in inference mode
 
     assert weight.grad == 16 * 3
-    assert torch.equal(found[name], torch.full((4, 4), 2.0))  # the change was the caller's own
 
 
 def test_gradients_that_are_asked_for_flow() -> None:
     image = torch.ones(3, 4, 4, requires_grad=True)
 
-    Doubling()(image)["now"].sum().backward()
+    Doubling()(image)["doubled"].sum().backward()
 
     assert image.grad is not None
     assert image.grad.sum() == 2 * 16
 
 
-def test_deferred_maps_are_made_anew_and_only_when_asked_for() -> None:
-    calls = []
-    maps = Maps({"made": torch.zeros(2), "waiting": lambda: calls.append(1) or torch.ones(2)})
-
-    assert list(maps) == ["made", "waiting"]
-    assert len(maps) == 2
-    assert calls == []
-    assert torch.equal(maps["waiting"], maps["waiting"])
-    assert calls == [1, 1]
-    with pytest.raises(KeyError, match="missing"):
-        maps["missing"]
-    assert list(maps.without("waiting").but(other=torch.ones(1))) == ["made", "other"]
-    assert list(maps.only("waiting", "missing")) == ["waiting"]
-    assert calls == [1, 1]  # still none but those two
-
-
-def test_deferred_maps_are_made_to_cross_the_border_of_a_process() -> None:
-    image = scene(1, 48, 64).image
-    evidence = load_detector("fusion:untrained").find(image)
+def test_cues_are_enlarged_when_asked_for_and_cross_processes_small() -> None:
+    evidence = load_detector("fusion:untrained", working={"pixels": 400}).find(
+        scene(1, 48, 64).image
+    )
 
     sent = pickle.loads(pickle.dumps(evidence))
 
-    for maps, copies in ((evidence.analysed, sent.analysed), (evidence.maps, sent.maps)):
-        assert list(copies) == list(maps)
-        assert all(torch.equal(copies[name], maps[name]) for name in maps)
+    assert list(sent.cues) == list(evidence.cues)
+    for name, cue in sent.cues.items():
+        assert cue.shape[-2:] == (48, 64)
+        assert sent.cues.maps[name].shape[-2:] != (48, 64)
+        assert torch.equal(cue, at_picture_size(evidence.analysed[name], (48, 64)))
+    with pytest.raises(KeyError, match="missing"):
+        sent.cues["missing"]
 
 
 @pytest.mark.parametrize("name", ["fusion", "labeller", "cpf", "lbp", "prior:rows"])

@@ -65,18 +65,19 @@ def test_at_a_half_the_likelihood_is_exactly_the_regions_at_any_size(
 ) -> None:
     image = resized(render_scene(4, 120, 160).image, size).clamp(0, 1)
 
-    cues = detector(name, **QUICK).analysis(image)
+    detection = detector(name, **QUICK).detect(image)
 
-    assert cues["iteration_2"].any()
-    assert torch.equal(cues["likelihood"] >= AS_CHOSEN, cues["iteration_2"])
+    chosen = detection.cues["iteration_2"]
+    assert chosen.any()
+    assert torch.equal(detection.likelihood >= AS_CHOSEN, chosen)
 
 
 def test_where_no_selected_base_responds_the_likelihood_is_the_mask_alone() -> None:
-    cues = detector("ufl:original").analysis(street())
+    detection = detector("ufl:original").detect(street())
 
-    nothing = cues["mean_map"] == 0
+    nothing = detection.cues["mean_map"] == 0
     assert nothing.any()
-    assert set(cues["likelihood"][nothing].tolist()) <= {0.0, 0.5}
+    assert set(detection.likelihood[nothing].tolist()) <= {0.0, 0.5}
 
 
 def test_the_best_settings_find_the_road_of_a_plain_street() -> None:

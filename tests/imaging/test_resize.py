@@ -12,7 +12,6 @@ from roadtorch.imaging.resize import (
     WorkingSize,
     at_picture_size,
     at_working_size,
-    full_size,
     resized,
     working_size,
 )
@@ -116,15 +115,3 @@ def test_what_has_the_right_size_is_handed_through() -> None:
     assert torch.equal(
         at_working_size(lambda x: {"image": x}, image, WorkingSize())["image"], image
     )
-
-
-def test_only_the_cue_that_is_asked_for_is_brought_to_full_size() -> None:
-    small = {"likelihood": torch.rand(24, 32), "labels": torch.arange(24 * 32).reshape(24, 32)}
-    cues = full_size(small, (48, 64))
-
-    assert list(cues) == ["likelihood", "labels"]
-    assert len(cues) == 2
-    assert torch.equal(cues["likelihood"], at_picture_size(small["likelihood"], (48, 64)))
-    assert torch.equal(cues["labels"][::2, ::2], small["labels"])
-    with pytest.raises(KeyError, match="mask"):
-        cues["mask"]

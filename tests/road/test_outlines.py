@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.imaging.resize import Maps, WorkingSize, at_work, resized, size_of
+from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
 from roadtorch.road.ego import continued
 from roadtorch.road.outlines import BARELY, filled, followed, outlined
 
@@ -63,7 +63,7 @@ def test_what_the_ego_car_map_leaves_of_a_bonnet_like_the_road_stays_no_road() -
     ego = below > missed
     likelihood = continued(0.9 - 0.8 * (below / 12 + 0.5).clamp(0, 1), ego)
 
-    found = outlined(Maps({"likelihood": likelihood, "ego": ego}), small, image, working, 0.5)
+    found = outlined({"likelihood": likelihood, "ego": ego}, small, image, working, 0.5)
 
     assert (found[begins : begins + missed] > 0.5).double().mean() < 0.05
     assert (found[: begins - 12] > 0.5).double().mean() > 0.99
