@@ -212,7 +212,7 @@ COMMANDS = {
     "grid": "grid ../work/images {detector} {jobs} --height 1.5 --pitch 2 --fov 90 --out out",
     "label": "label ../work/images {jobs} --out out",
     "train": "train --config ../work/training.toml --images ../work/images_flat --threads 1 "
-    "--corrections ../work/corrections --resume --out out",
+    "--corrections ../work/corrections --out out",
     "adapt": "adapt ../work/images --set network.height=32 --set network.width=64 --set "
     "teacher.detector=labeller --set teacher.views=one --set stopping.epochs=1 --set "
     "samples_per_epoch=4 --set descent.batch=2 --threads 1 --out out",

@@ -37,11 +37,11 @@ from roadtorch.layout.backbone_network import (
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
-from roadtorch.run.memo import keep, kept
+from roadtorch.run.memo import keep, kept, key_of
 from roadtorch.train.augmentation import reframed
 from roadtorch.train.config import PictureTraining, build_training
 from roadtorch.train.pictures import PictureRecipe
-from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
+from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.teachers import shrunk
 
 VOID = 255
@@ -274,7 +274,7 @@ def teach(given: argparse.Namespace) -> None:
     fusion = load_detector("fusion:large", weights=first, second={"file": ""})
     settings = preparation_of(given.config)
     for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
-        target, key = given.truth / f"{file.name}.npz", prepared_key(settings, file)
+        target, key = given.truth / f"{file.name}.npz", key_of(settings, file, None)
         if kept(target, key) is None:
             keep(target, key, taught(network, fusion, read_image(file), settings["size"]))
 
@@ -286,7 +286,7 @@ def lay(given: argparse.Namespace) -> None:
     parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
     for found, samples in parts:
         for file, sample in zip(sorted(found), samples, strict=True):
-            key = prepared_key(settings, file)
+            key = key_of(settings, file, None)
             keep(given.truth / f"{file.name}.npz", key, laid(sample, settings["size"]))
 
 

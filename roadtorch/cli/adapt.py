@@ -8,9 +8,6 @@ from roadtorch.cli.options import FOOTAGE, PATH, QUIET, SETTING, command_line
 
 CONFIG = "adapt"
 
-SHOWN = 60
-"""Frames that the page compares before and after, evenly spread."""
-
 
 @click.command()
 @FOOTAGE
@@ -84,7 +81,7 @@ def adapt(
         context.exit(128 + outcome.interrupted)
     request = Request(frames.glob(), out, prepared=done.prepared, quiet=quiet)
     command = command_line(context)
-    score = write_page(training, request, outcome, SHOWN, scored, verdict, command)
+    score = write_page(training, request, outcome, scored, verdict, command)
     files = [outcome.weights, done.camera, None if score is None else out / PAGE]
     lines = [*frames.skipped, *done.missing, *([score] if score else [])]
     if not quiet:

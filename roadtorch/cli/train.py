@@ -22,10 +22,11 @@ from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
     shell_complete=suggest_files,
     help="Folder, file or quoted glob of pictures.",
 )
-@click.option("--out", type=PATH, required=True, help="Folder of this run.")
+@click.option(
+    "--out", type=PATH, required=True, help="Folder of this run; a second run resumes it."
+)
 @click.option("--corrections", type=PATH, help="What roadtorch annotate kept: it counts as truth.")
 @click.option("--pictures", type=PATH, help="Folder of the corrected pictures, if it moved.")
-@click.option("--resume", is_flag=True, help="Go on with the run in --out.")
 @SETTING
 @click.option(
     "--prepared",
@@ -36,12 +37,6 @@ from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
 @click.option(
     "--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing."
 )
-@click.option(
-    "--compared",
-    type=click.IntRange(min=1),
-    default=60,
-    help="Pictures that the page compares before and after, evenly spread.",
-)
 @click.option("--quiet", is_flag=True, help="No progress, only what goes wrong.")
 @click.pass_context
 def train(
@@ -51,12 +46,10 @@ def train(
     out: Path,
     corrections: Path | None,
     pictures: Path | None,
-    resume: bool,
     assignments: tuple[str, ...],
     prepared: Path | None,
     threads: int | None,
     labelled: str | None,
-    compared: int,
     quiet: bool,
 ) -> None:
     """Train a layout network on machine labels of pictures that nobody labelled.
@@ -69,7 +62,7 @@ def train(
       weights.safetensors  the network; also after an interruption, as far as it is
       log.csv, curve.png   the error of each epoch
       pictures.csv         which pictures were used, and why others were not
-      checkpoint.pt        for --resume; Ctrl-C and SIGTERM leave one
+      checkpoint.pt        how far it is; Ctrl-C and SIGTERM leave one
       prepared/            small copies of the pictures with their labels, made once
       weights.md           with --corrections: the card that says so
       adaptation.html      with start in the config: pictures, trust, agreement before and after
@@ -94,10 +87,11 @@ def train(
         message = "is for runs that start from weights: there is no before"
         raise ConfigError("--labelled", message, "give --set start=WEIGHTS, or leave it out")
     scored = None if labelled is None else open_named(labelled)
-    request = Request(images, out, resume, prepared, quiet, people)
+    request = Request(images, out, prepared, quiet, people)
     outcome = run(training, request)
     if outcome.interrupted:
-        text = f"roadtorch: stopped by {outcome.interrupted.name}; resume with --resume"
+        signal = outcome.interrupted.name
+        text = f"roadtorch: stopped by {signal}; run the same command again to resume"
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
     if not quiet:
@@ -105,7 +99,7 @@ def train(
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
     if training.start:
         command = command_line(context)
-        score = write_page(training, request, outcome, compared, scored, command=command)
+        score = write_page(training, request, outcome, scored, command=command)
         if score is not None and not quiet:
             score = score or "not scored, and it may have lost; --labelled SET:ROOT would tell"
             click.echo(f"roadtorch: before and after in {out / PAGE}", err=True)

@@ -21,24 +21,23 @@ from roadtorch.train.prepared import name_of
 from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
 from roadtorch.train.teachers import teacher_agreement
 
-SHOWN = 10
-"""Pictures on the page, half of them those that changed most."""
+COMPARED, SHOWN = 60, 10
+"""Pictures that are compared, evenly spread, and that are on the page, half of them those that
+changed most."""
 
 
 def write_page(
     training: Training,
     request: Request,
     outcome: Outcome,
-    compared: int,
     labelled: Dataset | None = None,
     verdict: str = "",
     command: str = "",
 ) -> str | None:
     """Write the page of a finished run; its line on labels, None where nothing could be seen.
 
-    The run has to have a ``start``. compared: pictures that are looked at, evenly spread.
-    labelled: a set that scores both; nothing is learned from it. verdict: a sentence on top.
-    command: the command line at its end.
+    The run has to have a ``start``. labelled: a set that scores both; nothing is learned from it.
+    verdict: a sentence on top. command: the command line at its end.
     """
     if outcome.weights is None:
         return None
@@ -48,7 +47,7 @@ def write_page(
     after = candidate(str(calibrated if calibrated.exists() else weights), "")
     methods = (replace(before, name="before"), replace(after, name="after"))
     pictures = find_pictures([request.images], request.out)
-    dataset = every_kth(unlabelled_set(pictures), compared)
+    dataset = every_kth(unlabelled_set(pictures), COMPARED)
     seen = disagreements(dataset, methods, quiet=request.quiet, desc="before and after")
     if not seen.pictures:
         return None
@@ -56,7 +55,7 @@ def write_page(
     if isinstance(training, PictureTraining):
         folder = request.prepared or request.out / PREPARED
         made = [folder / f"{name_of(picture)}.npz" for picture in pictures]
-        made = spread([file for file in made if file.exists()], compared)  # skipped ones have none
+        made = spread([file for file in made if file.exists()], COMPARED)  # skipped ones have none
         agreements = [
             teacher_agreement(network.eval(), made, training)
             for network in map(load_network, (start, weights))

@@ -21,12 +21,12 @@ from roadtorch.base.atomic import (
     remove_leftovers,
     write_text,
 )
-from roadtorch.base.bounded import printable, read_regular, regular_size
+from roadtorch.base.bounded import read_regular, regular_size
 from roadtorch.base.decoding import without_warnings
 from roadtorch.base.errors import ConfigError, InputError, WeightsError
 from roadtorch.base.version import __version__
 from roadtorch.inputs.item import Item
-from roadtorch.run.memo import file_digests
+from roadtorch.run.memo import file_digests, key_of
 from roadtorch.train.prepared import PreparedPicture, name_of
 
 FORMAT = 2
@@ -45,26 +45,23 @@ def config_hash(values: Mapping[str, Any]) -> str:
     return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-def pictures_hash(pictures: Iterable[Item]) -> str:
-    """SHA-256 of the names and bytes of pictures: whether they are still the same."""
-    lines = (f"{name_of(picture)} {digest_of(picture.path)}\n" for picture in pictures)
-    return sha256(printable("".join(lines)).encode()).hexdigest()
-
-
 def record_of(
     config: Mapping[str, Any],
     pictures: Sequence[Item],
     corrections: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """The content of run.json: version, settings, their files, pictures, corrections."""
+    """Return the content of run.json: what a run is made of, and a key of each part of it."""
+    files = [(name_of(picture), digest_of(picture.path)) for picture in pictures]
     return {
         "roadtorch": __version__,
         "config": config,
-        "config_sha256": config_hash(config),
-        "files": file_digests(config),
         "count": len(pictures),
-        "pictures": pictures_hash(pictures),
         "corrections": corrections,
+        "keys": {
+            "settings": key_of(config, file_digests(config)),
+            "pictures": key_of(files),
+            "corrections": key_of(corrections),
+        },
     }
 
 
@@ -89,11 +86,11 @@ class RunFolder:
         """The file of the weights at the end of round ``number`` (from 0)."""
         return self.path / f"round-{number + 1}.safetensors"
 
-    def check(self, record: Mapping[str, Any], resume: bool) -> None:
+    def check(self, record: Mapping[str, Any]) -> None:
         """Check that the run of a record (``record_of``) may write here; nothing is written yet.
 
-        A fresh run wants a folder without files of ours; ``resume`` wants the same settings,
-        pictures and corrections as before, or an empty folder. Raises ConfigError, InputError.
+        That is a folder without files of ours, or one in which a run of the same version, settings,
+        pictures and corrections began. Raises ConfigError, InputError.
         """
         before = self._record()
         if before is None:
@@ -102,27 +99,13 @@ class RunFolder:
                     message = f"holds {name}, which is not of a run"
                     raise ConfigError(self.path, message, ELSEWHERE)
             return
-        if not resume:
-            remedy = "continue it with --resume, or give another --out"
-            raise ConfigError(self.path, "holds a run already", remedy)
-        then, now = flat(before["config"]), flat(record["config"])
-        for key in {**now, **then}:
-            old, new = (repr(v[key]) if key in v else "not there" for v in (then, now))
-            if old != new:
-                message = f"is {new}, and {old} in the run in {self.path}"
-                remedy = "use the run's own config, or give another --out"
-                raise ConfigError(key, message, remedy)
-        for path, digest in record["files"].items():
-            if before["files"].get(path) != digest:
-                message = f"is not the file that the run in {self.path} began with"
-                raise InputError(path, message, ELSEWHERE)
-        for key, kind, option in (
-            ("pictures", "on other pictures", "--images"),
-            ("corrections", "with other corrections", "--corrections"),
-        ):
-            if before.get(key) != record[key]:
-                remedy = f"give the same {option}, or another --out"
-                raise ConfigError(self.path, f"holds a run {kind}", remedy)
+        if before["roadtorch"] != record["roadtorch"]:
+            message = f"holds a run of roadtorch {before['roadtorch']}"
+            raise ConfigError(self.path, message, ELSEWHERE)
+        for part, key in record["keys"].items():
+            if before["keys"].get(part) != key:
+                message = f"holds a run with other {part}"
+                raise ConfigError(self.path, message, f"give those of {RUN}, or another --out")
 
     def begin(self, record: Mapping[str, Any]) -> None:
         """Remove what killed runs left half-written, and write the record of this one."""
@@ -136,8 +119,7 @@ class RunFolder:
             return None
         try:
             record = json.loads(read_regular(path).decode())
-            known = [isinstance(record[key], dict) for key in ("config", "files")]
-            if all(known) and isinstance(record["pictures"], str):
+            if isinstance(record["keys"], dict) and isinstance(record["roadtorch"], str):
                 return record
         except (ValueError, KeyError, TypeError, OSError, RecursionError):
             pass
@@ -201,14 +183,3 @@ class RunFolder:
         draw_losses(figure, rows)
         with atomic(self.path / CURVE) as temporary:
             figure.savefig(temporary, format="png", dpi=120)
-
-
-def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Nested values as one level: ``{"a": {"b": 1}}`` → ``{"a.b": 1}``."""
-    level: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            level |= flat(value, f"{path}{key}.")
-        else:
-            level[path + key] = value
-    return level

@@ -25,7 +25,7 @@ from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
-from roadtorch.run.memo import Arrays, cached_arrays, read_arrays
+from roadtorch.run.memo import Arrays, cached_arrays, key_of, read_arrays
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
 from roadtorch.train.folder import RunFolder
@@ -38,7 +38,7 @@ from roadtorch.train.loop import (
     generator_at,
     seeded,
 )
-from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
+from roadtorch.train.prepared import from_bytes, to_bytes
 
 # --- where ------------------------------------------------------------------------------
 
@@ -314,7 +314,7 @@ class PatchRecipe:
 
     def key(self, picture: Item) -> str:
         """Of a picture made ready."""
-        return prepared_key(self.preparation, picture.path)
+        return key_of(self.preparation, picture.path, None)  # of no ego car
 
     def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Nothing: patches are taken from single pictures."""

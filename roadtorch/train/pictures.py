@@ -26,12 +26,12 @@ from roadtorch.layout.picture_network import (
     scaled,
 )
 from roadtorch.layout.weights import WholePictureNetwork
-from roadtorch.run.memo import Arrays, cached_arrays, file_digests
+from roadtorch.run.memo import Arrays, cached_arrays, file_digests, key_of
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, PictureTraining
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RoundStart, generator_at, seeded
-from roadtorch.train.prepared import from_bytes, prepared_key, to_bytes
+from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
 from roadtorch.train.teachers import (
     PLANES,
@@ -254,7 +254,7 @@ class PictureRecipe:
 
     def key(self, picture: Item) -> str:
         """Of a picture made ready; ``survey`` comes first."""
-        return prepared_key(self.preparation, picture.path, self._recordings.get(picture.name))
+        return key_of(self.preparation, picture.path, self._recordings.get(picture.name))
 
     def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Find the ego cars that recordings show; ``folder`` keeps what is found."""

@@ -1,11 +1,10 @@
 """Pictures made ready for training, once, on disk: small, with their machine labels."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,7 +16,7 @@ from roadtorch.base.signals import Stop
 from roadtorch.detectors.detector import checked_image
 from roadtorch.inputs.item import Item
 from roadtorch.run.loop import until_stopped
-from roadtorch.run.memo import Arrays, keep, kept, key_of
+from roadtorch.run.memo import Arrays, keep, kept
 from roadtorch.run.workers import DIED, workers_for
 
 
@@ -96,15 +95,6 @@ def prepare(
 
 def _died(picture: Item) -> PreparedPicture:
     return PreparedPicture(name_of(picture), None, str(InputError(picture.origin, *DIED)))
-
-
-def prepared_key(settings: Mapping[str, Any], picture: Path, ego: Path | None = None) -> str:
-    """The key of a picture made ready: its bytes, and all that decides on what is made of it.
-
-    settings: of a recipe, with the digests of the files that they name. ego: the file of what its
-    recording shows of the ego car.
-    """
-    return key_of(settings, picture, ego)
 
 
 def name_of(picture: Item) -> str:

@@ -67,7 +67,6 @@ class Request:
 
     images: str
     out: Path
-    resume: bool = False
     prepared: Path | None = None
     quiet: bool = False
     corrections: Sequence[Correction] = ()
@@ -156,7 +155,7 @@ class TrainingRun:
         stop, folder = self.stop, self.folder
         summary = corrections_summary(self.corrections)
         record = record_of(as_values(self.training), pictures, summary)
-        folder.check(record, self.request.resume)
+        folder.check(record)
         state = folder.read_checkpoint()
         folder.begin(record)
         behind = [*corrections_behind(self.training), *([summary] if summary else [])]

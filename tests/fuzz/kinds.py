@@ -127,16 +127,16 @@ def write_checkpoint(path: Path) -> None:
 RECORD: dict[str, Any] = {
     "roadtorch": "0.1.0",
     "config": as_values(PatchTraining()),
-    "config_sha256": "0" * 64,
     "count": 0,
-    "pictures": "0" * 64,
+    "corrections": None,
+    "keys": {"settings": "0" * 32, "pictures": "0" * 32, "corrections": "0" * 32},
 }
 
 
 def read_record(path: Path) -> bool:
     """Begin a run where there is one; it is refused, as this one has other pictures."""
-    other = {**RECORD, "pictures": "1" * 64, "corrections": None}
-    return not told_of(path, lambda: RunFolder(path.parent).check(other, resume=True))
+    other = {**RECORD, "keys": {**RECORD["keys"], "pictures": "1" * 32}}
+    return not told_of(path, lambda: RunFolder(path.parent).check(other))
 
 
 # --- settings -----------------------------------------------------------------------------

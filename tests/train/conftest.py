@@ -28,7 +28,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    """``trained("pictures", "rounds.count=1", out="one", resume=True)``: a run on the streets.
+    """``trained("pictures", "rounds.count=1", out="one")``: a run on the streets.
 
     Its folder is new unless ``out`` names one of this module.
     """
@@ -57,4 +57,4 @@ def finished(shared_run: tuple[Training, Request], tmp_path: Path) -> tuple[Trai
     """A finished run on patches, a copy that a test may change; and the request to go on."""
     training, request = shared_run
     out = shutil.copytree(request.out, tmp_path / "finished")
-    return training, replace(request, out=out, resume=True)
+    return training, replace(request, out=out)

@@ -11,13 +11,12 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.signals import Stop
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import find_pictures
-from roadtorch.run.memo import Arrays, read_arrays, write_arrays
+from roadtorch.run.memo import Arrays, key_of, read_arrays, write_arrays
 from roadtorch.train.prepared import (
     Preparation,
     PreparedPicture,
     from_bytes,
     prepare,
-    prepared_key,
     to_bytes,
 )
 from tests.train.runs import write_streets
@@ -40,7 +39,7 @@ def pictures(tmp_path: Path) -> list[Item]:
 
 
 def key_with(settings: dict[str, int], picture: Item) -> str:
-    return prepared_key(settings, picture.path)
+    return key_of(settings, picture.path)
 
 
 def prepared(

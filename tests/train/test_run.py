@@ -172,9 +172,9 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     for cut in (1, 2, 3, 4):
         with monkeypatch.context() as patch:
             interrupt_after(cut, patch)
-            outcome = trained(kind, WHOLE[kind], out=f"pieces-{kind}", resume=True)
+            outcome = trained(kind, WHOLE[kind], out=f"pieces-{kind}")
         cuts += outcome.interrupted == signal.SIGTERM
-    pieces = folder_of(trained(kind, WHOLE[kind], out=f"pieces-{kind}", resume=True))
+    pieces = folder_of(trained(kind, WHOLE[kind], out=f"pieces-{kind}"))
 
     assert cuts >= 3
     names = [path.name for path in whole[kind].glob("*.safetensors")]
@@ -202,5 +202,5 @@ def test_the_status_of_the_command_names_the_signal(
     result = call("train", *words)
 
     assert result.exit_code == 143
-    assert result.stderr.endswith("stopped by SIGTERM; resume with --resume\n")
+    assert result.stderr.endswith("stopped by SIGTERM; run the same command again to resume\n")
     assert read_origin(out / "weights.safetensors")["finished"] is False

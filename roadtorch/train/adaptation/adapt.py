@@ -85,7 +85,7 @@ def adapt(
         skipped = 0
         for number, half in enumerate(HALVES, 1):
             part = (number, len(HALVES))
-            request = Request(frames.glob(half), out / half, True, out / PREPARED, quiet, part=part)
+            request = Request(frames.glob(half), out / half, out / PREPARED, quiet, part=part)
             outcome = train(training, request)
             if outcome.interrupted:
                 return adapted(outcome)
