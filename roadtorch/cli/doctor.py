@@ -6,14 +6,15 @@ Each section imports what it looks at when it looks: what cannot be imported bre
 import json
 import os
 import platform
+import re
 import statistics
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import click
 
@@ -21,13 +22,9 @@ from roadtorch.base.bounded import reason
 from roadtorch.base.compute import peak_mebibytes
 from roadtorch.base.version import __version__
 
-if TYPE_CHECKING:
-    from packaging.requirements import Requirement
-
 PACKAGE = "roadtorch"
 OF_DEVELOPERS = ("docs", "test")  # extras that users have no need of
 
-SUFFIXES = (".jpg", ".png", ".tif", ".webp", ".bmp")
 VIDEO = ("h264", "hevc", "vp9", "av1", "mpeg4", "mjpeg")  # that cameras and archives have
 
 SCENE = 0  # seed of the rendered street
@@ -95,83 +92,57 @@ def check_machine() -> list[Check]:
 
 
 def check_packages() -> list[Check]:
-    """Every package that roadtorch cannot do without, in the order of the names."""
-    checks: list[Check] = []
-    for package in sorted(_requirements(""), key=lambda package: package.name):
-        present, wrong = _installed(package)
-        remedy = f"pip install '{package.name}{package.specifier}'" if wrong else ""
-        checks.append(Check(package.name, "broken" if wrong else "ok", wrong or present, remedy))
-    return checks
+    """Check every package that roadtorch cannot do without, in the order of their names."""
+    versions = {name: _installed(name) for name in _requirements("")}
+    return [
+        Check(name, "ok", release)
+        if release
+        else Check(name, "broken", "is not installed", f"pip install {name}")
+        for name, release in versions.items()
+    ]
 
 
 def check_extras() -> list[Check]:
-    """Every extra: ok when all its packages are there."""
+    """Check every extra: ok when all its packages are installed."""
     checks: list[Check] = []
-    known = metadata(PACKAGE).get_all("Provides-Extra") or []
-    for name in sorted({*known} - {*OF_DEVELOPERS}):
-        packages = [(package.name, *_installed(package)) for package in _requirements(name)]
-        absent = [f"{package} {wrong}" for package, _, wrong in packages if wrong]
-        present = [f"{package} {release}" for package, release, _ in packages]
-        remedy = f"pip install '{PACKAGE}[{name}]'" if absent else ""
-        state = "missing" if absent else "ok"
-        checks.append(Check(name, state, ", ".join(absent or present), remedy))
+    for name in sorted({*(metadata(PACKAGE).get_all("Provides-Extra") or [])} - {*OF_DEVELOPERS}):
+        versions = {package: _installed(package) for package in _requirements(name)}
+        absent = [package for package, release in versions.items() if not release]
+        if absent:
+            what = f"{', '.join(absent)} not installed"
+            checks.append(Check(name, "missing", what, f"pip install '{PACKAGE}[{name}]'"))
+        else:
+            what = ", ".join(f"{package} {release}" for package, release in versions.items())
+            checks.append(Check(name, "ok", what))
     return checks
 
 
-def _requirements(extra: str) -> "Iterator[Requirement]":
-    """What an extra adds; of the extra "", what is needed without any."""
-    from packaging.requirements import Requirement
-
+def _requirements(extra: str) -> list[str]:
+    """Return the names of the packages that an extra adds; for "", of those needed without any."""
+    names = []
     for text in requires(PACKAGE) or []:
-        package = Requirement(text)
-        without = package.marker is None or package.marker.evaluate({"extra": ""})
-        wanted = package.marker is None or package.marker.evaluate({"extra": extra})
-        if wanted and without == (not extra):
-            yield package
+        marker = re.search(r"""extra == ["']([^"']+)""", text)
+        if (marker[1] if marker else "") == extra:
+            names.append(re.split(r"[^\w.-]", text, maxsplit=1)[0])
+    return sorted(names)
 
 
-def _installed(package: "Requirement") -> tuple[str, str]:
-    """The version that is there, and what is wrong with it; one of the two is empty."""
+def _installed(package: str) -> str:
+    """Return the installed version of a package; "" where there is none."""
     try:
-        release = version(package.name)
+        return version(package)
     except PackageNotFoundError:
-        return "", "is not installed"
-    if not package.specifier.contains(release, prereleases=True):
-        return "", f"{release} is there, and {package.specifier} is needed"
-    return release, ""
+        return ""
 
 
-# --- pictures and videos ----------------------------------------------------------------
+# --- videos -----------------------------------------------------------------------------
 
 
 def check_codecs() -> list[Check]:
-    """Each format of pictures, written by OpenCV and read as roadtorch reads; then video."""
-    return [*map(_picture, SUFFIXES), _video()]
-
-
-def _picture(suffix: str) -> Check:
-    import cv2
-    import numpy as np
-
-    from roadtorch.base.decoding import decode
-
-    pixels = np.full((16, 24, 3), 128, np.uint8)
-    what = ""
-    try:
-        written, data = cv2.imencode(suffix, pixels)
-        read = decode(data.tobytes()) if written else None
-        if read is None or read.shape != pixels.shape or abs(read.astype(int) - pixels).max() > 2:
-            what = "comes back as another picture"
-    except Exception as problem:  # decoders raise anything
-        what = reason(problem)
-    if what:
-        return Check(suffix, "broken", what, "install opencv-python-headless and pillow again")
-    return Check(suffix, "ok", f"by OpenCV {cv2.__version__}")
-
-
-def _video() -> Check:
+    """Check which codecs of videos PyAV reads and writes."""
     if find_spec("av") is None:
-        return Check("video", "missing", "PyAV is not installed", "pip install 'roadtorch[video]'")
+        remedy = "pip install 'roadtorch[video]'"
+        return [Check("video", "missing", "PyAV is not installed", remedy)]
     import av
 
     read = [name for name in VIDEO if name in av.codecs_available]
@@ -179,7 +150,8 @@ def _video() -> Check:
     library = ".".join(map(str, av.library_versions["libavcodec"]))
     writes = "libx264" if "libx264" in av.codecs_available else "mpeg4"
     what = f"PyAV {av.__version__}, libavcodec {library}: reads {' '.join(read)}; writes {writes}"
-    return Check("video", "ok", what + (f"; does not read {' '.join(absent)}" if absent else ""))
+    what += f"; does not read {' '.join(absent)}" if absent else ""
+    return [Check("video", "ok", what)]
 
 
 # --- weights ----------------------------------------------------------------------------
@@ -294,7 +266,7 @@ def as_document(report: Report) -> dict[str, Any]:
 def doctor(context: click.Context, machine_readable: bool) -> None:
     """Check this installation and run it on a rendered street, in about five seconds.
 
-    Versions, threads, picture and video formats, extras, the weights' hashes, and of the street:
+    Versions, threads, video codecs, extras, the weights' hashes, and of the street:
     F, time and memory. Paste what it prints into a report. The exit code is 1 when something is
     broken; what is only missing comes with the line that installs it.
     """
