@@ -16,7 +16,6 @@ from roadtorch.base.image import (
     ORANGE,
     as_image,
     decode_image,
-    png_bytes,
     read_image,
     tint_mask,
     with_caption,
@@ -68,28 +67,27 @@ def test_every_mode_looks_as_pillow_shows_it_over_black(
     assert torch.equal(as_image(picture), image)
 
 
-def test_tiff_of_lzw_a_transparent_palette_and_one_pixel(tmp_path: Path) -> None:
-    lzw = save(tmp_path / "a.tif", Image.fromarray(PIXELS), compression="tiff_lzw")
+def test_a_transparent_palette_and_deep_or_printed_images(tmp_path: Path) -> None:
     palette = Image.new("P", (4, 4), 1)
     palette.putpalette([255, 255, 255, 10, 20, 30])
+    grey = np.full((20, 24), 51, np.uint8)
 
-    assert torch.equal(read_image(lzw), as_tensor(PIXELS))
     see_through = read_image(save(tmp_path / "b.png", palette, transparency=1))
     assert torch.equal(see_through, torch.zeros(3, 4, 4))
-    pixel = save(tmp_path / "pixel.png", Image.fromarray(PIXELS[:1, :1]))
-    assert read_image(pixel).shape == (3, 1, 1)
+    deep, printed = Image.fromarray(grey * np.uint16(257)), Image.fromarray(grey).convert("CMYK")
+    assert torch.allclose(as_image(deep), torch.full((3, 20, 24), 0.2), atol=0.005)
+    assert as_image(printed).shape == (3, 20, 24)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif"])
-@pytest.mark.parametrize("kind", ["rgb", "grey"])
-def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str, kind: str) -> None:
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+def test_sixteen_bits_are_kept(tmp_path: Path, name: str) -> None:
     deep = PIXELS.astype(np.uint16) * 257 + 13
-    stored = deep if kind == "rgb" else deep[..., 0]
-    path = tmp_path / f"a{suffix}"
-    cv2.imwrite(str(path), stored[..., ::-1] if kind == "rgb" else stored)
 
-    expected = deep if kind == "rgb" else np.repeat(deep[..., :1], 3, axis=2)
-    np.testing.assert_allclose(read_image(path), as_tensor(expected, 65535), rtol=0, atol=1e-7)
+    for stored in (deep[..., ::-1], deep[..., 0]):
+        cv2.imwrite(str(tmp_path / name), stored)
+
+        expected = as_tensor(deep if stored.ndim == 3 else deep[..., :1].repeat(3, 2), 65535)
+        np.testing.assert_allclose(read_image(tmp_path / name), expected, rtol=0, atol=1e-7)
 
 
 TURNS = {  # EXIF 2.3, tag 274: what has to be done to the stored pixels
@@ -147,31 +145,9 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
         as_image(bgr.astype(np.float64) / 255, "bgr"), expected, rtol=1.3e-6, atol=1e-5
     )
     assert as_image(expected) is expected
-
-
-def test_grey_arrays_need_no_order_and_alpha_darkens_them_as_files() -> None:
-    grey = as_tensor(PIXELS[..., :1].repeat(3, 2))
-
-    assert torch.equal(as_image(PIXELS[..., 0]), grey)
-    assert torch.equal(as_image(PIXELS[..., :1]), grey)
+    assert torch.equal(as_image(PIXELS[..., 0]), as_tensor(PIXELS[..., :1].repeat(3, 2)))
     see_through = np.dstack([PIXELS, 0 * PIXELS[..., 0]])
     assert torch.equal(as_image(see_through, "rgb"), torch.zeros(3, 5, 7))
-
-
-@pytest.mark.parametrize(
-    "mode", ["1", "L", "P", "LA", "PA", "RGBA", "CMYK", "YCbCr", "HSV", "I;16"]
-)
-def test_pillow_images_of_any_mode_are_converted(mode: str) -> None:
-    grey = Image.fromarray(np.full((20, 24), 51, np.uint8))
-    deep = Image.fromarray(np.full((20, 24), 51 * 257, np.uint16))
-    picture = deep if mode == "I;16" else grey.convert("RGB").convert(mode)
-
-    image = as_image(picture)
-
-    assert picture.mode == mode
-    assert image.shape == (3, 20, 24)
-    if mode not in ("1", "CMYK"):  # black and white only; inks
-        assert torch.allclose(image, torch.full((3, 20, 24), 0.2), atol=0.005)
 
 
 @pytest.mark.parametrize(
@@ -179,18 +155,12 @@ def test_pillow_images_of_any_mode_are_converted(mode: str) -> None:
     [
         (PIXELS, None, "whose order of colours is not told"),
         (PIXELS.astype(np.int64), "rgb", "is an array of int64"),
-        (PIXELS[..., 0] > 9, "rgb", "is an array of bool"),
         (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
         (PIXELS[None], "bgr", "give all of them to detect_many"),
         ([PIXELS, PIXELS], "bgr", "image: is a list, not one picture (give one, or all of them to"),
         (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
-        (Image.new("I", (20, 20)), None, "mode I has no agreed white"),
-        (b"\x89PNG", None, "is not a picture"),
-        (io.BytesIO(b""), None, "is empty"),
         (io.StringIO("text"), None, 'is a file of text (open it with "rb")'),
         (None, "bgr", "is None (check its path: cv2.imread gives that"),
-        ("missing.png", None, "does not exist"),
-        ("file:///missing.png", None, "file:///missing.png: is not of the web"),
         (PIXELS, "RGB", "RGB: unknown order of colours"),
     ],
 )
@@ -201,14 +171,6 @@ def test_what_a_program_has_that_is_no_picture_is_refused(
         as_image(picture, order)
 
     assert what in str(caught.value)
-
-
-def test_a_pillow_image_that_cannot_be_decoded_is_refused(tmp_path: Path) -> None:
-    path = save(tmp_path / "a.png", Image.fromarray(PIXELS.repeat(20, 0).repeat(20, 1)))
-    path.write_bytes(path.read_bytes()[:90])
-
-    with Image.open(path) as picture, pytest.raises(InputError, match="cannot be decoded"):
-        as_image(picture)
 
 
 # --- writing ------------------------------------------------------------------------------
@@ -248,22 +210,6 @@ def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> No
     assert stored(tmp_path / "overlay.jpg").shape == (5, 7, 3)
 
 
-def test_labels_beyond_a_byte_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="do not fit one byte"):
-        write_labels(tmp_path / "a.png", torch.tensor([[256]]))
-
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("longest", "size"), [(100, (7, 5)), (4, (4, 3))])
-def test_a_png_in_memory_is_no_larger_than_asked(longest: int, size: tuple[int, int]) -> None:
-    shown = Image.open(io.BytesIO(png_bytes(PIXELS, longest)))
-
-    assert shown.size == size
-    if size == (7, 5):
-        assert np.array_equal(np.array(shown), PIXELS)
-
-
 @pytest.mark.parametrize("grey", [0, 128, 255])
 def test_the_overlay_shows_on_any_grey_road(grey: int) -> None:
     pixels = np.full((240, 320, 3), grey, np.uint8)
@@ -279,9 +225,7 @@ def test_the_overlay_shows_on_any_grey_road(grey: int) -> None:
 
 
 @pytest.mark.parametrize(("height", "width", "tall"), [(180, 320, 9), (720, 1280, 20), (5, 7, 0)])
-def test_captions_can_be_read_in_small_pictures_and_are_the_same_twice(
-    height: int, width: int, tall: int
-) -> None:
+def test_captions_can_be_read_in_small_images(height: int, width: int, tall: int) -> None:
     grey = np.full((height, width, 3), 128, np.uint8)
 
     shown = with_caption(grey, "trust 0.91")
@@ -290,11 +234,3 @@ def test_captions_can_be_read_in_small_pictures_and_are_the_same_twice(
     white = (shown.min(2) > 250).any(1).nonzero()[0]  # from the top of a letter to its foot
     assert not tall or np.ptp(white) >= tall
     assert (grey == 128).all()
-    assert np.array_equal(with_caption(grey, "trust 0.91"), shown)
-
-
-def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-
-    with pytest.raises(InputError, match=r"a\.png: cannot be written: Not a directory"):
-        write_mask(tmp_path / "file" / "a.png", torch.ones(2, 2, dtype=torch.bool))

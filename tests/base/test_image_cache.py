@@ -33,13 +33,6 @@ def _no_calls_yet() -> None:
     calls.clear()
 
 
-def test_outside_a_block_every_call_computes():
-    image = torch.ones(3, 4, 4)
-
-    assert doubled(image, 1) is not doubled(image, 1)
-    assert len(calls) == 2
-
-
 def test_inside_a_block_the_same_question_is_answered_once():
     image, other = torch.ones(3, 4, 4), torch.ones(3, 4, 4)
 
@@ -50,13 +43,14 @@ def test_inside_a_block_the_same_question_is_answered_once():
         assert doubled(other, 1) is not first  # equal, but not the same image
 
     assert calls == [(id(image), 1), (id(image), 2), (id(other), 1)]
+    assert doubled(image, 1) is not doubled(image, 1)  # outside a block every call computes
 
 
 def test_a_block_forgets_and_images_that_are_gone_leave_nothing_behind():
     with image_cache():
-        results = [doubled(torch.full((1,), float(value)), 1) for value in range(100)]
+        results = [doubled(torch.full((1,), float(value)), 1) for value in range(30)]
 
-    assert [int(result) for result in results] == list(range(0, 200, 2))
+    assert [int(result) for result in results] == list(range(0, 60, 2))
     image = torch.ones(1)
     with image_cache():
         first = doubled(image, 1)
@@ -91,14 +85,3 @@ def test_shared_work_changes_no_result(name):
     assert torch.equal(alone.likelihood, beside.likelihood)
     assert alone.cues.keys() == beside.cues.keys()
     assert all(torch.equal(alone.cues[cue], beside.cues[cue]) for cue in alone.cues)
-
-
-def test_detectors_cut_a_picture_once():
-    image = render_scene(3, 96, 128).image
-
-    with image_cache() as shared:
-        load_detector("cpf").detect(image)
-        assert shared.saved == 0
-        load_detector("cpf:v2").detect(image)
-
-    assert shared.saved > 0

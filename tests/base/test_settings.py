@@ -2,11 +2,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import AfterValidator, Field
 
-from roadtorch.base.errors import ConfigError, InputError, unknown_name
+from roadtorch.base.errors import ConfigError, unknown_name
 from roadtorch.base.settings import (
     CONFIGS,
     Settings,
@@ -36,19 +34,13 @@ class Example(Settings):
     several: tuple[Texture, ...] = ()
 
 
-def test_defaults_stay_where_nothing_is_given() -> None:
-    assert build_settings(Example, {"texture": {"bins": 8}}) == Example(texture=Texture(bins=8))
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
         ({"texture": {"bin": 1}}, "texture.bin: unknown setting (did you mean texture.bins?)"),
         ({"several": ({"wide": 2},)}, "several.0.wide: unknown setting"),
-        ({"treshold": 0.1}, "treshold: unknown setting (did you mean threshold?)"),
         ({"texture": {"bins": 1}}, "texture.bins: 1 was given (input should be greater than or"),
         ({"texture": {"bins": "many"}}, "texture.bins: 'many' was given (input should be a valid"),
-        ({"texture": {"bins": 2.5}}, "texture.bins: 2.5 was given"),
         ({"threshold": float("nan")}, "threshold: nan was given"),
         ({"texture": 3}, "texture: 3 was given for a group of settings (set one of its keys: bins"),
         ({"plane": "X"}, "plane: unknown plane 'X' (known: R)"),
@@ -75,11 +67,6 @@ def test_assignments_become_nested_values_of_their_toml_type() -> None:
         "e": [1, 2],
         "f": "x=y",
     }
-
-
-@given(st.floats(allow_nan=False, allow_infinity=False))
-def test_numbers_survive_the_way_through_text(value: float) -> None:
-    assert parse_assignments([f"x={value!r}"]) == {"x": value}
 
 
 @pytest.mark.parametrize(
@@ -112,16 +99,6 @@ def test_what_is_written_is_read_again_and_none_is_left_out(tmp_path: Path) -> N
         "shares": [0.5, 1e-05],
         "texture": {"bins": 9},
     }
-
-
-def test_a_missing_or_broken_settings_file_is_named(tmp_path: Path) -> None:
-    broken = tmp_path / "b.toml"
-    broken.write_text("threshold = = 1")
-
-    with pytest.raises(InputError, match=r"none\.toml: cannot be read"):
-        read_settings_file(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match=r"b\.toml: is not TOML"):
-        read_settings_file(broken)
 
 
 def test_only_names_of_files_with_a_suffix_are_those_beside_the_file(tmp_path: Path) -> None:

@@ -40,11 +40,6 @@ def test_what_a_library_makes_of_an_interruption_is_an_interruption(
         read()
 
 
-def test_an_error_of_its_own_stays_what_it_is() -> None:
-    with pytest.raises(InputError, match="is damaged"), interruption_first():
-        raise InputError("weights", "is damaged", "remove it")
-
-
 def test_a_signal_that_is_only_asked_about_is_not_noted() -> None:
     with stop_on_signals() as stop, noted_signals() as noted:
         send(signal.SIGINT)
