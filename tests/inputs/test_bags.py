@@ -51,32 +51,20 @@ def written(folder: Path, form: str, count: int = 5, size: tuple[int, int] = (48
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_gives_the_images_with_their_time_stamps(tmp_path: Path, form: str):
-    path = written(tmp_path, form)
-    source = bag_source(str(path))
-    assert is_bag(str(path))
+def test_gives_the_images_with_their_time_stamps_and_the_camera(tmp_path: Path, form: str):
+    path = str(written(tmp_path, form))
+    source, info = bag_source(path), camera_info(path)
+    assert is_bag(path)
     assert source.count == 5
     assert source.rate == pytest.approx(10)
-    frames = list(source.items())
-    assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
-    assert frames[1].name == "drive/000001"
-    assert [frame.stamp for frame in frames] == [FIRST + STEP * (n + 5) for n in range(5)]
-    assert [frame.seconds for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
-    for number, frame in enumerate(frames):
+    for number, frame in enumerate(source.items()):
+        assert (frame.name, frame.number) == (f"drive/{number:06}", number)
+        assert frame.stamp == FIRST + STEP * (number + 5)
+        assert frame.seconds == pytest.approx(number / 10)
         pixels = (frame.read() * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
         assert np.array_equal(pixels, scene(number))
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_selects_and_tells_the_camera_beside_the_topic(tmp_path: Path, form: str):
-    path = str(written(tmp_path, form))
     frames = bag_source(path, TOPIC, Selection(every=2, start=0.1, limit=2)).items()
     assert [frame.number for frame in frames] == [1, 3]
-    left = bag_source(path).items()
-    first = next(left)
-    left.close()  # type: ignore[attr-defined]  # early
-    assert first.read().shape == (3, 48, 64)
-    info = camera_info(path)
     assert info.matrix.tolist() == [[300, 0, 32], [0, 300, 24], [0, 0, 1]]
     assert info.distortion.tolist() == [0.1, -0.2, 0, 0, 0]
     told = (info.model, info.width, info.height, info.frame_id)
@@ -112,44 +100,21 @@ def test_reads_a_single_file_and_a_folder_without_its_list(tmp_path: Path, form:
     assert len(list(bag_source(str(folder)).items())) == 5
 
 
-IMAGES = [raw_image(ROS2, scene(0), "rgb8", FIRST)]
-INFOS = [calibration(ROS2, 0)]
+IMAGES, INFOS = [raw_image(ROS2, scene(0), "rgb8", FIRST)], [calibration(ROS2, 0)]
+TWO = {"/left/image": IMAGES, "/right/image": IMAGES}
+ONE = {TOPIC: IMAGES, "/camera/camera_info": INFOS}
+UNKNOWN = {TOPIC: IMAGES, "/camera/camera_info": [calibration(ROS2, 0, 0.0)]}
 
 
 @pytest.mark.parametrize(
     ("read", "topics", "topic", "problem"),
     [
-        (
-            bag_source,
-            {"/left/image": IMAGES, "/right/image": IMAGES},
-            None,
-            r"has 2 topics with images \(--topic: give one of /left/image, /right/image",
-        ),
-        (
-            bag_source,
-            {"/left/image": IMAGES, "/right/image": IMAGES},
-            "/right/imag",
-            r"/right/imag: unknown topic \(did you mean /right/image",
-        ),
-        (
-            bag_source,
-            {"/camera/camera_info": INFOS},
-            None,
-            r"has no images \(there is /camera/camera_info \(sensor_msgs/msg/CameraInfo",
-        ),
-        (
-            bag_source,
-            {TOPIC: IMAGES, "/camera/camera_info": INFOS},
-            "/camera/camera_info",
-            r"has sensor_msgs/msg/CameraInfo on /camera/camera_info, no images \(give one of /cam",
-        ),
+        (bag_source, TWO, None, r"has 2 topics with images \(--topic: give one of /left/image, /r"),
+        (bag_source, TWO, "/right/imag", r"/right/imag: unknown topic \(did you mean /right/image"),
+        (bag_source, {"/camera/camera_info": INFOS}, None, "has no images .there is /camera/came"),
+        (bag_source, ONE, "/camera/camera_info", "has sensor_msgs/msg/CameraInfo on /camera/cam"),
         (camera_info, {"/image": IMAGES}, None, "has no camera_info /camera_info beside /image"),
-        (
-            camera_info,
-            {TOPIC: IMAGES, "/camera/camera_info": [calibration(ROS2, 0, 0.0)]},
-            None,
-            "says nothing of its camera on /camera/camera_info",
-        ),
+        (camera_info, UNKNOWN, None, "says nothing of its camera on /camera/camera_info"),
     ],
 )
 def test_what_is_not_there_or_has_to_be_chosen_is_told(
@@ -228,7 +193,6 @@ def test_rows_with_padding():
         ({"data": np.zeros(5, np.uint8)}, r"a frame: cannot be read: it has 5 bytes for 64 by 48"),
         ({"step": 7}, "7 a row"),
         ({"width": 10**5, "height": 10**4}, "has 100000 by 10000 pixels"),
-        ({"width": 0, "data": np.zeros(0, np.uint8)}, "0 by 48"),
         ({"encoding": "32FC1"}, "has the encoding '32FC1', which is not read .record one of mono8"),
     ],
 )
@@ -253,7 +217,6 @@ def test_one_bad_message_leaves_the_others(tmp_path: Path):
     ("form", "inside", "command"),
     [
         ("bag", False, "rosbag reindex"),
-        ("mcap", False, "mcap recover"),
         ("mcap", True, "mcap recover"),
         ("sqlite3", False, "ros2 bag reindex"),
     ],
@@ -284,12 +247,8 @@ def test_messages_that_are_gone_are_told_in_numbers(tmp_path: Path):
         deque(frames, maxlen=0)
 
 
-@pytest.mark.parametrize("name", ["x.bag", "x.db3", "drive/x.mcap"])
-def test_a_pipe_is_refused_unopened(tmp_path: Path, name: str):
-    path = tmp_path / name
-    path.parent.mkdir(exist_ok=True)
-    os.mkfifo(path)
-    given = path.parent if name.startswith("drive") else path
+def test_a_folder_with_a_pipe_is_refused_unopened(tmp_path: Path):
+    os.mkfifo(tmp_path / "x.mcap")
 
     with pytest.raises(InputError, match="is or holds a pipe or a device"):
-        next(bag_source(str(given)).items())
+        next(bag_source(str(tmp_path)).items())

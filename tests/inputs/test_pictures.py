@@ -1,4 +1,4 @@
-"""Finding pictures: files, folders, globs."""
+"""Finding images: files, folders, globs."""
 
 import os
 from pathlib import Path
@@ -6,81 +6,70 @@ from pathlib import Path
 import pytest
 
 from roadtorch.base.errors import InputError
-from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import find_pictures, picture_item
+from roadtorch.inputs.pictures import find_pictures
+
+NAMES = ["b.jpg", "a.PNG", "c[1].jpg", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"]
+OWN = ["b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png"]
+LINKS = {"loop.png": "loop.png", "sub/around": "around", "sub/up": ".."}
 
 
-@pytest.fixture
-def footage(tmp_path: Path) -> Path:
-    root = tmp_path / "footage"
-    for name in ("b.jpg", "a.PNG", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"):
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Images, results of ours among them, links to themselves and an empty folder."""
+    root = tmp_path_factory.mktemp("footage")
+    (root / "bare").mkdir()
+    for name in (*NAMES, *OWN):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+    for name, target in LINKS.items():
+        (root / name).symlink_to(target)
     return root
 
 
-def names(pictures: list[Item]) -> list[str]:
-    return [picture.name for picture in pictures]
+ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
 
 
 @pytest.mark.parametrize(
-    ("ends", "expected"),
+    ("ends", "apart", "expected"),
     [
-        ([""], ["a", "b", "sub/c", "sub/deep/d"]),
-        (["*.jpg"], ["b"]),
-        (["**/*.*"], ["a", "b", "sub/c", "sub/deep/d"]),
-        (["s*"], ["sub/c", "sub/deep/d"]),
-        (["b.jpg", "b.jpg"], ["b"]),
-        (["b.jpg", "none.jpg"], ["b", "none"]),  # reading that one fails
+        ([""], "loop.png", ALL),
+        (["[sx]*/d*/**"], "none", ["sub/deep/d"]),
+        ([""], "sub", ["a", "b", "c[1]", "loop"]),
+        (["*.PNG"], "none", ["a"]),
+        (["s*"], "none", ["sub/c", "sub/deep/d"]),
+        (["c[1].jpg"], "none", ["c[1]"]),  # no glob, as it exists
+        (["b.mask.png"], "none", ["b.mask"]),  # asked for by name
+        (["b.jpg", "b.jpg"], "none", ["b"]),
+        (["b.jpg", "none.jpg"], "none", ["b", "none"]),  # reading that one fails
     ],
 )
-def test_folders_globs_and_files(footage: Path, ends: list[str], expected: list[str]) -> None:
-    assert names(find_pictures([f"{footage}/{end}" for end in ends])) == expected
+def test_folders_globs_and_files(
+    footage: Path, ends: list[str], apart: str, expected: list[str]
+) -> None:
+    images = find_pictures([f"{footage}/{end}" for end in ends], apart=footage / apart)
+
+    assert [image.name for image in images] == expected
 
 
-def test_pipes_are_listed_and_never_opened(footage: Path) -> None:
-    os.mkfifo(footage / "sub" / "pipe.png")
+@pytest.mark.parametrize(
+    ("end", "what"),
+    [
+        ("bare", "holds no pictures"),
+        ("*.gif", "holds no pictures"),
+        ("none.jpg", "does not exist"),
+    ],
+)
+def test_nothing_found_is_an_error_that_names_the_input(footage: Path, end: str, what: str) -> None:
+    with pytest.raises(InputError) as caught:
+        find_pictures([footage / end])
 
-    for end in "sub", "sub/*.png":
-        (item,) = (one for one in find_pictures([footage / end]) if one.name.endswith("pipe"))
-        with pytest.raises(InputError, match="it is a pipe or a device"):
-            item.read()
-
-
-def test_a_name_with_brackets_that_exists_is_no_glob(footage: Path) -> None:
-    path = footage / "x[1].jpg"
-    path.touch()
-
-    assert find_pictures([path]) == [picture_item(path, "x[1]")]
-
-
-def test_own_results_and_the_output_folder_are_not_looked_at(footage: Path) -> None:
-    for name in ("b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png"):
-        (footage / name).touch()
-
-    assert names(find_pictures([footage], apart=footage / "sub")) == ["a", "b"]
-    assert names(find_pictures([footage / "b.mask.png"])) == ["b.mask"]  # asked for by name
+    assert (caught.value.where, caught.value.what) == (str(footage / end), what)
 
 
-def test_nothing_found_is_an_error_that_names_the_input(footage: Path) -> None:
-    (footage / "bare").mkdir()
+def test_pipes_are_listed_and_never_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
 
-    for item, what in [
-        (footage / "bare", "holds no pictures"),
-        (footage / "*.gif", "holds no pictures"),
-        (footage / "none.jpg", "does not exist"),
-    ]:
-        with pytest.raises(InputError) as caught:
-            find_pictures([item])
-        assert (caught.value.where, caught.value.what) == (str(item), what)
+    (item,) = find_pictures([tmp_path])
 
-
-def test_links_to_themselves_are_files_like_others(footage: Path) -> None:
-    (footage / "loop.png").symlink_to(footage / "loop.png")
-    (footage / "sub" / "around").symlink_to(footage / "sub" / "around")
-    (footage / "sub" / "up").symlink_to(footage)
-
-    assert names(find_pictures([footage], apart=footage / "loop.png")) == [
-        *("a", "b", "loop", "sub/c", "sub/deep/d")
-    ]
+    with pytest.raises(InputError, match="it is a pipe or a device"):
+        item.read()

@@ -1,43 +1,25 @@
 """Addresses of the web: images are fetched, streams are not."""
 
 import base64
-import io
 import time
-from collections.abc import Callable, Iterator
-from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Thread
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler
 
 import pytest
 import torch
-from PIL import Image
 
 from roadtorch import detect_stream, load_detector
 from roadtorch.base import urls
 from roadtorch.base.errors import InputError
-from roadtorch.base.image import decode_image, read_image, to_pixels
+from roadtorch.base.image import decode_image, png_bytes, read_image, to_pixels
 from roadtorch.inputs.find import find_inputs
 from roadtorch.inputs.pictures import find_pictures
 from roadtorch.testing import street
-
-Answer = Callable[[BaseHTTPRequestHandler], None]
-
-
-def picture(kind: str = "PNG") -> bytes:
-    data = io.BytesIO()
-    Image.fromarray(to_pixels(street(48, 64, 1))).save(data, kind)
-    return data.getvalue()
+from tests.servers import Answer, send, serving
 
 
-def body(data: bytes, kind: str, length: int | None = None) -> Answer:
-    def send(handler: BaseHTTPRequestHandler) -> None:
-        handler.send_response(200)
-        handler.send_header("Content-Type", kind)
-        handler.send_header("Content-Length", str(len(data) if length is None else length))
-        handler.end_headers()
-        handler.wfile.write(data)
-
-    return send
+def picture() -> bytes:
+    return png_bytes(to_pixels(street(48, 64, 1)), 64)
 
 
 def moved(handler: BaseHTTPRequestHandler) -> None:
@@ -49,48 +31,39 @@ def moved(handler: BaseHTTPRequestHandler) -> None:
 def locked(handler: BaseHTTPRequestHandler) -> None:
     told = base64.b64encode(b"me:s:cret").decode()
     if handler.headers["Authorization"] == f"Basic {told}":
-        body(picture(), "image/png")(handler)
+        send(picture(), "image/png")(handler)
     else:
         handler.send_error(401)
 
 
 ANSWERS: dict[str, Answer] = {
-    "/a.png": body(picture(), "image/png"),
-    "/snapshot": body(picture(), "image/png"),
-    "/plain.png": body(picture(), "application/octet-stream"),
+    "/a.png": send(picture(), "image/png"),
+    "/snapshot": send(picture(), "image/png"),
+    "/plain.png": send(picture(), "application/octet-stream"),
     "/moved.png": moved,
     "/locked.png": locked,
-    "/cut.png": body(picture(), "image/png", 10**6),
+    "/cut.png": send(picture(), "image/png", 10**6),
     "/late.png": lambda _: time.sleep(1),
-    "/camera.png": body(b"", "multipart/x-mixed-replace; boundary=x"),
-    "/live": body(b"", "video/mp2t"),
+    "/camera.png": send(b"", "multipart/x-mixed-replace; boundary=x", 0),
+    "/live": send(b"", "video/mp2t", 0),
 }
-
-
-class Handler(BaseHTTPRequestHandler):
-    def do_GET(self) -> None:
-        ANSWERS.get(self.path.partition("?")[0], lambda handler: handler.send_error(404))(self)
-
-    def log_message(self, *_: object) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")
 def host() -> Iterator[str]:
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        thread = Thread(target=partial(server.serve_forever, 0.01))
-        thread.start()
-        yield f"127.0.0.1:{server.server_port}"
-        server.shutdown()
-        thread.join()
+    def answer(handler: BaseHTTPRequestHandler) -> None:
+        path = handler.path.partition("?")[0]
+        ANSWERS.get(path, lambda handler: handler.send_error(404))(handler)
+
+    with serving(answer) as host:
+        yield host
 
 
 @pytest.mark.parametrize(
     ("path", "name"),
     [
         ("a.png", "a.png"),
-        ("a.png?size=2", "a.png"),
-        ("snapshot", "snapshot"),
+        ("snapshot?size=2", "snapshot"),
         ("plain.png", "plain.png"),
         ("moved.png", "moved.png"),
     ],
@@ -121,7 +94,7 @@ def test_addresses_of_no_server_are_refused(url: str) -> None:
             find([url])
 
 
-def test_a_password_is_sent_and_told_nobody(host: str) -> None:
+def test_a_password_is_sent_and_told_nosend(host: str) -> None:
     (found,), _ = find_inputs([f"http://me:s%3Acret@{host}/locked.png"])
     assert torch.equal(found.read(), street_as_png())
 
@@ -130,12 +103,11 @@ def test_a_password_is_sent_and_told_nobody(host: str) -> None:
     assert str(error.value).startswith(f"http://{host}/locked.png: is answered with 401")
 
 
-@pytest.mark.parametrize("path", ["camera.png", "live"])
-def test_what_does_not_end_is_a_stream(path: str, host: str) -> None:
-    pictures, (source,) = find_inputs([f"http://{host}/{path}"])
+def test_what_does_not_end_is_a_stream(host: str) -> None:
+    pictures, sources = find_inputs([f"http://{host}/{path}" for path in ("camera.png", "live")])
 
     assert pictures == []
-    assert source.live
+    assert [source.live for source in sources] == [True, True]
 
 
 @pytest.mark.parametrize(
