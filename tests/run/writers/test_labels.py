@@ -46,17 +46,3 @@ def test_labels_never_replace_the_pictures(call: Call, footage: Path) -> None:
     assert result.exit_code == 2
     assert "b.png: is one of the pictures" in result.stderr
     assert (footage / "b.png").read_bytes() == before
-
-
-def test_broken_pictures_do_not_hold_up_the_others_and_settings_are_checked(
-    call: Call, footage: Path, out: Path
-) -> None:
-    (footage / "empty.png").touch()
-
-    result = call("label", footage, "--out", out)
-    wrong = call("label", footage, "--out", out, "--set", "segment=3")
-
-    assert result.exit_code == 1
-    assert "3 done, 1 failed" in result.stderr
-    assert wrong.exit_code == 2
-    assert "segment: unknown setting" in wrong.stderr
