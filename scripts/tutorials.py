@@ -14,6 +14,7 @@ Commands of roadtorch run in copies of this process, which has imported everythi
 import argparse
 import contextlib
 import difflib
+import importlib
 import io
 import os
 import re
@@ -261,11 +262,14 @@ def prepare() -> None:
     os.environ["PYTHONPATH"] = str(ROOT)
     os.environ["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     import torch
+    import torch._dynamo  # optimisers import it
 
-    import roadtorch.detectors.catalogue
-    import roadtorch.evaluation.evaluate
-    import roadtorch.testing.scenes  # noqa: F401
+    import roadtorch.testing.scenes
+    import roadtorch.train.adaptation.adapt  # noqa: F401
+    from roadtorch.cli.group import COMMANDS
 
+    for place, _ in COMMANDS.values():
+        importlib.import_module(place.partition(":")[0])
     torch.set_num_threads(1)
 
 
