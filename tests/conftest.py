@@ -16,6 +16,19 @@ hypothesis.settings.load_profile("settled")
 torch.set_num_threads(1)  # with two, many small operations take twice the processor time
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Run the tests of a file in one process: what they share is then made once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class FileScheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return "tests/export" if file.startswith("tests/export/") else file
+
+    return FileScheduling(config, log)
+
+
 @pytest.fixture(autouse=True)
 def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail a test that connects anywhere but to a socket file or this machine's loopback."""
