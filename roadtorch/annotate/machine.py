@@ -15,7 +15,7 @@ from roadtorch.annotate.propagation import (
 )
 from roadtorch.base.image_cache import image_cache
 from roadtorch.base.settings import Settings
-from roadtorch.data.correction_labels import (
+from roadtorch.data.events import (
     NOT_ROAD,
     OPEN,
     ROAD_SAID,

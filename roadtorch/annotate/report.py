@@ -7,8 +7,8 @@ from pathlib import Path
 import torch
 
 from roadtorch.annotate.views import VIEWS, read_view, view_path
-from roadtorch.data.correction_labels import ROAD_SAID
 from roadtorch.data.corrections import Correction, read_corrections
+from roadtorch.data.events import ROAD_SAID
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.evaluation.report.table import aligned
 from roadtorch.imaging.resize import resized

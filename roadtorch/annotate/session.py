@@ -7,7 +7,6 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -26,27 +25,29 @@ from roadtorch.base.atomic import remove_leftovers
 from roadtorch.base.bounded import printable
 from roadtorch.base.errors import InputError
 from roadtorch.data.correction_formats import FORMATS
-from roadtorch.data.correction_labels import LABELS
-from roadtorch.data.corrections import picture_size
-from roadtorch.data.events import (
+from roadtorch.data.corrections import (
     ENDING,
-    AnyEvent,
-    Confirm,
     EventLog,
-    Import,
     LogHead,
-    SuperpixelStroke,
-    click_count,
     log_path,
+    picture_size,
     read_log,
     read_logs,
+)
+from roadtorch.data.events import (
+    LABELS,
+    AnyEvent,
+    Confirm,
+    Import,
+    SuperpixelStroke,
+    click_count,
+    redoable,
     runs_of,
-    taken_back,
 )
 from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.pictures import find_pictures
 
-HELD = 2**26  # bytes of labels in memory, and one picture's in any case
+HELD = 8  # logs in memory, with their labels
 
 FRESH = 2.0  # seconds for which a listing holds
 
@@ -112,7 +113,7 @@ def open_work(pictures: PictureFolder, out: Path, name: str, size: tuple[int, in
     if log is None:
         picture = os.path.relpath(pictures.root / name, pictures.apart)
         log = EventLog(path, LogHead(picture=picture, height=size[0], width=size[1]))
-    log.labels  # noqa: B018  # folded before other threads see it
+    log.labels  # noqa: B018  # refused now where an event does not fit
     return log
 
 
@@ -131,11 +132,8 @@ class Session:
     out: Path
     order: PictureOrder
     trusts: dict[str, float] = field(default_factory=dict)
-    _works: WeakValueDictionary[str, EventLog] = field(
-        default_factory=WeakValueDictionary, repr=False
-    )
-    _held: list[EventLog] = field(default_factory=list, repr=False)
-    _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
+    _works: dict[str, EventLog] = field(default_factory=dict, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _summaries: dict[Path, tuple[int, dict[str, Any] | None]] = field(
         default_factory=dict, repr=False
     )
@@ -172,7 +170,7 @@ class Session:
                 summary = None
                 if log and log.events:
                     summary = {
-                        "events": len(log.standing),
+                        "events": len(log.effective_events),
                         "confirmed": log.confirmed,
                         "version": len(log.events),
                     }
@@ -184,43 +182,38 @@ class Session:
     # --- one picture --------------------------------------------------------------------
 
     def view(self, name: str) -> PictureView:
-        """The machine's view of a picture, the last one of a file that was deleted meanwhile.
-
-        Raises InputError where it is no picture, or gone before anybody looked at it.
-        """
-        try:
-            view = self.views.view(name, self.pictures.path(name))
-        except InputError:
-            if (view := self.views.last_view(name)) is None:
-                raise
+        """Return the machine's view of an image; InputError where it is none of the folder."""
+        view = self.views.view(name, self.pictures.path(name))
         self.trusts[name] = np.nan if view.trust is None else view.trust
         return view
 
-    def _work(self, name: str, view: PictureView) -> EventLog:
-        with self._lock:
-            if (work := self._works.get(name)) is None:
-                work = open_work(self.pictures, self.out, name, view.size)
-                self._works[name] = work
-            self._held = [*(log for log in self._held if log is not work), work]
-            while len(self._held) > 1 and sum(log.labels.nbytes for log in self._held) > HELD:
-                del self._held[0]
-        if work.size != view.size:
-            message = f"was corrected at {work.head.width} by {work.head.height} pixels"
-            remedy = f"it has another size now; move {work.path.name} away"
-            raise InputError(name, message, remedy)
-        return work
-
     def state(self, name: str) -> dict[str, Any]:
-        """Return a picture as the page shows it."""
+        """Return an image as the page shows it."""
         view = self.view(name)
-        return self._shown(name, self._work(name, view), view)
+        with self._lock:
+            return self._shown(name, self._work(name, view), view)
 
     def add(self, name: str, event: AnyEvent) -> dict[str, Any]:
         """Take an event, have it on disk, infer the rest anew, and return the state."""
         view = self.view(name)
-        work = self._work(name, view)
-        work.add(self._completed(event, work, view))
-        return self._shown(name, work, view)
+        with self._lock:
+            work = self._work(name, view)
+            work.add(self._completed(event, work, view))
+            return self._shown(name, work, view)
+
+    def _work(self, name: str, view: PictureView) -> EventLog:
+        """Return the log of an image, read anew unless it is among the last ``HELD``."""
+        work = self._works.pop(name, None)
+        if work is None:
+            work = open_work(self.pictures, self.out, name, view.size)
+        if work.size != view.size:
+            message = f"was corrected at {work.head.width} by {work.head.height} pixels"
+            remedy = f"it has another size now; move {work.path.name} away"
+            raise InputError(name, message, remedy)
+        self._works[name] = work
+        if len(self._works) > HELD:
+            del self._works[next(iter(self._works))]
+        return work
 
     def _completed(self, event: AnyEvent, work: EventLog, view: PictureView) -> AnyEvent:
         """The event with its time and with the pixels that it is about."""
@@ -251,10 +244,10 @@ class Session:
             "shape": [view.shape[1], view.shape[0]],
             "trust": self._trust(name),
             "version": len(work.events),
-            "events": [[each.id, each.kind, getattr(each, "saying", "")] for each in work.standing],
-            "redo": taken_back(work.events),
+            "events": [event.id for event in work.effective_events],
+            "redo": redoable(work.events),
             "confirmed": work.confirmed,
-            "seconds": round(sum(event.seconds for event in work.events), 1),
+            "seconds": round(work.seconds, 1),
             "clicks": click_count(work.events),
             "layers": layers.astype(np.uint8).tobytes(),
         }

@@ -57,11 +57,6 @@ class ViewStore:
                 self._held.popitem(last=False)
         return held[1]
 
-    def last_view(self, name: str) -> PictureView | None:
-        """What was seen last of a picture that is gone, if it is still in memory."""
-        held = self._held.get(name)
-        return held[1] if held else None
-
     def _key(self, picture: Path) -> str:
         return key_of(self._detector_key, self.settings, picture)
 

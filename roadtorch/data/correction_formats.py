@@ -12,11 +12,11 @@ import torch
 from pydantic import Discriminator, Field, Tag
 
 from roadtorch.base.atomic import make_folder, write_text
+from roadtorch.base.bounded import Coordinate, ForeignDocument, Side, read_document
 from roadtorch.base.errors import DatasetError
 from roadtorch.base.image import write_labels
-from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
-from roadtorch.data.imported import Coordinate, Imported, Side, imported
+from roadtorch.data.events import LABELS
 from roadtorch.data.labels import read_labels
 from roadtorch.data.polygons import coco_region
 
@@ -123,26 +123,26 @@ def write_coco(corrections: Sequence[Correction], folder: Path) -> None:
     write_text(folder / COCO_FILE, json.dumps(document) + "\n")
 
 
-class _CocoImage(Imported):
+class _CocoImage(ForeignDocument):
     id: int
     file_name: str
     height: Side
     width: Side
 
 
-class _CocoCategory(Imported):
+class _CocoCategory(ForeignDocument):
     id: int
     name: str
 
 
-class _Counts(Imported):
+class _Counts(ForeignDocument):
     counts: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...]
 
 
 _Polygons = tuple[Annotated[tuple[Coordinate, ...], Field(min_length=6)], ...]
 
 
-class _CocoRegion(Imported):
+class _CocoRegion(ForeignDocument):
     image_id: int
     category_id: int
     segmentation: Annotated[
@@ -151,7 +151,7 @@ class _CocoRegion(Imported):
     ]
 
 
-class _CocoFile(Imported):
+class _CocoFile(ForeignDocument):
     images: tuple[_CocoImage, ...]
     categories: tuple[_CocoCategory, ...]
     annotations: tuple[_CocoRegion, ...]
@@ -166,7 +166,7 @@ def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
     category that is none of ours.
     """
     path = path / COCO_FILE if path.is_dir() else path
-    with imported(path, "export it anew, as COCO") as data:
+    with read_document(path, "export it anew, as COCO") as data:
         document = _CocoFile.model_validate_json(data)
         names: dict[int, str] = {}
         for image in document.images:

@@ -1,35 +1,214 @@
-"""Corrections by people: what was said about each picture, in what time.
+"""Corrections by people: the log of each image, and what it comes to.
 
-``read_corrections`` is what training and reports start from.
+A log is DIR/IMAGE.strokes.jsonl, IMAGE with its ending and its sub-folders. Its first line says
+which image; then comes a line for each event, only ever appended. A line is on disk (fsync) before
+its event is acknowledged. What has no whole first line, after a crash or on a full disk, is no log:
+the next event begins it anew.
 """
 
 import os
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from io import FileIO
 from pathlib import Path, PurePosixPath
+from typing import Annotated, Self
 
 import numpy as np
 import torch
 from PIL.ExifTags import Base as ExifTag
+from pydantic import Field, model_validator
 
-from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import open_picture, without_warnings
-from roadtorch.base.errors import DatasetError
-from roadtorch.data.correction_labels import (
+from roadtorch.base.atomic import make_folder
+from roadtorch.base.bounded import Side, read_document, read_regular, reason
+from roadtorch.base.decoding import check_pixels, open_picture, without_warnings
+from roadtorch.base.errors import DatasetError, InputError, UnwritableError
+from roadtorch.base.settings import Settings
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.data.events import (
     NOT_ROAD,
     ROAD_SAID,
+    AnyEvent,
+    Confirm,
+    LastingEvent,
+    Redo,
+    Undo,
+    apply_event,
+    click_count,
+    effective_events,
     layout_layer,
+    parse_event,
+    replay,
     road_layer,
 )
-from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.data.events import ENDING, click_count, read_log, read_logs
 from roadtorch.layout.classes import UNLABELLED
 
+ENDING = ".strokes.jsonl"
+
 TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
+
+# --- logs -------------------------------------------------------------------------------
+
+
+class LogHead(Settings):
+    """The first line of a log.
+
+    picture: its path as it is written from the folder of all logs. height, width: its pixels.
+    """
+
+    roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
+    picture: Annotated[str, Field(pattern=r"^[^\x00]+$")]
+    height: Side
+    width: Side
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        check_pixels(self.width, self.height)
+        return self
+
+
+@dataclass(eq=False)
+class EventLog:
+    """The work on one image, as its log has it; for one thread at a time.
+
+    head: the first line, written with the first event. events: all of them.
+    """
+
+    path: Path
+    head: LogHead
+    events: list[AnyEvent] = field(default_factory=list)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the image."""
+        return self.head.height, self.head.width
+
+    @property
+    def effective_events(self) -> list[LastingEvent]:
+        """The events that hold."""
+        return effective_events(self.events)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the person said that it is right as it is."""
+        return any(isinstance(event, Confirm) for event in self.effective_events)
+
+    @property
+    def seconds(self) -> float:
+        """How long the person was at work on it."""
+        return sum(event.seconds for event in self.events)
+
+    @cached_property
+    def labels(self) -> np.ndarray:
+        """What the events come to, uint8 (H,W); DatasetError where one does not fit the image."""
+        try:
+            return replay(self.events, self.size)
+        except InputError as problem:
+            message = f"has an event that does not fit: {problem.where} {problem.what}"
+            raise DatasetError(self.path, message, "give the picture that was corrected") from None
+
+    def add(self, event: AnyEvent) -> None:
+        """Take an event and have it on disk; nothing is done for one that is there.
+
+        Raises InputError for one that does not fit the image, UnwritableError for a full disk.
+        """
+        if any(event.id == known.id for known in self.events):
+            return
+        if isinstance(event, Undo | Redo):
+            labels = replay([*self.events, event], self.size)
+        else:
+            labels = self.labels.copy()
+            apply_event(labels, event)
+        self._append(event)
+        self.events.append(event)
+        self.labels = labels
+
+    def _append(self, event: AnyEvent) -> None:
+        """Write an event at the end of the file, of a new one behind the head.
+
+        It is on disk when this returns. UnwritableError when it cannot be; then what was there
+        stands, and no more of this event.
+        """
+        make_folder(self.path.parent, "give a folder that you may write to with --out")
+        try:
+            with self.path.open("ab+", buffering=0) as file:
+                size = _drop_half_line(file)
+                head = [] if size else [self.head.model_dump_json()]
+                try:
+                    left = memoryview("\n".join([*head, event.model_dump_json(), ""]).encode())
+                    while left:
+                        left = left[file.write(left) :]
+                    os.fsync(file.fileno())
+                    if not size:
+                        _sync_folder(self.path.parent)
+                except OSError:
+                    with suppress(OSError):
+                        file.truncate(size)
+                    raise
+        except OSError as problem:
+            message = f"cannot be written: {problem.strerror or problem}"
+            remedy = "make room, or give another folder with --out"
+            raise UnwritableError(self.path, message, remedy) from None
+
+
+def _drop_half_line(file: FileIO) -> int:
+    """Drop half a line of a crash from the end of a file; return the bytes that it has then."""
+    size = file.seek(0, os.SEEK_END)
+    if size:
+        file.seek(size - 1)
+        if file.read(1) != b"\n":
+            file.seek(0)
+            size = file.readall().rfind(b"\n") + 1
+            file.truncate(size)
+    return size
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have a new file's name on disk as well, where the system can."""
+    if hasattr(os, "O_DIRECTORY"):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def log_path(folder: Path, image: str) -> Path:
+    """Return the path of the log for an image, by its relative name with ending."""
+    return folder / f"{PurePosixPath(image)}{ENDING}"
+
+
+def read_log(path: Path) -> EventLog | None:
+    """Read a log without a last line that was cut off; None where the first one was.
+
+    Raises DatasetError naming file and line for anything else that is wrong.
+    """
+    with read_document(path, "give logs that roadtorch wrote") as data:
+        lines = data[: data.rfind(b"\n") + 1].splitlines()
+        if not lines:
+            return None
+        head = LogHead.model_validate_json(lines[0])
+    try:
+        events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], 2)]
+    except InputError as problem:
+        raise DatasetError(problem.where, problem.what, "mend or remove that line") from None
+    return EventLog(path, head, events)
+
+
+def read_logs(folder: Path) -> list[EventLog]:
+    """Read all logs below a folder, sorted; DatasetError where it is none, or as ``read_log``."""
+    if not folder.is_dir():
+        raise DatasetError(folder, "is no folder", "give the folder with corrections")
+    paths = sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
+    return [log for path in paths if (log := read_log(path)) is not None]
+
+
+# --- corrections ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What a person said about one picture.
+    """What a person said about one image.
 
     picture: its file. name: relative to the folder of pictures, with ending. labels: uint8 (H,W),
     numbers of ``LABELS``. confirmed: said to be right as it is, so that every pixel's road is
@@ -81,7 +260,7 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
                 name,
                 log.labels,
                 log.confirmed,
-                sum(event.seconds for event in log.events),
+                log.seconds,
                 click_count(log.events),
                 log.path,
             )
@@ -125,7 +304,7 @@ class CorrectionLabels:
 
 
 def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
-    """The corrected pictures of which the road of some pixel was said, in the order of their names.
+    """Open the corrected pictures of which the road of some pixel was said, sorted by name.
 
     folder, pictures: see ``read_corrections``, which says what is raised; DatasetError too where
     nobody said anything of the road.

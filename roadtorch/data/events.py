@@ -1,38 +1,80 @@
-"""What a person did to the labels of a picture, one event at a time, and the logs of it on disk.
+"""What a person did to the labels of an image, one event at a time, and what it comes to.
 
-A log is DIR/PICTURE.strokes.jsonl, PICTURE with its ending and its sub-folders. Its first line
-says which picture; then comes a line for each event, only ever appended. A line is on
-disk (fsync) before anybody is told that it is. What has no whole first line, after a crash or on a
-full disk, is no log: the next event begins it anew.
+A pixel has one of eight labels. Each means something for the road (road, not road, void) and for
+the layout (sky, vertical, horizontal); what was not said stays open. Ours: the two questions are
+asked with one set of keys, and what follows is inferred: road is horizontal, sky and vertical
+things are not road.
 
-Positions are in pixels of the picture, x to the right, y down, pixel centres at whole numbers.
+Positions are in pixels of the image, x to the right, y down, pixel centres at whole numbers.
 Regions are runs: start, length, start, length, … of pixels counted row by row.
 """
 
-import os
-import threading
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
-from functools import cached_property
-from io import FileIO
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 import pydantic
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from roadtorch.base.atomic import make_folder
-from roadtorch.base.decoding import check_pixels
-from roadtorch.base.errors import DatasetError, InputError, UnwritableError
+from roadtorch.base.bounded import first_mistake
+from roadtorch.base.errors import InputError
 from roadtorch.base.settings import Settings
-from roadtorch.data.correction_labels import LABELS, after_saying
-from roadtorch.data.imported import Side, first_mistake, imported
 from roadtorch.data.polygons import fill_polygon
+from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
-ENDING = ".strokes.jsonl"
+# --- labels -----------------------------------------------------------------------------
+
+NOT_ROAD, ROAD_SAID, VOID_SAID, OPEN = 0, 1, 254, 255
+"""The values of ``road_layer``; ``OPEN`` is where nobody said anything."""
+
+_MEANING = {
+    "untouched": (OPEN, UNLABELLED),
+    "road": (ROAD_SAID, HORIZONTAL),
+    "not_road": (NOT_ROAD, UNLABELLED),
+    "void": (VOID_SAID, UNLABELLED),
+    "sky": (NOT_ROAD, SKY),
+    "vertical": (NOT_ROAD, VERTICAL),
+    "horizontal": (OPEN, HORIZONTAL),
+    "not_road_horizontal": (NOT_ROAD, HORIZONTAL),
+}
+
+LABELS = tuple(_MEANING)
+"""The names of the labels; a label's number is its position."""
+
+SAYINGS = LABELS[1:7]
+"""What a person says; two of them make the last label: a pavement, a verge."""
+
+_ROAD, _LAYOUT = np.array(list(_MEANING.values()), np.uint8).T
+
+# The label after a saying, by the label before. Road, void, sky and vertical replace what was
+# there; "not road" leaves a layout that agrees with it, "horizontal" a road or a "not road".
+_AFTER = {
+    "road": (1,) * 8,
+    "not_road": (2, 2, 2, 2, 4, 5, 7, 7),
+    "void": (3,) * 8,
+    "sky": (4,) * 8,
+    "vertical": (5,) * 8,
+    "horizontal": (6, 1, 7, 6, 6, 6, 6, 7),
+}
+
+
+def road_layer(labels: np.ndarray) -> np.ndarray:
+    """Return 1 for road, 0 not road, 254 void, 255 unsaid: uint8, of labels of any shape."""
+    return _ROAD[labels]
+
+
+def layout_layer(labels: np.ndarray) -> np.ndarray:
+    """Return 0 for sky, 1 vertical, 2 horizontal, 255 unsaid: uint8, of labels of any shape."""
+    return _LAYOUT[labels]
+
+
+def relabel(labels: np.ndarray, saying: str) -> np.ndarray:
+    """Return the labels, uint8 of any shape, after one of ``SAYINGS`` about all of them."""
+    return np.array(_AFTER[saying], np.uint8)[labels]
+
+
+# --- events -----------------------------------------------------------------------------
 
 MAX_POINTS = 20_000  # of one stroke; ours: a hand draws some hundreds
 
@@ -40,8 +82,8 @@ MAX_RADIUS = 2000  # pixels of a brush
 
 MAX_SECONDS = 600.0  # seconds that one event may have taken; the page counts no idle minute
 
-Place = Annotated[float, Field(ge=-1e5, le=1e5)]
-Point = tuple[Place, Place]
+Position = Annotated[float, Field(ge=-1e5, le=1e5)]
+Point = tuple[Position, Position]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Saying = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
 Number = Annotated[int, Field(ge=0, lt=2**31)]  # of a pixel or a superpixel
@@ -62,12 +104,11 @@ class Event(Settings):
 
 
 class SuperpixelStroke(Event):
-    """Superpixels clicked or dragged over; ``runs`` are their pixels, whoever cuts them later."""
+    """Superpixels clicked or dragged over; ``runs`` are their pixels, for any later cut."""
 
     kind: Literal["superpixel"]
     saying: Saying
     segments: tuple[Number, ...]
-    cut: str = Field(default="", max_length=64, description="digest of the segmentation")
     runs: Runs = ()
 
 
@@ -126,7 +167,7 @@ _ADAPTER: pydantic.TypeAdapter[AnyEvent] = pydantic.TypeAdapter(
 
 
 def parse_event(text: str | bytes, where: object) -> AnyEvent:
-    """An event from its JSON; InputError naming ``where`` and the first thing that is wrong."""
+    """Parse an event's JSON; InputError naming ``where`` and the first thing that is wrong."""
     try:
         return _ADAPTER.validate_json(text)
     except pydantic.ValidationError as problem:
@@ -138,14 +179,14 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
 
 
 def runs_of(mask: np.ndarray) -> tuple[int, ...]:
-    """The runs of a mask bool (H,W)."""
+    """Return the runs of a mask bool (H,W)."""
     edges = np.flatnonzero(np.diff(mask.reshape(-1), prepend=False, append=False))
     starts, ends = edges[::2], edges[1::2]
     return tuple(np.stack([starts, ends - starts], 1).reshape(-1).tolist())
 
 
 def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
-    """The mask bool (H,W) of runs; InputError where they do not fit the picture, or overlap."""
+    """Return the mask bool (H,W) of runs; InputError where they overlap or do not fit the image."""
     if len(runs) % 2:
         raise InputError("runs", "have an odd number of values", "give start, length, …")
     borders = np.array(runs, np.int64).reshape(-1, 2).cumsum(1).reshape(-1)
@@ -157,7 +198,7 @@ def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
 
 
 def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
-    """The mask bool (H,W) that a stroke speaks of; what is outside the picture is cut off."""
+    """Return the mask bool (H,W) of a stroke; what is outside the image is cut off."""
     if isinstance(stroke, SuperpixelStroke):
         return mask_of(stroke.runs, size)
     height, width = size
@@ -174,11 +215,11 @@ def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
     return canvas > 0
 
 
-# --- folding ----------------------------------------------------------------------------
+# --- replay -----------------------------------------------------------------------------
 
 
-def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
-    """The events that hold, in their order: each once, without those taken back."""
+def effective_events(events: Iterable[AnyEvent]) -> list[LastingEvent]:
+    """Return the events that hold, in their order: each once, without those taken back."""
     lasting: dict[str, LastingEvent] = {}
     undone: set[str] = set()
     for event in events:
@@ -191,8 +232,8 @@ def standing(events: Iterable[AnyEvent]) -> list[LastingEvent]:
     return [event for event in lasting.values() if event.id not in undone]
 
 
-def taken_back(events: Iterable[AnyEvent]) -> list[str]:
-    """The events that can be done again: taken back last comes last, none after a new one."""
+def redoable(events: Iterable[AnyEvent]) -> list[str]:
+    """Return the events that were taken back last, the latest last; none after a new one."""
     stack: list[str] = []
     for event in events:
         of = event.of if isinstance(event, Undo | Redo) else None
@@ -203,12 +244,12 @@ def taken_back(events: Iterable[AnyEvent]) -> list[str]:
 
 
 def click_count(events: Iterable[Event]) -> int:
-    """How many strokes were made, those that were taken back included, each counted once."""
+    """Count the strokes, those that were taken back included, each once."""
     return len({event.id for event in events if isinstance(event, Stroke)})
 
 
 def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
-    """Change labels uint8 (H,W) in place as one event says; InputError for what does not fit."""
+    """Change labels uint8 (H,W) in place by one event; InputError for one that does not fit."""
     size = (labels.shape[0], labels.shape[1])
     match event:
         case Confirm():
@@ -222,166 +263,12 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
                 labels[mask_of(runs, size)] = LABELS.index(name)
         case SuperpixelStroke() | PolygonStroke() | BrushStroke():
             mask = stroke_mask(event, size)
-            labels[mask] = after_saying(labels[mask], event.saying)
+            labels[mask] = relabel(labels[mask], event.saying)
 
 
-def folded(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:
-    """The labels uint8 (H,W) that all events come to."""
+def replay(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:
+    """Return the labels uint8 (H,W) that all events come to."""
     labels = np.zeros(size, np.uint8)
-    for event in standing(events):
+    for event in effective_events(events):
         apply_event(labels, event)
     return labels
-
-
-# --- logs -------------------------------------------------------------------------------
-
-
-class LogHead(Settings):
-    """The first line of a log.
-
-    picture: its path as it is written from the folder of all logs. height, width: its pixels.
-    """
-
-    roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
-    picture: Annotated[str, Field(pattern=r"^[^\x00]+$")]
-    height: Side
-    width: Side
-
-    @model_validator(mode="after")
-    def _bounded(self) -> Self:
-        check_pixels(self.width, self.height)
-        return self
-
-
-@dataclass(eq=False)
-class EventLog:
-    """The work on one picture, as its log has it.
-
-    head: the first line, written with the first event. events: all of them.
-    """
-
-    path: Path
-    head: LogHead
-    events: list[AnyEvent] = field(default_factory=list)
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(height, width) of the picture."""
-        return self.head.height, self.head.width
-
-    @property
-    def standing(self) -> list[LastingEvent]:
-        """The events that hold."""
-        return standing(self.events)
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether the person said that it is right as it is."""
-        return any(isinstance(event, Confirm) for event in self.standing)
-
-    @cached_property
-    def labels(self) -> np.ndarray:
-        """What the events come to, uint8 (H,W); DatasetError where one does not fit the picture."""
-        try:
-            return folded(self.events, self.size)
-        except InputError as problem:
-            message = f"has an event that does not fit: {problem.where} {problem.what}"
-            raise DatasetError(self.path, message, "give the picture that was corrected") from None
-
-    def add(self, event: AnyEvent) -> None:
-        """Take an event and have it on disk; nothing is done for one that is there.
-
-        Raises InputError for one that does not fit the picture, UnwritableError for a full disk.
-        """
-        with self._lock:
-            if any(event.id == known.id for known in self.events):
-                return
-            if isinstance(event, Undo | Redo):
-                labels = folded([*self.events, event], self.size)
-            else:
-                labels = self.labels.copy()
-                apply_event(labels, event)
-            append_event(self.path, self.head, event)
-            self.events.append(event)
-            self.labels = labels
-
-
-def log_path(folder: Path, picture: str) -> Path:
-    """Return the path of the log for a picture, by its relative name with ending."""
-    return folder / f"{PurePosixPath(picture)}{ENDING}"
-
-
-def read_log(path: Path) -> EventLog | None:
-    """Read a log; a last line that was cut off is passed over, None where the first one was.
-
-    Raises DatasetError naming file and line for anything else that is wrong.
-    """
-    with imported(path, "give logs that roadtorch wrote") as data:
-        lines = data[: data.rfind(b"\n") + 1].splitlines()
-        if not lines:
-            return None
-        head = LogHead.model_validate_json(lines[0])
-    try:
-        events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], 2)]
-    except InputError as problem:
-        raise DatasetError(problem.where, problem.what, "mend or remove that line") from None
-    return EventLog(path, head, events)
-
-
-def append_event(path: Path, head: LogHead, event: AnyEvent) -> None:
-    """Add an event at the end, of a new log behind its head; on disk when this returns.
-
-    UnwritableError when it cannot be; then what was there stands, and no more of this event.
-    """
-    make_folder(path.parent, "give a folder that you may write to with --out")
-    try:
-        with path.open("ab+", buffering=0) as file:
-            size = _whole_size(file)
-            lines = [*([] if size else [head.model_dump_json()]), event.model_dump_json(), ""]
-            try:
-                left = memoryview("\n".join(lines).encode())
-                while left:
-                    left = left[file.write(left) :]
-                os.fsync(file.fileno())
-                if not size:
-                    _sync_folder(path.parent)
-            except OSError:
-                with suppress(OSError):
-                    file.truncate(size)
-                raise
-    except OSError as problem:
-        message = f"cannot be written: {problem.strerror or problem}"
-        raise UnwritableError(
-            path, message, "make room, or give another folder with --out"
-        ) from None
-
-
-def _whole_size(file: FileIO) -> int:
-    """The bytes of a file after half a line of a crash is dropped, if it ends in one."""
-    size = file.seek(0, os.SEEK_END)
-    if size:
-        file.seek(size - 1)
-        if file.read(1) != b"\n":
-            file.seek(0)
-            size = file.readall().rfind(b"\n") + 1
-            file.truncate(size)
-    return size
-
-
-def _sync_folder(folder: Path) -> None:
-    """Have a new file's name on disk as well, where the system can."""
-    if hasattr(os, "O_DIRECTORY"):
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def read_logs(folder: Path) -> list[EventLog]:
-    """All logs below a folder, sorted; DatasetError where it is no folder, or as ``read_log``."""
-    if not folder.is_dir():
-        raise DatasetError(folder, "is no folder", "give the folder with corrections")
-    paths = sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
-    return [log for path in paths if (log := read_log(path)) is not None]

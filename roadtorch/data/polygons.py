@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from roadtorch.data.imported import Coordinate, Imported, Side, imported
+from roadtorch.base.bounded import Coordinate, ForeignDocument, Side, read_document
 
 CORNERS = 3  # a polygon needs as many, even that of one pixel
 
@@ -101,12 +101,12 @@ def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
     }
 
 
-class _Shape(Imported):
+class _Shape(ForeignDocument):
     label: str
     points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=CORNERS)]
 
 
-class _Document(Imported):
+class _Document(ForeignDocument):
     shapes: tuple[_Shape, ...]
     imageHeight: Side  # noqa: N815, as labelme has it
     imageWidth: Side  # noqa: N815
@@ -118,7 +118,7 @@ def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
     DatasetError for a file that is none, or is for an image of another size.
     """
     mask = np.zeros(size, np.uint8)
-    with imported(path, "remove it and infer the image again") as data:
+    with read_document(path, "remove it and infer the image again") as data:
         document = _Document.model_validate_json(data)
         if (document.imageHeight, document.imageWidth) != size:
             given = f"{document.imageWidth} by {document.imageHeight}"

@@ -11,8 +11,8 @@ import tomli_w
 
 from roadtorch.base.atomic import make_folder, write_text
 from roadtorch.base.errors import InputError
-from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID
 from roadtorch.data.corrections import Correction, picture_size
+from roadtorch.data.events import NOT_ROAD, ROAD_SAID
 from roadtorch.inputs.item import Item
 from roadtorch.layout.weights import people_behind, weights_path
 from roadtorch.run.memo import Arrays, write_arrays

@@ -16,8 +16,8 @@ from torch.nn import functional as F
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import Stop
-from roadtorch.data.correction_labels import VOID_SAID
 from roadtorch.data.corrections import Correction
+from roadtorch.data.events import VOID_SAID
 from roadtorch.imaging.resize import at_picture_size, at_work, working_size
 from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item

@@ -11,8 +11,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.base.signals import Stop
-from roadtorch.data.correction_labels import NOT_ROAD, ROAD_SAID, VOID_SAID
 from roadtorch.data.corrections import Correction
+from roadtorch.data.events import NOT_ROAD, ROAD_SAID, VOID_SAID
 from roadtorch.imaging.resize import resized
 from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork

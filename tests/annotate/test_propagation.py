@@ -14,7 +14,7 @@ from roadtorch.annotate.machine import (
     shown_road,
 )
 from roadtorch.annotate.propagation import PropagationSettings, propagated, segment_graph
-from roadtorch.data.correction_labels import LABELS
+from roadtorch.data.events import LABELS
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.segments import Segments, measure_segments

@@ -20,7 +20,7 @@ from uvicorn.server import ServerState
 
 from roadtorch.annotate.server import MAX_BODY, PAGE, Guard, Impatient, annotation_app
 from roadtorch.annotate.session import Session
-from roadtorch.data.events import log_path, read_log
+from roadtorch.data.corrections import log_path, read_log
 
 TOKEN = "t" * 32
 
@@ -212,7 +212,7 @@ def test_what_is_refused(
     assert not log_path(session.out, NAME).exists()
 
 
-@pytest.mark.parametrize("call", ["pathlib.Path.mkdir", "roadtorch.data.events.os.fsync"])
+@pytest.mark.parametrize("call", ["pathlib.Path.mkdir", "roadtorch.data.corrections.os.fsync"])
 def test_a_stroke_that_finds_no_room_on_the_disk_may_be_sent_again(
     client: Client, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:

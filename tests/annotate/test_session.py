@@ -10,17 +10,22 @@ import pytest
 
 from roadtorch.annotate.report import corrections_report
 from roadtorch.annotate.server import Address, bound_socket, keep_address, last_address
-from roadtorch.annotate.session import Session, import_labels, look_at_all, opened_session
+from roadtorch.annotate.session import (
+    MissingImageError,
+    Session,
+    import_labels,
+    look_at_all,
+    opened_session,
+)
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.data.correction_formats import FORMATS
-from roadtorch.data.corrections import read_corrections
+from roadtorch.data.corrections import read_corrections, read_logs
 from roadtorch.data.events import (
     BrushStroke,
     Confirm,
     Redo,
     SuperpixelStroke,
     Undo,
-    read_logs,
 )
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.testing.scenes import write_picture
@@ -98,24 +103,12 @@ def test_a_log_without_a_first_line_stops_nobody(session: Session, torn: bytes) 
     assert reopened(session).state(NAME)["version"] == 1
 
 
-def test_work_that_is_no_longer_held_is_not_there_twice(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("roadtorch.annotate.session.HELD", 0)
-    view = session.view(NAME)
-    work = session._work(NAME, view)
-    session.state("street_1.png")
-    session.add(NAME, superpixel("a", "road", 0))
-    assert [event.id for event in work.events] == ["a"]
-
-
-def test_a_picture_deleted_meanwhile_loses_no_stroke(session: Session) -> None:
+def test_an_image_deleted_meanwhile_keeps_its_corrections(session: Session) -> None:
     session.add(NAME, superpixel("a", "road", 0))
     (session.pictures.root / NAME).unlink()
-    assert session.add(NAME, superpixel("b", "road", 1))["version"] == 2
-    with pytest.raises(InputError, match="is no picture of this folder"):
-        reopened(session).state(NAME)
-    assert read_corrections(session.out)[0].clicks == 2
+    with pytest.raises(MissingImageError, match="is no longer there"):
+        session.add(NAME, superpixel("b", "road", 1))
+    assert read_corrections(session.out)[0].clicks == 1
 
 
 def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
@@ -138,7 +131,7 @@ def test_a_full_disk_or_a_wrong_superpixel_leaves_nothing_half_done(
 
     with pytest.raises(InputError, match="a higher number was clicked"):
         session.add(NAME, superpixel("a", "road", 10_000))
-    monkeypatch.setattr("roadtorch.data.events.os.fsync", full)
+    monkeypatch.setattr("roadtorch.data.corrections.os.fsync", full)
     with pytest.raises(InputError, match="cannot be written: No space left"):
         session.add(NAME, superpixel("b", "road", 1))
     assert session.state(NAME)["layers"] == before

@@ -12,8 +12,7 @@ from roadtorch.annotate.session import import_event
 from roadtorch.base.errors import ConfigError, DatasetError, WeightsError
 from roadtorch.base.image import write_npy
 from roadtorch.cli.compare import compare
-from roadtorch.data.corrections import open_corrections
-from roadtorch.data.events import EventLog, LogHead, log_path
+from roadtorch.data.corrections import EventLog, LogHead, log_path, open_corrections
 from roadtorch.evaluation.disagreement import disagreement, unlabelled_set
 from roadtorch.inputs.pictures import picture_item
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings

@@ -10,8 +10,8 @@ import pytest
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import FORMATS, picture_of
-from roadtorch.data.correction_labels import LABELS
 from roadtorch.data.corrections import Correction
+from roadtorch.data.events import LABELS
 from tests.data.conftest import write
 
 SIZE = (19, 27)

@@ -6,28 +6,22 @@ import numpy as np
 import pytest
 
 from roadtorch.base.errors import InputError
-from roadtorch.data.correction_labels import (
+from roadtorch.data.corrections import EventLog, LogHead, log_path, read_corrections, read_log
+from roadtorch.data.events import (
     LABELS,
     SAYINGS,
-    after_saying,
-    layout_layer,
-    road_layer,
-)
-from roadtorch.data.corrections import read_corrections
-from roadtorch.data.events import (
     AnyEvent,
     BrushStroke,
     Confirm,
-    LogHead,
     PolygonStroke,
     Redo,
     Undo,
-    append_event,
-    folded,
-    log_path,
+    layout_layer,
     mask_of,
     parse_event,
-    read_log,
+    relabel,
+    replay,
+    road_layer,
     runs_of,
     stroke_mask,
 )
@@ -51,7 +45,7 @@ def log(folder: Path, picture: str, *events: AnyEvent) -> Path:
     path = log_path(folder, picture)
     head = LogHead(picture=f"../{picture}", height=SIZE[0], width=SIZE[1])
     for event in events:
-        append_event(path, head, event)
+        EventLog(path, head).add(event)
     return path
 
 
@@ -61,7 +55,7 @@ def log(folder: Path, picture: str, *events: AnyEvent) -> Path:
 @pytest.mark.parametrize("saying", SAYINGS)
 @pytest.mark.parametrize("before", range(len(LABELS)))
 def test_a_saying_holds_whatever_was_there(saying: str, before: int) -> None:
-    after = after_saying(np.array([before], np.uint8), saying)
+    after = relabel(np.array([before], np.uint8), saying)
     road, layout = int(road_layer(after)[0]), int(layout_layer(after)[0])
     expected = {
         "road": (1, 2),
@@ -105,13 +99,13 @@ def test_a_brush_is_round_and_stays_in_the_picture() -> None:
 
 def test_undo_and_redo_are_events_of_their_own_and_each_counts_once() -> None:
     first, second = box("a", "road", 0, 0, 9, 9), box("b", "not_road", 5, 0, 9, 9)
-    both = folded([first, second], SIZE)
+    both = replay([first, second], SIZE)
     assert both[0, 4] == number("road")
     assert both[0, 5] == number("not_road")
-    assert (folded([first, second, first], SIZE) == both).all()  # sent twice
+    assert (replay([first, second, first], SIZE) == both).all()  # sent twice
     undone = [first, second, Undo(kind="undo", id="c", of="b")]
-    assert (folded(undone, SIZE) == folded([first], SIZE)).all()
-    assert (folded([*undone, Redo(kind="redo", id="d", of="b")], SIZE) == both).all()
+    assert (replay(undone, SIZE) == replay([first], SIZE)).all()
+    assert (replay([*undone, Redo(kind="redo", id="d", of="b")], SIZE) == both).all()
 
 
 def test_right_as_it_is_settles_what_is_open() -> None:
@@ -123,7 +117,7 @@ def test_right_as_it_is_settles_what_is_open() -> None:
         box("c", "horizontal", 20, 8, 25, 12),
         Confirm(kind="right", id="d", runs=runs_of(road)),
     ]
-    labels = folded(events, SIZE)
+    labels = replay(events, SIZE)
     assert (road_layer(labels) != 255).all()
     rows, columns = [0, 19, 19, 8, 12], [0, 0, 10, 22, 22]
     expected = ["void", "not_road", "road", "not_road_horizontal", "road"]

@@ -21,9 +21,8 @@ from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.camvid import COLOURS32, READINGS
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import FORMATS as IMPORTED
-from roadtorch.data.corrections import Correction
+from roadtorch.data.corrections import Correction, read_log
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.data.events import read_log
 from roadtorch.data.folder import FolderLabels, with_conditions
 from roadtorch.data.labels import ColourLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask, read_map

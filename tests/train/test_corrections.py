@@ -13,8 +13,7 @@ from roadtorch.annotate.session import import_event
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import read_settings_file
 from roadtorch.cli.train import train as command_of_train
-from roadtorch.data.corrections import Correction
-from roadtorch.data.events import EventLog, LogHead, log_path
+from roadtorch.data.corrections import Correction, EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
 from roadtorch.train.config import PatchTraining, Training, build_training

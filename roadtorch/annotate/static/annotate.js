@@ -174,7 +174,7 @@ async function listed(found) {
   by("progress").textContent = `${right} of ${pictures.length} right${looked}`;
   if (!pictures.length) notice("The folder holds no pictures.");
   const own = pictures.find((one) => one.name === current?.name);
-  if (current && !own) notice(`${current.name} is no longer in the folder; your strokes are kept.`);
+  if (current && !own) notice(`${current.name} is no longer in the folder.`);
   const version = own?.version ?? 0;
   if (own && state && !outbox.waiting.length && version > state.version) await again();
 }
@@ -212,7 +212,7 @@ function undo() {
     return stage.draw();
   }
   const last = state?.events.at(-1);
-  if (last) send({ kind: "undo", of: last[0] });
+  if (last) send({ kind: "undo", of: last });
 }
 
 function redo() {
