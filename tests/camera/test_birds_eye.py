@@ -42,25 +42,6 @@ def rows() -> dict[str, np.ndarray]:
     return reference.made_up_rows()
 
 
-# --- points ------------------------------------------------------------------------------
-
-
-def test_points_go_through_every_frame_of_the_camera(rows):
-    homography = road_to_image(reference.calibration(rows))
-
-    for x, z in [(0, 6), (-9.9, 7), (8, 45), (3, 20)]:
-        u, v = project(homography, numbers(x), numbers(z))
-        assert (float(u), float(v)) == pytest.approx(reference.see(rows, x, z), abs=1e-9)
-
-
-def test_cells_count_from_far_left():
-    x, z = cell_to_road(torch.tensor([0, 799, 400]), torch.tensor([0, 399, 200]))
-
-    assert x.tolist() == pytest.approx([-9.975, 9.975, 0.025], abs=1e-6)
-    assert z.tolist() == pytest.approx([45.975, 6.025, 25.975], abs=1e-5)
-    assert torch.equal(x, x.float().double())
-
-
 # --- maps --------------------------------------------------------------------------------
 
 
@@ -118,10 +99,8 @@ def test_a_file_is_read_whatever_else_it_holds(tmp_path, rows):
     [
         ("P2", None, "has no row P2"),
         ("R0_rect", "1 0 0 0 1 0 0 0", "R0_rect has 8 values"),
-        ("P2", "1 0 0 0 0 1 0 0 0 0 1 x", "P2 holds 'x'"),
         ("R0_rect", "1 0 0 0 1 0 0 0 1e999", "R0_rect holds '1e999'"),
         ("Tr_cam_to_road", "0 " * 12, "Tr_cam_to_road has no inverse"),
-        ("Tr_cam_to_road", "1 0 0 0 0 1 0 0 0 0 1 0", "show the road as a line"),
         ("P2", "1e308 " * 12, "show the road as a line"),  # it overflows
     ],
 )
@@ -162,19 +141,10 @@ def sizes(vectors: dict[str, Any], name: str) -> tuple[int, int]:
 
 
 @pytest.mark.data
-def test_the_kits_points_on_the_road(vectors, calibrations):
+def test_the_kits_cells(vectors, calibrations):
     for name, entry in vectors["calibration"].items():
         expected = torch.tensor(entry["homography_road_XZ1_to_image"], dtype=torch.float64)
         assert torch.allclose(road_to_image(calibrations[name]), expected, rtol=1e-9, atol=1e-9)
-    for point in vectors["road_to_image"]:
-        homography = road_to_image(calibrations[point["calib"]])
-        u, v = project(homography, numbers(point["X"]), numbers(point["Z"]))
-        assert float(u) == pytest.approx(point["u"], abs=1e-3)
-        assert float(v) == pytest.approx(point["v"], abs=1e-3)
-
-
-@pytest.mark.data
-def test_the_kits_cells(vectors, calibrations):
     for cell in vectors["bev_cell_to_image"]:
         at = torch.tensor(cell["bev_row"]), torch.tensor(cell["bev_col"])
         calibration = calibrations[cell["calib"]]
@@ -201,13 +171,6 @@ def test_the_kits_whole_maps_byte_by_byte(vectors, calibrations, name):
     cells = to_birds_eye(pattern(height, width), calibrations[name])
 
     _, inside = cell_pixels(calibrations[name], height, width)
-    assert (int(inside.sum()), int((~inside).sum())) == (
-        forward["cells_inside"],
-        forward["cells_outside"],
-    )
-    assert int(cells.sum(dtype=torch.int64)) == forward["sum"]
-    assert sha256(cells) == forward["sha256_rowmajor_uint8_800x400"]
-
-
-def sha256(values: torch.Tensor) -> str:
-    return hashlib.sha256(values.contiguous().numpy().tobytes()).hexdigest()
+    assert int(inside.sum()) == forward["cells_inside"]
+    digest = hashlib.sha256(cells.contiguous().numpy().tobytes()).hexdigest()
+    assert digest == forward["sha256_rowmajor_uint8_800x400"]

@@ -124,4 +124,4 @@ def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
 @pytest.mark.data
 @pytest.mark.parametrize("prefix", ["udlane", "driveai_us", "dnit_br", "s2tld", "lund"])
 def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
-    assert camera_of(frames_of(data_root, prefix)).ego.outline == ()
+    assert camera_of(frames_of(data_root, prefix, 12)).ego.outline == ()

@@ -93,20 +93,11 @@ def test_the_horizon_gives_the_pitch(pitch: float, roll: float) -> None:
     assert pitch_of_horizon(LENS, row, roll) == pytest.approx(pitch, abs=1e-9)
 
 
-def test_a_scaled_picture_shows_the_same_ground() -> None:
-    camera, small = (GroundCamera(each, mounted(1.4, 5)) for each in (LENS, LENS.at(320, 240)))
-
-    pixels = camera.pixels_of(ground((6, 1)))[0]
-
-    assert small.ground_of((pixels + 0.5) / 2 - 0.5)[0] == pytest.approx([6, 1])
-
-
 @pytest.mark.parametrize(
     ("call", "what"),
     [
         (lambda: mounted(0, 0), "--height: 0 was given .give 0.01 to 1000 metres"),
         (lambda: mounted(1, 95), "--pitch: 95 was given .give -30 to 89 degrees; positive"),
-        (lambda: mounted(float("nan"), 0), "--height: nan was given"),
         (lambda: pitch_of_horizon(LENS, 1.2), "horizon: 1.2 lies outside the picture"),
         (lambda: build_settings(Lens, {**LENS.model_dump(), "model": "plumb_bob"}), "coefficients"),
         (lambda: LENS.at(640, 360), "is 640×360 pixels, the calibration 640×480"),

@@ -34,76 +34,77 @@ def cell(grid: Grid, x: float, y: float) -> int:
     return int(grid.cells[row, column])
 
 
-def test_free_ground_is_free_in_the_view_and_unknown_outside() -> None:
-    grid = ground_grid(picture_of(), CAMERA, SETTINGS)
-
-    assert grid.cells.shape == (60, 80)
-    assert grid.origin == (0, -6)
-    assert cell(grid, 8, 0) == FREE
-    assert cell(grid, 0.5, 0) == cell(grid, 2, 5) == UNKNOWN  # below and beside the picture
-    assert (grid.cells == OCCUPIED).sum() == 0
-    assert grid.likelihood.isnan().equal(grid.cells == UNKNOWN)
+EGO = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+EGO[-40:] = True
+REACH = math.sqrt(0.2 * CAMERA.lens.focal_x * 1.4)  # a pixel is r² / (f h) metres long
 
 
-def test_a_wall_is_occupied_and_unknown_behind() -> None:
-    grid = ground_grid(picture_of("(x > 9) & (y > 0)"), CAMERA, SETTINGS)
+@pytest.mark.parametrize(
+    ("inside", "more", "cells"),
+    [
+        # Free in the view, unknown below and beside it.
+        (None, {}, {FREE: [(8, 0), (2.6, 0)], UNKNOWN: [(0.5, 0), (2, 5)]}),
+        # A wall is unknown behind; left is left.
+        (
+            "(x > 9) & (y > 0)",
+            {},
+            {FREE: [(8.5, 1), (12, -2)], UNKNOWN: [(9.5, 1), (14, 3)]},
+        ),
+        ("y > 1", {}, {FREE: [(8, 0), (8, -2)], UNKNOWN: [(8, 2.5)]}),
+        # Behind a box road is seen, over the box's smear.
+        (
+            "(x > 5) & (x < 6) & (abs(y) < .5)",
+            {},
+            {OCCUPIED: [(5.1, 0)], UNKNOWN: [(10, 0)], FREE: [(10, 2)]},
+        ),
+        # Where a pixel covers too many cells.
+        (
+            None,
+            {"coarsest": 1},
+            {FREE: [(4, 0), (REACH - 1, 0)], UNKNOWN: [(15, 0), (REACH + 1.5, 0)]},
+        ),
+    ],
+)
+def test_cells_are_free_occupied_or_unknown(
+    inside: str | None, more: dict[str, float], cells: dict[int, list[tuple[float, float]]]
+) -> None:
+    settings = SETTINGS.model_copy(update=more)
 
-    assert cell(grid, 8.5, 1) == cell(grid, 12, -2) == FREE
-    assert all((grid.cells[row, 44:47] == OCCUPIED).any() for row in range(32, 45))  # a row: .3 m
-    assert cell(grid, 9.5, 1) == cell(grid, 14, 3) == UNKNOWN
-    assert OCCUPIED not in grid.cells[:29]
+    grid = ground_grid(picture_of(inside), CAMERA, settings)
+
+    assert (grid.cells.shape, grid.origin) == ((60, 80), (0, -6))
+    for value, points in cells.items():
+        assert [cell(grid, *point) for point in points] == [value] * len(points)
+    if inside is None:
+        assert OCCUPIED not in grid.cells
+        assert grid.likelihood.isnan().equal(grid.cells == UNKNOWN)
 
 
-def test_left_is_left_and_the_order_that_of_an_occupancy_grid() -> None:
+def test_walls_have_no_gaps_and_shadows_no_walls() -> None:
+    ahead, beside, box = (
+        ground_grid(picture_of(inside), CAMERA, SETTINGS).cells == OCCUPIED
+        for inside in ("(x > 9) & (y > 0)", "abs(y) > 2", "(x > 5) & (x < 6) & (abs(y) < .5)")
+    )
+
+    assert ahead[32:45, 44:47].any(1).all()  # a row: .3 m
+    assert not ahead[:29].any()
+    for rows in (slice(38, 42), slice(18, 22)):
+        assert beside[rows, 30:60].any(0).all()
+    assert not box[:, 40:].any()  # behind x = 8
+
+
+def test_the_order_is_that_of_an_occupancy_grid() -> None:
     grid = ground_grid(picture_of("y > 1"), CAMERA, SETTINGS)
 
-    assert cell(grid, 8, 0) == cell(grid, 8, -2) == FREE
-    assert cell(grid, 8, 2.5) == UNKNOWN
-    assert OCCUPIED in [cell(grid, 8, y) for y in (0.9, 1.1)]
     assert grid.occupancy.dtype == torch.int8
     assert grid.occupancy[35 * 80 + 40] == cell(grid, 40.5 * 0.2, 35.5 * 0.2 - 6)
 
 
-def test_the_shadow_of_a_box_is_unknown_and_its_sides_are_no_walls() -> None:
-    grid = ground_grid(picture_of("(x > 5) & (x < 6) & (abs(y) < .5)"), CAMERA, SETTINGS)
-
-    assert cell(grid, 5.1, 0) == OCCUPIED
-    assert cell(grid, 10, 0) == UNKNOWN  # road is seen there, over the box's smear
-    assert cell(grid, 10, 2) == FREE
-    assert OCCUPIED not in grid.cells[:, 40:]  # behind x = 8
-
-
-def test_the_edge_of_a_road_has_no_gaps() -> None:
-    grid = ground_grid(picture_of("abs(y) > 2"), CAMERA, SETTINGS)
-
-    for column in range(30, 60):
-        assert (grid.cells[38:42, column] == OCCUPIED).any(), column
-        assert (grid.cells[18:22, column] == OCCUPIED).any(), column
-
-
 def test_the_ego_car_is_unknown_and_hides_nothing() -> None:
-    ego = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
-    ego[-40:] = True
-    road = picture_of() & ~ego
+    grid = ground_grid(picture_of() & ~EGO, CAMERA, SETTINGS, EGO)
 
-    grid = ground_grid(road, CAMERA, SETTINGS, ego)
-
-    assert (grid.cells == OCCUPIED).sum() == 0
-    assert cell(grid, 9, 0) == FREE
-    assert cell(grid, 2.6, 0) == UNKNOWN
-    assert cell(ground_grid(picture_of(), CAMERA, SETTINGS), 2.6, 0) == FREE
-
-
-def test_far_cells_are_unknown_where_a_pixel_covers_too_many() -> None:
-    fine = GridSettings(resolution=0.2, range=16, side=6, coarsest=1)
-
-    grid = ground_grid(picture_of(), CAMERA, fine)
-
-    assert cell(grid, 4, 0) == FREE
-    assert cell(grid, 15, 0) == UNKNOWN
-    reach = math.sqrt(0.2 * CAMERA.lens.focal_x * 1.4)  # a pixel is r² / (f h) long
-    assert cell(grid, reach - 1, 0) == FREE
-    assert cell(grid, reach + 1.5, 0) == UNKNOWN
+    assert OCCUPIED not in grid.cells
+    assert (cell(grid, 9, 0), cell(grid, 2.6, 0)) == (FREE, UNKNOWN)
 
 
 def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -> None:
@@ -125,15 +126,6 @@ def test_a_mount_moves_the_grid_with_the_camera() -> None:
     assert moved.origin == pytest.approx((0.6, -6.4))
     assert cell(moved, 9.1, -0.4) == FREE
     assert OCCUPIED in [cell(moved, x, -0.4) for x in (9.5, 9.7, 9.9)]
-
-
-def test_a_steep_camera_sees_its_own_foot() -> None:
-    camera, near = GroundCamera(CAMERA.lens, mounted(1.4, 80)), {"range": 2, "side": 1}
-    everywhere = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
-
-    grid = ground_grid(everywhere, camera, GridSettings(resolution=0.05, **near))
-
-    assert cell(grid, 0.1, 0) == cell(grid, 0.1, 0.4) == FREE
 
 
 def test_sky_alone_and_wrong_sizes_are_refused() -> None:
