@@ -85,38 +85,25 @@ def test_hue_never_reaches_a_whole_turn(color):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_batches_and_dtypes_are_kept(dtype):
+def test_batches_dtypes_and_the_image_are_kept(dtype):
     batch = torch.stack([random_image(dtype=dtype), random_image(dtype=dtype).flip(0)])
+    before = batch.clone()
 
     found = planes(batch, tuple(PLANES))
+    again = planes(batch[1], tuple(PLANES))
 
     assert found.shape == (2, len(PLANES), 40, 50)
     assert found.dtype == dtype
-    torch.testing.assert_close(found[1], planes(batch[1], tuple(PLANES)))
-
-
-def test_planes_come_in_the_order_of_their_names_and_the_image_is_not_changed():
-    image = random_image()
-    before = image.clone()
-
-    found = planes(image, ("V", "a", "V"))
-
-    assert torch.equal(found[0], found[2])
-    assert torch.equal(found[1], plane(image, "a"))
-    planes(image, tuple(PLANES))[:] = 0
-    plane(image, "R")[:] = 0  # no view of the image
-    assert torch.equal(image, before)
+    torch.testing.assert_close(found[1], again)
+    assert torch.equal(again[1], plane(batch[1], list(PLANES)[1]))
+    again[:] = plane(batch[0], "R")[:] = 0  # no views of the image
+    assert torch.equal(batch, before)
 
 
 def test_the_representations_are_thirteen_planes_and_six_combinations():
-    single = [names for names in REPRESENTATIONS.values() if len(names) == 1]
-
+    assert [len(names) for names in REPRESENTATIONS.values()].count(1) == 13
     assert len(REPRESENTATIONS) == 19
-    assert len(single) == 13
-    assert REPRESENTATIONS["HS"] == ("H", "S")
-    assert {name for names in REPRESENTATIONS.values() for name in names} == (
-        set(PLANES) - {"O3", "grey"}
-    )
+    assert set().union(*REPRESENTATIONS.values()) == set(PLANES) - {"O3", "grey"}
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -135,10 +122,8 @@ def test_chromatic_planes_of_grey_pictures_are_constant_to_the_bit(name, size, d
     ("shape", "names", "what"),
     [
         ((3, 4, 4), ("R", "nrr"), "nrr: unknown plane .*nr"),
-        *[
-            (shape, ("R", "S"), r"image: has the shape .* \(give RGB as")
-            for shape in [(4, 20, 20), (20, 20, 3), (20, 20), (3,)]
-        ],
+        ((4, 20, 20), ("R", "S"), r"image: has the shape .* \(give RGB as"),
+        ((20, 20), ("R", "S"), r"image: has the shape .* \(give RGB as"),
     ],
 )
 def test_unknown_planes_and_what_is_no_image_are_refused(shape, names, what):

@@ -7,12 +7,6 @@ from roadtorch.imaging.color import STRONGEST, Exposure, brightened
 from tests.draws import random
 
 
-def test_a_picture_that_is_bright_enough_stays_as_it_is() -> None:
-    image = random(3, 20, 30) * 0.5 + 0.4
-
-    assert brightened(image, Exposure(ground=0.4)) is image
-
-
 @pytest.mark.parametrize("grey", [0.1, 0.2, 0.35])
 def test_the_lower_part_of_a_dark_picture_reaches_the_level(grey: float) -> None:
     image = torch.full((3, 20, 30), grey)

@@ -15,7 +15,6 @@ from roadtorch.imaging.resize import (
     resized,
     working_size,
 )
-from roadtorch.imaging.slic import Superpixels
 
 SIDES = st.integers(16, 4000)
 
@@ -33,21 +32,6 @@ def test_the_working_size_is_the_pictures_shape_with_at_most_so_many_pixels(
         assert abs(tall / height - wide / width) <= 0.5 / height + 0.5 / width
     if height * width <= pixels:
         assert (tall, wide) == (height, width)
-
-
-def test_the_default_is_the_papers_size_and_a_thin_picture_keeps_a_short_side() -> None:
-    assert working_size(960, 1280, WorkingSize()) == (240, 320)
-    assert working_size(16, 100_000, WorkingSize(pixels=10_000))[0] == SHORTEST
-
-
-@pytest.mark.parametrize("size", [(16, 16), (16, 300), (33, 47), (240, 320)])
-def test_superpixels_have_about_the_pixels_asked_for(size: tuple[int, int]) -> None:
-    image = torch.rand(3, *size, generator=torch.Generator().manual_seed(0))
-
-    count = int(Superpixels(pixels=100).cut(image).max()) + 1
-
-    wanted = max(16, round(size[0] * size[1] / 100))
-    assert 0.6 * wanted <= count <= 1.6 * wanted
 
 
 # --- sizes of maps ------------------------------------------------------------------------
@@ -106,12 +90,3 @@ def test_an_analysis_at_working_size_sees_a_small_picture_and_answers_at_full_si
         ("likelihood", "segments", "mask"), (100, 200)
     )
     assert (cues["likelihood"].dtype, cues["mask"].dtype) == (torch.float32, torch.bool)
-
-
-def test_what_has_the_right_size_is_handed_through() -> None:
-    image = torch.rand(3, 17, 19)
-
-    assert resized(image, (17, 19)) is image
-    assert torch.equal(
-        at_working_size(lambda x: {"image": x}, image, WorkingSize())["image"], image
-    )
