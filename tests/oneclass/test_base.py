@@ -1,6 +1,5 @@
 """What all one-class classifiers share: axes, hue, thresholds, likelihoods, chunks."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +8,6 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.base.errors import ConfigError
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import (
     Axes,
@@ -29,7 +27,7 @@ from roadtorch.oneclass.base import (
 )
 from tests.draws import random
 
-PLANE, HUE, HS = axes_of(("S",)), axes_of(("H",)), axes_of(("H", "S"))
+PLANE, HS = axes_of(("S",)), axes_of(("H", "S"))
 
 
 class ScaledSettings(ClassifierSettings):
@@ -68,16 +66,6 @@ FIVE = line(0.3, 0.4, 0.5, 0.6, 0.7)
 # --- axes and hue ---------------------------------------------------------------------------
 
 
-def test_axes_have_the_ranges_of_their_planes() -> None:
-    axes = axes_of(("H", "O1"))
-
-    assert (axes.names, axes.circular) == (("H", "O1"), (True, False))
-    np.testing.assert_allclose(axes.span, [1, math.sqrt(2)])
-    np.testing.assert_allclose(axes.quantum, [1 / 255, math.sqrt(2) / 255])
-    with pytest.raises(ConfigError, match="Hue: unknown plane"):
-        axes_of(("Hue",))
-
-
 @pytest.mark.parametrize(
     ("hues", "saturations", "mean"),
     [
@@ -109,13 +97,6 @@ def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> Non
         assert away.abs().max() <= 0.5 + 1e-7
         expected = torch.minimum(along, (1 - along).abs())
         np.testing.assert_allclose(away.abs(), expected, atol=1e-6)
-
-
-def test_a_fit_sees_hue_as_distance_from_the_mean() -> None:
-    fitted = middle_of(line(0.9, 0.1), axes=HUE, rejected=0.0)
-
-    found = fitted.distance(line(0.95, 0.05, 0.5, 1.0)).tolist()
-    assert found == pytest.approx([0.05, 0.05, 0.5, 0], abs=1e-6)
 
 
 # --- thresholds and likelihoods ----------------------------------------------------------------

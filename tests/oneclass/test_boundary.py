@@ -18,13 +18,9 @@ from roadtorch.oneclass.boundary import (
     MinimaxSettings,
     SvddSettings,
 )
-from roadtorch.oneclass.neighbours import MST, NN, squared_distances
+from roadtorch.oneclass.neighbours import MST, squared_distances
 from tests.oneclass.cases import DIMENSIONS, doubles, fitted, rank_correlation, road, some
 from tests.reference import oneclass_boundary as reference
-
-ALL = pytest.mark.parametrize(
-    "classifier", [NN, SVDD, MPM, MST, DLP], ids=lambda classifier: classifier.name
-)
 
 
 def gram_of(samples: Tensor, sigma: float) -> np.ndarray:
@@ -70,16 +66,6 @@ def test_svdd_is_the_distance_to_the_centre_of_the_ball_in_the_kernels_space(
     assert (away[weights == cap] >= radius * (1 - 1e-3)).all()
     on_sphere = (weights > 1e-6) & (weights < cap - 1e-6)
     np.testing.assert_allclose(away[on_sphere], radius, rtol=1e-3)
-
-
-def test_a_wide_ball_is_the_smallest_ball_of_colour_space():
-    corners = torch.tensor([[0.2, 0.2, 0.5], [0.6, 0.2, 0.5], [0.4, 0.3, 0.5]])
-    pixels = some(500, 3)
-    learned = fitted(SVDD, corners, SvddSettings(sigma=1000.0, rejected=0))
-    centre = (pixels - torch.tensor([0.4, 0.2, 0.5])).norm(dim=1)
-    found = learned.distance(pixels) * 1000 / 2**0.5
-    np.testing.assert_allclose(found, centre, rtol=1e-3, atol=1e-4)
-    assert float(learned.threshold) * 1000 / 2**0.5 == pytest.approx(0.2, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -182,18 +168,6 @@ def test_threshold_is_the_programmes_margin(dimensions, rejected):
     assert ((learned.distance(samples) / learned.threshold - 1).abs() < 1e-3).any()
 
 
-def test_toolbox_dissimilarity_makes_dlp_the_wide_svdd():
-    two_kinds_of_road = torch.cat([road(60, 1), 1.4 * road(30, 1, seed=3)])
-    pixels = some(3000, 1)
-    wide = fitted(SVDD, two_kinds_of_road).distance(pixels)
-
-    def as_svdd(settings: LinearSettings) -> float:
-        return rank_correlation(wide, fitted(DLP, two_kinds_of_road, settings).distance(pixels))
-
-    assert as_svdd(LinearSettings()) > 0.99999
-    assert as_svdd(LinearSettings(dissimilarity="euclid")) < 0.999
-
-
 @pytest.mark.parametrize(
     ("classifier", "most", "planes"), [(DLP, boundary.MAX_CONSTRAINTS, 1), (MST, 4096, 2)]
 )
@@ -201,16 +175,3 @@ def test_too_many_different_samples_are_refused_with_what_to_do(classifier, most
     refusal = rf"{classifier.name}: has {most + 1} different samples.*one sample per superpixel"
     with pytest.raises(InputError, match=refusal):
         fitted(classifier, some(most + 1, planes))
-
-
-# --- all five ---------------------------------------------------------------------------
-
-
-@ALL
-def test_samples_on_a_byte_grid_with_twins_give_finite_ordered_distances(classifier):
-    samples = (road(500, 1) * 255).round() / 255
-    pixels = torch.arange(256.0)[:, None] / 255
-    distance = fitted(classifier, samples).distance(pixels)
-    assert distance.isfinite().all()
-    upper = distance[pixels[:, 0] > samples.max()]
-    assert (upper.diff() > 0).all()

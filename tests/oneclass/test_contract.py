@@ -225,16 +225,6 @@ def test_hue_is_a_circle_in_every_reading_but_the_plain_number(classifier: Class
             np.testing.assert_allclose(*fitted.distance(same), rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["gaussian", "robust_gaussian", "svdd", "mpm", "dlp"])
-def test_hue_as_a_number_is_cut_at_red(name: str) -> None:
-    classifier = CLASSIFIERS[name]
-    fitted = fit(classifier, around_red(), HS, classifier.settings(hue="linear"))
-
-    yellow, cyan = fitted.distance(torch.tensor([[0.25, 0.4], [0.5, 0.4]]))
-
-    assert cyan < yellow  # half way between 0 and 1
-
-
 # --- the same again -------------------------------------------------------------------------
 
 

@@ -64,15 +64,6 @@ def test_the_density_is_the_sum_of_its_gaussians(dimensions: int) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
-def test_one_component_is_the_gaussian() -> None:
-    samples = clusters(1)
-
-    mixture = fit(TWO, samples, AXES, MixtureSettings(components=1)).distance(POINTS)
-    gaussian = fit(CLASSIFIERS["gaussian"], samples, AXES).distance(POINTS)
-
-    np.testing.assert_allclose(mixture, gaussian, rtol=0.02)  # other divisors and floors
-
-
 @pytest.mark.parametrize("formula", ["density", "paper"])
 def test_the_distance_is_that_of_the_density_or_of_the_papers_formula_from_the_peaks(
     formula: str,

@@ -5,19 +5,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import Tensor
 
 from roadtorch.oneclass import neighbours
 from roadtorch.oneclass.base import ClassifierSettings
 from roadtorch.oneclass.neighbours import MST, NN
 from tests.draws import seeded
-from tests.oneclass.cases import DIMENSIONS, doubles, fitted, some
+from tests.oneclass.cases import doubles, fitted, some
 from tests.reference import oneclass_boundary as reference
-
-
-def road(number: int, dimensions: int) -> Tensor:
-    return some(number, dimensions, seed=1, spread=0.2)
-
 
 # --- nearest neighbour ------------------------------------------------------------------
 
@@ -53,17 +47,6 @@ def test_order_and_twins_of_samples_change_no_distance(dimensions, number, seed)
 
 
 # --- minimum spanning tree --------------------------------------------------------------
-
-
-@DIMENSIONS
-def test_tree_is_as_short_as_kruskals(dimensions):
-    samples = doubles(some(12, dimensions))
-    length = reference.distance_matrix(samples, samples)
-    edges = [tuple(edge) for edge in neighbours.spanning_tree(torch.from_numpy(samples)).tolist()]
-    expected = sum(length[edge] for edge in reference.kruskal(samples))
-    assert sum(length[edge] for edge in edges) == pytest.approx(expected, rel=1e-12)
-    assert len(edges) == 11
-    assert len({node for edge in edges for node in edge}) == 12
 
 
 @pytest.mark.parametrize(("rejected", "length"), [(0.0, 0.4), (0.34, 0.2), (0.7, 0.1)])
