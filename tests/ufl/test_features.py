@@ -62,15 +62,6 @@ def test_assignment_over_several_blocks_is_that_of_single_patches() -> None:
     assert torch.equal(found, torch.cdist(points, bases).argmin(1))
 
 
-def test_of_equal_bases_the_first_wins_and_the_others_become_0() -> None:
-    points = torch.ones(6, 2)
-
-    bases, counts = features.update(points, torch.ones(3, 2))
-
-    assert counts.tolist() == [6, 0, 0]
-    assert bases.tolist() == [[1, 1], [0, 0], [0, 0]]
-
-
 def test_the_random_seed_settles_a_start_of_small_noise_or_of_patches() -> None:
     points = random(50, 4)
 

@@ -25,11 +25,6 @@ def stable(seed: int) -> torch.Tensor:
     return torch.randn(9, 11, generator=seeded(seed), dtype=torch.float64)
 
 
-def test_thresholds_of_the_program_and_of_the_text() -> None:
-    assert hierarchy.thresholds(4, "included").tolist() == [0, 0.25, 0.5, 0.75, 1]
-    assert hierarchy.thresholds(4, "left_out").tolist() == [0, 0.25, 0.5, 0.75]
-
-
 @settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -> None:

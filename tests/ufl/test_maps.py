@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -41,11 +40,3 @@ def test_the_best_maps_are_kept_best_first(kind: str, share: float, count: int) 
     order = np.argsort(-(unit @ weights), kind="stable")
     assert found.order.tolist() == order.tolist()
     np.testing.assert_allclose(found.maps.flatten(1).numpy(), unit[order[:count]], atol=1e-6)
-
-
-def test_patches_that_are_all_equal_give_maps_of_0() -> None:
-    found = maps.select_maps(torch.zeros(35, 4), torch.zeros(10, 4), SIZE, MapSettings())
-
-    assert (found.maps == 0).all()
-    assert (found.scores == 0).all()
-    assert (maps.mean_map(found.maps, "maximum") == 0).all()

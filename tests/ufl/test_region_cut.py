@@ -73,12 +73,6 @@ def test_where_borders_are_dear_an_island_in_the_road_is_road() -> None:
     assert dear[5, 2]
 
 
-def test_a_picture_of_one_region_has_no_road() -> None:
-    regions = torch.zeros(5, 5, dtype=torch.int64)
-
-    assert not cut_road(regions, regions, 1, regions == 0, CutSettings()).any()
-
-
 # --- clusters ---------------------------------------------------------------------------
 
 
@@ -92,10 +86,6 @@ def test_every_blob_has_its_peak() -> None:
     peaks = density_peaks(blobs(0.0, 1.0, 3.0), 3, 0.02)
 
     assert sorted((peaks // 40).tolist()) == [0, 1, 2]
-
-
-def test_points_that_are_all_the_same_have_peaks_all_the_same() -> None:
-    assert len(density_peaks(torch.zeros(20, 3), 4, 0.02)) == 4
 
 
 def test_pixels_belong_to_the_nearest_peak() -> None:
