@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import click
 import pytest
 
 from docs._extensions import generated_parts as parts
-from docs._extensions.plain_docstrings import as_restructured
 
 
 @pytest.mark.parametrize(
@@ -35,26 +33,3 @@ def test_a_page_that_nobody_lists_is_listed(
     assert "/new\n" in parts.unlisted([])
     assert "known" not in parts.unlisted([])
     assert parts.contents(["optional?", "none?"]).splitlines()[3:] == ["/optional", "```"]
-
-
-def test_help_says_just_what_it_says() -> None:
-    command = click.Command("x", help="Write *all* of A_B.\n\n\b\nA  is kept\n   as it is")
-
-    assert list(parts.help_text(command)) == [
-        "Write \\*all\\* of A\\_B.",
-        "",
-        "```text",
-        "A  is kept\n   as it is",
-        "```",
-        "",
-    ]
-
-
-def test_docstrings_become_plain_text_with_code() -> None:
-    lines = ["|x| of ``a*b``,", "    wrapped.", "", "    in = code", "", "- one", "  more", "- two"]
-
-    assert as_restructured(lines) == [
-        *("\\|x\\| of ``a*b``, wrapped.", ""),
-        *("::", "", "        in = code", ""),
-        *("- one more", "- two", ""),
-    ]
