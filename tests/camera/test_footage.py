@@ -1,7 +1,8 @@
-"""A camera from its footage: rendered drives over a painted bonnet, and real ones."""
+"""A camera from its footage, rendered and real; the horizon of one picture from its layout."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -10,11 +11,14 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.camera.camera import Camera, check_picture
 from roadtorch.camera.footage import best_path, camera_of, still_ego
+from roadtorch.camera.gradients import horizon_of
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
 from roadtorch.imaging.resize import resized
+from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.road.ego import ego_car
+from roadtorch.testing.scenes import draw_street, render_scene
 from tests.streets import bonnet, drive, scene
 
 # --- the ego car ----------------------------------------------------------------------------
@@ -125,3 +129,38 @@ def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
 @pytest.mark.parametrize("prefix", ["udlane", "driveai_us", "dnit_br", "s2tld", "lund"])
 def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
     assert camera_of(frames_of(data_root, prefix, 12)).ego.outline == ()
+
+
+# --- the horizon of a picture -----------------------------------------------------------
+
+
+def potentials(layout: Tensor) -> Tensor:
+    return torch.nn.functional.one_hot(layout.long(), 3).permute(2, 0, 1).float()
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4, 14])
+def test_a_true_layout_tells_the_horizon(seed: int) -> None:
+    scene = render_scene(seed)
+
+    found = horizon_of(scene.image, potentials(scene.layout))
+
+    assert found.row == pytest.approx(draw_street(np.random.default_rng(seed)).horizon, abs=0.04)
+    assert found.spread >= 0.025
+
+
+@pytest.mark.parametrize(
+    ("top", "told"),
+    [
+        (119, "too little ground"),
+        (0, "ground up to its upper edge"),
+        (110, "lines that meet at row"),
+    ],
+)
+def test_what_no_horizon_can_be_told_from_is_refused(top: int, told: str) -> None:
+    image = render_scene(3, 120, 160).image
+    layout = torch.zeros(120, 160)
+    layout[top:] = HORIZONTAL
+    layout[:, : (150 if told.startswith("too") else 0)] = 0
+
+    with pytest.raises(InputError, match=told):
+        horizon_of(image, potentials(layout))

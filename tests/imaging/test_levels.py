@@ -1,4 +1,4 @@
-"""The k-th smallest value, against sorting; Otsu's threshold: the best of all cuts."""
+"""Order statistics and Otsu's threshold; dark images made bright enough."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadtorch.imaging.color import STRONGEST, Exposure, brightened
 from roadtorch.imaging.levels import BINS, order_statistic, otsu_threshold
 from roadtorch.road.fusion import centred_odds
 from roadtorch.road.seed_area import lower_quartile
+from tests.draws import random
 from tests.reference import otsu as reference
 
 
@@ -65,3 +67,40 @@ def test_the_lower_quartile_is_that_of_torch(values: list[float]) -> None:
 
     wanted = float(torch.tensor(values, dtype=torch.float64).quantile(0.25))
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+
+
+# --- exposure ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("grey", [0.1, 0.2, 0.35])
+def test_the_lower_part_of_a_dark_picture_reaches_the_level(grey: float) -> None:
+    image = torch.full((3, 20, 30), grey)
+    image[:, :11] = 0.9  # the sky: rows above 0.55 of the height do not count
+
+    bright = brightened(image, Exposure(ground=0.4))
+
+    assert float(bright.mean(0)[11:].median()) == pytest.approx(0.4, abs=1e-4)
+
+
+@pytest.mark.parametrize("dark", [0.02, 0.1, 0.3, 0.6])
+def test_brightening_keeps_the_order_of_values_and_the_range(dark: float) -> None:
+    image = random(3, 24, 32) * dark
+    image[:, 0, 0], image[:, 0, 1] = 0.0, 1.0
+
+    bright = brightened(image, Exposure())
+
+    order = image.reshape(-1).argsort(stable=True)
+    assert (bright.reshape(-1)[order].diff() >= 0).all()
+    assert (bright >= image).all()
+    assert bright.max() <= 1
+    assert bright[:, 0, 1].tolist() == [1, 1, 1]
+
+
+@pytest.mark.parametrize(("grey", "bright"), [(0.01, 0.01**STRONGEST), (0.0, 0.0)])
+def test_the_exponent_has_a_floor_and_a_black_picture_stays_nearly_black(
+    grey: float, bright: float
+) -> None:
+    found = brightened(torch.full((3, 16, 40), grey), Exposure(ground=0.9))
+
+    assert found.unique().numel() == 1
+    assert float(found[0, 0, 0]) == pytest.approx(bright, rel=1e-5, abs=0.1 * (grey == 0))

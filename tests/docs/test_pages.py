@@ -1,0 +1,188 @@
+"""What documents name exists, what they show runs, and what they claim is computed."""
+
+import csv
+import json
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatch
+from pathlib import Path
+from textwrap import dedent
+from types import ModuleType
+
+import pytest
+from scipy.stats import spearmanr
+
+from docs._extensions import generated_parts as parts
+from roadtorch.base.errors import RoadtorchError
+from roadtorch.base.settings import parse_assignments
+from roadtorch.detectors.catalogue import detector_entry, list_detectors
+from scripts.figures import FIGURES
+from scripts.readme_pictures import made_with
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ("papers", "p2", "ufl", "oneclass")
+FAMILIES = ("ufl", "fusion", "cpf", "layout", "prior", "oneclass")
+SETTINGS_OF = (
+    "ufl",
+    "fusion:paper",
+    *(f"oneclass:{name}:RGB" for name in ("svdd", "robust_gaussian", "mog2", "dlp", "hist64_s")),
+)
+
+
+def is_setting(assignment: str) -> bool:
+    """Whether some detector of the papers takes ``group.key=value``."""
+    for name in SETTINGS_OF:
+        try:
+            detector_entry(name).configured(parse_assignments([assignment]))
+        except RoadtorchError:
+            continue
+        return True
+    return False
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_a_page_of_the_papers_names_exists(page: str) -> None:
+    text = (ROOT / "docs/research" / f"{page}.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([^`\s]+)`", text)
+    known = [*list_detectors("*"), *list_detectors("oneclass:*:*"), "prior:mean"]
+
+    detectors = [n for n in named if ":" in n and n.split(":")[0] in FAMILIES and "<" not in n]
+    assert [n for n in detectors if not any(fnmatch(name, n) for name in known)] == []
+    assert [n for n in named if re.fullmatch(r"\w+\.\w+=[\w.]+", n) and not is_setting(n)] == []
+    assert [
+        n
+        for n in named
+        if re.match(r"(tests|configs|train|scripts)/", n) and not (ROOT / n).exists()
+    ] == []
+    assert [n for n in re.findall(r"scripts/figures (\S+)", text) if n not in FIGURES] == []
+    for target in re.findall(r"\]\(([^)#]+)\)", text):
+        assert (ROOT / "docs/research" / target).exists(), target
+
+
+def test_modules_that_the_page_of_the_architecture_names_exist() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w/]+\.py)`", page)
+
+    assert named
+    assert [name for name in named if not (ROOT / "roadtorch" / name).is_file()] == []
+
+
+def test_the_detector_of_contributing_keeps_to_the_contract(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.S)
+    module = ModuleType("their_package")
+    monkeypatch.setitem(sys.modules, "their_package", module)
+
+    exec("\n".join(map(dedent, blocks)), vars(module))
+
+    assert module.ENTRY.name == "bright"
+    assert module.check_detector
+
+
+# --- claims -----------------------------------------------------------------------------
+
+
+RESEARCH = Path(__file__).resolve().parents[2] / "docs" / "research"
+COMBINATIONS = ("RGB", "nrng", "O1O2", "Lab", "HSV", "HS")
+
+Cells = Mapping[tuple[str, str], float]
+
+
+def tables() -> Iterator[Cells]:
+    """Scores by classifier and planes: ours on CamVid, and those that P3 prints."""
+    with (RESEARCH / "oneclass_table3.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for key in ("camvid", "p3"):
+        yield {
+            (row["classifier"], row["representation"]): float(row[key]) for row in rows if row[key]
+        }
+
+
+def apart(cells: Cells, names: tuple[str, ...], combinations: bool | None = None) -> float:
+    """By how much classifiers differ at most, in single planes, in combinations, or in all."""
+    planes = {key[1] for key in cells}
+    wanted = {one for one in planes if combinations in (None, one in COMBINATIONS)}
+    spread = [[cells[name, one] for name in names] for one in wanted]
+    return max(max(values) - min(values) for values in spread)
+
+
+def claims() -> Iterator[str]:
+    """Sentences of the page with the figures that the tables give."""
+    ours, printed = tables()
+    both = (ours, printed)
+    for names, combinations, claim in (
+        (("svdd", "dlp"), None, "SVDD and dLP are one classifier: within {} in every column ({})"),
+        (("svdd", "mpm"), False, "MPM is within {} of SVDD in single planes ({})"),
+        (("kmeans", "kcentres", "mst"), True, "tree are alike in combinations: within {} ({})"),
+    ):
+        yield claim.format(*(f"{apart(table, names, combinations):.1f}" for table in both))
+
+    robust = "robust_gaussian:paper"
+    own = max(abs(ours["gaussian", one] - ours[robust, one]) for one in COMBINATIONS)
+    theirs = {
+        one: abs(printed["gaussian", one] - printed["robust_gaussian", one]) for one in COMBINATIONS
+    }
+    hsv = theirs.pop("HSV")
+    others = max(theirs.values())
+    yield f"within {own:.1f} in combinations ({others:.1f} but for HSV, where they are {hsv:.1f}"
+
+    cells = [key for key in printed if not key[0].endswith(":paper")]
+    letter = {key: ours.get((f"{key[0]}:paper", key[1]), ours[key]) for key in cells}
+    best = max(letter, key=lambda key: letter[key])
+    rank = spearmanr([letter[key] for key in cells], [printed[key] for key in cells])[0]
+    yield f"the best of CamVid is `{best[0]}:{best[1]}` with {letter[best]:.1f}"
+    yield f"over {len(cells)} cells is {rank:+.2f} on CamVid".replace("0.", ".")
+    for name in ("robust_gaussian", "mog4", "dlp", "pca"):
+        row = (f"{ours[kind, 'RGB']:.1f}" for kind in (f"{name}:paper", name))
+        yield "| {} → {} |".format(*row)
+
+
+def test_the_page_says_what_the_tables_say() -> None:
+    page = " ".join((RESEARCH / "oneclass.md").read_text(encoding="utf-8").split())
+
+    assert [claim for claim in claims() if claim not in page] == []
+
+
+# --- parts made of the code -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "folder", "linked"),
+    [
+        ("[more](docs/many.md#x)", "", "[more](/many.md#x)"),
+        ("[why](../train/README.md)", "docs", "[why](/studies.md)"),
+        ("[docs/research/ufl.md](docs/research/ufl.md)", "", "[](/research/ufl.md)"),
+        ("[it](../pyproject.toml)", "docs", "it (`pyproject.toml`)"),
+        ("[x](none.md)", "", "[x](none.md)"),  # left for the build to find
+        ("```\n[x](docs/many.md)\n```\n", "", "```\n[x](docs/many.md)\n```\n"),
+    ],
+)
+def test_links_lead_to_pages_of_the_site(text: str, folder: str, linked: str) -> None:
+    assert parts.linked(text, parts.ROOT / folder) == linked
+
+
+def test_a_page_that_nobody_lists_is_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parts, "DOCS", tmp_path)
+    for name in ("new", "known", "optional"):
+        (tmp_path / f"{name}.md").write_text("# A page\n")
+    (tmp_path / "index.md").write_text("```{toctree}\nknown\n```\n{{ contents optional? none? }}\n")
+
+    assert "/new\n" in parts.unlisted([])
+    assert "known" not in parts.unlisted([])
+    assert parts.contents(["optional?", "none?"]).splitlines()[3:] == ["/optional", "```"]
+
+
+# --- pictures ---------------------------------------------------------------------------
+
+
+PICTURES = Path(__file__).resolve().parents[2] / "docs" / "pictures"
+
+
+def test_the_pictures_were_made_with_the_weights_and_settings_that_ship() -> None:
+    """Else: python scripts/readme_pictures.py DATA."""
+    assert json.loads((PICTURES / "made.json").read_text(encoding="utf-8")) == made_with()
