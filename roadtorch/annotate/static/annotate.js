@@ -1,10 +1,10 @@
-// The page: pictures, keys and tools; what they do goes to the server as events.
+// The page: images, keys and tools; what they do goes to the server as events.
 
-import { ROADS, Stage } from "/static/canvas.js";
-import { button, listKeys, marked, onKeys } from "/static/controls.js";
+import { Stage } from "/static/canvas.js";
+import { buildControls, mark, onKeys } from "/static/controls.js";
 import { Hand } from "/static/hand.js";
 import { Outbox, Refusal, ask } from "/static/link.js";
-import { PictureList } from "/static/list.js";
+import { ImageList } from "/static/list.js";
 
 const by = (id) => document.getElementById(id);
 const SAYINGS = ["road", "not_road", "void", "sky", "vertical", "horizontal"];
@@ -13,37 +13,31 @@ const IDLE = 30; // seconds without a hand on keys or pointer that count as no w
 const POLL = 1500; // milliseconds
 
 const stage = new Stage(by("stage"));
-const list = new PictureList(by("list"), by("spacer"), open);
+const list = new ImageList(by("list"), open);
 const hand = new Hand(stage, send, () => current !== null);
 const outbox = new Outbox(acted);
-const loaded = new Map(); // pictures by name: promises, the last few
+const loaded = new Map(); // images by name: promises, the last few
 
-let pictures = [];
+let images = []; // what the server lists, in the order of the page
 let stamp = "";
 let learn = ""; // the command that learns from the corrections
-let current = null; // the picture that is shown
-let state = null; // what the server told about it
+let current = null; // the image that is shown
+let state = null; // what the server last answered about it
 let seconds = 0; // at work since the last act
 let touched = performance.now();
-let wanted = null; // the picture that was asked for last
+let wanted = null; // the image that was asked for last
 
-// --- pictures ---------------------------------------------------------------------------
+// --- images -----------------------------------------------------------------------------
 
-function picture(name) {
+function load(name) {
   if (!loaded.has(name)) {
-    loaded.set(name, Promise.all([bitmap(name), superpixels(name)]));
+    const bitmap = ask("picture", { name }).then((answer) => answer.blob()).then(createImageBitmap);
+    const superpixels = ask("superpixels", { name }).then((answer) => answer.arrayBuffer());
+    loaded.set(name, Promise.all([bitmap, superpixels]));
     loaded.get(name).catch(() => loaded.delete(name));
     if (loaded.size > 4) loaded.delete(loaded.keys().next().value);
   }
   return loaded.get(name);
-}
-
-async function bitmap(name) {
-  return createImageBitmap(await (await ask("picture", { name })).blob());
-}
-
-async function superpixels(name) {
-  return new Uint16Array(await (await ask("superpixels", { name })).arrayBuffer());
 }
 
 async function open(name) {
@@ -51,20 +45,19 @@ async function open(name) {
   document.body.classList.remove("listing");
   by("waiting").hidden = false;
   try {
-    const [[image, labels], found] = await Promise.all([
-      picture(name), ask("state", { name }).then((answer) => answer.json()),
-    ]);
+    const [[bitmap, superpixels], answer] = await Promise.all([load(name), ask("state", { name })]);
+    const found = await answer.json();
     if (wanted !== name) return;
     const { size, shape } = found;
-    current = { name, bitmap: image, superpixels: labels, size, shape };
+    current = { name, bitmap, superpixels: new Uint16Array(superpixels), size, shape };
     seconds = 0;
     notice("");
     location.hash = encodeURIComponent(name);
     localStorage.roadtorchLast = name;
-    sorted();
-    tell(found);
+    sort();
+    show(found);
     list.reveal();
-    preload();
+    load(following()).catch(() => {});
   } catch (problem) {
     if (wanted === name) failed(problem);
   } finally {
@@ -72,40 +65,29 @@ async function open(name) {
   }
 }
 
-// The pictures that wait for a verdict: those with a turn, then the least certain first; unknown
-// ones at the end.
-function sorted() {
-  const key = (one) => [one.confirmed ? 1 : 0, one.turn ?? 1e9, one.trust ?? 2];
-  pictures.sort((a, b) => {
+// Those that are not confirmed come first: with a turn, then the least certain, then unknown ones.
+function sort() {
+  const key = (image) => [image.confirmed ? 1 : 0, image.turn ?? 1e9, image.trust ?? 2];
+  images.sort((a, b) => {
     const [x, y] = [key(a), key(b)];
     return x[0] - y[0] || x[1] - y[1] || x[2] - y[2] || (a.name < b.name ? -1 : 1);
   });
-  list.show(pictures, current?.name ?? null);
+  list.show(images, current?.name);
 }
 
 function following(step = 1) {
-  const index = pictures.findIndex((one) => one.name === current?.name);
-  const open = pictures.filter((one) => !one.confirmed || one.name === current?.name);
-  const place = open.findIndex((one) => one.name === current?.name);
-  if (open.length > 1 && step > 0) return open[(place + 1) % open.length].name;
-  return pictures[(index + step + pictures.length) % pictures.length]?.name;
+  const shown = (image) => image.name === current?.name;
+  const open = images.filter((image) => !image.confirmed || shown(image));
+  if (open.length > 1 && step > 0) return open[(open.findIndex(shown) + 1) % open.length].name;
+  return images.at((images.findIndex(shown) + step) % images.length)?.name;
 }
 
-function preload() {
-  const name = following();
-  if (name && name !== current?.name) picture(name).catch(() => {});
-}
+// --- what the server answers ------------------------------------------------------------
 
-function unpacked(text) {
-  return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-}
-
-// --- what the server tells --------------------------------------------------------------
-
-function tell(found) {
+function show(found) {
   state = found;
-  stage.show(current, unpacked(found.layers));
-  stage.pending = outbox.waiting.filter((e) => e.name === current.name).map((e) => e.act);
+  stage.show(current, Uint8Array.from(atob(found.layers), (letter) => letter.charCodeAt(0)));
+  stage.pending = waiting();
   by("name").textContent = found.name;
   document.title = `${found.name} · roadtorch`;
   const facts = [
@@ -116,16 +98,18 @@ function tell(found) {
   by("facts").textContent = facts.filter(Boolean).join(" · ");
   document.body.dataset.version = found.version;
   document.body.dataset.picture = found.name;
-  for (const button of document.querySelectorAll("[data-act]")) {
-    if (button.dataset.act === "undo") button.disabled = !found.events.length;
-    if (button.dataset.act === "redo") button.disabled = !found.redo.length;
-  }
+  by("undo").disabled = !found.events.length;
+  by("redo").disabled = !found.redo.length;
+}
+
+// The acts on the shown image that the server has not acknowledged.
+function waiting() {
+  return outbox.waiting.filter(({ name }) => name === current.name).map(({ act }) => act);
 }
 
 function acted(entry, found, problem) {
-  if (problem) notice(`Not kept: ${problem.message}`);
-  else notice("");
-  if (found && current?.name === entry.name) tell(found);
+  notice(problem ? `Not kept: ${problem.message}` : "");
+  if (found && current?.name === entry.name) show(found);
   else if (current) {
     stage.pending = stage.pending.filter((act) => act.id !== entry.act.id);
     stage.draw();
@@ -152,38 +136,32 @@ async function refresh() {
     if (by("notice").textContent.startsWith("No answer")) notice("");
     if (answer.status === 204) return;
     const found = await answer.json();
-    stamp = found.stamp;
-    learn = found.learn;
-    await listed(found.pictures);
+    ({ stamp, learn } = found);
+    await update(found.pictures);
   } catch (problem) {
     failed(problem);
   }
 }
 
-// A new list: the order stays until the next picture is opened, so that no row jumps away.
-async function listed(found) {
-  const order = new Map(pictures.map((one, index) => [one.name, index]));
-  const place = (one) => order.get(one.name) ?? Infinity;
-  const first = !pictures.length;
-  pictures = found.sort((a, b) => (place(a) === place(b) ? 0 : place(a) - place(b)));
-  if (first) sorted();
-  else list.show(pictures, current?.name ?? null);
-  const right = pictures.filter((one) => one.confirmed).length;
-  const known = pictures.filter((one) => one.trust !== null).length;
-  const looked = known < pictures.length ? `, ${known} looked at` : "";
-  by("progress").textContent = `${right} of ${pictures.length} right${looked}`;
-  if (!pictures.length) notice("The folder holds no pictures.");
-  const own = pictures.find((one) => one.name === current?.name);
-  if (current && !own) notice(`${current.name} is no longer in the folder.`);
-  const version = own?.version ?? 0;
-  if (own && state && !outbox.waiting.length && version > state.version) await again();
-}
-
-// Another window did something: show it.
-async function again() {
-  const { name } = current;
-  const found = await (await ask("state", { name })).json();
-  if (current.name === name) tell(found);
+// A new list: the order stays until the next image is opened, so that no row jumps away.
+async function update(found) {
+  const order = new Map(images.map(({ name }, index) => [name, index]));
+  const place = ({ name }) => order.get(name) ?? images.length;
+  const first = !images.length;
+  images = found.sort((a, b) => place(a) - place(b));
+  if (first) sort();
+  else list.show(images, current?.name);
+  const right = images.filter((image) => image.confirmed).length;
+  const known = images.filter((image) => image.trust !== null).length;
+  const looked = known < images.length ? `, ${known} looked at` : "";
+  by("progress").textContent = `${right} of ${images.length} right${looked}`;
+  if (!images.length) notice("The folder holds no pictures.");
+  const name = current?.name;
+  const listed = images.find((image) => image.name === name);
+  if (name && !listed) notice(`${name} is no longer in the folder.`);
+  if (!listed || !state || outbox.waiting.length || listed.version <= state.version) return;
+  const changed = await (await ask("state", { name })).json(); // in another window
+  if (current.name === name) show(changed);
 }
 
 // --- acts -------------------------------------------------------------------------------
@@ -198,10 +176,10 @@ function work() {
 function send(act) {
   if (!current) return Promise.resolve();
   work();
-  const entry = { ...act, seconds: Math.min(Math.round(seconds * 10) / 10, 600) };
+  const timed = { ...act, seconds: Math.min(Math.round(seconds * 10) / 10, 600) };
   seconds = 0;
-  const sent = outbox.add(current.name, entry).catch(failed);
-  stage.pending = outbox.waiting.filter((e) => e.name === current.name).map((e) => e.act);
+  const sent = outbox.add(current.name, timed).catch(failed);
+  stage.pending = waiting();
   stage.draw();
   return sent;
 }
@@ -211,29 +189,33 @@ function undo() {
     stage.polygon.pop();
     return stage.draw();
   }
-  const last = state?.events.at(-1);
-  if (last) send({ kind: "undo", of: last });
+  if (state?.events.length) send({ kind: "undo", of: state.events.at(-1) });
 }
 
 function redo() {
-  const last = state?.redo.at(-1);
-  if (last) send({ kind: "redo", of: last });
+  if (state?.redo.length) send({ kind: "redo", of: state.redo.at(-1) });
 }
 
 async function right() {
   if (stage.polygon.length) return hand.closePolygon();
   if (!current) return;
+  const { name } = current;
   const next = following();
-  const last = pictures.every((one) => one.confirmed || one.name === current.name);
+  const last = images.every((image) => image.confirmed || image.name === name);
   await send({ kind: "right" });
-  if (last) return notice(`All done: ${pictures.length} of ${pictures.length} right. To learn from them: ${learn}`);
-  if (next && next !== current.name) open(next);
+  if (last) notice(`All done: ${images.length} of ${images.length} right. To learn from them: ${learn}`);
+  else if (next !== name) open(next);
+}
+
+function go(step) {
+  const name = following(step);
+  if (name) open(name);
 }
 
 // --- sight ------------------------------------------------------------------------------
 
-function fade(step) {
-  stage.opacity = Math.min(1, Math.max(0.05, stage.opacity + step));
+function fade(opacity) {
+  stage.opacity = Math.min(1, Math.max(0.05, opacity));
   by("opacity").value = stage.opacity;
   stage.draw();
 }
@@ -241,20 +223,6 @@ function fade(step) {
 function flip(name) {
   stage[name] = !stage[name];
   stage.draw();
-}
-
-// The colour of the road, by name; of infer's unless another was chosen in this browser.
-function paint(name) {
-  localStorage.roadtorchRoad = name;
-  stage.road = ROADS[name] ?? ROADS.blue;
-  document.documentElement.style.setProperty("--road", `rgb(${stage.road.join(" ")})`);
-  if (current) stage.tint();
-  stage.draw();
-}
-
-function recolour() {
-  const names = Object.keys(ROADS);
-  paint(names[(names.indexOf(localStorage.roadtorchRoad) + 1) % names.length]);
 }
 
 function sight() {
@@ -265,23 +233,14 @@ function sight() {
 
 // --- making the page --------------------------------------------------------------------
 
-function named(what) {
-  return what.replace("_", " ");
-}
-
 function choose(tool) {
   hand.choose(tool);
-  marked("tools", tool);
+  mark("tools", tool);
 }
 
-function say(what) {
-  hand.saying = what;
-  marked("sayings", what);
-}
-
-function next(step) {
-  const name = following(step);
-  if (name) open(name);
+function say(saying) {
+  hand.saying = saying;
+  mark("sayings", saying);
 }
 
 function toList() {
@@ -289,61 +248,44 @@ function toList() {
   by("list").focus();
 }
 
-const KEYS = [
-  ...SAYINGS.map((what, index) => [`${index + 1}`, `say ${named(what)}`, () => say(what)]),
-  ...Object.entries(TOOLS).map(([tool, key]) => [key, `${tool} tool`, () => choose(tool)]),
-  ["Enter", "right as it is, and on to the next; closes a polygon", right],
-  ["n", "next picture, the least certain that waits", () => next(1)],
-  ["k", "picture before it in the list", () => next(-1)],
-  ["z", "undo (Ctrl+Z as well)", undo],
-  ["y", "redo (Ctrl+Y as well)", redo],
+// Key, what it does in words, what it does; for a button its group, its text and its name.
+const CONTROLS = [
+  ...SAYINGS.map((saying, index) => {
+    const words = saying.replace("_", " ");
+    return [`${index + 1}`, `say ${words}`, () => say(saying), "sayings", words, saying];
+  }),
+  ...Object.entries(TOOLS).map(([tool, key]) => [
+    key, `${tool} tool`, () => choose(tool), "tools", tool, tool,
+  ]),
+  ["Enter", "right as it is, and on to the next; closes a polygon", right, "acts", "right as it is"],
+  ["z", "undo (Ctrl+Z as well)", undo, "acts", "undo", "undo"],
+  ["y", "redo (Ctrl+Y as well)", redo, "acts", "redo", "redo"],
+  ["n", "next image, the least certain that waits", () => go(1), "acts", "next"],
+  ["k", "image before it in the list", () => go(-1)],
   [" ", "click at the cross", () => hand.click()],
   ["Escape", "drop the polygon", () => hand.drop()],
-  ["+", "zoom in", () => stage.zoomBy(1.25)],
-  ["-", "zoom out", () => stage.zoomBy(0.8)],
-  ["0", "whole picture", () => stage.fit()],
+  ["-", "zoom out", () => stage.zoomBy(0.8), "sight", "−"],
+  ["+", "zoom in", () => stage.zoomBy(1.25), "sight", "+"],
+  ["0", "whole image", () => stage.fit(), "sight", "whole"],
   ["[", "smaller brush", () => hand.resize(1 / 1.3)],
   ["]", "larger brush", () => hand.resize(1.3)],
-  ["o", "fainter overlay", () => fade(-0.1)],
-  ["O", "stronger overlay", () => fade(0.1)],
-  ["h", "colour of the road", recolour],
+  ["o", "fainter overlay", () => fade(stage.opacity - 0.1)],
+  ["O", "stronger overlay", () => fade(stage.opacity + 0.1)],
   ["v", "overlay on and off", () => flip("hidden")],
   ["g", "borders of superpixels on and off", () => flip("borders")],
-  ["l", "see road or layout", sight],
-  ["m", "list of pictures (arrows move in it)", toList],
+  ["l", "see road or layout", sight, "sight", "road / layout"],
+  ["m", "list of images (arrows move in it)", toList],
   ["?", "these keys", () => by("help").showModal()],
 ];
-
-function build() {
-  SAYINGS.forEach((what, i) => button("sayings", named(what), `${i + 1}`, () => say(what), what));
-  for (const [tool, key] of Object.entries(TOOLS)) {
-    button("tools", tool, key, () => choose(tool), tool);
-  }
-  button("acts", "right as it is", "⏎", right).classList.add("main");
-  button("acts", "undo", "z", undo).dataset.act = "undo";
-  button("acts", "redo", "y", redo).dataset.act = "redo";
-  button("acts", "next", "n", () => next(1));
-  button("sight", "−", "-", () => stage.zoomBy(0.8)).title = "zoom out";
-  button("sight", "+", "+", () => stage.zoomBy(1.25)).title = "zoom in";
-  button("sight", "whole", "0", () => stage.fit());
-  button("sight", "road / layout", "l", sight);
-  button("sight", "colour", "h", recolour);
-  const range = Object.assign(document.createElement("input"), {
-    type: "range", min: 0.05, max: 1, step: 0.05, value: stage.opacity, id: "opacity",
-  });
-  range.setAttribute("aria-label", "opacity (o, O)");
-  range.addEventListener("input", () => fade(Number(range.value) - stage.opacity));
-  by("sight").append(range);
-  listKeys(KEYS);
-}
 
 function listen() {
   addEventListener("keydown", work);
   addEventListener("pointermove", work);
-  onKeys(KEYS, (x, y, event) => {
+  onKeys(CONTROLS, (x, y, event) => {
     if (event.ctrlKey) stage.pan(-40 * x, -40 * y);
     else hand.nudge(x, y, event.shiftKey);
   });
+  by("opacity").addEventListener("input", () => fade(Number(by("opacity").value)));
   by("show-list").addEventListener("click", () => document.body.classList.toggle("listing"));
   by("help-button").addEventListener("click", () => by("help").showModal());
   by("hint").hidden = localStorage.roadtorchHint === "seen";
@@ -353,14 +295,12 @@ function listen() {
   });
 }
 
-// The picture of the address, or the last one, or the least certain.
+// Open the image of the address, or the last one, or the least certain.
 async function resume() {
-  if (wanted || !pictures.length) return;
-  const hash = decodeURIComponent(location.hash.slice(1));
-  const last = [hash, localStorage.roadtorchLast];
-  const known = last.find((one) => pictures.some((each) => each.name === one));
-  const first = known ?? pictures.find((one) => !one.confirmed)?.name;
-  await open(first ?? pictures[0].name);
+  if (wanted || !images.length) return;
+  const last = [decodeURIComponent(location.hash.slice(1)), localStorage.roadtorchLast];
+  const known = last.find((name) => images.some((image) => image.name === name));
+  await open(known ?? (images.find((image) => !image.confirmed) ?? images[0]).name);
 }
 
 async function poll() {
@@ -369,9 +309,8 @@ async function poll() {
   setTimeout(poll, POLL);
 }
 
-build();
+buildControls(CONTROLS);
 listen();
-paint(localStorage.roadtorchRoad in ROADS ? localStorage.roadtorchRoad : "blue");
 say("road");
 choose("superpixel");
 poll();

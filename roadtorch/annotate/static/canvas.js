@@ -5,9 +5,7 @@ const SAID = {
   2: [213, 94, 0], 3: [139, 139, 139], 4: SKY, 5: [230, 159, 0], 6: [0, 120, 106], 7: [213, 94, 0],
 };
 const LAYOUT = [SKY, [230, 159, 0], [0, 120, 106]];
-export const ROADS = { // the first as infer draws it
-  blue: [86, 180, 233], green: [0, 158, 115], yellow: [240, 228, 66],
-};
+const ROAD = [86, 180, 233]; // as infer draws it
 
 const TINT = 120, TINT_OF_DARK = 220; // of 255, of the machine's road
 const DARK = 60; // mean grey level of a picture below which a weak tint is not seen
@@ -23,7 +21,7 @@ export class Stage {
   constructor(canvas) {
     Object.assign(this, {
       canvas, pen: canvas.getContext("2d"), picture: null, zoom: 1, left: 0, top: 0, opacity: 0.5,
-      sight: "road", road: ROADS.blue, borders: false, hidden: false, cross: null, hover: -1, drag: new Set(),
+      sight: "road", borders: false, hidden: false, cross: null, hover: -1, drag: new Set(),
       drawn: [], pending: [], polygon: [], radius: 12, tool: "superpixel",
     });
     this.over = document.createElement("canvas");
@@ -124,8 +122,8 @@ export class Stage {
       if (this.sight === "road") {
         const right = i % width < width - 1 ? (layers[i + 1] >> 3) & 1 : road;
         const below = i + width < layers.length ? (layers[i + width] >> 3) & 1 : road;
-        if (said) [colour, strength] = [SAID[said] ?? this.road, said === 6 ? 90 : 200];
-        else if (road) [colour, strength] = [this.road, this.tinted];
+        if (said) [colour, strength] = [SAID[said] ?? ROAD, said === 6 ? 90 : 200];
+        else if (road) [colour, strength] = [ROAD, this.tinted];
         if (road !== right || road !== below) [colour, strength] = [[255, 255, 255], 255];
       } else {
         const layout = layers[i] >> 4;

@@ -1,84 +1,59 @@
-// The list of pictures: only the rows that are seen exist, however many pictures there are.
+// The list of images; the browser lays out and loads only what is in sight.
 
 import { address } from "/static/link.js";
 
-const ROW = 68; // pixels, as in annotate.css
-
-export class PictureList {
-  constructor(box, spacer, chosen) {
-    Object.assign(this, { box, spacer, chosen, pictures: [], current: null, rows: new Map() });
-    box.addEventListener("scroll", () => this.draw());
-    new ResizeObserver(() => this.draw()).observe(box);
+export class ImageList {
+  constructor(box, chosen) {
+    Object.assign(this, { box, chosen, names: [], current: null, rows: new Map() });
     box.addEventListener("keydown", (event) => this.key(event));
   }
 
-  show(pictures, current) {
-    this.pictures = pictures;
+  show(images, current) {
+    this.names = images.map(({ name }) => name);
     this.current = current;
-    this.spacer.style.height = `${pictures.length * ROW}px`;
-    this.draw();
+    for (const image of images) {
+      if (!this.rows.has(image.name)) this.rows.set(image.name, this.made(image.name));
+      const row = this.rows.get(image.name);
+      row.ariaSelected = image.name === current;
+      row.querySelector("small").textContent = describe(image);
+    }
+    const rows = this.names.map((name) => this.rows.get(name));
+    const { children } = this.box;
+    if (rows.length !== children.length || rows.some((row, index) => row !== children[index])) {
+      this.box.replaceChildren(...rows);
+    }
   }
 
-  // Have the current picture in sight.
+  // Have the current image in sight.
   reveal() {
-    const index = this.pictures.findIndex((picture) => picture.name === this.current);
-    const top = index * ROW;
-    if (index < 0) return;
-    if (top < this.box.scrollTop || top + ROW > this.box.scrollTop + this.box.clientHeight) {
-      this.box.scrollTop = top - this.box.clientHeight / 2;
-    }
-    this.draw();
-  }
-
-  draw() {
-    const first = Math.max(0, Math.floor(this.box.scrollTop / ROW) - 3);
-    const last = Math.min(this.pictures.length, first + Math.ceil(this.box.clientHeight / ROW) + 7);
-    const wanted = new Map();
-    for (let index = first; index < last; index++) wanted.set(this.pictures[index].name, index);
-    for (const [name, row] of this.rows) {
-      if (wanted.has(name)) continue;
-      row.remove();
-      this.rows.delete(name);
-    }
-    for (const [name, index] of wanted) {
-      const row = this.rows.get(name) ?? this.made(name);
-      row.style.top = `${index * ROW}px`;
-      row.setAttribute("aria-selected", name === this.current);
-      row.querySelector("small").textContent = said(this.pictures[index]);
-    }
+    this.rows.get(this.current)?.scrollIntoView({ block: "nearest" });
   }
 
   made(name) {
-    const row = document.createElement("button");
-    row.className = "row";
-    row.type = "button";
-    row.tabIndex = -1;
-    row.setAttribute("role", "option");
-    row.title = name;
-    const image = document.createElement("img");
-    image.alt = "";
+    const row = Object.assign(document.createElement("button"), {
+      className: "row", type: "button", tabIndex: -1, role: "option", title: name,
+    });
+    const image = Object.assign(document.createElement("img"), { alt: "", loading: "lazy" });
     image.src = address("thumbnail", { name });
     const text = document.createElement("span");
     text.append(document.createElement("b"), document.createElement("small"));
     text.firstChild.textContent = name;
     row.append(image, text);
     row.addEventListener("click", () => this.chosen(name));
-    this.rows.set(name, row);
-    this.box.append(row);
     return row;
   }
 
   key(event) {
     const step = { ArrowDown: 1, ArrowUp: -1, PageDown: 8, PageUp: -8 }[event.key];
-    if (!step || !this.pictures.length) return;
+    if (!step || !this.names.length) return;
     event.preventDefault();
     event.stopPropagation();
-    const index = this.pictures.findIndex((picture) => picture.name === this.current) + step;
-    this.chosen(this.pictures[Math.min(Math.max(index, 0), this.pictures.length - 1)].name);
+    const index = this.names.indexOf(this.current) + step;
+    this.chosen(this.names[Math.min(Math.max(index, 0), this.names.length - 1)]);
   }
 }
 
-function said({ trust, events, confirmed }) {
+function describe({ trust, events, confirmed }) {
   const words = [trust === null ? "not looked at" : `trust ${trust.toFixed(2)}`];
   if (events) words.push(`${confirmed ? "✓ " : ""}${events} ${events === 1 ? "event" : "events"}`);
   return words.join(" · ");
