@@ -33,7 +33,6 @@ or of a section or a page whose first paragraph says "Measured at 3f5c3f1, 2026-
 """
 
 import argparse
-import csv
 import difflib
 import importlib
 import json
@@ -44,7 +43,6 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
@@ -77,7 +75,7 @@ def evaluate(data: Path, out: Path, runs: Sequence[str], jobs: int) -> None:
                 stdout=subprocess.DEVNULL,
             )
         metrics = json.loads((out / run / "metrics.json").read_text(encoding="utf-8"))
-        keep_records(run, command, records_of(run, metrics) | records_of_masks(run, out / run))
+        keep_records(run, command, records_of(run, metrics))
 
 
 def keep_records(run: str, command: str, values: Records) -> None:
@@ -85,15 +83,6 @@ def keep_records(run: str, command: str, values: Records) -> None:
     kept = {key: values[key] for key in sorted(used() & values.keys())}
     text = json.dumps({"command": command, "values": kept}, indent=0)
     (FIGURES / f"{run}.json").write_text(f"{text}\n", encoding="utf-8")
-
-
-def records_of_masks(run: str, folder: Path) -> dict[str, float]:
-    """Return the mean IoU of two masks of each image, where a run compared them."""
-    path = folder / "disagreement.csv"
-    if not path.is_file():
-        return {}
-    with path.open(encoding="utf-8", newline="") as file:
-        return {f"{run}.masks.iou": fmean(float(row["iou"]) for row in csv.DictReader(file))}
 
 
 def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:

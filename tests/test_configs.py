@@ -48,4 +48,4 @@ def test_the_default_threshold_is_the_one_that_was_chosen(path: Path) -> None:
     else:
         del default["threshold"], chosen["threshold"]
     assert chosen == default
-    assert "#   roadtorch tune camvid" in path.read_text()
+    assert "#   roadtorch evaluate camvid" in path.read_text()

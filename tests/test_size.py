@@ -41,8 +41,8 @@ LINES = {
 
 TOP_NAMES = 18
 DEPENDENCIES = 16
-OPTIONS = 153
-COMMAND_COUNT = 16
+OPTIONS = 117
+COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"
 

@@ -1,4 +1,4 @@
-"""roadtorch detectors, roadtorch planes: what there is, and what can be set."""
+"""roadtorch detectors: what there is, and what can be set."""
 
 import json
 import textwrap
@@ -25,7 +25,8 @@ CIRCULAR = "; circular"
 def detectors(name: str | None) -> None:
     """List the detectors; with a NAME, its settings and their meaning.
 
-    A NAME with wildcards lists those that it fits: 'oneclass:*:HS'.
+    A NAME with wildcards lists those that it fits: 'oneclass:*:HS'. The NAME planes lists the
+    colour planes with their ranges, and the representations made of them.
     """
     from roadtorch.detectors.catalogue import (
         detector_entry,
@@ -36,6 +37,9 @@ def detectors(name: str | None) -> None:
 
     if name is None:
         rows = [row for group in detector_groups().items() for row in listed(*group)]
+    elif name == "planes":
+        click.echo(planes())
+        return
     elif is_pattern(name):
         rows = [(known, detector_entry(known).summary) for known in list_detectors(name)]
     else:
@@ -48,9 +52,8 @@ def detectors(name: str | None) -> None:
     click.echo("\n".join(columns(rows)))
 
 
-@click.command()
-def planes() -> None:
-    """List the colour planes with their ranges, and the representations made of them."""
+def planes() -> str:
+    """Return the colour planes with their ranges, and the representations made of them."""
     from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 
     rows = [("plane", "low", "high", "meaning")]
@@ -58,11 +61,9 @@ def planes() -> None:
         (name, f"{plane.low:g}", f"{plane.high:g}", plane.summary + CIRCULAR * plane.circular)
         for name, plane in PLANES.items()
     ]
-    click.echo("\n".join(columns(rows)))
-    click.echo()
     combined = [("representation", "planes")]
     combined += [(name, " ".join(parts)) for name, parts in REPRESENTATIONS.items()]
-    click.echo("\n".join(columns(combined)))
+    return "\n".join([*columns(rows), "", *columns(combined)])
 
 
 def listed(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:

@@ -1,39 +1,56 @@
-"""roadtorch evaluate, roadtorch tune: detectors over labelled pictures, beside the baselines."""
+"""roadtorch evaluate: detectors over labelled pictures, beside the baselines."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.completion import suggest_detectors
-from roadtorch.cli.options import (
-    CAMERA,
-    PATH,
-    LabelledOptions,
-    as_toml,
-    command_line,
-    with_labelled,
-)
+from roadtorch.cli.completion import suggest_candidates, suggest_datasets
+from roadtorch.cli.options import CAMERA, JOBS, PATH, SETTING, as_toml, command_line
 
 if TYPE_CHECKING:
+    from roadtorch.evaluation.methods import Contender
     from roadtorch.evaluation.result import Evaluation
+    from roadtorch.evaluation.tuning import ThresholdChoice
 
 
 @click.command()
-@with_labelled
+@click.argument("dataset", shell_complete=suggest_datasets)
+@click.argument("root", type=PATH)
+@click.option("--split", help="Part of the data set; camvid: dev (default), train, val, test.")
+@click.option(
+    "--detector",
+    "names",
+    multiple=True,
+    default=("fusion",),
+    shell_complete=suggest_candidates,
+    help="Detector, with wildcards ('cpf*'), or [NAME=]PATH of weights, a config or a folder of "
+    "maps; may be given several times.",
+)
+@SETTING
 @CAMERA
-@click.option("--maps", "folders", multiple=True, help="Maps made elsewhere: NAME=DIR or DIR.")
-@click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
-@click.option("--conditions", type=PATH, help="CSV with each picture's conditions, for ROOT's own.")
-@click.option("--out", type=PATH, help="Folder for metrics.json, report.html, curves and rows.")
-@click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
-@click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
 @click.option(
     "--against",
-    shell_complete=suggest_detectors,
-    help="Compare all with this detector; the best one if not given.",
+    shell_complete=suggest_candidates,
+    help="Compare all with this one, as of --detector; the best one if not given.",
 )
+@click.option("--tune", is_flag=True, help="Choose each detector's threshold: OUT/NAME.toml.")
+@click.option("--submit", is_flag=True, help="Write maps for KITTI's server instead (kitti-road).")
+@click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
+@click.option("--conditions", type=PATH, help="CSV with each picture's conditions, for ROOT's own.")
+@click.option(
+    "--leave-out",
+    "left_out",
+    multiple=True,
+    metavar="GROUP",
+    help="Score this group, but leave it out of means and choices.",
+)
+@click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
+@click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
+@click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only.")
+@JOBS
+@click.option("--out", type=PATH, help="Folder for metrics.json, report.html, tables and rows.")
 @click.option(
     "--montage",
     type=click.IntRange(min=0),
@@ -43,15 +60,23 @@ if TYPE_CHECKING:
 @click.pass_context
 def evaluate(
     context: click.Context,
-    labelled: LabelledOptions,
+    dataset: str,
+    root: Path,
+    split: str | None,
+    names: tuple[str, ...],
+    assignments: tuple[str, ...],
     camera: Path | None,
-    folders: tuple[str, ...],
+    against: str | None,
+    tune: bool,
+    submit: bool,
     bev: bool,
     conditions: Path | None,
-    out: Path | None,
+    left_out: tuple[str, ...],
     mean_from: str | None,
     threshold_from: Path | None,
-    against: str | None,
+    limit: int | None,
+    jobs: int | None,
+    out: Path | None,
     montage: int,
 ) -> None:
     """Score detectors on the labelled pictures of DATASET (camvid, kitti-road, …) at ROOT.
@@ -59,117 +84,125 @@ def evaluate(
     Every picture is read once and shown to every detector. Beside them stand blind
     baselines, which never look at the picture: prior:rows, prior:triangle and, where other
     groups can teach it, prior:mean.
-    Start an interrupted run again to resume it.
+
+    --tune chooses the threshold with the highest F, averaged over the groups, for infer
+    --config; beside it stands how well such a choice carries over: F and IoU of each group at
+    the threshold that the other groups choose. --submit writes the maps that KITTI's server
+    takes, of the pictures in ROOT/image_2 or ROOT/testing/image_2.
     """
-    from roadtorch.base.settings import merge, parse_assignments
-    from roadtorch.data.catalogue import open_named
+    from roadtorch.base.settings import parse_assignments
+    from roadtorch.camera.camera import Camera
+    from roadtorch.data.catalogue import open_dataset, open_named
+    from roadtorch.data.dataset import leave_out
     from roadtorch.data.folder import with_conditions
     from roadtorch.data.kitti import birds_eye
-    from roadtorch.data.maps import parse_maps
     from roadtorch.evaluation.evaluate import evaluate as score
+    from roadtorch.evaluation.methods import reference
     from roadtorch.evaluation.report.tables import screen
+    from roadtorch.evaluation.tuning import choice_table, choose_thresholds
     from roadtorch.run.folder import output_lock
     from roadtorch.run.workers import settle
 
+    if out is None and (tune or submit):
+        raise click.UsageError("--tune and --submit write files: give --out")
     settle(threads=1)
+    settings = parse_assignments(assignments)
+    lens = None if camera is None else Camera.read(camera)
+    if submit:
+        assert out is not None
+        if len(names) != 1 or dataset != "kitti-road":
+            raise click.UsageError("--submit is for kitti-road and one --detector")
+        write_submission(context, reference(names[0], settings, lens), root, out, jobs)
     if out is not None:
         context.with_resource(output_lock(out))  # now rather than after the long run
-    dataset, names = labelled.opened(), labelled.names
-    default = click.core.ParameterSource.DEFAULT
-    if folders and context.get_parameter_source("names") is default:
-        names = ()  # no detector but the baselines when only maps are asked for
-    values = merge(camera_settings(camera, names), parse_assignments(labelled.assignments))
+    labelled = leave_out(open_dataset(dataset, root, split), left_out)
     if conditions is not None:
-        dataset = with_conditions(dataset, conditions)
+        labelled = with_conditions(labelled, conditions)
     evaluation = score(
-        birds_eye(dataset) if bev else dataset,
+        birds_eye(labelled) if bev else labelled,
         names,
-        settings=values,
-        maps=parse_maps(folders),
-        limit=labelled.limit,
+        settings=settings,
+        camera=lens,
+        limit=limit,
         mean_from=None if mean_from is None else open_named(mean_from),
         threshold_from=threshold_from,
         against=against,
-        jobs=labelled.jobs,
+        jobs=jobs,
         quiet=False,
     )
     click.echo(screen(evaluation))
-    tell_failures(evaluation)
+    choices = choose_thresholds(evaluation) if tune else []
+    if choices:
+        click.echo(f"\n{choice_table(choices).text()}")
+    print_cautions(evaluation)
     if out is not None:
-        from roadtorch.evaluation.report.files import write  # with what draws, which takes a while
-
-        write(evaluation, out, command_line(context), montage)
+        write_files(evaluation, choices, out, command_line(context), montage)
     context.exit(1 if evaluation.failures else 0)
 
 
-@click.command()
-@with_labelled
-@click.option("--out", type=PATH, required=True, help="Folder for the configs, NAME.toml.")
-@click.pass_context
-def tune(
-    context: click.Context,
-    labelled: LabelledOptions,
-    out: Path,
-) -> None:
-    """Choose thresholds on the labelled pictures of DATASET at ROOT.
+def print_cautions(evaluation: "Evaluation") -> None:
+    """Print a line for each detector that people's corrections taught, and for each failure."""
+    from roadtorch.layout.weights import corrected_pictures
 
-    The threshold with the highest F, averaged over the groups, goes into OUT/NAME.toml
-    together with the detector's settings and this command; use it with infer --config.
-    Shown beside it is how well such a choice carries over: F and IoU of each group at the
-    threshold that the other groups choose.
-    """
-    from roadtorch.base.atomic import write_text
-    from roadtorch.base.settings import parse_assignments
-    from roadtorch.evaluation.evaluate import evaluate as score
-    from roadtorch.evaluation.tuning import choice_table, choose_threshold, provenance
-    from roadtorch.run.folder import output_lock
-    from roadtorch.run.workers import settle
-
-    settle(threads=1)
-    context.with_resource(output_lock(out))
-    settings = parse_assignments(labelled.assignments)
-    evaluation = score(
-        labelled.opened(),
-        labelled.names,
-        settings=settings,
-        limit=labelled.limit,
-        jobs=labelled.jobs,
-        quiet=False,
-    )
-    choices = [
-        choose_threshold(evaluation, name, settings)
-        for name, figures in evaluation.detectors.items()
-        if not figures.is_baseline
-    ]
-    for choice in choices:
-        path = out / f"{choice.detector.replace(':', '-')}.toml"
-        lines = provenance(choice, evaluation, command_line(context))
-        comment = "".join(f"# {line}\n" for line in lines)
-        write_text(path, f"{comment}\n{as_toml(choice.detector, choice.settings)}\n")
-    click.echo(choice_table(choices).text())
-    tell_failures(evaluation)
-    context.exit(1 if evaluation.failures else 0)
-
-
-def camera_settings(path: Path | None, names: Sequence[str]) -> dict[str, Any]:
-    """What a camera's file sets for all detectors of those names; nothing without a file.
-
-    Raises as ``Camera.read`` and ``expand_names`` do.
-    """
-    from roadtorch.camera.camera import Camera
-    from roadtorch.detectors.catalogue import detector_entry
-    from roadtorch.detectors.detector import DetectorSettings
-    from roadtorch.evaluation.methods import expand_names
-
-    if path is None:
-        return {}
-    camera = Camera.read(path)
-    kinds = [detector_entry(name).settings for name in expand_names(names)]
-    for_all = [camera.settings_for(kind) for kind in kinds or [DetectorSettings]]
-    return min(for_all, key=len)  # the ego car for each, the horizon where every one has it
-
-
-def tell_failures(evaluation: "Evaluation") -> None:
-    """One line on stderr for each picture that could not be scored."""
+    for name, figures in evaluation.detectors.items():
+        if count := corrected_pictures(figures.contender.settings):
+            text = f"{name} was trained with {count} pictures that people corrected: not "
+            click.echo(f"roadtorch: {text}label-free, and no news on those pictures", err=True)
     for failure in evaluation.failures:
         click.echo(f"failed: {failure.image}: {failure.reason}", err=True)
+
+
+def write_files(
+    evaluation: "Evaluation",
+    choices: "Sequence[ThresholdChoice]",
+    out: Path,
+    command: str,
+    montage: int,
+) -> None:
+    """Write what stays of a run, and a config with each threshold that was chosen."""
+    from roadtorch.base.atomic import write_text
+    from roadtorch.evaluation.report.files import write  # with what draws, which takes a while
+    from roadtorch.evaluation.tuning import provenance
+
+    write(evaluation, out, command, montage)
+    for choice in choices:
+        comment = provenance(choice, evaluation, command)
+        config = as_toml(choice.contender.detector, choice.settings)
+        file = out / f"{choice.contender.name.replace(':', '-')}.toml"
+        write_text(file, f"{comment}\n{config}\n")
+
+
+def write_submission(
+    context: click.Context, contender: "Contender", root: Path, out: Path, jobs: int | None
+) -> None:
+    """Write the maps of one detector for KITTI's server, and end the command.
+
+    ROOT holds image_2 and calib, or testing/image_2 and testing/calib. The picture um_000012
+    gives um_road_000012.png, its likelihood in bird's-eye view (800 by 400, 8 bits), and all of
+    them submission.zip once every picture is done. A second run resumes where the first stopped.
+    """
+    from roadtorch.data.kitti import base_folder, calib_folder
+    from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.inputs.find import Inputs
+    from roadtorch.run.ledger import Method
+    from roadtorch.run.loop import Inference, Task
+    from roadtorch.run.memo import key_of
+    from roadtorch.run.plan import plan
+    from roadtorch.run.run import RunOptions, open_run
+    from roadtorch.run.writers.kitti import ARCHIVE, BirdsEyeMaps, pack, pictures_to_submit
+
+    threshold = contender.threshold
+    detector = load_detector(contender.detector, threshold=threshold, **contender.settings)
+    base = base_folder(root, "testing")
+    maps = BirdsEyeMaps(out, calib_folder(base))
+    pictures = pictures_to_submit(base / "image_2", maps.calib, out)
+    todo = plan(Inputs(pictures, []), out, maps.suffixes)
+    effective = as_toml(detector.name, detector.settings)
+    run = context.with_resource(open_run(out, effective, todo.count, RunOptions(jobs)))
+    method = Method(key_of(detector), ("map",))
+    if failed := run.pictures(pictures, Task(Inference(detector), maps, method)):
+        click.echo(f"roadtorch: {out / ARCHIVE} not written, as maps are missing", err=True)
+        context.exit(failed)
+    archive = pack(pictures, out)
+    click.echo(f"roadtorch: {len(pictures)} maps in {archive}", err=True)
+    context.exit(0)

@@ -23,7 +23,6 @@ COMMANDS = {
     "adapt": ("roadtorch.cli.adapt:adapt", "Fine-tune the network on footage, without labels."),
     "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
     "camera": ("roadtorch.cli.camera:camera", "Find ego car and horizon in a camera's footage."),
-    "compare": ("roadtorch.cli.compare:compare", "Compare two weights, configs or map folders."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
     "doctor": ("roadtorch.cli.doctor:doctor", "Check this installation."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
@@ -31,11 +30,8 @@ COMMANDS = {
     "grid": ("roadtorch.cli.grid:grid", "Map the road in pictures onto the ground, in metres."),
     "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
     "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),
-    "planes": ("roadtorch.cli.detectors:planes", "List the colour planes and representations."),
     "ros": ("roadtorch.cli.ros:ros", "Run a node of ROS 2 that finds the road."),
     "train": ("roadtorch.cli.train:train", "Train a layout network on unlabelled pictures."),
-    "submit": ("roadtorch.cli.submit:submit", "Write a submission to the KITTI road benchmark."),
-    "tune": ("roadtorch.cli.evaluate:tune", "Choose a detector's threshold on labelled pictures."),
 }
 
 ELSEWHERE = {

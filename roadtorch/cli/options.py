@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from roadtorch.cli.completion import suggest_datasets, suggest_detectors, suggest_files
+from roadtorch.cli.completion import suggest_detectors, suggest_files
 
 if TYPE_CHECKING:
     from roadtorch.base.settings import Settings
     from roadtorch.camera.camera import Camera
-    from roadtorch.data.dataset import Dataset
     from roadtorch.detectors.detector import Detector
 
 PATH = click.Path(path_type=Path)
@@ -233,63 +232,6 @@ with_selection = _gathered(
     click.option("--topic", help="Image topic, where a bag has several."),
 )
 """A command gets the options of a ``Selection`` as ``selection``."""
-
-
-@dataclass(frozen=True)
-class LabelledOptions:
-    """Which detectors are looked at on which labelled pictures; see the options."""
-
-    dataset: str
-    root: Path
-    split: str | None
-    names: tuple[str, ...]
-    assignments: tuple[str, ...]
-    left_out: tuple[str, ...]
-    limit: int | None
-    jobs: int | None
-
-    def opened(self) -> "Dataset":
-        """The labelled set; DatasetError for one that is not there."""
-        from roadtorch.data.catalogue import open_dataset
-        from roadtorch.data.dataset import leave_out
-
-        return leave_out(open_dataset(self.dataset, self.root, self.split), self.left_out)
-
-
-with_labelled = _gathered(
-    "roadtorch.cli.options:LabelledOptions",
-    "labelled",
-    click.argument("dataset", shell_complete=suggest_datasets),
-    click.argument("root", type=PATH),
-    click.option(
-        "--split",
-        help="Part of the data set; camvid: dev (default), train, val, test.",
-    ),
-    click.option(
-        "--detector",
-        "names",
-        multiple=True,
-        default=("fusion",),
-        shell_complete=suggest_detectors,
-        help="Detector; may be given several times, with wildcards ('cpf*').",
-    ),
-    click.option(
-        "--set",
-        "assignments",
-        multiple=True,
-        help="Setting of the detectors: key=value.",
-    ),
-    click.option(
-        "--leave-out",
-        "left_out",
-        multiple=True,
-        metavar="GROUP",
-        help="Score this group, but leave it out of means and choices.",
-    ),
-    click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only."),
-    JOBS,
-)
-"""A command gets DATASET, ROOT and the options of ``LabelledOptions`` as ``labelled``."""
 
 
 def command_line(context: click.Context) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from roadtorch.base.errors import ConfigError, DatasetError, unknown_name
 from roadtorch.base.plugins import load_plugins
 from roadtorch.data import camvid, kitti
+from roadtorch.data.corrections import open_corrections
 from roadtorch.data.dataset import Dataset, Kind
 from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
 
@@ -19,6 +20,7 @@ ENTRY_POINT_GROUP = "roadtorch.datasets"
 
 KINDS: Mapping[str, Kind] = {
     **camvid.KINDS,
+    "corrections": Kind(("all",), open_corrections),
     "cityscapes": Kind(("val", "train"), open_cityscapes),
     "folder": Kind(("all",), open_folder),
     "idd-lite": Kind(("all",), open_idd_lite),

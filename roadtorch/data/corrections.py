@@ -303,17 +303,16 @@ class CorrectionLabels:
         )
 
 
-def open_corrections(folder: Path, pictures: Path | None = None) -> Dataset:
+def open_corrections(folder: Path, split: str = "all") -> Dataset:
     """Open the corrected pictures of which the road of some pixel was said, sorted by name.
 
-    folder, pictures: see ``read_corrections``, which says what is raised; DatasetError too where
-    nobody said anything of the road.
+    Raises what ``read_corrections`` does; DatasetError too where nobody said anything of the road.
     """
     items = []
-    for correction in read_corrections(folder, pictures):
+    for correction in read_corrections(folder):
         if correction.says_road.any():
             name = PurePosixPath(correction.name).with_suffix("").as_posix()
             items.append(LabelledItem(name, correction.picture, correction.log))
     if not items:
         raise DatasetError(folder, "says nothing of the road", "correct some pictures")
-    return Dataset("corrections", folder, "all", tuple(items), CorrectionLabels())
+    return Dataset("corrections", folder, split, tuple(items), CorrectionLabels())

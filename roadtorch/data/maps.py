@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.bounded import printable, read_regular, reason
+from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings, read_settings_file
@@ -24,28 +24,6 @@ CONFIG, MASK = "config.toml", ".mask.png"
 
 DECIDING = ("threshold", "isolated", "seed_area")
 """The settings by which a likelihood becomes a mask."""
-
-
-def parse_maps(texts: Sequence[str]) -> dict[str, Path]:
-    """Folders by name, of texts ``NAME=DIR`` or ``DIR``, whose own name is then taken.
-
-    Raises ConfigError for a folder that does not exist, for two of one name, and for a name
-    that could not be that of a file in one folder.
-    """
-    folders: dict[str, Path] = {}
-    for text in texts:
-        name, equals, folder = text.rpartition("=")
-        path = Path(folder)
-        if not path.is_dir():
-            raise ConfigError(folder, "is not a folder", "give the folder that holds the maps")
-        name = name if equals else printable(path.resolve().name)
-        if not name.isprintable() or set(name) & set("/\\") or name in ("", ".", ".."):
-            message = f"the name {name!r} cannot be that of a file"
-            raise ConfigError("--maps", message, "write NAME=DIR, the name without / and \\")
-        if name in folders:
-            raise ConfigError("--maps", "gives two folders one name", "write NAME=DIR")
-        folders[name] = path
-    return folders
 
 
 def read_map(path: Path) -> Tensor:

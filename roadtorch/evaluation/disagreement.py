@@ -1,4 +1,4 @@
-"""What two methods decide differently on unlabelled pictures: A and B, or before and after."""
+"""What two methods decide differently on unlabelled images: before and after further training."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -6,8 +6,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
-
-from torch import Tensor
 
 from roadtorch.base.errors import DatasetError, InputError, RoadtorchError
 from roadtorch.base.image import read_image
@@ -23,27 +21,18 @@ from roadtorch.run.workers import DIED, workers_for
 
 @dataclass(frozen=True)
 class Disagreement:
-    """One picture as two see it.
+    """One image as two see it.
 
-    differs: share of the pixels on which the masks differ. first, second: road share of each.
-    only_first, only_second: share of the pixels that one alone calls road. first_trust,
-    second_trust: NaN where the detector has none.
+    differs: fraction of the pixels on which the masks differ. first, second: fraction of road of
+    each. first_trust, second_trust: NaN where the detector has none.
     """
 
     item: LabelledItem
     differs: float
     first: float
     second: float
-    only_first: float
-    only_second: float
     first_trust: float = math.nan
     second_trust: float = math.nan
-
-    @property
-    def iou(self) -> float:
-        """What both call road, of what either does; 1 where neither finds any."""
-        either = self.first + self.only_second
-        return (self.first - self.only_first) / either if either else 1.0
 
     @property
     def has_trust(self) -> bool:
@@ -78,23 +67,25 @@ class Disagreements:
 
 @dataclass(frozen=True)
 class Comparing:
-    """The task of workers: two contenders decide on one picture."""
+    """The task of workers: two contenders decide on one image."""
 
     looks: Looks
 
     def __call__(self, item: LabelledItem) -> Disagreement | Failure:
-        """How they differ, or why one of them says nothing."""
+        """Return how they differ, or why one of them says nothing."""
         try:
             image = read_image(item.image)
             with image_cache():
                 first, second = (look(image, item) for look in self.looks.by_name.values())
         except RoadtorchError as problem:
             return Failure(item.name, None, str(problem))
-        trusts = [
+        parts = (first.mask & ~second.mask, second.mask & ~first.mask, first.mask, second.mask)
+        only_first, only_second, *roads = (float(part.double().mean()) for part in parts)
+        trusts = (
             math.nan if detection.trust is None else detection.trust
             for detection in (first, second)
-        ]
-        return disagreement(item, first.mask, second.mask, *trusts)
+        )
+        return Disagreement(item, only_first + only_second, *roads, *trusts)
 
 
 def disagreements(
@@ -123,14 +114,6 @@ def disagreements(
 
 def _died(item: LabelledItem) -> Failure:
     return Failure(item.name, None, str(InputError(item.image, *DIED)))
-
-
-def disagreement(item: LabelledItem, first: Tensor, second: Tensor, *trusts: float) -> Disagreement:
-    """What two masks bool (H,W) of one picture differ in; trusts: of both, if they are known."""
-    shares = [
-        float(mask.double().mean()) for mask in (first, second, first & ~second, second & ~first)
-    ]
-    return Disagreement(item, shares[2] + shares[3], *shares, *trusts)
 
 
 # --- what further training changed: first is before, second is after ----------------------

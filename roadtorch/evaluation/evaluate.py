@@ -6,12 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from roadtorch.base.errors import DatasetError, UnscorableError, unknown_name
+from roadtorch.base.errors import DatasetError, UnscorableError
 from roadtorch.base.progress import Progress
+from roadtorch.camera.camera import Camera
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.methods import Contender, contenders
+from roadtorch.evaluation.methods import Contender, contenders, reference, with_thresholds
 from roadtorch.evaluation.result import Evaluation, Failure, summarise
 from roadtorch.evaluation.scoring import score
 from roadtorch.evaluation.tally import Tally
@@ -20,48 +21,48 @@ from roadtorch.evaluation.uncertainty import compare, intervals, resample
 
 def evaluate(
     dataset: Dataset,
-    detectors: Sequence[str] = ("fusion",),
+    detectors: Sequence[str | Contender] = ("fusion",),
     *,
     settings: Mapping[str, Any] | None = None,
-    maps: Mapping[str, Path] | None = None,
+    camera: Camera | None = None,
     limit: int | None = None,
     mean_from: Dataset | None = None,
     threshold_from: Path | None = None,
     against: str | None = None,
+    with_baselines: bool = True,
     measures: Sequence[Measure] = MEASURES,
     jobs: int | None = 1,
     quiet: bool = True,
 ) -> Evaluation:
     """Score detectors beside the baselines ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
 
-    detectors: names, with wildcards. settings: nested values for those that are named.
-    maps: by name, folders of likelihood maps made elsewhere.
-    limit: look at so many pictures only, evenly spread. mean_from: the set that teaches
-    ``prior:mean`` where the groups of this one cannot. threshold_from: the metrics.json of
-    an earlier run whose thresholds are taken. against: the detector that all are compared
-    with, the best one if not given. measures: what is measured. jobs: processes, None for what
-    pays; the figures do not depend on it. quiet: no progress is shown.
+    Args:
+        dataset: the labelled set.
+        detectors: names, with wildcards; weight files, configs, and folders of likelihood maps,
+            as PATH or NAME=PATH.
+        settings: nested values for those that are named.
+        camera: the one that made the pictures.
+        limit: look at so many pictures only, evenly spread.
+        mean_from: the set that teaches ``prior:mean`` where the groups of this one cannot.
+        threshold_from: the metrics.json of an earlier run whose thresholds are taken.
+        against: the detector that all are compared with, as in ``detectors``; the best one if
+            not given.
+        with_baselines: whether the baselines are scored as well.
+        measures: what is measured.
+        jobs: processes, None for what pays; the figures do not depend on it.
+        quiet: whether no progress is shown.
 
-    Raises ConfigError for what can be refused before the run, DatasetError when no picture
-    could be scored, UnscorableError when no label has any road.
+    Raises:
+        ConfigError: for what can be refused before the run.
+        DatasetError: when no picture could be scored.
+        UnscorableError: when no label has any road.
     """
-    entries = contenders(dataset, detectors, settings or {}, maps or {}, mean_from, threshold_from)
-    return evaluated(dataset, entries, limit, against, measures, jobs, quiet)
-
-
-def evaluated(
-    dataset: Dataset,
-    entries: Sequence[Contender],
-    limit: int | None = None,
-    against: str | None = None,
-    measures: Sequence[Measure] = MEASURES,
-    jobs: int | None = 1,
-    quiet: bool = True,
-) -> Evaluation:
-    """Score contenders as they are; the rest, and what it raises, as for ``evaluate``."""
-    names = [entry.name for entry in entries]
-    if against is not None and against not in names:
-        raise unknown_name("detector of this run", against, names)
+    entries = contenders(dataset, detectors, settings or {}, camera, mean_from, with_baselines)
+    if against is not None and against not in {entry.name for entry in entries}:
+        entries.append(reference(against, settings or {}, camera))
+        against = entries[-1].name
+    if threshold_from is not None:
+        entries = with_thresholds(entries, threshold_from)
     pictures = every_kth(dataset, limit)
     conditions = pictures.by_condition()
     tallies, failures = count_pictures(pictures, entries, jobs, quiet)
@@ -69,11 +70,11 @@ def evaluated(
         entry.name: summarise(entry, tallies[entry.name], measures, pictures.left_out, conditions)
         for entry in entries
     }
-    draws = {name: resample(tallies[name], figures[name], measures) for name in names}
-    best = max(names, key=lambda name: figures[name].rank)
+    draws = {name: resample(tallies[name], figures[name], measures) for name in figures}
+    best = max(figures, key=lambda name: figures[name].rank)
     return Evaluation(
         pictures,
-        {name: replace(figures[name], intervals=intervals(draws[name])) for name in names},
+        {name: replace(own, intervals=intervals(draws[name])) for name, own in figures.items()},
         compare(figures, draws, against or best, measures),
         failures,
         tallies,

@@ -13,7 +13,8 @@ from torch.nn import functional
 
 from roadtorch.base.bounded import printable, read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.settings import SUFFIX, THRESHOLDS, config_file, read_settings_file
+from roadtorch.base.settings import SUFFIX, THRESHOLDS, config_file, merge, read_settings_file
+from roadtorch.camera.camera import Camera
 from roadtorch.data import maps
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import (
@@ -52,9 +53,10 @@ LONGEST_NAME = 60  # letters that a message tells of a name in a file
 class Contender:
     """One detector of a run.
 
-    prepare: makes it ready for a set's pictures; it travels to processes. settings:
-    all of them but the threshold, as JSON can hold them. threshold: its default one; chosen:
-    the one that an earlier run chose. is_baseline: whether it never looks at the picture.
+    prepare: makes it ready for a set's pictures; it travels to processes. settings: all of them
+    but the threshold, as JSON can hold them. threshold: its default one; chosen: the one that an
+    earlier run chose. is_baseline: whether it never looks at the picture. detector: its name in
+    the catalogue; empty for maps made elsewhere, and for prior:mean.
     """
 
     name: str
@@ -63,85 +65,107 @@ class Contender:
     threshold: float = 0.5
     is_baseline: bool = False
     chosen: float | None = None
+    detector: str = ""
 
 
 def contenders(
     dataset: Dataset,
-    detectors: Sequence[str],
+    detectors: Sequence[str | Contender],
     settings: Mapping[str, Any],
-    folders: Mapping[str, Path],
+    camera: Camera | None = None,
     mean_from: Dataset | None = None,
-    threshold_from: Path | None = None,
+    with_baselines: bool = True,
 ) -> list[Contender]:
-    """The detectors, those that give maps from folders, and the baselines, in this order.
+    """Return the contenders, each once, and the baselines, in this order.
 
-    detectors: names, with wildcards. settings: values for all that are named. folders: by
-    name, maps made elsewhere. mean_from: the set that teaches ``prior:mean``. threshold_from:
-    the metrics.json of an earlier run whose thresholds are taken.
+    detectors: texts as of ``candidates``. settings: values for all of them. camera: the one that
+    made the pictures. mean_from: the set that teaches ``prior:mean``.
     Raises ConfigError for whatever can be refused before the run.
     """
-    names = expand_names(detectors)
-    entries = [named_detector(name, settings) for name in names]
-    entries += [named_detector(name, {}) for name in BASELINES if name not in names]
-    entries += [maps_from(name, folder) for name, folder in folders.items()]
-    if masks := mean_masks(dataset, mean_from):
-        prepare = partial(_mean_look, masks)
-        entries.append(Contender(MEAN, prepare, {}, MEAN_THRESHOLD, is_baseline=True))
-    if threshold_from is None:
-        return entries
-    earlier = earlier_thresholds(threshold_from, entries)
-    return [replace(entry, chosen=earlier[entry.name]) for entry in entries]
+    entries: dict[str, Contender] = {}
+    for text in detectors:
+        given = [text] if isinstance(text, Contender) else candidates(text, settings, camera)
+        for entry in given:
+            first = entries.setdefault(entry.name, entry)
+            if (first.settings, first.threshold) != (entry.settings, entry.threshold):
+                raise ConfigError(entry.name, "is the name of two", "write NAME=PATH")
+    if with_baselines:
+        for name in BASELINES:
+            entries.setdefault(name, named_detector(name, {}))
+        if masks := mean_masks(dataset, mean_from):
+            prepare = partial(_mean_look, masks)
+            entries[MEAN] = Contender(MEAN, prepare, {}, MEAN_THRESHOLD, is_baseline=True)
+    return list(entries.values())
 
 
-def expand_names(names: Sequence[str]) -> list[str]:
-    """Detector names with wildcards expanded, each once, in the order given.
-
-    The hundreds of a grid need its family: ``oneclass:*:HS``, see ``list_detectors``.
-    Raises ConfigError for a name or a pattern that fits nothing.
-    """
-    known: dict[str, None] = {}
-    for name in names:
-        if name != MEAN:
-            matches = list_detectors(name) if is_pattern(name) else [detector_entry(name).name]
-            known.update(dict.fromkeys(matches))
-    return list(known)
-
-
-def candidate(text: str, letter: str) -> Contender:
-    """The contender that a text stands for, called ``LETTER:NAME``.
-
-    text: a weight file, what ``--config`` takes, a folder of likelihood maps, or the name of
-    a detector. Raises ConfigError for anything else; WeightsError and InputError for a file that
-    cannot be used.
-    """
-    path, detector, values = Path(text), text, {}
-    called = f"{path.resolve().parent.name}-{path.stem}"  # many files are called weights
-    if path.is_dir():
-        called = path.resolve().name
-    elif path.suffix == ".safetensors":
-        detector, values = BY_NETWORK[load_network(path).kind], {"weights": {"file": text}}
-    elif path.suffix == SUFFIX or text.startswith(THRESHOLDS):
-        values = read_settings_file(config_file(text))
-        detector = str(values.pop("detector", "fusion"))
-    elif text not in list_detectors() and ("/" in text or path.suffix):
-        raise ConfigError(
-            text, "is no weight file, config, folder of maps or detector", "check the name"
-        )
-    else:
-        called = text
-    contender = maps_from("", path) if path.is_dir() else named_detector(detector, values)
-    return replace(contender, name=f"{letter}:{printable(called)}")
+def reference(text: str, settings: Mapping[str, Any], camera: Camera | None = None) -> Contender:
+    """Return the one contender that all others are compared with, as ``candidates`` does."""
+    found = candidates(text, settings, camera)
+    if len(found) != 1:
+        raise ConfigError(text, "is not one detector of this run", "name one")
+    return found[0]
 
 
 # --- detectors --------------------------------------------------------------------------
 
 
-def named_detector(name: str, values: Mapping[str, Any]) -> Contender:
-    """A detector of the catalogue; ConfigError for settings that it does not have."""
+def candidates(
+    text: str, settings: Mapping[str, Any] | None = None, camera: Camera | None = None
+) -> list[Contender]:
+    """Return the contenders that a text stands for.
+
+    text: the name of a detector, with wildcards (the hundreds of a grid need its family:
+    ``oneclass:*:HS``); or a weight file, what ``--config`` takes, or a folder of likelihood maps,
+    as PATH or NAME=PATH. Raises ConfigError for anything else, WeightsError and InputError for a
+    file that cannot be used.
+    """
+    settings = settings or {}
+    if text == MEAN:
+        return []
+    if is_pattern(text):
+        return [named_detector(name, settings, camera) for name in list_detectors(text)]
+    name, equals, file = text.partition("=")
+    if not equals or Path(text).exists():
+        name, file = "", text
+    path = Path(file)
+    if not equals and is_detector(text):
+        return [named_detector(text, settings, camera)]
+    if not name.isprintable() or set(name) & set("/\\"):
+        raise ConfigError(text, f"the name {name!r} cannot be that of a file", "choose another")
+    if path.is_dir():
+        return [maps_from(name or printable(path.resolve().name), path)]
+    if path.suffix == ".safetensors":
+        detector, values = BY_NETWORK[load_network(path).kind], {"weights": {"file": file}}
+    elif path.suffix == SUFFIX or file.startswith(THRESHOLDS):
+        values = read_settings_file(config_file(file))
+        detector = str(values.pop("detector", "fusion"))
+    elif equals or "/" in text or path.suffix:
+        message = "is no weight file, config, folder of maps or detector"
+        raise ConfigError(text, message, "check the name")
+    else:
+        detector, values = text, {}  # of none, which is refused
+    entry = named_detector(detector, merge(values, settings), camera)
+    by_file = f"{path.resolve().parent.name}-{path.stem}"  # many files are called weights
+    return [replace(entry, name=name or printable(by_file))]
+
+
+def is_detector(name: str) -> bool:
+    """Return whether the catalogue has a detector of that name."""
+    try:
+        return bool(detector_entry(name))
+    except ConfigError:
+        return False
+
+
+def named_detector(name: str, values: Mapping[str, Any], camera: Camera | None = None) -> Contender:
+    """Return a detector of the catalogue; ConfigError for settings that it does not have."""
     entry = detector_entry(name)
+    if camera is not None:
+        values = merge(camera.settings_for(entry.settings), values)
     settings = entry.configured(values).model_dump(mode="json")
     threshold = settings.pop("threshold")
-    return Contender(name, partial(_load, name, values), settings, threshold, entry.baseline)
+    prepare = partial(_load, name, values)
+    return Contender(name, prepare, settings, threshold, entry.baseline, detector=name)
 
 
 def _load(name: str, values: Mapping[str, Any], _: Dataset) -> Look:
@@ -259,8 +283,8 @@ class _EarlierRun(BaseModel):
     detectors: dict[str, _EarlierFigures]
 
 
-def earlier_thresholds(path: Path, entries: Sequence[Contender]) -> dict[str, float]:
-    """For every contender the threshold that an earlier run chose on all its groups.
+def with_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]:
+    """Return the contenders with the thresholds that an earlier run chose on all its groups.
 
     path: its metrics.json. Raises InputError for another file; ConfigError when the run has
     no such detector, or it had other settings: a threshold means nothing for another detector.
@@ -272,7 +296,7 @@ def earlier_thresholds(path: Path, entries: Sequence[Contender]) -> dict[str, fl
         raise InputError(path, message, "give a metrics.json") from None
     except ValidationError:
         raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
-    chosen: dict[str, float] = {}
+    chosen: list[Contender] = []
     for entry in entries:
         figures = earlier.get(entry.name)
         if figures is None or figures.maxf_threshold is None:
@@ -283,5 +307,5 @@ def earlier_thresholds(path: Path, entries: Sequence[Contender]) -> dict[str, fl
         if figures.settings != entry.settings:
             message = f"chose the threshold of {entry.name} with other settings"
             raise ConfigError(path, message, "run both with the same --set")
-        chosen[entry.name] = figures.maxf_threshold
+        chosen.append(replace(entry, chosen=figures.maxf_threshold))
     return chosen

@@ -9,8 +9,8 @@ from roadtorch.evaluation.disagreement import (
     most_and_spread,
     unlabelled_set,
 )
-from roadtorch.evaluation.evaluate import evaluated
-from roadtorch.evaluation.methods import candidate
+from roadtorch.evaluation.evaluate import evaluate
+from roadtorch.evaluation.methods import reference
 from roadtorch.evaluation.report.adaptation import Adaptation, score_line, write_adaptation
 from roadtorch.inputs.item import spread
 from roadtorch.inputs.pictures import find_pictures
@@ -43,8 +43,8 @@ def write_page(
         return None
     weights, calibrated = outcome.weights, outcome.weights.with_name(FUSION)
     start = weights_path(training.start)
-    before = candidate(str(start), "")
-    after = candidate(str(calibrated if calibrated.exists() else weights), "")
+    before = reference(str(start), {})
+    after = reference(str(calibrated if calibrated.exists() else weights), {})
     methods = (replace(before, name="before"), replace(after, name="after"))
     pictures = find_pictures([request.images], request.out)
     dataset = every_kth(unlabelled_set(pictures), COMPARED)
@@ -68,7 +68,9 @@ def write_page(
         shown=most_and_spread(seen.pictures, SHOWN),
         taught=taught,
         rows=RunFolder(request.out).read_log(),
-        labelled=evaluated(labelled, methods, against="before") if labelled else None,
+        labelled=evaluate(labelled, methods, against="before", with_baselines=False)
+        if labelled
+        else None,
         verdict=verdict,
     )
     write_adaptation(request.out / PAGE, change, command)

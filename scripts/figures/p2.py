@@ -16,7 +16,7 @@ from roadtorch.data.dataset import Dataset, LabelledItem, every_kth
 from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, roc
-from roadtorch.evaluation.evaluate import evaluated
+from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import Contender, Look, named_detector
 from roadtorch.evaluation.metrics import auc
 from roadtorch.evaluation.tally import Part, Tally, of_groups
@@ -53,7 +53,7 @@ def tally_detectors(
         replace(change(named_detector(name, settings)), name=title)
         for title, (name, settings) in detectors.items()
     ]
-    run = evaluated(dataset, entries, measures=(), quiet=False)
+    run = evaluate(dataset, entries, with_baselines=False, measures=(), quiet=False)
     for failure in run.failures:
         raise RuntimeError(f"{failure.image}: {failure.reason}")
     return run.tallies

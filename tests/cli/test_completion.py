@@ -25,7 +25,7 @@ def offered(line: str) -> list[str]:
         ("detectors cpf:", ["cpf:squares", "cpf:v2"]),
         ("evaluate ", list_datasets()),
         ("infer --detector ", list_detectors("*")),
-        *((line, ["file"]) for line in ("infer str", "label str", "compare nothing-of-that-name")),
+        *((line, ["file"]) for line in ("infer str", "label str", "evaluate a b --detector ./")),
         *((line, ["file"]) for line in ("train --config none", "train --images str")),
         ("infer --detector nothing-of-that-name", []),
     ],

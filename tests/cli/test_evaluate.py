@@ -6,14 +6,22 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import Result
 
+from roadtorch.annotate.session import import_event
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.cli.evaluate import evaluate
+from roadtorch.cli.options import DetectorOptions
+from roadtorch.data.corrections import EventLog, LogHead, log_path
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import scoring, uncertainty
 from roadtorch.evaluation.report import files
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.weights import save_network
+from roadtorch.testing.scenes import render_scene, write_picture
 from tests.command import Call, invoked
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 
@@ -122,16 +130,60 @@ def test_options_reach_the_run(camvid, tmp_path):
     assert found["paired"]["against"] == "prior:rows"
     gain = found["paired"]["detectors"][ORACLE]["maxf"]
     assert 0 < gain["ci95"][0] <= gain["difference"] <= gain["ci95"][1]
-    assert "--set doubt=0.4 --limit 3" in found["command"]
+    assert "--set doubt=0.4 --against prior:rows --limit 3" in found["command"]
     assert not list(tmp_path.glob("montage.*"))
 
 
-def test_only_maps_need_no_detector(camvid, tmp_path):
-    theirs = tmp_path / "theirs"
-    theirs.mkdir()
+# --- thresholds ----------------------------------------------------------------------------------
 
-    with pytest.raises(Exception, match=r"maps:theirs: .*\.png: is missing"):
-        run("camvid", camvid, "--maps", theirs)
+
+@pytest.mark.usefixtures("_no_page")
+def test_a_config_holds_the_chosen_threshold_its_command_and_its_worth(camvid, tmp_path):
+    chosen = ("--detector", "cpf:squares", "--detector", "prior:uniform", "--set", "isolated=keep")
+
+    done = run("camvid", camvid, *chosen, "--tune", "--montage", 0, "--out", tmp_path)
+
+    assert [path.name for path in tmp_path.glob("*.toml")] == ["cpf-squares.toml"]
+    text = (tmp_path / "cpf-squares.toml").read_text()
+    assert f"#   roadtorch evaluate camvid {camvid} --detector cpf:squares" in text
+    assert "camvid dev, 6 pictures" in text
+    assert "Each group at the threshold of the others: F 0." in text
+    detector, values = DetectorOptions(config=tmp_path / "cpf-squares.toml").named()
+    assert (detector, values["isolated"]) == ("cpf:squares", "keep")
+    assert load_detector(detector, **values).settings.model_dump(mode="json") == values
+    header, row = done.stdout.splitlines()[-2:]
+    assert header.split()[:5] == ["detector", "default", "F", "at", "default"]
+    name, _, f_default, threshold, f, *_ = row.split()
+    assert (name, threshold) == ("cpf:squares", f"{values['threshold']:.3f}")
+    assert f": F {f_default}." in text
+    assert float(f_default) < float(f)
+
+
+# --- weights and corrections ---------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("_no_page")
+def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(tmp_path):
+    pictures, corrections = tmp_path / "streets", tmp_path / "corrections"
+    for seed in range(3):
+        write_picture(pictures / f"{seed}.png", scene := render_scene(seed, 48, 64))
+        labels = np.where(scene.road.numpy(), 1, 2).astype(np.uint8)
+        head = LogHead(picture=f"../streets/{seed}.png", height=48, width=64)
+        EventLog(log_path(corrections, f"{seed}.png"), head).add(import_event(labels))
+    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
+    weights = tmp_path / "mine" / "weights.safetensors"
+    weights.parent.mkdir()
+    save_network(weights, network, {"corrections": [{"pictures": 7, "pixels": 9}]})
+
+    done = run("corrections", corrections, "--detector", weights, "--against", "prior:uniform",
+               "--out", tmp_path, "--montage", 0)  # fmt: skip
+
+    assert done.exit_code == 0
+    assert "mine-weights was trained with 7 pictures that people corrected" in done.stderr
+    found = metrics(tmp_path)
+    assert (found["dataset"], found["images"]) == ("corrections", 3)
+    assert found["paired"]["against"] == "prior:uniform"
+    assert "maxf" in found["paired"]["detectors"]["mine-weights"]
 
 
 # --- what goes wrong -----------------------------------------------------------------------------
@@ -149,6 +201,18 @@ def test_a_broken_picture_is_listed_and_the_rest_is_scored(tmp_path):
     found = metrics(out)
     assert found["images"] == 5
     assert [failure["image"] for failure in found["failed"]] == ["0001TP_0"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--tune",), ("--submit",), ("--submit", "--out", "out"), ("--detector", "fusoin")],
+)
+def test_what_cannot_be_done_together_is_refused(call: Call, camvid: Path, words: tuple[str]):
+    done = call("evaluate", "camvid", camvid, *words)
+
+    assert done.exit_code == 2
+    assert done.stderr.startswith("roadtorch: error: ")
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_path, monkeypatch):
@@ -207,7 +271,7 @@ def test_maps_of_infer_score_like_the_detector(
     pictures = (camvid / "train", camvid / "val")
     call("infer", *pictures, "--detector", detector, "--jobs", 1, "--out", maps, "--save", kinds)
 
-    run("camvid", camvid, "--detector", detector, "--maps", maps, "--montage", 0, "--out", out)
+    run("camvid", camvid, "--detector", detector, "--detector", maps, "--montage", 0, "--out", out)
 
     found = metrics(out)["detectors"]
     its, own = found["maps:maps"], found[detector]
@@ -229,4 +293,4 @@ def test_a_config_beside_maps_that_cannot_be_used_is_told_before_the_run(
     (tmp_path / "config.toml").write_text(config)
 
     with pytest.raises(ConfigError, match=what):
-        run("camvid", camvid, "--maps", f"theirs={tmp_path}")
+        run("camvid", camvid, "--detector", f"theirs={tmp_path}")

@@ -18,7 +18,7 @@ def test_version_and_help_go_to_stdout(call: Call) -> None:
 
     assert (version.exit_code, version.stdout) == (0, f"roadtorch {roadtorch.__version__}\n")
     assert help_text.exit_code == 0
-    for name in ("detectors", "evaluate", "infer", "label", "planes"):
+    for name in ("detectors", "evaluate", "infer", "label"):
         assert f"  {name} " in help_text.stdout
 
 
@@ -43,7 +43,10 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
             "--detectr: no such option (did you mean --detector, --every, --depth?)",
         ),
         (["infer"], "Missing argument 'INPUT...' (see roadtorch infer --help)"),
-        (["planes", "x"], "Got unexpected extra argument (x) (see roadtorch planes --help)"),
+        (
+            ["detectors", "x", "y"],
+            "Got unexpected extra argument (y) (see roadtorch detectors --help)",
+        ),
         (["label", "x"], "Missing option '--out' (see roadtorch label --help)"),
         (
             ["infer", "x", "--depth", "12"],

@@ -58,7 +58,7 @@ def test_detectors_name_explains_its_settings_in_a_hundred_columns(call: Call) -
 
 
 def test_planes_lists_planes_and_representations(call: Call) -> None:
-    result = call("planes")
+    result = call("detectors", "planes")
 
     planes, representations = result.stdout.strip().split("\n\n")
     assert [line.split()[0] for line in planes.splitlines()[1:]] == list(PLANES)

@@ -14,7 +14,7 @@ from PIL import Image
 from roadtorch.data.correction_formats import fill_area
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
-from roadtorch.data.maps import map_likelihood, parse_maps
+from roadtorch.data.maps import map_likelihood
 from roadtorch.data.polygons import fill_polygon
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 
@@ -106,14 +106,6 @@ def test_8_and_16_bit_pictures_and_numpy_files_are_read_alike(tmp_path):
         likelihood = map_likelihood(tmp_path, ["none", name], [(4, 6)])
         assert likelihood.dtype == torch.float32
         assert np.abs(likelihood.numpy() - RAMP).max() <= step / 2 + 1e-7
-
-
-def test_a_folder_may_have_a_name_of_its_own(tmp_path):
-    for name in ("theirs", "other/theirs"):
-        (tmp_path / name).mkdir(parents=True)
-    first, second = str(tmp_path / "theirs"), str(tmp_path / "other/theirs")
-
-    assert parse_maps([first, f"net={second}"]) == {"theirs": Path(first), "net": Path(second)}
 
 
 # --- drawn shapes -----------------------------------------------------------------------

@@ -19,7 +19,7 @@ from roadtorch.data.corrections import read_corrections
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.kitti import birds_eye
 from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
-from roadtorch.data.maps import map_likelihood, parse_maps
+from roadtorch.data.maps import map_likelihood
 from tests.data.conftest import Content, write
 
 Files = Mapping[str, Content]
@@ -201,22 +201,11 @@ MAPS: Rows = [
 ]
 
 
-def named_maps(name: str, folder: Path) -> object:
-    return parse_maps([f"{name}={folder}"])
-
-
 OPTIONS: Rows = [
     (lambda folder: open_dataset("camvid", folder, "trian"), {}, "trian",
      "unknown split of camvid .*train"),
     (lambda folder: birds_eye(open_dataset("camvid32", folder)), FRAME, "camvid32",
      "has no bird's-eye view"),
-    (lambda _: parse_maps(["net=nothing"]), {}, "nothing", "is not a folder"),
-    (lambda folder: parse_maps([str(folder / "a/x"), str(folder / "b/x")]),
-     {"a/x/m": "", "b/x/m": ""}, "--maps", "gives two folders one name"),
-    *(
-        (partial(named_maps, name), {}, "--maps", "cannot be that of a file")
-        for name in ("a/../../ESC", "..", "", "a\\b", "a\nb")
-    ),
     (lambda _: NumberLabels(road=(2,), void=(), values=(0, 1)), {}, "NumberLabels",
      "not among its values"),
     (lambda _: NumberLabels(road=(1,), void=(1,), values=(0, 1)), {}, "NumberLabels",

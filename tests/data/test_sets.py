@@ -213,7 +213,7 @@ def test_the_documented_set(tmp_path):
 def test_the_sets_that_come_along():
     assert list_datasets() == [
         *("camvid", "camvid32", "camvid32:literal", "camvid32:literal-ignore"),
-        *("cityscapes", "folder", "idd-lite", "kitti-road"),
+        *("cityscapes", "corrections", "folder", "idd-lite", "kitti-road"),
     ]
     assert all(dataset_kind(name).splits for name in list_datasets())
 

@@ -13,7 +13,7 @@ from tests.reports import made_contender, scored
 
 def change(number: int, differs: float, before: float = 0.5, after: float = 0.6) -> Disagreement:
     item = LabelledItem(f"picture_{number:02d}", Path("x.png"), Path("x.png"))
-    return Disagreement(item, differs, 0.3, 0.3 + differs, 0.0, differs, before, after)
+    return Disagreement(item, differs, 0.3, 0.3 + differs, before, after)
 
 
 def numbers(found: list[Disagreement]) -> list[int]:

@@ -15,7 +15,6 @@ from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.evaluate import evaluate
-from roadtorch.evaluation.methods import expand_names
 from roadtorch.evaluation.report.files import document
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import WHOLE
@@ -76,6 +75,16 @@ def test_metrics_json_has_every_figure_under_its_key(found):
     assert content["paired"]["detectors"]["prior:rows"]["maxf"]
 
 
+def test_the_detector_to_compare_with_joins_the_run(camvid):
+    joined = evaluate(camvid, ["prior:uniform"], against=ORACLE)
+    alone = evaluate(camvid, ["prior:uniform", ORACLE], against=ORACLE, with_baselines=False)
+
+    assert joined.comparison.against == alone.comparison.against == ORACLE
+    assert set(alone.detectors) == {"prior:uniform", ORACLE}
+    changes = (run.comparison.differences["prior:uniform"] for run in (joined, alone))
+    assert next(changes) == next(changes)
+
+
 def test_sets_without_groups_use_the_default_or_an_earlier_threshold(
     found, camvid, plain, tmp_path
 ):
@@ -101,7 +110,7 @@ def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_picture_alone(camv
         road = (SCENES[name].road * 255).to(torch.uint8)
         cv2.imwrite(str(tmp_path / f"{name}.png"), road.numpy())
 
-    theirs = evaluate(camvid, (), maps={"net": tmp_path})
+    theirs = evaluate(camvid, [f"net={tmp_path}"])
 
     assert set(theirs.detectors) == {"maps:net", "prior:rows", "prior:triangle", "prior:mean"}
     assert theirs.detectors["maps:net"].headline["maxf"] == pytest.approx(1)
@@ -117,7 +126,7 @@ def test_maps_may_lie_as_the_pictures_do_in_the_set(plain, tmp_path):
     for name, scene in SCENES.items():
         cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), 255 * scene.road.numpy())
 
-    theirs = evaluate(plain, (), maps={"net": tmp_path})
+    theirs = evaluate(plain, [f"net={tmp_path}"])
 
     assert theirs.failures == []
     assert theirs.detectors["maps:net"].headline["iou_mask"] == 1
@@ -148,7 +157,7 @@ def test_another_file_than_a_metrics_json_is_refused(camvid, tmp_path, text):
         ("prior:uniform", {"threshold_from": "metrics.json"}, "no threshold for prior:uniform"),
         (ORACLE, {"settings": {"duobt": 1}}, r"duobt.*doubt"),
         (ORACLE, {"mean_from": "camvid"}, "groups teach each other"),
-        ("prior:rows", {"against": ORACLE}, "detector of this run"),
+        ("prior:rows", {"against": "prior:*"}, "is not one detector of this run"),
         ("nothing*", {}, "unknown detector"),
         ("test-oracel", {}, ORACLE),
     ],
@@ -187,19 +196,6 @@ def test_labels_without_any_road_are_no_score_of_nought(tmp_path):
     with pytest.raises(UnscorableError, match="there is no road in any label") as caught:
         evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
     assert caught.value.exit_code == 1
-
-
-# --- names ---------------------------------------------------------------------------------------
-
-
-def test_wildcards_leave_the_one_class_grid_out_and_its_family_brings_it_in(camvid):
-    everything, grid, row = map(expand_names, (["*"], ["oneclass:*:*"], ["oneclass:nn:*", "cpf"]))
-
-    assert {"cpf", "fusion", "prior:rows"} <= set(everything)
-    assert not any(name.startswith("oneclass:") for name in everything)
-    assert (len(grid), len(row)) == (310, 20)
-    baselines = ["prior:triangle", "prior:rows"]
-    assert expand_names(["prior:t*", "prior:rows", "prior:*"])[:2] == baselines
 
 
 # --- groups left out, conditions -----------------------------------------------------------------

@@ -1,18 +1,101 @@
-"""The mean mask of other groups, and the baselines on real labels beside the project's figures."""
+"""Who is scored: names, files and folders, the mean mask of other groups, the row prior."""
+
+from pathlib import Path
 
 import pytest
 import torch
 
+from roadtorch.base.errors import ConfigError, WeightsError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.methods import (
-    contenders,
-    mean_masks,
-    resize,
-)
+from roadtorch.evaluation.methods import candidates, contenders, mean_masks, resize
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.weights import save_network
 from roadtorch.road.fusion import prior_rows
 from tests.evaluation.conftest import GROUPS
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Weights, a config and a folder of maps in the working directory."""
+    for name in ("mine", "theirs", "prior:rows"):
+        (tmp_path / name).mkdir()
+    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
+    save_network(tmp_path / "mine/weights.safetensors", network, {})
+    (tmp_path / "mine/a=b.toml").write_text('detector = "cpf"\nthreshold = 0.25\n')
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "detector"),
+    [
+        ("cpf:v2", "cpf:v2", "cpf:v2"),
+        ("prior:rows", "prior:rows", "prior:rows"),  # though there is a folder of that name
+        ("mine/weights.safetensors", "mine-weights", "fusion"),
+        ("best=mine/weights.safetensors", "best", "fusion"),
+        ("mine/a=b.toml", "mine-a=b", "cpf"),
+        ("thresholds/cpf-v2", "thresholds-cpf-v2", "cpf:v2"),
+        ("theirs", "maps:theirs", ""),
+        ("./prior:rows", "maps:prior:rows", ""),
+        ("net=theirs", "maps:net", ""),
+    ],
+)
+def test_a_text_names_a_detector_a_file_or_a_folder(files, text, name, detector):
+    (entry,) = candidates(text)
+
+    assert (entry.name, entry.detector) == (name, detector)
+    if detector == "cpf":
+        assert entry.threshold == 0.25
+
+
+def test_settings_reach_what_has_a_detector_and_go_before_those_of_a_file(files):
+    thresholds = [
+        candidates(text, {"threshold": 0.75})[0].threshold
+        for text in ("cpf", "mine/a=b.toml", "theirs")
+    ]
+
+    assert thresholds == [0.75, 0.75, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("fusoin", ConfigError, "unknown detector .*fusion"),
+        ("no/such.safetensors", WeightsError, "such.safetensors"),
+        *((text, ConfigError, "is no weight file") for text in ("a/b", "net=nothing", "x.txt")),
+        *(
+            (f"{name}=theirs", ConfigError, "cannot be that of")
+            for name in ("a/../b", "a\\b", "\n")
+        ),
+        ("nothing*", ConfigError, "unknown detector"),
+    ],
+)
+def test_a_text_that_names_nothing_is_refused(files, text, error, message):
+    with pytest.raises(error, match=message):
+        candidates(text)
+
+
+def test_each_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
+    names = [one.name for one in contenders(dataset, ["prior:t*", "prior:rows", "prior:*"], {})]
+
+    assert names == ["prior:triangle", "prior:rows", "prior:uniform", "prior:mean"]
+    with pytest.raises(ConfigError, match="is the name of two"):
+        contenders(dataset, ["x=mine/a=b.toml", "x=mine/weights.safetensors"], {})
+
+
+def test_wildcards_leave_the_one_class_grid_out_and_its_family_brings_it_in():
+    everything, grid, row = (
+        [one.name for one in candidates(text)] for text in ("*", "oneclass:*:*", "oneclass:nn:*")
+    )
+
+    assert {"cpf", "fusion", "prior:rows"} <= set(everything)
+    assert not any(name.startswith("oneclass:") for name in everything)
+    assert (len(grid), len(row)) == (310, 19)
+
+
+# --- the baseline that data sets teach -----------------------------------------------------------
 
 
 def test_the_mean_mask_is_the_other_groups(dataset, scenes):
@@ -32,7 +115,7 @@ def test_the_mean_mask_is_the_other_groups(dataset, scenes):
 def test_a_mask_from_elsewhere_is_brought_to_the_size_of_the_image(dataset):
     one = every_kth(dataset, 1)
 
-    *_, mean = contenders(one, (), {}, {}, mean_from=dataset)
+    *_, mean = contenders(one, (), {}, mean_from=dataset)
     found = mean.prepare(one)(torch.zeros(3, 24, 32), one.items[0])
 
     assert mean.name == "prior:mean"

@@ -49,7 +49,7 @@ def test_a_detector_that_breaks_is_named(dataset):
 
 
 def test_two_processes_give_the_results_of_one(dataset):
-    methods = contenders(dataset, (), {}, {})  # the baselines
+    methods = contenders(dataset, (), {})  # the baselines
 
     one, two = list(score(dataset, methods)), list(score(dataset, methods, jobs=2))
 

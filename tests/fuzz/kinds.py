@@ -28,7 +28,7 @@ from roadtorch.data.labels import ColourLabels
 from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask, read_map
 from roadtorch.data.polygons import labelme_document, read_outlined_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.evaluation.methods import Contender, earlier_thresholds, named_detector
+from roadtorch.evaluation.methods import Contender, named_detector, with_thresholds
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import load_network, save_network
@@ -362,7 +362,7 @@ def make_metrics(draw: Draw, _: Path) -> bytes:
 
 
 def read_thresholds(path: Path) -> bool:
-    return all(0 <= value <= 1 for value in earlier_thresholds(path, contenders()).values())
+    return all(0 <= (entry.chosen or 0) <= 1 for entry in with_thresholds(contenders(), path))
 
 
 KINDS: Mapping[str, Kind] = {

@@ -122,9 +122,9 @@ VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
         (f"grid @streets {VIEW} --fov 55 --pitch 3", "streets/street_0.png"),
         (f"grid @streets {VIEW} --fov 55 --pitch 3 {EGO}", "ego.png"),
         ("label @streets", "streets/street_0.png"),
-        (f"submit @ {GREY}", "image_2/um_000000.png"),
-        (f"submit @ {GREY}", "calib/um_000000.txt"),
-        (f"submit @ {WEIGHTS}", "weights.safetensors"),
+        (f"evaluate kitti-road @ --submit {GREY}", "image_2/um_000000.png"),
+        (f"evaluate kitti-road @ --submit {GREY}", "calib/um_000000.txt"),
+        (f"evaluate kitti-road @ --submit {WEIGHTS}", "weights.safetensors"),
     ],
 )
 def test_results_are_those_of_a_new_folder(

@@ -2,19 +2,23 @@
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from roadtorch.base.atomic import write_text
+from roadtorch.base.image import read_image, tint_mask, to_pixels
+from roadtorch.base.image_cache import image_cache
+from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
 from roadtorch.evaluation.measures import F_MASK
 from roadtorch.evaluation.report.charts import BASELINE, COLOURS, DASHES, WIDTH, Series, svg_uri
-from roadtorch.evaluation.report.disagreement import both_sheets
+from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned, jpeg_uri
 from roadtorch.evaluation.report.table import (
     MINUS,
     NONE,
@@ -67,6 +71,31 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
         "charts": [loss_chart, trust_chart(adaptation)],
     }
     write_text(path, page_text("adaptation.html", command, values))
+
+
+def both_sheets(seen: Disagreements, items: Iterable[LabelledItem], caption: str) -> list[str]:
+    """Return for each item a JPEG for the page: the overlays of both, and what differs."""
+    looks = {contender.name: contender.prepare(seen.dataset) for contender in seen.methods}
+    sheets = []
+    for item in items:
+        image = read_image(item.image)
+        with image_cache():
+            masks = {name: look(image, item).mask.numpy() for name, look in looks.items()}
+        pixels = to_pixels(image)
+        tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
+        tiles[caption] = differing(pixels, *masks.values())
+        height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
+        sheet = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
+        sheets.append(jpeg_uri(sheet))
+    return sheets
+
+
+def differing(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return pixels uint8 (H,W,3), grey, with what one mask (H,W) alone has in blue or orange."""
+    grey = np.repeat(pixels.mean(2, keepdims=True), 3, axis=2) * 0.7
+    for mask, colour in ((first & ~second, BLUE), (second & ~first, VERMILLION)):
+        grey[mask] = 0.35 * grey[mask] + 0.65 * np.array(colour)
+    return grey.round().astype(np.uint8)
 
 
 def summary_table(adaptation: Adaptation) -> Table:

@@ -14,6 +14,7 @@ from tests.command import Call, rows_of
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160
+SUBMIT = ("evaluate", "--submit", "kitti-road")
 GREY = ("--detector", "grey-uniformity")
 MAPS = ["um_road_000000.png", "umm_road_000003.png", "uu_road_000012.png"]
 
@@ -36,7 +37,7 @@ def test_each_picture_gives_its_map_and_all_of_them_the_archive(
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "testing").symlink_to(kitti)  # as the benchmark's archive has it
 
-    result = call("submit", tmp_path / "data", *GREY, "--out", out, "--jobs", "2")
+    result = call(*SUBMIT, tmp_path / "data", *GREY, "--out", out, "--jobs", "2")
 
     assert result.exit_code == 0
     assert result.stdout == ""
@@ -53,7 +54,7 @@ def test_each_picture_gives_its_map_and_all_of_them_the_archive(
 
 
 def test_maps_are_the_detectors_from_above(call: Call, kitti: Path, out: Path) -> None:
-    call("submit", kitti, *GREY, "--set", "threshold=0.9", "--out", out)
+    call(*SUBMIT, kitti, *GREY, "--set", "threshold=0.9", "--out", out)
 
     image = read_image(kitti / "image_2/umm_000003.png")
     likelihood = load_detector("grey-uniformity").detect(image).likelihood.double().numpy()
@@ -76,7 +77,7 @@ def test_broken_pictures_are_listed_and_mended_by_a_second_run(
     picture.write_bytes(whole[:1000])
     calibration.unlink()
 
-    result = call("submit", kitti, *GREY, "--out", out)
+    result = call(*SUBMIT, kitti, *GREY, "--out", out)
 
     assert result.exit_code == 1
     assert "um_000000.png: cannot be decoded" in result.stderr
@@ -89,7 +90,7 @@ def test_broken_pictures_are_listed_and_mended_by_a_second_run(
 
     picture.write_bytes(whole)
     calibration.write_text(text)
-    again = call("submit", kitti, *GREY, "--out", out)
+    again = call(*SUBMIT, kitti, *GREY, "--out", out)
 
     assert again.exit_code == 0
     assert again.stderr.startswith("roadtorch: 2 done, 1 skipped (done before)")
@@ -115,7 +116,7 @@ def test_mistakes_are_one_line_before_any_work(
         name = "thumb.png" if spoil == "name" else "um_000000.jpg"
         (kitti / "image_2" / name).write_bytes(picture.read_bytes())
 
-    result = call("submit", kitti, *GREY, "--out", out)
+    result = call(*SUBMIT, kitti, *GREY, "--out", out)
 
     assert result.exit_code == 2
     assert result.stderr.startswith(f"roadtorch: error: {line.format(root=kitti)}")
