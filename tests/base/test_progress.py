@@ -17,11 +17,7 @@ class Terminal(io.StringIO):
 @pytest.mark.parametrize(
     ("items", "options", "lines"),
     [
-        (
-            [1, 2],
-            {"unit": "image"},
-            ["50 % (1 of 2 images), ", "100 % (2 of 2"],
-        ),
+        ([1, 2], {"unit": "image"}, ["50 % (1 of 2 images), ", "100 % (2 of 2"]),
         (iter([1]), {"unit": "frame", "desc": "ego"}, ["ego: 1 frames in 00:00"]),
         ([1, 2], {"unit": "image", "quiet": True}, []),
     ],
@@ -35,9 +31,8 @@ def test_a_pipe_gets_a_line_when_it_is_due(monkeypatch, capsys, items, options, 
     told = capsys.readouterr().err
     assert "\r" not in told
     own = [line for line in told.splitlines() if line != "a.jpg: is empty"]
-    wanted = [f"roadtorch: {line}" for line in lines]
-    assert len(own) == len(wanted)
-    assert all(map(str.startswith, own, wanted))
+    for line, wanted in zip(own, lines, strict=True):
+        assert line.startswith(f"roadtorch: {wanted}")
 
 
 def test_a_short_run_says_nothing_to_a_pipe_and_draws_its_bar_on_a_terminal(monkeypatch, capsys):

@@ -1,6 +1,5 @@
 """Images in bags: every format, every encoding, topics, time stamps, damage."""
 
-import os
 import sqlite3
 from collections import deque
 from collections.abc import Callable
@@ -71,22 +70,20 @@ def test_gives_the_images_with_their_time_stamps_and_the_camera(tmp_path: Path, 
     assert told == ("plumb_bob", 64, 48, "camera_optical")
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("topic", ["/camera/image_raw/compressed", "/camera/compressed"])
-def test_reads_compressed_images(tmp_path: Path, form: str, topic: str):
+@pytest.mark.parametrize("form", ["bag", "mcap"])
+def test_reads_compressed_images(tmp_path: Path, form: str):
     store = store_of(form)
     data = [cv2.imencode(".png", scene(n)[..., ::-1])[1].tobytes() for n in range(2)]
     data.append(cv2.imencode(".jpg", scene(2)[..., ::-1])[1].tobytes())
     images = [compressed_image(store, each, 0) for each in data]
-    topics = {topic: images, "/camera/camera_info": [calibration(store, 0)]}
-    path = write_bag(tmp_path / ("a.bag" if form == "bag" else "a"), topics, form)
-    frames = list(bag_source(str(path)).items())
+    topics = {f"{TOPIC}/compressed": images, "/camera/camera_info": [calibration(store, 0)]}
+    path = str(write_bag(tmp_path / ("a.bag" if form == "bag" else "a"), topics, form))
+    frames = list(bag_source(path).items())
     assert torch.equal(frames[1].read(), torch.from_numpy(scene(1)).permute(2, 0, 1) / 255)
     assert frames[2].read().shape == (3, 48, 64)
     # Headers without a time: that of the recording.
     assert [frame.stamp for frame in frames] == [FIRST, FIRST + STEP, FIRST + 2 * STEP]
-    if topic.endswith("image_raw/compressed"):
-        assert camera_info(str(path)).width == 64
+    assert camera_info(path).width == 64
 
 
 @pytest.mark.parametrize("form", ["sqlite3", "mcap"])
@@ -245,10 +242,3 @@ def test_messages_that_are_gone_are_told_in_numbers(tmp_path: Path):
 
     with pytest.raises(InputError, match=r"[89] of 12 frames \(what could"):
         deque(frames, maxlen=0)
-
-
-def test_a_folder_with_a_pipe_is_refused_unopened(tmp_path: Path):
-    os.mkfifo(tmp_path / "x.mcap")
-
-    with pytest.raises(InputError, match="is or holds a pipe or a device"):
-        next(bag_source(str(tmp_path)).items())

@@ -106,19 +106,6 @@ def test_every_round_is_the_textbooks() -> None:
     np.testing.assert_allclose(found[2], expected[2], rtol=1e-5, atol=1e-9)
 
 
-def test_runs_side_by_side_do_not_touch_each_other() -> None:
-    samples = clusters(3)
-    weights = samples.new_ones(2, len(samples))
-    weights[1, ::2] = 0  # the second run sees every other sample
-    start = spread_starts(samples, weights, torch.tensor([3, 2]), seeded())
-
-    both, _ = maximise(samples, weights, start, WIDENING, rounds=9)
-    alone, _ = maximise(samples[1::2], weights[1:, 1::2], start[1:, :, 1::2], WIDENING, rounds=9)
-
-    np.testing.assert_allclose(both[1:, :, 1::2], alone, atol=1e-12)
-    assert (both[1, 2] == 0).all()
-
-
 # --- how many ---------------------------------------------------------------------------
 
 

@@ -12,7 +12,6 @@ from roadtorch.oneclass.reconstruction import (
     farthest_first,
     k_centres,
     k_means,
-    kept_components,
 )
 from tests.draws import random, seeded
 from tests.oneclass.cases import fitted
@@ -23,13 +22,6 @@ COMPONENTS, MEANS = (CLASSIFIERS[name] for name in ("pca", "kmeans"))
 
 
 # --- principal components ---------------------------------------------------------------
-
-
-def test_components_are_kept_until_they_have_the_share() -> None:
-    variances = torch.tensor([0.9, 0.05, 0.05], dtype=torch.float64)
-
-    assert [kept_components(variances, share) for share in (0.5, 0.95, 0.951, 1.0)] == [1, 2, 3, 3]
-    assert kept_components(torch.zeros(3), 0.95) == 0
 
 
 @pytest.mark.parametrize(("full", "distance"), [("cap", 0.4), ("mean", 0.5), ("strict", 0)])

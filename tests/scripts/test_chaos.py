@@ -18,8 +18,8 @@ SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "chaos.py"
 @pytest.mark.parametrize(
     ("trouble", "words"),
     [
-        ("kill", ("infer", "--times", "3", "--jobs", "2")),
-        ("fault", ("infer", "--times", "8")),
+        ("kill", ("infer", "--times", "1", "--jobs", "2")),
+        ("fault", ("infer", "--times", "3")),
         *(pytest.param(name, ("--times", "3"), marks=pytest.mark.slow) for name in TROUBLE),
         pytest.param("fault", ("--times", "40"), marks=pytest.mark.slow),
     ],

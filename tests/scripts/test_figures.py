@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics
@@ -21,25 +20,9 @@ from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.testing.scenes import render_scene
 from scripts.figures import p1, p2, p3_light, p3_table3
 from scripts.figures.p3_light import deviation, distance, median_of
-from tests.streets import as_bytes, scene, write_camvid, write_drives
+from tests.streets import as_bytes, scene, write_camvid
 
 # --- P1 ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("height", "width", "size"), [(360, 480, (120, 160)), (375, 1242, (120, 397))]
-)
-def test_images_and_labels_come_to_the_papers_size(
-    height: int, width: int, size: tuple[int, int]
-) -> None:
-    road = torch.rand(height, width, generator=torch.Generator().manual_seed(0)) > 0.5
-
-    image, truth = p1.resize_as_p1(torch.rand(3, height, width), Truth(road, ~road))
-
-    assert image.shape == (3, *size)
-    assert truth.road.shape == truth.valid.shape == size
-    if height == 360:  # by the nearest pixel
-        assert torch.equal(truth.road, road[1::3, 1::3])
 
 
 def test_counts_are_pooled_over_images() -> None:
@@ -66,14 +49,6 @@ def tally_of(**drives: tuple[list[float], list[bool]]) -> Tally:
         score = Score(levels, mask, count_boundary(values >= 0.5, *maps), None, None)
         tally.add(LabelledItem(drive, Path(drive), Path(drive), drive), score)
     return tally
-
-
-def test_the_test_split_is_shown_where_it_is(tmp_path: Path) -> None:
-    write_drives(tmp_path)
-    assert p2.streets(tmp_path, 1).split == "dev"
-    write_camvid(tmp_path / "camvid", "test", {"Seq05VD_1": render_scene(3, 48, 64)})
-
-    assert [item.name for item in p2.streets(tmp_path, 1).items] == ["Seq05VD_1"]
 
 
 def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baseline() -> None:
@@ -157,20 +132,6 @@ def test_agreement_counts_equal_signs() -> None:
 
     assert p3_light.agreement([{"property": "highlights", **row}]) == (12, 12)
     assert p3_light.agreement([{"property": "highlights", **turned}]) == (0, 12)
-
-
-def test_drives_of_other_light_are_apart(tmp_path: Path) -> None:
-    lights = {"0001TP": 0.8, "0016E5": 0.0}
-    scenes = {f"{drive}_{seed}": render_scene(seed, 96, 128, dusk=dusk, shadows=0)
-              for drive, dusk in lights.items() for seed in range(2)}  # fmt: skip
-    write_camvid(tmp_path, "train", scenes)
-    camvid = open_dataset("camvid", tmp_path, "train")
-
-    rows = {str(row["property"]): row for row in p3_light.drive_rows(camvid)}
-
-    between = float(str(rows["0001TP against 0016E5"]["L"]))
-    assert between > 0.5
-    assert between > 2 * float(str(rows["inside 0001TP"]["L"]))
 
 
 def test_cells_are_areas_by_drive_beside_the_papers(tmp_path: Path) -> None:

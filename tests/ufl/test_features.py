@@ -55,14 +55,6 @@ def test_a_round_of_k_means_moves_bases_to_the_means_of_their_own(
     assert counts.tolist() == expected_counts
 
 
-def test_assignment_over_several_blocks_is_that_of_single_patches() -> None:
-    points, bases = random(features.BLOCK + 7, 3), random(5, 3, seed=1)
-
-    found = features.assign(points, bases)
-
-    assert torch.equal(found, torch.cdist(points, bases).argmin(1))
-
-
 def test_the_random_seed_settles_a_start_of_small_noise_or_of_patches() -> None:
     points = random(50, 4)
 
