@@ -2,7 +2,7 @@
 
 import re
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from roadtorch.base.atomic import locked, make_folder, remove_leftovers, write_t
 from roadtorch.base.bounded import printable, read_regular
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.maps import CONFIG
-from roadtorch.run.ledger import BAG_LIST, FRAME_NUMBER, INDEX
+from roadtorch.run.ledger import BAG_LIST, INDEX
 
 ELSEWHERE = "give another --out"
 COCO, RUN = "coco.json", "run.json"
@@ -33,47 +33,6 @@ def output_lock(out: Path) -> Iterator[None]:
     with locked(out, "wait for it, or give another --out"):
         remove_leftovers([out])
         yield
-
-
-class Owners:
-    """Whose results have which name in a run, whatever their source, so that none is lost."""
-
-    def __init__(self, out: object) -> None:
-        self._out = out
-        own = (INDEX, CONFIG, COCO, RUN)
-        self._files: dict[str, str] = dict.fromkeys(own, "the run itself")
-        self._sources: dict[str, str] = {}
-        self._footage: dict[str, str] = {}
-        self._numbered: dict[str, str] = {}
-
-    def take(self, name: str, suffixes: Iterable[str], origin: str) -> None:
-        """Note whose results are ``name`` and a suffix; ConfigError where one is another's.
-
-        That are also the files of the run itself, and those in the place of a frame's.
-        """
-        name = printable(name)  # as index.csv calls it: letters and a byte may look alike there
-        files = [name + suffix for suffix in suffixes if "{}" not in suffix] or [name]
-        folder, _, last = name.rpartition("/")
-        is_numbered = re.fullmatch(FRAME_NUMBER, last) is not None
-        for file in files:
-            self._refuse(self._files.get(file), origin, file)
-            self._refuse(self._footage.get(folder) if is_numbered else None, origin, file)
-        self._files |= dict.fromkeys(files, origin)
-        if is_numbered:
-            self._numbered[folder] = origin
-
-    def take_source(self, name: str, origin: str, has_files: bool) -> None:
-        """Note whose results NAME are, and NAME/000123 of frames with files; errors as above."""
-        self._refuse(self._sources.get(name), origin, name)
-        self._sources[name] = origin
-        if has_files:
-            self._refuse(self._numbered.get(name), origin, f"frames in {name}")
-            self._footage[name] = origin
-
-    def _refuse(self, other: str | None, origin: str, file: str) -> None:
-        if other is not None:
-            what = f"both would write {self._out}/{file}"
-            raise ConfigError(f"{other} and {origin}", what, "rename one, or use two --out folders")
 
 
 def has_result(folder: Path, name: str) -> bool:

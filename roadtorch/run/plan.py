@@ -1,15 +1,19 @@
 """What a run does: pictures, sources and what is written of each."""
 
 import os
+import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NamedTuple
 
+from roadtorch.base.bounded import printable
 from roadtorch.base.errors import ConfigError
+from roadtorch.data.maps import CONFIG
 from roadtorch.inputs.find import Inputs
 from roadtorch.inputs.item import Item, Source
-from roadtorch.run.folder import ELSEWHERE, Owners
+from roadtorch.run.folder import COCO, ELSEWHERE, RUN
+from roadtorch.run.ledger import FRAME_NUMBER, INDEX
 from roadtorch.run.loop import FileWriter, Writer
 
 
@@ -62,24 +66,38 @@ def plan(
     suffixes: Sequence[str],
     output: Callable[[Source], Output] | None = None,
 ) -> Plan:
-    """What is to be done; no file is written yet.
+    """Return what is to be done; no file is written yet.
 
-    out: the folder of the results. suffixes: of the results of a picture. output: what is written
-    of a source. Raises ConfigError when two pictures or sources share a result, and when one would
-    replace a picture.
+    out: the folder of the results. suffixes: of the results of an image. output: what is written
+    of a source. Raises ConfigError when two images or sources share a result, and when one would
+    replace an image.
     """
-    owners = Owners(out)
-    results = [(item.name, suffixes) for item in inputs.pictures]
-    for item in inputs.pictures:
-        owners.take(item.name, suffixes, item.origin)
+    owners: dict[str, str] = dict.fromkeys((INDEX, CONFIG, COCO, RUN), "the run itself")
     sources = [(source, output(source)) for source in inputs.sources] if output else []
-    for source, written in sources:
-        owners.take_source(source.name, source.origin, has_files=bool(written.of_frames))
-        results.append((source.name, written.suffixes))
+    numbered: dict[str, str] = {}
     # Path.resolve raises for a link to itself.
     files = [item.file for item in inputs.pictures] + [source.path for source in inputs.sources]
-    taken = {os.path.realpath(file) for file in files if file is not None}
-    for result in (Path(out, name + suffix) for name, ends in results for suffix in ends):
-        if os.path.realpath(result) in taken:
-            raise ConfigError(result, "is one of the pictures", ELSEWHERE)
+    images = {os.path.realpath(file) for file in files if file is not None}
+
+    def take(name: str, origin: str, other: str | None = None) -> None:
+        """Note whose result has a name, as index.csv calls it: two names may be one there."""
+        other = other or owners.get(printable(name))
+        if other is not None:
+            what = f"both would write {out}/{name}"
+            raise ConfigError(f"{other} and {origin}", what, "rename one, or use two --out folders")
+        if os.path.realpath(out / name) in images:
+            raise ConfigError(out / name, "is one of the pictures", ELSEWHERE)
+        owners[printable(name)] = origin
+
+    for item in inputs.pictures:
+        for suffix in [suffix for suffix in suffixes if "{}" not in suffix] or [""]:
+            take(item.name + suffix, item.origin)
+        folder, _, last = item.name.rpartition("/")
+        if re.fullmatch(FRAME_NUMBER, last):
+            numbered[folder] = item.origin
+    for source, written in sources:
+        frames = numbered.get(source.name) if written.of_frames else None
+        take(source.name, source.origin, frames)
+        for suffix in written.suffixes:
+            take(source.name + suffix, source.origin)
     return Plan(inputs.pictures, sources)

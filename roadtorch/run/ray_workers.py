@@ -8,7 +8,7 @@ import signal
 import socket
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -82,10 +82,9 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Work
     address: of the cluster; None for one of this machine. Raises ConfigError where Ray is not
     installed, or no cluster is at the address.
     """
-    with (
-        TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder,
-        _environment({**QUIET, "OMP_NUM_THREADS": str(Threads.of_now().torch)}),
-    ):
+    # What a local cluster's processes find in their environment.
+    os.environ.update(QUIET, OMP_NUM_THREADS=str(Threads.of_now().torch))
+    with TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder:
         ray = _imported()
         try:
             with _without_stderr(), _deaf_children():
@@ -93,21 +92,6 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Work
             yield Workers(workers, partial(RayPool, device, address is not None))
         finally:
             ray.shutdown()
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """What this process, and a local cluster's, find in their environment during the block."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _imported() -> Any:

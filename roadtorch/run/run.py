@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from roadtorch.base.atomic import make_folder, remove_leftovers
-from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.errors import RoadtorchError
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop, stop_on_signals
 from roadtorch.inputs.item import Item, Source
@@ -28,7 +28,6 @@ from roadtorch.run.ledger import (
     Ledger,
     Method,
     Row,
-    failed_row,
     open_ledger,
 )
 from roadtorch.run.loop import (
@@ -105,14 +104,12 @@ class Run:
             return 0
         rows, suffixes, redo = self.ledger.rows, task.writer.suffixes, self.options.overwrite
         self._remove_leftovers(items)
-        done = set() if redo else self._done(items, task.method, suffixes)
-        todo = [item for item in items if item.row_name not in done]
+        todo = [item for item in items if redo or not self._is_done(item, task.method, suffixes)]
         known = [] if redo else [item for item in todo if item.row_name in rows]
-        again = sum(is_complete(self.folder, item, suffixes) for item in known)
+        again = sum(self._is_complete(item, suffixes) for item in known)
         with stop_on_signals() as stop:
             made = self.workers.map(task, until_stopped(todo, stop), crashed_row)
             tried = list(self._recorded(made, "image", total=len(todo)))
-            self._refuse_removed(todo[: len(tried)], suffixes)
             self._remove_leftovers(items)  # of workers that died
         stop.interrupt()
         failed = sum(rows[item.row_name].failed for item in todo)
@@ -139,10 +136,10 @@ class Run:
         for source, output in plan.sources:
             own = replace(task, method=replace(task.method, kinds=output.kinds))
             redo = self.options.overwrite
-            if not redo and self._done([source], own.method, output.suffixes):
+            if not redo and self._is_done(source, own.method, output.suffixes):
                 skipped += 1
                 continue
-            row = _SourceRun(self, source, output, own, steady).row()
+            row = self._source(source, output, own, steady)
             ended[row.status.partition(":")[0]] += 1
         failed = ended[PARTIAL] + ended[FAILED]
         if not self.options.quiet or failed:
@@ -152,34 +149,72 @@ class Run:
             )
         return 1 if failed else 0
 
-    # --- what is there ------------------------------------------------------------------
+    def _is_done(self, item: Item | Source, method: Method, suffixes: Sequence[str]) -> bool:
+        """Return whether an item is done, with this method, for the bytes that it has now.
 
-    def _done(
-        self, items: Sequence[Item] | Sequence[Source], method: Method, suffixes: Sequence[str]
-    ) -> set[str]:
-        """The names of the items that are done, with this method, for the bytes they have now."""
-        rows = self.ledger.rows
-        known = [item for item in items if method.covers(rows.get(item.row_name))]
-        task = _Unchanged(self.folder, suffixes)
-        pairs = [(item, rows[item.row_name]) for item in known]
-        same = (
-            self.workers.map(task, pairs, lambda _: False) if len(pairs) > 1 else map(task, pairs)
-        )
-        return {item.row_name for item, is_same in zip(known, same, strict=True) if is_same}
+        All files have to exist, those of the cues that its row names among them.
+        """
+        row = self.ledger.rows.get(item.row_name)
+        if row is None or not method.covers(row) or item.digest is None:
+            return False
+        cues = filter(None, row.cues.split("/"))
+        named = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
+        return self._is_complete(item, [*suffixes, *named]) and row.sha256 == item.digest() != ""
 
-    def _refuse_removed(self, items: Iterable[Item], suffixes: Sequence[str]) -> None:
-        """Failed rows for pictures whose results were removed while the run went on."""
-        for item in items:
-            row = self.ledger.rows[item.row_name]
-            if not row.failed and not has_all(self.folder, item, row, suffixes):
-                what = "results were removed while the run went on"
-                row = failed_row(item.row_name, InputError(item.origin, what, "run it again"))
-                self.ledger.add(row)
-                click.echo(f"roadtorch: {row.status}", err=True)
+    def _is_complete(self, item: Item | Source, suffixes: Iterable[str]) -> bool:
+        """Return whether all files exist whose names are known beforehand."""
+        ends = [end for end in suffixes if "{}" not in end]
+        return all(has_result(self.folder, item.name + end) for end in ends)
 
     def _remove_leftovers(self, items: Iterable[Item]) -> None:
         names = [*(item.name for item in items), *self.ledger.rows]
         remove_leftovers({(self.folder / name).parent for name in names})
+
+    # --- one source ---------------------------------------------------------------------
+
+    def _source(self, source: Source, output: Output, task: Task, steady: bool) -> Row:
+        """Work through the frames of a source as far as possible; its row, which is remembered."""
+        count, place = _Count(), self.folder / source.name
+        remove_leftovers([place.parent, place])
+        make_folder(place.parent, ELSEWHERE)
+        self.ledger.forget_frames(source.name)
+        problem: BaseException | None = None
+        try:
+            with stop_on_signals() as stop, output.open() as writers:
+                rows = self._frames(source, task, writers, output.cues, steady, stop)
+                for row in self._recorded(rows, "frame", total=source.count):
+                    count.add(row)
+            stop.interrupt()
+        except (RoadtorchError, KeyboardInterrupt) as raised:
+            problem = raised
+        row = task.method.made(_row_of_source(source, count, problem))
+        row = row if row.failed else replace(row, sha256=source.digest())
+        self.ledger.add(row)
+        if not self.options.quiet:
+            click.echo(f"roadtorch: {row.file}: {count}", err=True)
+            for line in least_trusted(count.least)[1:] if count.doubtful else []:
+                click.echo(line, err=True)
+        if isinstance(problem, KeyboardInterrupt):
+            raise problem
+        if row.failed:
+            click.echo(f"roadtorch: {row.status}", err=True)
+        return row
+
+    def _frames(
+        self, source: Source, task: Task, writers: Writers, cues: bool, steady: bool, stop: Stop
+    ) -> Iterator[Row]:
+        """Yield the rows of frames, which smooth one another and go into the same files."""
+        filtering, infer = Steady(SteadySettings()) if steady else None, task.infer
+        assert isinstance(infer, Inference)
+        with closing(detections(source, infer, self.workers, filtering, cues, stop)) as frames:
+            for frame in frames:
+                files, method = writers.files, task.method
+                row = write_row(frame.item, frame.detection, files, method, frame.ms)
+                start = perf_counter()
+                if not isinstance(frame.outcome, RoadtorchError):
+                    for writer in writers.streams:
+                        writer.write(frame.item, frame.outcome)
+                yield row if row.failed else replace(row, ms=elapsed(start, float(row.ms)))
 
     # --- what is told -------------------------------------------------------------------
 
@@ -200,32 +235,6 @@ class Run:
         """One line on stderr: what was done, and what became of others, where there are some."""
         parts = [done, *(f"{count} {what}" for what, count in others.items() if count)]
         click.echo(f"roadtorch: {', '.join(parts)}; results in {self.folder}", err=True)
-
-
-@dataclass(frozen=True)
-class _Unchanged:
-    """Whether a row's files are there, and the bytes of its item still those."""
-
-    folder: Path
-    suffixes: Sequence[str]
-
-    def __call__(self, pair: tuple[Item | Source, Row]) -> bool:
-        item, row = pair
-        if item.digest is None or not has_all(self.folder, item, row, self.suffixes):
-            return False
-        return row.sha256 == item.digest() != ""
-
-
-def has_all(folder: Path, item: Item | Source, row: Row, suffixes: Sequence[str]) -> bool:
-    """Whether all files exist, those of the cues that its row names among them."""
-    cues = filter(None, row.cues.split("/"))
-    named = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
-    return is_complete(folder, item, [*suffixes, *named])
-
-
-def is_complete(folder: Path, item: Item | Source, suffixes: Iterable[str]) -> bool:
-    """Whether all files exist whose names are known beforehand."""
-    return all(has_result(folder, item.name + end) for end in suffixes if "{}" not in end)
 
 
 @contextmanager
@@ -294,70 +303,17 @@ class _Count:
         return ", ".join(parts)
 
 
-@dataclass(frozen=True)
-class _SourceRun:
-    """The run over one source."""
-
-    run: Run
-    source: Source
-    output: Output
-    task: Task
-    steady: bool
-
-    def row(self) -> Row:
-        """Its row, once its frames were looked at as far as possible; the ledger has it."""
-        run, source, count = self.run, self.source, _Count()
-        place = run.folder / source.name
-        remove_leftovers([place.parent, place])
-        make_folder(place.parent, ELSEWHERE)
-        run.ledger.forget_frames(source.name)
-        problem: BaseException | None = None
-        try:
-            with stop_on_signals() as stop, self.output.open() as writers:
-                for row in run._recorded(self._frames(writers, stop), "frame", total=source.count):
-                    count.add(row)
-            stop.interrupt()
-        except (RoadtorchError, KeyboardInterrupt) as raised:
-            problem = raised
-        row = self.task.method.made(self._row(count, problem))
-        row = row if row.failed else replace(row, sha256=source.digest())
-        run.ledger.add(row)
-        if not run.options.quiet:
-            click.echo(f"roadtorch: {row.file}: {count}", err=True)
-            for line in least_trusted(count.least)[1:] if count.doubtful else []:
-                click.echo(line, err=True)
-        if isinstance(problem, KeyboardInterrupt):
-            raise problem
-        if row.failed:
-            click.echo(f"roadtorch: {row.status}", err=True)
-        return row
-
-    def _frames(self, writers: Writers, stop: Stop) -> Iterator[Row]:
-        """The rows of frames, which steady one another and go into the same files."""
-        steady = Steady(SteadySettings()) if self.steady else None
-        run, cues, infer = self.run, self.output.cues, self.task.infer
-        assert isinstance(infer, Inference)
-        with closing(detections(self.source, infer, run.workers, steady, cues, stop)) as frames:
-            for frame in frames:
-                item, method = frame.item, self.task.method
-                row = write_row(item, frame.detection, writers.files, method, frame.ms)
-                start = perf_counter()
-                if not isinstance(frame.outcome, RoadtorchError):
-                    for writer in writers.streams:
-                        writer.write(item, frame.outcome)
-                yield row if row.failed else replace(row, ms=elapsed(start, float(row.ms)))
-
-    def _row(self, count: _Count, problem: BaseException | None) -> Row:
-        """The row of the source; to be interrupted is the usual end of a live one."""
-        source, why = self.source, ""
-        if isinstance(problem, RoadtorchError):
-            why = " ".join(str(problem).split())
-        elif problem is not None and not source.live:
-            why = f"{source.origin}: was interrupted (run it again)"
-        elif count.failed:
-            of = f"{count.done} of {count.done + count.failed} frames"
-            why = f"{source.origin}: {of} (see the rows of the others)"
-        status = f"{PARTIAL if count.done else FAILED}: {why}" if why else DONE
-        last = count.last
-        row = Row(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
-        return replace(row, seconds=last.seconds)
+def _row_of_source(source: Source, count: _Count, problem: BaseException | None) -> Row:
+    """Return the row of a source; to be interrupted is the usual end of a live one."""
+    why = ""
+    if isinstance(problem, RoadtorchError):
+        why = " ".join(str(problem).split())
+    elif problem is not None and not source.live:
+        why = f"{source.origin}: was interrupted (run it again)"
+    elif count.failed:
+        of = f"{count.done} of {count.done + count.failed} frames"
+        why = f"{source.origin}: {of} (see the rows of the others)"
+    status = f"{PARTIAL if count.done else FAILED}: {why}" if why else DONE
+    last = count.last
+    row = Row(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
+    return replace(row, seconds=last.seconds)

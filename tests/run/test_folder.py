@@ -1,14 +1,13 @@
-"""The folder of a run's results: for one run alone; who owns which name."""
+"""The folder of a run's results: for one run and its settings alone."""
 
 import fcntl
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.run.folder import Owners, has_result, result_folder
+from roadtorch.run.folder import has_result, result_folder
 
 
 def test_a_bag_that_is_a_folder_is_there_once_it_has_its_list(tmp_path: Path) -> None:
@@ -49,41 +48,3 @@ def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:
         result_folder(Path("s3://bucket/out"), "", overwrite=False),
     ):
         pass
-
-
-# --- whose is which name ----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("taken", "second", "clashes"),
-    [
-        (("a", [".png", ".json"]), ("a", [".json"]), True),
-        (("a", [".png"]), ("a", [".json"]), False),
-        (("a", [".cue.{}.png"]), ("a", [".cue.{}.png"]), True),
-        (("a\udcff", [".png"]), ("a\\xff", [".png"]), True),  # index.csv calls both a\xff
-        (("drive/000003", [".png"]), "drive", True),
-        (("drive/x", [".png"]), "drive", False),
-        ("drive", ("drive/000003", [".png"]), True),
-        ("drive", ("drive/x", [".png"]), False),
-        ("drive", "drive", True),
-        ("run", ("run", [".json"]), True),
-        ("index", ("index", [".csv"]), True),
-    ],
-)
-def test_every_result_has_one_owner(
-    taken: str | tuple[str, Sequence[str]], second: str | tuple[str, Sequence[str]], clashes: bool
-) -> None:
-    owners = Owners("out")
-
-    def take(what: str | tuple[str, Sequence[str]], origin: str) -> None:
-        if isinstance(what, str):
-            owners.take_source(what, origin, has_files=True)
-        else:
-            owners.take(*what, origin)
-
-    take(taken, "first")
-    if not clashes:
-        take(second, "second")
-        return
-    with pytest.raises(ConfigError, match=r" and second: both would write out/"):
-        take(second, "second")

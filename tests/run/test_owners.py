@@ -1,5 +1,6 @@
 """Every result has one owner, whatever the source; a write that fails costs one picture."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +27,7 @@ def write_inputs(root: Path, names: Sequence[str]) -> Path:
         ["drive.mp4", "drive/000003.png"],
         ["1.png", "run.png"],
         ["1.png", "1.labelme.png"],
+        [r"1\xff.png", os.fsdecode(b"1\xff.png")],  # index.csv calls both 1\xff.png
     ],
 )
 def test_two_images_with_one_result_are_refused_by_name(
@@ -34,7 +36,7 @@ def test_two_images_with_one_result_are_refused_by_name(
     (tmp_path / "in").mkdir()
     given = write_inputs(tmp_path / "in", names)
 
-    result = call("infer", given, *ROWS, "--out", out, "--save", "mask,json,polygons")
+    result = call("infer", given, *ROWS, "--out", out, "--save", "json,polygons,cues")
 
     assert result.exit_code == 2
     assert "both would write" in result.stderr

@@ -4,7 +4,6 @@ import json
 import multiprocessing
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -136,36 +135,6 @@ def test_a_name_too_long_for_its_results_is_a_failed_row_every_time(
     assert "too long" in long["status"]
     skipped = f"roadtorch: 0 done, 1 skipped (done before), 1 failed; results in {out}\n"
     assert all(result.stderr.endswith(skipped) for result in results[1:])
-
-
-# --- one folder -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("place", "gone"), [("a", 0), ("sub/c", 2)], ids=["early", "last"])
-def test_a_folder_that_is_removed_meanwhile_is_told(
-    call: Call,
-    run: Call,
-    footage: Path,
-    tmp_path: Path,
-    out: Path,
-    before_each: BeforeEach,
-    place: str,
-    gone: int,
-) -> None:
-    call("infer", footage, *ROWS, "--out", tmp_path / "quiet")
-
-    def remove(item: Item) -> None:
-        if item.name == place:
-            shutil.rmtree(out)
-
-    with before_each(remove):
-        result = run()
-
-    assert result.exit_code == (1 if gone else 0)
-    assert result.stderr.count("results were removed while the run went on") == gone
-    assert f"{3 - gone} done" in result.stderr
-    assert run().exit_code == 0
-    assert bytes_in(out) == bytes_in(tmp_path / "quiet")
 
 
 # --- killed -----------------------------------------------------------------------------
