@@ -37,7 +37,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from roadtorch.annotate.session import MissingImageError, Session, look_at_all
+from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.base.atomic import atomic
 from roadtorch.base.errors import ConfigError, RoadtorchError, UnwritableError
 from roadtorch.base.image import read_image, to_pixels
@@ -273,7 +273,7 @@ thumbnail_jpeg = lru_cache(maxsize=2000)(partial(shown_jpeg, most=THUMBNAIL, qua
 """The same, small; a file that changed has a new one."""
 
 
-STATUSES = {RoadtorchError: 400, MissingImageError: 410, UnwritableError: 507}
+STATUSES = {RoadtorchError: 400, UnwritableError: 507}
 """HTTP status by kind of error; the page keeps what was refused with 500 and more."""
 
 

@@ -51,11 +51,6 @@ HELD = 8  # logs in memory, with their labels
 
 FRESH = 2.0  # seconds for which a listing holds
 
-
-class MissingImageError(InputError):
-    """An image that was in the folder and is gone."""
-
-
 # --- what there is to correct -----------------------------------------------------------
 
 
@@ -67,7 +62,6 @@ class PictureFolder:
     apart: Path
     _names: tuple[str, ...] = ()
     _listed: float = field(default=-FRESH, repr=False)
-    _known: set[str] = field(default_factory=set, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def __post_init__(self) -> None:
@@ -84,23 +78,19 @@ class PictureFolder:
                 inside = [path for path in paths if path.resolve().is_relative_to(self.root)]
                 names = [path.relative_to(self.root).as_posix() for path in inside]
                 self._names = tuple(name for name in names if name == printable(name))
-                self._known.update(self._names)
                 self._listed = time.monotonic()
             return self._names
 
     def path(self, name: str) -> Path:
-        """The file of a name that came from outside.
+        """Return the file of a name that came from outside.
 
-        Raises InputError for one that was never in ``names``, letter by letter, and one that leads
-        out of the folder by now, MissingImageError for one that is gone.
+        Raises InputError for one that is not in ``names``, letter by letter, one that is gone, and
+        one that leads out of the folder by now.
         """
-        self.names()
-        path = self.root / name if name in self._known else None
-        if path is None or not path.resolve().is_relative_to(self.root):
-            raise InputError(name[:200], "is no picture of this folder", "choose one of the list")
-        if not path.is_file():
-            raise MissingImageError(name, "is no longer there", "choose another picture")
-        return path
+        path = self.root / name
+        if name in self.names() and path.is_file() and path.resolve().is_relative_to(self.root):
+            return path
+        raise InputError(name[:200], "is no picture of this folder", "choose one of the list")
 
 
 def open_work(pictures: PictureFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:

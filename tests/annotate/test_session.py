@@ -10,13 +10,7 @@ import pytest
 
 from roadtorch.annotate.report import corrections_report
 from roadtorch.annotate.server import Address, bound_socket, keep_address, last_address
-from roadtorch.annotate.session import (
-    MissingImageError,
-    Session,
-    import_labels,
-    look_at_all,
-    opened_session,
-)
+from roadtorch.annotate.session import Session, import_labels, look_at_all, opened_session
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.corrections import read_corrections, read_logs
@@ -106,7 +100,7 @@ def test_a_log_without_a_first_line_stops_nobody(session: Session, torn: bytes) 
 def test_an_image_deleted_meanwhile_keeps_its_corrections(session: Session) -> None:
     session.add(NAME, superpixel("a", "road", 0))
     (session.pictures.root / NAME).unlink()
-    with pytest.raises(MissingImageError, match="is no longer there"):
+    with pytest.raises(InputError, match="is no picture of this folder"):
         session.add(NAME, superpixel("b", "road", 1))
     assert read_corrections(session.out)[0].clicks == 1
 
