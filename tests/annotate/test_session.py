@@ -10,12 +10,10 @@ import pytest
 
 from roadtorch.annotate.report import corrections_report
 from roadtorch.annotate.server import Address, bound_socket, keep_address, last_address
-from roadtorch.annotate.session import Session, import_labels, look_at_all, opened_session
+from roadtorch.annotate.session import Session, look_at_all, opened_session
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
-from roadtorch.data.correction_formats import FORMATS
-from roadtorch.data.corrections import read_corrections, read_logs
+from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import (
-    BrushStroke,
     Confirm,
     Redo,
     SuperpixelStroke,
@@ -175,23 +173,7 @@ def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:
         reopened(session)
 
 
-# --- formats, report --------------------------------------------------------------------
-
-
-def test_out_and_in_again(session: Session, tmp_path: Path) -> None:
-    session.add(NAME, superpixel("a", "road", 0, 1))
-    brush = BrushStroke(kind="brush", id="b", saying="sky", points=((30.0, 5.0),), radius=4.0)
-    session.add(NAME, brush)
-    (before,) = read_corrections(session.out)
-    FORMATS["coco"].write([before], tmp_path / "elsewhere")
-    out = tmp_path / "second"
-    imported = ("coco", tmp_path / "elsewhere", session.pictures.root, out)
-    assert import_labels(*imported) == 1
-    (after,) = read_corrections(out)
-    assert (after.labels == before.labels).all()
-    assert import_labels(*imported) == 1
-    assert [len(log.events) for log in read_logs(out)] == [1]  # the same labels a second time
-    assert after.picture == session.pictures.root / NAME
+# --- report -----------------------------------------------------------------------------
 
 
 def test_the_report_says_what_the_time_bought(session: Session) -> None:

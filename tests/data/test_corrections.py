@@ -128,15 +128,11 @@ def test_right_as_it_is_settles_what_is_open() -> None:
     "text",
     [
         "",
-        "{}",
-        '{"kind":"brush","id":"a","saying":"road","points":[[1,2]],"radius":-1}',
         '{"kind":"brush","id":"a","saying":"rode","points":[[1,2]],"radius":1}',
         '{"kind":"brush","id":"a/../b","saying":"road","points":[[1,2]],"radius":1}',
         '{"kind":"polygon","id":"a","saying":"road","points":[[1,2],[NaN,3],[4,5]]}',
-        '{"kind":"polygon","id":"a","saying":"road","points":[[1,2],[3,4]]}',
         '{"kind":"undo","id":"a","of":"b","extra":1}',
         f'{{"kind":"right","id":"a","runs":[{2**70},1]}}',
-        f'{{"kind":"superpixel","id":"a","saying":"road","segments":[{2**70}]}}',
         '{"kind":"brought","id":"a","labels":{"cat":[0,1]}}',
     ],
 )
