@@ -86,22 +86,3 @@ def test_footage_that_stands_still_is_told_and_not_judged(street: Path, tmp_path
     sentence = "cannot tell: the footage stands still: both halves show the same\n"
     assert done.stdout == sentence
     assert not (tmp_path / "out/camera.toml").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "where"),
-    [
-        (("nothing",), "nothing"),
-        (("--set", "kind=patches"), "network.height"),
-        (("--set", "start="), "start"),
-    ],
-)
-def test_footage_and_settings_that_cannot_be_used_are_refused_in_a_line(
-    street: Path, tmp_path: Path, words: tuple[str, ...], where: str
-) -> None:
-    footage = () if words == ("nothing",) else (street,)
-    done = adapt(*footage, *words, "--out", tmp_path / "out")
-    assert done.exit_code != 0
-    assert done.stderr.startswith("roadtorch: error: ")
-    assert where in done.stderr
-    assert done.stderr.count("\n") == 1

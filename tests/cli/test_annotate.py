@@ -79,27 +79,6 @@ def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -
     assert [len(log.events) for log in read_logs(second)] == [1]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--export", "coco"), "Missing option '--to'"),
-        (("--import", "coco"), "Missing option '--from'"),
-        (("--export", "xml", "--to", "x"), "'xml' is not one of 'png', 'coco'"),
-        (("--import", "png", "--from", "x"), "has no file for any of the pictures"),
-        (("--report", "--out", "nowhere"), "nowhere: is no folder"),
-        ((*QUICK, "--out", "{}/a.jpg"), "a.jpg: cannot be made a folder"),
-        ((*QUICK, "--out", "{}/a.jpg"), "give another --out"),
-    ],
-)
-def test_what_is_wrong_is_told(
-    call: Call, footage: Path, arguments: tuple[str, ...], words: str
-) -> None:
-    result = call("annotate", footage, *(text.format(footage) for text in arguments))
-    assert result.exit_code == 2
-    assert words in result.stderr
-    assert result.stderr.count("\n") == 1
-
-
 @pytest.mark.parametrize(("name", "words"), [("empty", "holds no pictures"), ("no", "not exist")])
 def test_no_pictures(call: Call, tmp_path: Path, name: str, words: str) -> None:
     (tmp_path / "empty").mkdir()

@@ -34,13 +34,3 @@ def test_export_tells_what_it_wrote_and_nothing_else(
         "1.0e-07 in the mean; allowed 0.0001",
         "It lacks: a soul, trust. What that costs: docs/export.md",
     ]
-
-
-def test_export_says_in_one_line_what_cannot_be_exported(call: Call, tmp_path: Path) -> None:
-    result = call("export", "lbp", "--out", tmp_path / "a.onnx")
-
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr == (
-        "roadtorch: error: lbp: cannot be exported (those that can: fusion, layout:cnn-7)\n"
-    )

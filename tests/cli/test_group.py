@@ -31,40 +31,6 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
     assert "--debug" in result.stdout
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["infr"], "infr: no such command (did you mean infer?)"),
-        (["xyz"], "xyz: no such command (see roadtorch --help)"),
-        (["predict"], "predict: no such command (did you mean infer?)"),
-        (["finetune"], "finetune: no such command (did you mean adapt?)"),
-        (
-            ["infer", "--detectr", "x"],
-            "--detectr: no such option (did you mean --detector, --every, --depth?)",
-        ),
-        (["infer"], "Missing argument 'INPUT...' (see roadtorch infer --help)"),
-        (
-            ["detectors", "x", "y"],
-            "Got unexpected extra argument (y) (see roadtorch detectors --help)",
-        ),
-        (["label", "x"], "Missing option '--out' (see roadtorch label --help)"),
-        (
-            ["infer", "x", "--depth", "12"],
-            "Invalid value for '--depth': '12' is not one of '8', '16'. "
-            "(see roadtorch infer --help)",
-        ),
-    ],
-)
-def test_wrong_usage_is_one_line_and_exit_code_2(
-    call: Call, arguments: list[str], line: str
-) -> None:
-    result = call(*arguments)
-
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr.replace(". (", " (") == f"roadtorch: error: {line}\n".replace(". (", " (")
-
-
 def test_without_a_command_the_help_is_shown(call: Call) -> None:
     result = call()
 

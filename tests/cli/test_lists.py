@@ -1,7 +1,5 @@
 from pathlib import Path
 
-import pytest
-
 from roadtorch.detectors.catalogue import detector_groups, list_detectors
 from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
@@ -77,22 +75,3 @@ def test_a_detectors_config_is_found_by_name(call: Call, footage: Path, tmp_path
     assert result.exit_code == 0, result.stderr
     kept = (out / "config.toml").read_text()
     assert kept.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
-
-
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ("adapt", "teacher.margi: unknown setting (did you mean teacher.margin"),
-        ("xyz", "xyz: unknown config, and no file (known: adapt, backbone-free, cnn7, "),
-    ],
-)
-def test_a_training_is_found_by_name_and_an_unknown_name_lists_the_known_ones(
-    call: Call, tmp_path: Path, config: str, message: str
-) -> None:
-    """The key is refused by the kind of training that the config names."""
-    words = ("--images", tmp_path, "--out", tmp_path / "run", "--set", "teacher.margi=0.1")
-
-    result = call("train", "--config", config, *words)
-
-    assert result.exit_code == 2
-    assert result.stderr.startswith(f"roadtorch: error: {message}")

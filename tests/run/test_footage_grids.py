@@ -136,18 +136,3 @@ def test_footage_that_does_not_tell_its_pitch(call: Call, drive: Path, out: Path
     assert result.exit_code == 1
     told = f"failed: {drive}: has no layout by this detector to tell the pitch (give --pitch"
     assert told in result.stderr
-
-
-@pytest.mark.parametrize("bags_only", [True, False])
-def test_options_are_refused_before_any_work(
-    call: Call, drive: Path, tmp_path: Path, out: Path, bags_only: bool
-) -> None:
-    inputs = [drive] if bags_only else [drive, write_video(tmp_path / "v.mp4", [0])]
-    options = ("--pitch", 3) if bags_only else MAP
-    told = "--height: is missing" if bags_only else "grid: nothing tells the lens"
-
-    result = call("grid", *inputs, *options, "--out", out)
-
-    assert result.exit_code == 2
-    assert f"roadtorch: error: {told}" in result.stderr
-    assert not (out).exists()

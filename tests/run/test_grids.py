@@ -76,33 +76,6 @@ def test_camera_info_is_scaled_and_other_shapes_fail(
     assert "is 160×120 pixels, the calibration 300×240" in bad.stderr
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        ((), "grid: nothing tells the lens (give one of --fov, --camera-info, --calibration)"),
-        (("--fov", 60), "--height: is missing"),
-        (("--height", 1.4), "grid: nothing tells the lens"),
-        (("--fov", 60, "--camera-info", "a"), "grid: --fov and --camera-info were given"),
-        (("--fov", 60, "--height", -1), "--height: -1 was given"),
-        (("--fov", 60, "--height", 1, "--pitch", 95), "--pitch: 95 was given"),
-        (("--fov", 190, "--height", 1), "--fov: 190 degrees were given"),
-        (("--fov", 60, "--height", 1, "--mount", "a"), "--mount: 'a' was given"),
-        (("--fov", 60, "--height", 1, "--range", 0.1), "range: 0.1 was given"),
-        (("--height", 1, "--camera-info", "none.yaml"), "none.yaml: cannot be read"),
-        (("--calibration", "none.txt"), "none.txt: is missing"),
-        (("--calibration", "none.txt", "--pitch", 1), "--pitch: was given beside --calibration"),
-    ],
-)
-def test_wrong_usage_is_told_before_any_work(
-    call: Call, street: Path, out: Path, options: tuple[object, ...], told: str
-) -> None:
-    result = call("grid", street, "--out", out, *options)
-
-    assert result.exit_code == 2
-    assert f"roadtorch: error: {told}" in result.stderr
-    assert not (out).exists()
-
-
 def test_a_detector_without_layout_needs_a_pitch(call: Call, street: Path, out: Path) -> None:
     result = call("grid", street, "--out", out, *VIEW, "--detector", "cpf")
 

@@ -19,7 +19,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Inference
 from roadtorch.run.writers.maps import cue_picture
 from roadtorch.testing.scenes import render_scene
-from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+from tests.command import ROWS, Call, files_in, rows_of, save_picture
 
 GREY = ("--detector", "grey-uniformity")
 
@@ -111,50 +111,6 @@ def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_kept_gives_t
     assert (values["detector"], values["threshold"]) == ("cpf", 0.3)
     assert (values["texture"]["bins"], values["texture"]["ridge"]) == (8, 0.5)
     assert "3 skipped (done before)" in again.stderr
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        ("--detector prior:row", "prior:row: unknown detector (did you mean"),
-        ("--set treshold=.1", "treshold: unknown setting (did you mean threshold, isolated?)"),
-        ("--set threshold=high", "threshold: 'high' was given ("),
-        ("--threshold 1.5", "threshold: 1.5 was given ("),
-        ("--set threshold", "threshold: is not a setting ("),
-        ("--save masks", "masks: unknown kind of result (did you mean mask, mask-video?)"),
-        ("--save ,", "--save: nothing to save ("),
-        ("--config none.toml", "none.toml: cannot be read"),
-        ("--start 2", "--start, --end: pictures have no time ("),
-        ("--device meta", "--device meta: "),
-        ("--device gpu", "--device gpu: is no device of torch ("),
-        ("--device cuda:99", "--device cuda:99: "),
-        ("bare", "bare: holds no pictures ("),
-        ("none", "none: does not exist ("),
-        ("x.jpg x.mask.png --out .", "x.mask.png: is one of the pictures ("),
-        ("x.jpg x.png", "x.jpg and x.png: both would write "),
-        ("x.jpg --out x.png", "x.png: cannot be made a folder: File exists ("),
-        ("x.jpg --out x.png/below", "x.png/below: cannot be made a folder: "),
-        ("x.jpg --out loop", "loop: cannot be made a folder: "),
-    ],
-)
-def test_mistakes_are_one_line_before_any_work(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: str, line: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("x.jpg", "x.png", "x.mask.png"):
-        save_picture(tmp_path / name)
-    (tmp_path / "bare").mkdir()
-    (tmp_path / "loop").symlink_to("loop")
-    before = bytes_in(tmp_path)
-    words = options.split()
-    inputs = ["x.jpg"] if words[0].startswith("--") else []
-
-    result = call("infer", *inputs, *ROWS, *words)
-
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr.startswith(f"roadtorch: error: {line}")
-    assert result.stderr.count("\n") == 1
-    assert bytes_in(tmp_path) == before
 
 
 def test_ray_that_is_not_installed_is_one_line(run: Call, monkeypatch: pytest.MonkeyPatch) -> None:

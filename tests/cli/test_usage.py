@@ -1,0 +1,84 @@
+"""Wrong usage of every command: one line on stderr, exit code 2, and nothing written."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.command import Call, bytes_in, save_picture
+
+MISTAKES = {
+    # Commands and options
+    "infr": "infr: no such command (did you mean infer?)",
+    "xyz": "xyz: no such command (see roadtorch --help)",
+    "finetune": "finetune: no such command (did you mean adapt?)",
+    "infer": "Missing argument 'INPUT...' (see roadtorch infer --help)",
+    "label x.jpg": "Missing option '--out' (see roadtorch label --help)",
+    "detectors x y": "Got unexpected extra argument (y) (see roadtorch detectors --help)",
+    "infer x.jpg --detectr x": "--detectr: no such option (did you mean --detector, --every",
+    "infer x.jpg --depth 12": "Invalid value for '--depth': '12' is not one of '8', '16'",
+    "infer x.jpg --save masks": "masks: unknown kind of result (did you mean mask, mask-video?)",
+    "infer x.jpg --save ,": "--save: nothing to save (",
+    "infer x.jpg --start 2": "--start, --end: pictures have no time (",
+    "infer x.jpg --device meta": "--device meta: ",
+    "infer x.jpg --device gpu": "--device gpu: is no device of torch (",
+    "infer x.jpg --device cuda:99": "--device cuda:99: ",
+    # Detectors and their settings
+    "infer x.jpg --detector prior:row": "prior:row: unknown detector (did you mean",
+    "infer x.jpg --set treshold=.1": "treshold: unknown setting (did you mean threshold",
+    "infer x.jpg --set threshold=high": "threshold: 'high' was given (",
+    "infer x.jpg --threshold 1.5": "threshold: 1.5 was given (",
+    "infer x.jpg --set threshold": "threshold: is not a setting (",
+    "export lbp --out a.onnx": "lbp: cannot be exported (those that can: fusion, layout:cnn-7)",
+    # Inputs and outputs
+    "infer bare": "bare: holds no pictures (",
+    "infer none": "none: does not exist (",
+    "infer x.jpg x.mask.png --out .": "x.mask.png: is one of the pictures (",
+    "infer x.jpg x.png": "x.jpg and x.png: both would write ",
+    "infer x.jpg --out x.png": "x.png: cannot be made a folder: File exists (",
+    "infer x.jpg --out x.png/below": "x.png/below: cannot be made a folder: ",
+    "infer x.jpg --out loop": "loop: cannot be made a folder: ",
+    # The ground
+    "grid x.jpg --out o": "grid: nothing tells the lens (give one of --fov, --camera-info, --cal",
+    "grid x.jpg --out o --fov 60": "--height: is missing",
+    "grid x.jpg --out o --fov 60 --camera-info a": "grid: --fov and --camera-info were given",
+    "grid x.jpg --out o --fov 60 --height -1": "--height: -1 was given",
+    "grid x.jpg --out o --fov 190 --height 1": "--fov: 190 degrees were given",
+    "grid x.jpg --out o --fov 60 --height 1 --pitch 95": "--pitch: 95 was given",
+    "grid x.jpg --out o --fov 60 --height 1 --mount a": "--mount: 'a' was given",
+    "grid x.jpg --out o --fov 60 --height 1 --range 0.1": "range: 0.1 was given",
+    "grid x.jpg --out o --calibration none --pitch 1": "--pitch: was given beside --calibration",
+    # Learning and correcting
+    "train --config xyz --images . --out o": "xyz: unknown config, and no file (known: adapt, back",
+    "train --config adapt --images . --out o --set teacher.margi=1": (
+        "teacher.margi: unknown setting (did you mean teacher.margin"
+    ),
+    "adapt --out o": "Missing argument 'FOOTAGE...'",
+    "adapt x.jpg --out o --set kind=patches": "network.height: unknown setting",
+    "adapt x.jpg --out o --set start=": "start: ",
+    "annotate . --export coco": "Missing option '--to'",
+    "annotate . --import coco": "Missing option '--from'",
+    "annotate . --export xml --to x": "Invalid value for '--export': 'xml' is not one of 'png', 'c",
+    "annotate . --report --out nowhere": "nowhere: is no folder",
+    "annotate . --detector prior:rows --out x.jpg": "x.jpg: cannot be made a folder",
+}
+
+
+@pytest.mark.parametrize("line", MISTAKES)
+def test_a_mistake_is_one_line_before_any_work(
+    line: str, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("x.jpg", "x.png", "x.mask.png"):
+        save_picture(tmp_path / name)
+    (tmp_path / "bare").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    before = bytes_in(tmp_path)
+
+    result = call(*line.split())
+
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"roadtorch: error: {MISTAKES[line]}")
+    assert result.stderr.endswith(")\n")
+    assert result.stderr.count("\n") == 1
+    assert bytes_in(tmp_path) == before
+    assert not (tmp_path / "o").exists()
