@@ -1,4 +1,4 @@
-"""Files that are never half-written, and texts for them that any reader takes apart again."""
+"""Files that are never half-written, of bounded size, with names in any encoding."""
 
 import io
 import os
@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from roadtorch.base import atomic as files
 from roadtorch.base.atomic import (
@@ -17,6 +19,7 @@ from roadtorch.base.atomic import (
     shared,
     write_text,
 )
+from roadtorch.base.bounded import printable, read_regular
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import write_mask, write_npy
 
@@ -102,3 +105,29 @@ def test_leftovers_of_killed_processes_go_and_all_else_stays(tmp_path: Path) -> 
     remove_leftovers([tmp_path, tmp_path / "none"])
 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.part", "x"]
+
+
+# --- bounded reads and names --------------------------------------------------------------
+
+
+def test_a_file_is_read_up_to_its_bound(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+
+    assert read_regular(path, most=5) == b"12345"
+    assert b"MemTotal" in read_regular("/proc/meminfo")  # whose size is told as 0
+    with pytest.raises(OSError, match="more than 4 bytes"):
+        read_regular(path, most=4)
+
+
+def test_bytes_that_are_no_text_are_shown_and_ascii_systems_get_their_letters_back() -> None:
+    assert printable(os.fsdecode(b"z\xff.jpg")) == r"z\xff.jpg"
+    assert printable("Straße".encode().decode("ascii", "surrogateescape")) == "Straße"
+    assert printable("Straße") == "Straße"
+
+
+@given(st.binary())
+def test_every_name_can_be_written(name: bytes) -> None:
+    shown = printable(os.fsdecode(name)).encode()
+
+    assert shown.decode("utf-8") == name.decode("utf-8", "backslashreplace")

@@ -18,7 +18,6 @@ from roadtorch.base.image import (
     decode_image,
     read_image,
     tint_mask,
-    with_caption,
     write_colours,
     write_labels,
     write_map,
@@ -222,15 +221,3 @@ def test_the_overlay_shows_on_any_grey_road(grey: int) -> None:
     assert np.abs(shown[200, 160] - grey).max() > 20  # the tint
     assert shown[100, 160].tolist() == list(ORANGE)  # the outline
     assert shown[239, 160].tolist() == shown[200, 160].tolist()  # none at the picture's rim
-
-
-@pytest.mark.parametrize(("height", "width", "tall"), [(180, 320, 9), (720, 1280, 20), (5, 7, 0)])
-def test_captions_can_be_read_in_small_images(height: int, width: int, tall: int) -> None:
-    grey = np.full((height, width, 3), 128, np.uint8)
-
-    shown = with_caption(grey, "trust 0.91")
-
-    assert shown.shape == grey.shape
-    white = (shown.min(2) > 250).any(1).nonzero()[0]  # from the top of a letter to its foot
-    assert not tall or np.ptp(white) >= tall
-    assert (grey == 128).all()

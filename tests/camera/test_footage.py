@@ -9,15 +9,14 @@ from torch import Tensor
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
-from roadtorch.camera.camera import Camera, check_picture
-from roadtorch.camera.footage import best_path, camera_of, still_ego
+from roadtorch.camera.camera import Camera
+from roadtorch.camera.footage import camera_of, still_ego
 from roadtorch.camera.gradients import horizon_of
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
 from roadtorch.imaging.resize import resized
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.road.ego import ego_car
 from roadtorch.testing.scenes import draw_street, render_scene
 from tests.streets import bonnet, drive, scene
 
@@ -32,18 +31,6 @@ def test_the_bonnet_is_found_where_it_is_painted_and_none_where_there_is_none() 
     assert still_ego(drive(rise=0)) is None
     with pytest.raises(InputError, match=r"footage: is 1 frame\(s\)"):
         still_ego(drive()[:1])
-
-
-def test_a_path_follows_its_edge_and_drops_where_there_is_none() -> None:
-    evidence = torch.zeros(30, 40)
-    evidence[20, 5:25] = 1.0
-
-    rows, gained = best_path(evidence)
-
-    assert set(rows[5:25].tolist()) == {20}
-    assert rows[-1] == 30  # below the picture
-    # 20 columns gain .65 each; before them 5 lose .35, behind them 3; ten rows down cost .15 each.
-    assert gained * 40 == pytest.approx(20 * 0.65 - 8 * 0.35 - 10 * 0.15)
 
 
 # --- the camera -----------------------------------------------------------------------------
@@ -79,17 +66,6 @@ def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     detector = load_detector("fusion:untrained", camera=camera, labeller={"horizon": 0.3})
     assert detector.settings.ego == camera.ego
     assert detector.settings.labeller.horizon == 0.3  # type: ignore[attr-defined]
-
-
-def test_the_picture_to_check_shows_the_ego_car(camera: Camera) -> None:
-    picture = check_picture(camera, drive())
-
-    assert picture.shape == (3, 480, 1280)
-    car = ego_car(picture[:, :, :640], camera.ego)
-    mean = resized(torch.stack(drive()).mean(0), (480, 640))
-    changed = (picture[:, :, :640] - mean).abs().amax(0) > 0.1
-    assert changed[car].float().mean() > 0.95
-    assert changed[~car].float().mean() < 0.05
 
 
 # --- what is no footage of one camera -------------------------------------------------------

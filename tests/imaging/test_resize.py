@@ -1,5 +1,7 @@
-"""The working size and the way back."""
+"""The working size and the way back; dense motion."""
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.imaging.motion import dense_flow, flow_picture, forward_backward_error, warp
 from roadtorch.imaging.resize import (
     SHORTEST,
     WorkingSize,
@@ -15,6 +18,7 @@ from roadtorch.imaging.resize import (
     resized,
     working_size,
 )
+from roadtorch.testing.scenes import render_scene
 
 SIDES = st.integers(16, 4000)
 
@@ -47,20 +51,6 @@ def test_averaging_is_torchs_antialiased_filter(height: int, tall: int, seed: in
     torch.testing.assert_close(result, batch[0], atol=2e-5, rtol=0)
 
 
-@pytest.mark.parametrize("shape", [(20, 30), (3, 20, 30), (2, 3, 20, 30)])
-@pytest.mark.parametrize("size", [(10, 15), (7, 44), (41, 61)])
-def test_maps_of_any_dimensions_are_resized_within_their_range(
-    shape: tuple[int, ...], size: tuple[int, int]
-) -> None:
-    maps = torch.rand(shape, generator=torch.Generator().manual_seed(0))
-
-    result = resized(maps, size)
-
-    assert result.shape == (*shape[:-2], *size)
-    assert result.min() >= maps.min() - 1e-5
-    assert result.max() <= maps.max() + 1e-5
-
-
 @pytest.mark.parametrize("size", [(20, 26), (21, 31), (5, 6)])
 def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) -> None:
     labels = torch.arange(130).reshape(10, 13)
@@ -90,3 +80,59 @@ def test_an_analysis_at_working_size_sees_a_small_picture_and_answers_at_full_si
         ("likelihood", "segments", "mask"), (100, 200)
     )
     assert (cues["likelihood"].dtype, cues["mask"].dtype) == (torch.float32, torch.bool)
+
+
+# --- motion -------------------------------------------------------------------------------
+
+
+def everywhere(right: float, down: float, height: int = 40, width: int = 60) -> torch.Tensor:
+    return torch.tensor([right, down], dtype=torch.float32).expand(height, width, 2).contiguous()
+
+
+def test_values_come_from_where_the_flow_points() -> None:
+    plane = torch.arange(40 * 60, dtype=torch.float32).reshape(40, 60)
+    row = torch.tensor([[0.0, 1.0, 4.0]]).repeat(3, 1)
+    large = torch.rand(80, 120, generator=torch.Generator().manual_seed(0))
+
+    assert torch.equal(warp(plane, everywhere(3, -2))[2:, :-3], plane[:-2, 3:])
+    # Between pixels they are interpolated; outside, those at the edge.
+    assert warp(row, everywhere(0.5, 0, 3, 3))[1].tolist() == pytest.approx([0.5, 2.5, 4.0])
+    # A flow of another size moves by the same share of the picture.
+    moved = warp(large, everywhere(2, 1))
+    assert torch.allclose(moved[:-2, :-4], large[2:, 4:], atol=1e-6)
+
+
+def test_a_round_trip_closes_misses_or_leaves_the_picture() -> None:
+    there, back, off = everywhere(4, 0), everywhere(-4, 0), everywhere(-4, 3)
+
+    closed, missed = forward_backward_error(there, back), forward_backward_error(there, off)
+
+    assert (closed[:, :-4] == 0).all()
+    assert closed[:, -4:].isinf().all()
+    assert (missed[:, :-4] == 3).all()
+
+
+def test_the_flow_of_a_shifted_street_is_the_shift() -> None:
+    street = flow_picture(render_scene(1, 120, 160, noise=0.0).image, 160)
+    here, there = street[:, :-6].contiguous(), street[:, 6:].contiguous()
+
+    # What is at column x of ``here`` is at column x - 6 of ``there``.
+    flow = dense_flow(here, there, cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+
+    inner = flow[20:-20, 30:-30]
+    assert float(inner[..., 0].median()) == pytest.approx(-6, abs=0.1)
+    assert float(inner[..., 1].median()) == pytest.approx(0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "wanted"),
+    [((270, 480), (135, 240)), ((33, 40), (33, 40)), ((16, 900), (32, 240)), ((16, 16), (32, 32))],
+)
+def test_small_pictures_keep_their_shape_and_enough_rows_for_the_flow(size, wanted) -> None:
+    image = torch.full((3, *size), 0.5)
+
+    grey = flow_picture(image, 240)
+
+    assert tuple(grey.shape) == wanted
+    assert grey.dtype == torch.uint8
+    assert set(np.unique(grey.numpy())) == {128}

@@ -1,5 +1,7 @@
-"""What every one-class classifier keeps to, whatever it has learned."""
+"""What every one-class classifier keeps to, and distances against slow versions."""
 
+from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Any, get_args
 
@@ -18,12 +20,17 @@ from tests.oneclass.cases import (
     RGB,
     around_red,
     asphalt,
+    doubles,
     every_classifier,
     every_distance,
+    fitted,
     of_asphalt,
     rank_correlation,
     readings,
+    road,
+    some,
 )
+from tests.reference import oneclass_boundary, oneclass_density
 
 HS = axes_of(("H", "S"))
 WRONG = ((9, 2), (9,), (2, 9, 3))
@@ -85,8 +92,8 @@ def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> Non
     shares, samples = (0.0, 0.1, 0.5, 0.9), asphalt(150)
     by_share = [fit(classifier, samples, RGB, classifier.settings(rejected=s)) for s in shares]
 
-    for rejected, fitted in zip(shares, by_share, strict=True):
-        outside = int((fitted.distance(samples) > fitted.threshold).sum())
+    for rejected, each in zip(shares, by_share, strict=True):
+        outside = int((each.distance(samples) > each.threshold).sum())
         if classifier.name in {"nn", "mst"}:  # samples are at distance 0 of themselves
             assert outside == 0
         elif classifier.name in HISTOGRAMS:  # ties
@@ -95,7 +102,7 @@ def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> Non
             assert outside == pytest.approx(150 * rejected, abs=7)
     # SVDD and dLP change with the share, so that their thresholds are of different distances.
     pixels = asphalt(1000, seed=7)
-    accepted = [int((fitted.distance(pixels) <= fitted.threshold).sum()) for fitted in by_share]
+    accepted = [int((each.distance(pixels) <= each.threshold).sum()) for each in by_share]
     assert accepted == sorted(accepted, reverse=True)
     assert accepted[0] > accepted[-1]
 
@@ -246,3 +253,39 @@ def test_the_same_samples_give_the_same_bytes_in_any_chunks_and_are_left_alone(
     np.testing.assert_allclose(again.distance(planes.T), first, rtol=1e-5, atol=1e-5)
     monkeypatch.setattr(base, "CHUNK", 7 * again.learned.floats)
     np.testing.assert_allclose(again.distance(pixels), first, rtol=1e-5, atol=1e-5)
+
+
+# --- slow versions ------------------------------------------------------------------------
+
+
+ROUNDING = 1 / (12 * 255**2)
+"""Variance of rounding to 256 levels, of planes from 0 to 1."""
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "reference"),
+    [
+        ("nn", {}, oneclass_boundary.nearest_distance),
+        ("mst", {}, oneclass_boundary.tree_distance),
+        ("kmeans", {"centres": 50}, oneclass_boundary.nearest_distance),
+        ("kcentres", {"centres": 50}, oneclass_boundary.nearest_distance),
+        ("gaussian", {}, partial(oneclass_density.gaussian_distance, floor=ROUNDING)),
+        ("hist64_s", {}, partial(oneclass_density.histogram_distance, bins=64)),
+        ("hist100_s", {}, partial(oneclass_density.histogram_distance, bins=100)),
+        ("hist64_s", {"planes": "product"}, oneclass_density.histograms_distance),
+        ("pca", {"variance": 0.0}, partial(oneclass_density.residual_distance, kept=0)),
+        ("pca", {"variance": 0.95}, partial(oneclass_density.residual_distance, kept=-1)),
+    ],
+)
+def test_the_distance_is_that_of_the_slow_version(
+    name: str, settings: dict[str, Any], reference: Callable[..., np.ndarray]
+) -> None:
+    classifier = CLASSIFIERS[name]
+    for dimensions in (2, 3) if classifier.single else (1, 2, 3):
+        samples, pixels = road(40, dimensions), some(100, dimensions)
+        # Twins change nothing where no variance is divided by m - 1.
+        for given in [samples] if name in {"gaussian", "pca"} else [samples, samples.repeat(2, 1)]:
+            learned = fitted(classifier, given, classifier.settings.model_validate(settings))
+
+            expected = reference(doubles(given), doubles(pixels))
+            np.testing.assert_allclose(learned.distance(pixels), expected, rtol=2e-5, atol=1e-6)

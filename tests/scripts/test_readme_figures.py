@@ -23,30 +23,6 @@ def test_no_record_is_kept_that_no_document_uses() -> None:
     assert kept <= readme_figures.used()
 
 
-def first_number(text: str) -> re.Match[str] | None:
-    """Return the first bound figure of a page that is a number."""
-    figures = readme_figures.MARK.finditer(text)
-    return next((figure for figure in figures if figure["text"][-1] != "`"), None)
-
-
-@pytest.mark.parametrize(
-    "path",
-    [path for path in readme_figures.documents() if first_number(path.read_text("utf-8"))],
-    ids=lambda path: path.name,
-)
-def test_a_changed_figure_and_a_new_one_are_noticed(path: Path) -> None:
-    text = path.read_text("utf-8")
-    figure = first_number(text)
-    assert figure
-    place = figure.start() + len(figure["text"].rstrip(" %")) - 1
-    other = str((int(text[place]) + 1) % 10)
-
-    changed = text[:place] + other + text[place + 1 :]
-
-    assert rewrite(changed, readme_figures.records()) == text
-    assert unbound_numbers(f"{text}\n## News\n\nF is .731 now.\n") == [".731"]
-
-
 def test_pages_name_commits_of_the_history_and_their_dates() -> None:
     log = ["git", "log", "--all", "--format=%h %cs", "--abbrev=7"]
     done = subprocess.run(log, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -77,19 +53,6 @@ def test_pages_name_commits_of_the_history_and_their_dates() -> None:
 )
 def test_a_number_is_bound_of_a_study_or_alone(page: str, numbers: list[str]) -> None:
     assert unbound_numbers(page) == numbers
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("code:roadtorch.base.bounded:MAX_BYTES/GiB", 1),
-        ("setting:fusion:working.pixels", 256 * 192),
-        ("setting:fusion:paper:descriptor", "cpf"),
-        ("config:adapt:stopping.epochs", 6),
-    ],
-)
-def test_what_the_code_says_is_a_record(key: str, value: float | str) -> None:
-    assert readme_figures.records()[key] == value
 
 
 @pytest.mark.parametrize(

@@ -49,22 +49,6 @@ def test_the_error_is_equation_10(centring: road.Centring, seed: int, kept: floa
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("error", "covered", "scaled"),
-    [
-        ([[1.0, 2.0], [3.0, 9.0]], [[True, True], [True, False]], [[0, 0.5], [1, 0]]),
-        ([[2.0, 2.0]], [[True, True]], [[0, 0]]),
-        ([[1.0, 2.0]], [[False, False]], [[0, 0]]),
-    ],
-)
-def test_errors_are_scaled_where_the_mean_map_is_not_0(
-    error: list, covered: list, scaled: list
-) -> None:
-    found = road.normalised_error(torch.tensor(error), torch.tensor(covered))
-
-    assert found.tolist() == scaled
-
-
 # The two loops
 
 

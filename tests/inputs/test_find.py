@@ -1,0 +1,237 @@
+"""Finding images and videos: files, folders, globs, lists, addresses; some items of a source."""
+
+import io
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.inputs.find import camera_number, find_inputs, open_source, slug
+from roadtorch.inputs.item import Item, Selection, Source, spread
+from roadtorch.inputs.pictures import find_pictures
+from tests.command import save_picture
+from tests.videos import write_video
+
+NAMES = ["b.jpg", "a.PNG", "c[1].jpg", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"]
+OWN = ["b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png"]
+LINKS = {"loop.png": "loop.png", "sub/around": "around", "sub/up": ".."}
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Images, results of ours among them, links to themselves and an empty folder."""
+    root = tmp_path_factory.mktemp("footage")
+    (root / "bare").mkdir()
+    for name in (*NAMES, *OWN):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+    for name, target in LINKS.items():
+        (root / name).symlink_to(target)
+    return root
+
+
+ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
+
+
+@pytest.mark.parametrize(
+    ("ends", "apart", "expected"),
+    [
+        ([""], "loop.png", ALL),
+        (["[sx]*/d*/**"], "none", ["sub/deep/d"]),
+        ([""], "sub", ["a", "b", "c[1]", "loop"]),
+        (["*.PNG"], "none", ["a"]),
+        (["s*"], "none", ["sub/c", "sub/deep/d"]),
+        (["c[1].jpg"], "none", ["c[1]"]),  # no glob, as it exists
+        (["b.mask.png"], "none", ["b.mask"]),  # asked for by name
+        (["b.jpg", "b.jpg"], "none", ["b"]),
+        (["b.jpg", "none.jpg"], "none", ["b", "none"]),  # reading that one fails
+    ],
+)
+def test_folders_globs_and_files(
+    footage: Path, ends: list[str], apart: str, expected: list[str]
+) -> None:
+    images = find_pictures([f"{footage}/{end}" for end in ends], apart=footage / apart)
+
+    assert [image.name for image in images] == expected
+
+
+@pytest.mark.parametrize(
+    ("end", "what"),
+    [
+        ("bare", "holds no pictures"),
+        ("*.gif", "holds no pictures"),
+        ("none.jpg", "does not exist"),
+    ],
+)
+def test_nothing_found_is_an_error_that_names_the_input(footage: Path, end: str, what: str) -> None:
+    with pytest.raises(InputError) as caught:
+        find_pictures([footage / end])
+
+    assert (caught.value.where, caught.value.what) == (str(footage / end), what)
+
+
+def test_pipes_are_listed_and_never_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+
+    (item,) = find_pictures([tmp_path])
+
+    with pytest.raises(InputError, match="it is a pipe or a device"):
+        item.read()
+
+
+# --- videos, lists, addresses -------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a.jpg, drive.mp4, sub/late.avi, and an overlay of ours."""
+    root = tmp_path_factory.mktemp("mixed")
+    save_picture(root / "a.jpg")
+    write_video(root / "drive.mp4")
+    (root / "sub").mkdir()
+    write_video(root / "sub" / "late.avi", codec="mjpeg")
+    (root / "drive.overlay.mp4").symlink_to("drive.mp4")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("end", "apart", "pictures", "videos"),
+    [
+        ("", None, ["a"], ["drive", "sub/late"]),
+        ("", "sub", ["a"], ["drive"]),
+        ("*.mp4", None, [], ["drive"]),
+        ("drive.mp4", None, [], ["drive"]),
+    ],
+)
+def test_folders_and_globs_are_searched_for_videos_too(
+    mixed: Path, end: str, apart: str | None, pictures: list[str], videos: list[str]
+) -> None:
+    inputs = find_inputs([str(mixed / end)], apart=mixed / apart if apart else None)
+
+    assert [picture.name for picture in inputs.pictures] == pictures
+    assert [source.name for source in inputs.sources] == videos
+    assert inputs.sources[0].rate == 10
+
+
+def test_names_come_from_standard_input_and_lists(mixed: Path, tmp_path: Path) -> None:
+    listed = tmp_path / "list.txt"
+    listed.write_text("b.png\n\nother.mp4\r\n")
+    given = ["-", f"@{listed}", str(mixed / "a.jpg")]
+
+    pictures, sources = find_inputs(given, names=io.StringIO("0\na.jpg\n"))
+
+    assert [str(one.origin) for one in pictures] == ["a.jpg", "b.png", given[-1]]
+    assert [one.origin for one in sources] == ["camera:0", "other.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("given", "text", "problem"),
+    [
+        ("@none.txt", "", "none.txt: cannot be read"),
+        ("-", "\n", "-: names nothing"),
+        ("-", "\udcff\udcd8\udcff\udce0\0\x10JFIF", "-: takes names of files, not their bytes"),
+    ],
+)
+def test_a_list_that_is_missing_or_empty_is_told(given: str, text: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        find_inputs([given], names=io.StringIO(text))
+
+
+def test_a_file_named_0_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert (camera_number("0"), camera_number("camera:12"), camera_number("0.png")) == (0, 12, None)
+
+    (tmp_path / "0").write_bytes(b"")
+
+    assert (camera_number("0"), camera_number("camera:0")) == (None, 0)
+
+
+def test_addresses_give_names_without_passwords() -> None:
+    (source,) = find_inputs(["rtsp://user:secret@10.0.0.4:554/stream1?x=1"]).sources
+
+    assert source.live
+    assert source.name == "10.0.0.4-554-stream1"
+    assert "secret" not in source.origin
+    assert slug("http://host/") == "host"
+
+
+def test_one_source_of_an_input(mixed: Path) -> None:
+    assert open_source(str(mixed / "drive.mp4"), Selection()).rate == 10
+    pictures = open_source(str(mixed / "a.jpg"), Selection())
+    assert (pictures.rate, pictures.count) == (None, 1)
+    assert [frame.name for frame in pictures.items()] == ["a"]
+    with pytest.raises(ConfigError, match="holds 2 videos and pictures"):
+        open_source(str(mixed), Selection())
+
+
+# --- items --------------------------------------------------------------------------------
+
+
+def item(number: int, seconds: float | None = None) -> Item:
+    read = lambda: torch.zeros(3, 2, 2)  # noqa: E731
+    return Item(f"{number}", f"{number}", read, number=number, seconds=seconds)
+
+
+@pytest.mark.parametrize(
+    ("count", "known", "expected"),
+    [
+        (100, True, [0, 33, 66]),
+        (2, True, [0, 1]),
+        (100, False, [0, 1, 2]),
+        (0, True, []),
+    ],
+)
+def test_sampled_items_are_evenly_spaced(count: int, known: bool, expected: list[int]) -> None:
+    asked: list[int] = []
+    closed: list[bool] = []
+
+    def items() -> Iterator[Item]:
+        try:
+            for number in range(count):
+                asked.append(number)
+                yield item(number)
+        finally:
+            closed.append(True)
+
+    opened = items()  # held here, so that it is not closed by itself
+    source = Source("a", "a", lambda: opened, count=count if known else None)
+
+    assert [one.number for one in source.sampled(3).items()] == expected
+    assert len(asked) <= (expected[-1] + 1 if expected else 0)
+    assert closed == [True]
+
+
+@pytest.mark.parametrize(
+    ("selection", "clock", "expected"),
+    [
+        (Selection(), True, [0, 1, 2, 3, 4, 5]),
+        (Selection(every=2, start=0.1, limit=2), True, [1, 3]),
+        (Selection(start=0.2, end=0.4), True, [2, 3]),
+        (Selection(start=2, end=4), False, [2, 3]),  # one a second
+    ],
+)
+def test_selections(selection: Selection, clock: bool, expected: list[int]) -> None:
+    items = (item(number, number / 10 if clock else None) for number in range(6))
+
+    assert [one.number for one in selection.of(items)] == expected
+
+
+def test_pictures_have_no_time_and_values_are_spread() -> None:
+    assert Selection(every=2, limit=2).of_pictures("abcdef") == "ac"
+    with pytest.raises(ConfigError, match="pictures have no time"):
+        Selection(start=1).of_pictures("abc")
+    assert [*spread(range(10), 3)] == [0, 4, 8]
+    assert [*spread(range(2), 3)] == [0, 1]
+
+
+def test_time_stamps_and_files() -> None:
+    assert item(3).nanoseconds == 3_000_000_000
+    assert item(3, 0.5).nanoseconds == 500_000_000
+    assert Item("a", "a", torch.rand, seconds=0.5, stamp=7).nanoseconds == 7
+    assert Item("sub/a", "in/sub/a.png", torch.rand, suffix=".png").row_name == "sub/a.png"
+    assert Item("a", "a", torch.rand, file=Path("a.png")).path == Path("a.png")
+    with pytest.raises(InputError, match=r"s3://b/a: is not on this machine \(give files"):
+        assert Item("a", "s3://b/a", torch.rand).path
