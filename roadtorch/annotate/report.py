@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.annotate.views import VIEWS, read_view, view_path
+from roadtorch.annotate.machine import VIEWS, read_view, view_path
 from roadtorch.data.corrections import Correction, read_corrections
 from roadtorch.data.events import ROAD_SAID
 from roadtorch.evaluation.metrics import count_mask, f_measure

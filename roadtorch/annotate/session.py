@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from roadtorch.annotate.machine import (
+    VIEWS,
     AnnotationSettings,
     PictureView,
+    ViewStore,
     at_size,
     mended_layout,
     mended_odds,
@@ -20,7 +22,6 @@ from roadtorch.annotate.machine import (
     shown_road,
 )
 from roadtorch.annotate.next_pictures import PictureOrder
-from roadtorch.annotate.views import VIEWS, ViewStore
 from roadtorch.base.atomic import remove_leftovers
 from roadtorch.base.bounded import printable
 from roadtorch.base.errors import InputError

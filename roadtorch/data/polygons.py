@@ -7,7 +7,7 @@ Coordinates are x to the right and y down, pixel centres at whole numbers.
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -39,25 +39,16 @@ def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
 # --- outlines ---------------------------------------------------------------------------
 
 
-class Outline(NamedTuple):
-    """A closed polygon int (N,2), N ≥ 3, through centres of border pixels, as (x, y).
-
-    label: 1 for road, 0 for a hole in it.
-    """
-
-    label: int
-    points: np.ndarray
-
-
-def outlines(mask: np.ndarray) -> list[Outline]:
+def outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
     """Return the outlines that, filled one over the other, give a mask bool (H,W) back exactly.
 
-    Regions come first, then their holes, then the islands in these. Each polygon covers at least
-    its region; the next ones take back the surplus. Suzuki and Abe, "Topological structural
-    analysis of digitized binary images" (1985), follow the borders. Polygons of one or two pixels
-    repeat their last corner.
+    Each is 1 (road) or 0 (a hole in it), and a closed polygon int (N,2), N ≥ 3, through centres of
+    border pixels, as (x, y). Regions come first, then their holes, then the islands in these: each
+    polygon covers at least its region; the next ones take back the surplus. Suzuki and Abe,
+    "Topological structural analysis of digitized binary images" (1985), follow the borders.
+    Polygons of one or two pixels repeat their last corner.
     """
-    polygons: list[Outline] = []
+    polygons: list[tuple[int, np.ndarray]] = []
     wanted, drawn = mask.astype(np.uint8), np.zeros(mask.shape, np.uint8)
     while (missing := drawn != wanted).any():
         for label in (1, 0):
@@ -67,7 +58,7 @@ def outlines(mask: np.ndarray) -> list[Outline]:
                 points = border.reshape(-1, 2)
                 lacking = max(CORNERS - len(points), 0)
                 points = np.concatenate([points, np.repeat(points[-1:], lacking, 0)])
-                polygons.append(Outline(label, points))
+                polygons.append((label, points))
                 cv2.fillPoly(drawn, [border], label)
     return polygons
 
@@ -80,15 +71,15 @@ def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
     height, width = mask.shape
     shapes = [
         {
-            "label": NAMES[outline.label],
-            "points": outline.points.tolist(),
+            "label": NAMES[label],
+            "points": points.tolist(),
             "group_id": None,
             "description": "",
             "shape_type": "polygon",
             "flags": {},
             "mask": None,
         }
-        for outline in outlines(mask)
+        for label, points in outlines(mask)
     ]
     return {
         "version": "5.5.0",
