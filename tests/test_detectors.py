@@ -29,7 +29,6 @@ from roadtorch.detectors.detector import (
     DetectorSettings,
     Entry,
     WorkingSettings,
-    checked_image,
 )
 from roadtorch.detectors.fusion import Fusion
 from roadtorch.road.seed_area import SeedArea
@@ -72,11 +71,6 @@ def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> N
 
     assert caught.value.where == "image"
     assert caught.value.what.startswith(what)
-
-
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
-def test_other_floating_types_become_float32(dtype: torch.dtype) -> None:
-    assert checked_image(street(16, 16).to(dtype)).dtype == torch.float32
 
 
 # --- the door -----------------------------------------------------------------------------

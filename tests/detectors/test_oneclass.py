@@ -68,9 +68,7 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
     [
         ("gaussian:RGB:paper", {}, ":gaussian:RGB:paper: is P3's to the letter without that"),
         ("pca:R", {}, ":pca:R: one plane has a single principal component, .* .choose another"),
-        ("pca:H", {}, ":pca:H: one plane has a single principal component, .* .choose another"),
         ("kmeans:RGB", {"classifier": {"centre": 1}}, r"^classifier\.centre"),
-        ("kmeans:RGB", {"seed_area": {"width": 700}}, r"^seed_area\.width"),
     ],
 )
 def test_what_there_is_not_is_refused_with_the_reason(
@@ -106,12 +104,6 @@ def test_the_histograms_take_all_pixels_and_the_others_one_per_superpixel() -> N
         "hist100_sn",
     }
     assert set(reductions.values()) == {"none", "superpixels"}
-
-
-def test_a_classifiers_own_settings_are_in_its_group() -> None:
-    changed = detector("kmeans:RGB", classifier={"centres": 1}).detect(street())
-
-    assert not torch.equal(changed.likelihood, detected("oneclass:kmeans:RGB").likelihood)
 
 
 # --- what they find ---------------------------------------------------------------------

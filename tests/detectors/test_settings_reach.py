@@ -243,16 +243,8 @@ def test_every_setting_reaches_the_result(name: str) -> None:
     [
         ("cpf", ("texture", "bins"), 1),
         ("cpf", ("texture", "planes"), ["R", "nrr"]),
-        ("cpf", ("texture", "planes"), []),
-        ("cpf", ("texture", "tail"), 0.5),
-        ("cpf:v2", ("saturation", "least"), 1.5),
-        ("cpf:squares", ("square",), 1),
-        ("grey-uniformity", ("even",), 0.0),
         ("oneclass:nn:HS", ("classifier", "hue"), "near"),
-        ("oneclass:mog2:HS", ("classifier", "components"), 0),
-        ("oneclass:svdd:HS", ("classifier", "sigma"), 0.0),
         ("oneclass:svdd:HS", ("seed_area", "width"), 321),
-        ("oneclass:gaussian:HS", ("random_seed",), -1),
         # What would take longer than half a minute a picture on one core
         ("labeller", ("superpixels", "pixels"), 8),
         ("ufl", ("dictionary", "bases"), 2048),

@@ -115,33 +115,3 @@ def test_a_signal_ends_the_node_within_a_second_or_two(
 
     assert node.wait(PATIENCE) == code
     assert time.monotonic() - began < 3
-
-
-def test_names_are_remapped(start: Start, talk: Talk) -> None:
-    start("-p", "detector:=prior:rows", "-r", "image:=/elsewhere", "-r", "image/compressed:=/image")
-
-    told = talk(3, "--encodings", "compressed")
-
-    assert "mask" not in told  # what came on /image was no CompressedImage
-
-
-@pytest.mark.parametrize(
-    ("words", "problem"),
-    [
-        (["--ros-args", "-p", "detector:=nothing"], "nothing: unknown detector"),
-        (["--ros-args", "-p", "height:=-1.0"], "height: "),
-        (["image"], "ros: does not know image (parameters are given as --ros-args"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_in_a_line(
-    environment: dict[str, str], words: list[str], problem: str
-) -> None:
-    command = [sys.executable, "-m", "roadtorch", "ros", *words]
-
-    ended = subprocess.run(
-        command, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False
-    )
-
-    assert ended.returncode == 2
-    assert problem in ended.stderr
-    assert "Traceback" not in ended.stderr

@@ -58,19 +58,6 @@ def test_without_shift_a_frame_is_the_picture_or_its_mirror_image() -> None:
     assert set(sides(list(images), maps)) == {1, -1}
 
 
-def test_a_turned_frame_keeps_its_shape() -> None:
-    square = torch.zeros(1, 1, 60, 120)
-    square[..., 20:40, 50:70] = 1
-    frames = draw_frames(1, (60, 120), STILL.model_copy(update={"rotation": 45.0}), seeded(4))
-    assert float(reframed(square, frames, "zeros").sum()) == pytest.approx(400, rel=0.02)
-
-
-def test_outside_the_picture_nothing_counts() -> None:
-    frames = torch.tensor([[[1.0, 0, 1.0], [0, 1.0, 0]]])  # half a picture to the right
-    row = reframed(torch.ones(1, 1, 8, 8), frames, "zeros")[0, 0, 0]
-    assert row.tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
-
-
 def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     rows = torch.linspace(0, 1, 80)[None, None, :, None].expand(8, 1, 80, 60)
 

@@ -19,9 +19,7 @@ from roadtorch.train.config import Recordings
 from roadtorch.train.prepared import (
     Preparation,
     PreparedPicture,
-    from_bytes,
     prepare,
-    to_bytes,
 )
 from roadtorch.train.recordings import ego_of, find_ego_cars, is_line, recording_of, shape_of
 from tests.train.runs import bonnet, write_bonnets, write_streets
@@ -115,16 +113,6 @@ def test_a_detector_that_trips_costs_one_picture_a_wrong_setting_everything(
         prepared(tmp_path, pictures, wrong)
 
 
-def test_a_request_to_stop_is_heard_between_pictures(tmp_path: Path, pictures: list[Item]) -> None:
-    stop = Stop()
-
-    def make(image: torch.Tensor, _: str) -> Arrays:
-        stop.ask(15)
-        return {"mean": image.mean()}
-
-    assert len(prepared(tmp_path, pictures, make, stop)) == 1
-
-
 # --- arrays -------------------------------------------------------------------------------
 
 
@@ -142,13 +130,6 @@ def test_arrays_come_back_all_or_those_that_are_named(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(InputError, match="is damaged"):
         read_arrays(path)
-
-
-def test_bytes_are_the_nearest_levels() -> None:
-    levels = torch.arange(256, dtype=torch.uint8)
-
-    assert torch.equal(to_bytes(from_bytes(levels)), levels)
-    assert to_bytes(torch.tensor([0.0, 0.3 / 255, 0.7 / 255, 1.0])).tolist() == [0, 0, 1, 255]
 
 
 # --- recordings -------------------------------------------------------------------------

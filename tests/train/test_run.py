@@ -274,14 +274,3 @@ def test_in_the_beginning_it_keeps_as_many_steps_as_there_were_of_those_and_ten_
     average.add(with_weight(3.0), 2)
     assert weight_of(average) == pytest.approx((2 * before + ten * 3.0) / (2 + ten))
     assert network.weight.item() == 5.0  # the network that is trained is not touched
-
-
-def test_later_it_keeps_the_share_that_is_asked_for() -> None:
-    """With a share of 0.8, from step 40 on a step counts 0.2 of what follows it, by powers."""
-    average = MovingAverage(with_weight(0.0), 0.8)
-    steps = range(4 * WARM_UP_STEPS, 4 * WARM_UP_STEPS + 30)
-    for number in steps:
-        average.add(with_weight(float(number)), number)
-
-    wanted = sum(0.2 * 0.8 ** (steps[-1] - number) * number for number in steps)
-    assert weight_of(average) == pytest.approx(wanted, rel=1e-5)

@@ -21,7 +21,6 @@ from roadtorch.train.teachers import (
     centred_as,
     label_with_network,
     lends_ego,
-    load_teachers,
     network_maps,
     prepare_picture,
     targets_of,
@@ -163,16 +162,6 @@ def test_the_teacher_gives_layout_and_road() -> None:
     torch.testing.assert_close(maps[CLASSES], teacher.detect(image).likelihood)
     with pytest.raises(ConfigError, match="prior:rows has no layout among its cues"):
         teacher_maps(image, [load_detector("prior:rows")])
-
-
-def test_two_views_are_the_same_for_the_mirrored_picture() -> None:
-    image = scene(1, 60, 80).image
-    teachers = load_teachers(Teacher(detector="labeller", views="scaled"))
-
-    maps = teacher_maps(image, teachers, "scaled")
-
-    torch.testing.assert_close(maps, teacher_maps(image.flip(-1), teachers, "scaled").flip(-1))
-    assert len(teachers) == 2
 
 
 def test_a_vote_with_the_mirror_image_has_no_side() -> None:

@@ -12,7 +12,6 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.image import to_pixels
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
-from roadtorch.run.writers import video
 from roadtorch.run.writers.video import VideoWriter
 from roadtorch.testing.scenes import render_scene
 from tests.videos import pixels_of, stamps_of, street_pixels
@@ -73,17 +72,6 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
     frames = pixels_of(tmp_path / "x.mp4")
     assert ((frames[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
     assert [one.shape for one in frames] == [(48, 64, 3)] * 2
-
-
-def test_without_libx264_it_is_mpeg4_with_a_word(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(video, "ENCODERS", {"mpeg4": video.ENCODERS["mpeg4"]})
-
-    with pytest.warns(UserWarning, match=r"x.mp4: PyAV has no libx264 here; written as mpeg4"):
-        path = write(tmp_path / "x.mp4", [0, 0.04, 0.3])
-
-    assert stamps_of(path) == pytest.approx([0, 0.04, 0.3], abs=1e-4)
 
 
 def test_a_disk_that_takes_no_more_leaves_nothing_half_written(

@@ -9,7 +9,7 @@ from torch import Tensor
 from roadtorch import load_detector
 from roadtorch.base.image import write_jpeg
 from roadtorch.base.settings import config_file, merge, read_settings_file
-from roadtorch.evaluation.metrics import Decisions, count_mask, f_measure
+from roadtorch.evaluation.metrics import Decisions, f_measure
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.pictures import find_pictures
 from roadtorch.layout.classes import CLASSES
@@ -154,12 +154,3 @@ def test_a_verdict_needs_a_change_on_frames_that_were_not_seen(
 )  # fmt: skip
 def test_a_verdict_is_a_sentence_with_its_figures(half: Half, sentence: str) -> None:
     assert str(verdict_of([judged(half)])) == sentence
-
-
-def test_known_pixels_alone_are_counted() -> None:
-    mask, road, known = torch.tensor([[[1, 1, 0, 1]], [[1, 0, 1, 1]], [[1, 1, 1, 0]]]).bool()
-
-    counts = count_mask(mask, road, known)
-
-    assert [counts.true_positive, counts.false_positive, counts.false_negative] == [1, 1, 1]
-    assert float(f_measure(counts)) == 0.5
