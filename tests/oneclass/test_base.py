@@ -5,14 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import (
-    Axes,
     axes_of,
-    circular_mean,
     mean_hues,
     unrolled,
 )
@@ -27,33 +24,25 @@ from roadtorch.oneclass.base import (
 )
 from tests.draws import random
 
-PLANE, HS = axes_of(("S",)), axes_of(("H", "S"))
-
-
-class ScaledSettings(ClassifierSettings):
-    """Settings of the classifier below."""
-
-    scale: float = Field(default=1.0, gt=0)
+PLANE = axes_of(("S",))
 
 
 def middle_of(
     samples: Tensor,
-    axes: Axes = PLANE,
-    single: str = "",
     training: Tensor | None = None,
     threshold: float | None = None,
-    **told: float,
+    rejected: float = 0.025,
 ) -> Fitted:
     """The distance to the middle of samples of one plane."""
 
-    def fit_middle(road: Road, settings: ScaledSettings) -> Learned:
-        middle = road.samples.mean(0).float() / settings.scale
+    def fit_middle(road: Road, settings: ClassifierSettings) -> Learned:
+        middle = road.samples.mean(0).float()
         return Learned(
             lambda pixels: (pixels - middle[:, None]).abs().amax(0), 2, training, threshold
         )
 
-    middle = Classifier("middle", "distance to the middle", ScaledSettings, fit_middle, single)
-    return fit(middle, samples, axes, ScaledSettings.model_validate(told))
+    middle = Classifier("middle", "distance to the middle", ClassifierSettings, fit_middle)
+    return fit(middle, samples, PLANE, ClassifierSettings(rejected=rejected))
 
 
 def line(*values: float) -> Tensor:
@@ -69,23 +58,19 @@ FIVE = line(0.3, 0.4, 0.5, 0.6, 0.7)
 @pytest.mark.parametrize(
     ("hues", "saturations", "mean"),
     [
-        ([0.9, 0.1], None, 0),
-        ([0.6, 0.7], None, 0.65),
-        ([0.0, 0.5], None, 0),  # they cancel
+        ([0.9, 0.1], [0.5, 0.5], 0),
+        ([0.6, 0.7], [0.5, 0.5], 0.65),
+        ([0.0, 0.5], [0.5, 0.5], 0),  # they cancel
         ([0.3, 0.7, 0.7], [0.8, 0.0, 0.0], 0.3),  # saturated colours decide
         ([0.2, 0.4], [0.0, 0.0], 0.3),
     ],
 )
 def test_the_mean_hue_follows_the_circle(
-    hues: list[float], saturations: list[float] | None, mean: float
+    hues: list[float], saturations: list[float], mean: float
 ) -> None:
-    if saturations is None:
-        found = float(circular_mean(torch.tensor(hues)))
-    else:
-        found, other = mean_hues(torch.tensor([hues, saturations]), HS).tolist()
-        assert other == 0
+    found = mean_hues(torch.tensor([hues, saturations]), axes_of(("H", "S"))).tolist()
 
-    assert found == pytest.approx(mean, abs=1e-7)
+    assert found == pytest.approx([mean, 0], abs=1e-7)
 
 
 def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> None:
@@ -119,12 +104,9 @@ def test_p3s_fraction_rejects_as_many_samples_as_the_toolbox(count: int, outside
     assert int((distances > rejecting_distance(distances, 0.025)).sum()) == outside
 
 
-def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_root_of_the_distance() -> (
-    None
-):
-    fitted = middle_of(FIVE, rejected=0.4)
+def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_distance() -> None:
+    found = middle_of(FIVE, rejected=0.4).likelihood(line(0.5, 0.65, 1.1)).tolist()
 
-    found = fitted.likelihood(line(0.5, 0.65, 1.1)).tolist()
     assert found == pytest.approx([1, 1 / 2, 1 / 3], rel=1e-3)
 
 
@@ -135,9 +117,8 @@ def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_root_of_th
         (lambda: middle_of(FIVE, threshold=7.0), 7),
         (lambda: middle_of(FIVE, training=torch.tensor([1.0, 3.0]), rejected=0.5), 2),
         (lambda: middle_of(line(0.4, 0.4, 0.4)), 1 / 255),
-        (lambda: middle_of(line(0.2, 0.4), scale=2.0, rejected=0.0), 0.25),
     ],
-    ids=["of the samples", "its own", "of what it gives", "one quantum for one colour", "told"],
+    ids=["of the samples", "its own", "of what it gives", "one quantum for one colour"],
 )
 def test_where_the_threshold_comes_from(fitted: Callable[[], Fitted], threshold: float) -> None:
     assert float(fitted().threshold) == pytest.approx(threshold, rel=1e-4)
@@ -150,7 +131,7 @@ def test_memory_is_bounded_by_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
         sizes.append(pixels.shape[1])
         return pixels[0]
 
-    watching = Classifier("watching", "", ScaledSettings, lambda *_: Learned(watched, floats=2))
+    watching = Classifier("watching", "", ClassifierSettings, lambda *_: Learned(watched, floats=2))
     fitted = fit(watching, line(0.4, 0.5), PLANE)
     sizes.clear()
     monkeypatch.setattr(base, "CHUNK", 200)

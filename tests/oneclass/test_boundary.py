@@ -159,17 +159,6 @@ def test_distance_ranks_as_the_weighted_sum_of_dissimilarities(kind, dimensions)
     assert rank_correlation(learned.distance(pixels), expected) > 0.9999
 
 
-@DIMENSIONS
-@pytest.mark.parametrize("rejected", [0.025, 0.1])
-def test_threshold_is_the_programmes_margin(dimensions, rejected):
-    samples = road(90, dimensions)
-    learned = fitted(DLP, samples, LinearSettings(rejected=rejected))
-    outside = (learned.distance(samples) > learned.threshold * (1 + 1e-4)).sum()
-    assert outside <= rejected * 90
-    # The boundary goes through samples, not between them.
-    assert ((learned.distance(samples) / learned.threshold - 1).abs() < 1e-3).any()
-
-
 @pytest.mark.parametrize(
     ("classifier", "most", "planes"), [(DLP, boundary.MAX_CONSTRAINTS, 1), (MST, 4096, 2)]
 )

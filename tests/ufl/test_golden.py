@@ -44,15 +44,10 @@ class Golden:
         return self[key][..., self.order]
 
 
-@pytest.fixture(scope="module")
-def golden_root() -> Path:
+@pytest.fixture(scope="module", params=["0016E5_08149", "0016E5_08049"])
+def golden(request: pytest.FixtureRequest) -> Golden:
     if not GOLDEN.is_dir():
         pytest.skip("the authors' results are not beside the repository (../shared/golden/ufl)")
-    return GOLDEN
-
-
-@pytest.fixture(scope="module", params=["0016E5_08149", "0016E5_08049"])
-def golden(request: pytest.FixtureRequest, golden_root: Path) -> Golden:
     return Golden(request.param)
 
 
@@ -133,14 +128,6 @@ def test_the_regions_of_every_level_and_their_nodes(golden: Golden) -> None:
     assert torch.equal(owner[1:], golden["region_node"])
 
 
-def test_the_weights_of_places_and_their_sums(golden: Golden) -> None:
-    place = road.place_weights(*MAP, "symmetric")
-
-    close(place, golden["position_weight"], 2e-7)
-    sums = hierarchy.region_sums(found_tree(golden).regions, place)
-    close(sums[2:], golden["region_position_sum"][1:], 1e-9)
-
-
 def test_the_basis_of_the_road_and_the_reconstruction_error(golden: Golden) -> None:
     stack, area = selected(golden).maps, golden["road_region_after_it1"]
 
@@ -198,26 +185,3 @@ def test_from_the_picture_and_the_stored_start_to_the_mask(
     least = 1.0 if dtype == torch.float64 else 0.96
     stored = golden["mask_full_it2"]
     assert float((mask & stored).sum() / (mask | stored).sum()) >= least
-
-
-@pytest.mark.parametrize("case", range(8))
-def test_the_eight_small_trees(golden_root: Path, case: int) -> None:
-    stored = np.load(golden_root / "tree_small.npz")
-
-    def value(key: str) -> np.ndarray:
-        return stored[f"case{case}_{key}"]
-
-    steps = hierarchy.thresholds(int(stored["levels_L"]), "included")
-    regions = hierarchy.threshold_regions(torch.from_numpy(value("mean_map")), steps)
-    tree = hierarchy.build_tree(regions, int(stored["min_pts"]))
-    pixels = stored["position_weight"] - float(stored["lambda"]) * value("error")
-    found = hierarchy.node_stability(tree, torch.from_numpy(pixels))
-    choice = hierarchy.select_nodes(tree, found)
-
-    assert np.array_equal(regions.labels.numpy(), value("labels_level"))
-    order = value("node_id").argsort()
-    assert np.array_equal(tree.node.numpy(), value("node_id")[order])
-    np.testing.assert_allclose(found.numpy(), value("node_stability")[order], atol=1e-12)
-    assert np.array_equal(tree.node[choice.selected].numpy(), value("selected_nodes"))
-    mask = hierarchy.selected_area(tree, choice.selected)
-    assert np.array_equal(mask.numpy(), value("segments") > 0)

@@ -154,22 +154,6 @@ def test_the_chosen_road_is_that_of_the_paper_step_by_step(seed: int, least: int
         assert float(choice.best[0]) == pytest.approx(total)
 
 
-@settings(max_examples=25)
-@given(st.integers(0, 10**6))
-def test_single_regions_are_worth_at_least_as_much_as_runs(seed: int) -> None:
-    """Every first region of a run is among the regions, so their best sum is no smaller."""
-    values = bumpy(seed)
-    pixels = stable(seed)
-    regions = hierarchy.threshold_regions(values, STEPS)
-
-    def worth(nodes: hierarchy.Nodes) -> float:
-        tree = hierarchy.build_tree(regions, 4, nodes)
-        choice = hierarchy.select_nodes(tree, hierarchy.node_stability(tree, pixels), "never")
-        return float(pixels[hierarchy.selected_area(tree, choice.selected)].sum())
-
-    assert worth("regions") >= worth("runs") - 1e-9
-
-
 @pytest.mark.parametrize(
     ("value", "whole", "road", "best"),
     [
