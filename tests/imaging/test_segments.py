@@ -126,12 +126,9 @@ def test_segments_are_measured_by_their_pixels() -> None:
     assert segments.contrast_between.shape == (segments.pairs.shape[1],)
 
 
-@pytest.mark.parametrize("other", [(0.2, 0.2, 0.2), (0.3, 0.6, 0.3), (0.5, 0.5, 0.6)])
-def test_the_contrast_between_segments_is_that_of_the_edge_between_them(
-    other: tuple[float, float, float],
-) -> None:
+def test_the_contrast_between_segments_is_that_of_the_edge_between_them() -> None:
     image = torch.full((3, 20, 40), 0.5)
-    image[:, :, 20:] = torch.tensor(other).view(3, 1, 1)
+    image[1, :, 20:] = 0.6
     labels = torch.arange(40).div(10, rounding_mode="floor").expand(20, 40)
 
     segments = measure_segments(image, labels)

@@ -103,23 +103,17 @@ def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -
     assert fitted.likelihood(torch.tensor([[0.3]])) == 0
 
 
-def test_the_noisy_copy_has_the_deviation_of_p3_in_ranges_of_the_plane() -> None:
+def test_the_noisy_copy_has_p3s_deviation_and_is_clipped_dropped_or_wrapped_at_the_range() -> None:
     axes, samples = axes_of(("S", "O2")), torch.tensor([[0.5, 0.0]]).double().repeat(50_000, 1)
+    edge = torch.full((1000, 1), 0.99, dtype=torch.float64)
 
     both = with_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
+    dropped = with_noisy_copy(edge, axes_of(("S",)), 0.1, "drop", seeded())
+    wrapped = with_noisy_copy(edge, axes_of(("H",)), 0.1, "drop", seeded())
 
-    assert both.shape == (100_000, 2)
     assert torch.equal(both[:50_000], samples)
     deviation = both[50_000:].std(0) / axes.span
     assert deviation.tolist() == pytest.approx([30 / 256, 30 / 256], rel=0.02)
-
-
-def test_noisy_samples_beyond_the_range_are_dropped_clipped_or_wrapped() -> None:
-    samples = torch.full((1000, 1), 0.99, dtype=torch.float64)
-
-    dropped = with_noisy_copy(samples, axes_of(("S",)), 0.1, "drop", seeded())
-    wrapped = with_noisy_copy(samples, axes_of(("H",)), 0.1, "drop", seeded())
-
     assert 1400 < len(dropped) < 1600
     assert dropped.max() <= 1
     assert len(wrapped) == 2000

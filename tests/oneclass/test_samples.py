@@ -52,8 +52,7 @@ def test_the_area_scales_with_the_picture_and_stays_inside(
 
     assert (rows.stop - rows.start, columns.stop - columns.start) == shape
     assert rows.stop == size[0]
-    left, right = columns.start, size[1] - columns.stop
-    assert 0 <= right - left <= 1
+    assert 0 <= size[1] - columns.stop - columns.start <= 1
 
 
 # --- distinct colours -----------------------------------------------------------------------------
