@@ -1,14 +1,13 @@
-"""The page for browsers beside Python, on the same pictures in one run: masks, trust, times.
+"""Compare the page for browsers with Python on the same images: masks, trust, times.
 
-python scripts/browser.py PAGE PICTURE… [--threads]
+    python scripts/browser.py PAGE IMAGE…
 
 PAGE: the folder of ``roadtorch export fusion --format web``. It needs Playwright and Chromium
-(apt: chromium). --threads: serve it with the headers that let a page take more than one.
+(apt: chromium).
 """
 
 import argparse
 import shutil
-import statistics
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,22 +31,12 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 PATIENCE = 60_000  # milliseconds
 
-ALONE = (
-    ("Cross-Origin-Opener-Policy", "same-origin"),
-    ("Cross-Origin-Embedder-Policy", "require-corp"),
-)
-
 
 @contextmanager
-def served(folder: Path, *headers: tuple[str, str]) -> Iterator[str]:
-    """The address of a folder, on the loopback."""
+def served(folder: Path) -> Iterator[str]:
+    """Serve a folder on the loopback and yield its address."""
 
     class Handler(SimpleHTTPRequestHandler):
-        def end_headers(self) -> None:
-            for name, value in headers:
-                self.send_header(name, value)
-            super().end_headers()
-
         def log_message(self, *_: object) -> None:
             pass
 
@@ -64,7 +54,7 @@ def wait_for_status(page: "Page", begins: str) -> None:
 
 
 def looked_at(page: "Page", path: Path) -> dict[str, Any]:
-    """What the page finds in a file: mask bool (H,W), trust, and ms that it took."""
+    """Return what the page finds in a file: mask bool (H,W), trust, and ms that it took."""
     page.set_input_files("#file", path)
     wait_for_status(page, path.name)
     script = "(({mask, width, trust, ms}) => ({mask: [...mask], width, trust, ms}))"
@@ -73,36 +63,17 @@ def looked_at(page: "Page", path: Path) -> dict[str, Any]:
     return state
 
 
-def measured(page: "Page", paths: list[Path]) -> list[tuple[float, float, float, float]]:
-    """Of each picture: share of pixels that differ, trust's difference, both times in ms."""
-    detector, rows = load_detector("fusion"), []
-    torch.set_num_threads(1)
-    for path in paths:
-        image = read_image(path)
-        start = time.perf_counter()
-        detection = detector.detect(image)
-        elapsed = 1000 * (time.perf_counter() - start)
-        state = looked_at(page, path)
-        apart = float((state["mask"] != detection.mask.numpy()).mean())
-        rows.append((apart, abs(state["trust"] - (detection.trust or 0)), state["ms"], elapsed))
-    return rows
-
-
 def main() -> None:
-    """Print what was measured."""
+    """Print how far the masks and trusts are apart, and what an image takes."""
     from playwright.sync_api import sync_playwright
 
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("page", type=Path)
-    parser.add_argument("pictures", type=Path, nargs="+")
-    parser.add_argument("--threads", action="store_true")
+    parser.add_argument("images", type=Path, nargs="+")
     options = parser.parse_args()
-    with (
-        served(options.page, *(ALONE if options.threads else ())) as address,
-        sync_playwright() as playwright,
-    ):
+    detector, rows = load_detector("fusion"), []
+    torch.set_num_threads(1)
+    with served(options.page) as address, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         page = browser.new_page()
         page.set_default_timeout(PATIENCE)
@@ -110,21 +81,25 @@ def main() -> None:
         page.goto(address)
         wait_for_status(page, "Ready")
         ready = time.perf_counter() - start
-        threads = page.inner_text("#status")
-        rows = measured(page, options.pictures)
+        status = page.inner_text("#status").lower().rstrip(".")
+        for path in options.images:
+            image = read_image(path)
+            start = time.perf_counter()
+            detection = detector.detect(image)
+            elapsed = 1000 * (time.perf_counter() - start)
+            state = looked_at(page, path)
+            differ = float((state["mask"] != detection.mask.numpy()).mean())
+            rows.append(
+                (differ, abs(state["trust"] - (detection.trust or 0)), state["ms"], elapsed)
+            )
         browser.close()
     size = sum(path.stat().st_size for path in options.page.iterdir()) / 1e6
-    apart, trust, browser_ms, python_ms = zip(*rows, strict=True)
-    print(f"{size:.1f} MB, {threads.lower().rstrip('.')} after {ready:.1f} s")
-    print(
-        f"{len(rows)} pictures; of the pixels differ: "
-        f"median {statistics.median(apart):.2%}, most {max(apart):.2%}"
-    )
-    print(f"trust differs: median {statistics.median(trust):.4f}, most {max(trust):.4f}")
-    print(
-        f"ms a picture, medians: browser {statistics.median(browser_ms):.0f}, "
-        f"Python on one thread {statistics.median(python_ms):.0f}"
-    )
+    differ, trust, browser_ms, python_ms = zip(*rows, strict=True)
+    print(f"{size:.1f} MB, {status} after {ready:.1f} s")
+    print(f"{len(rows)} images")
+    print(f"pixels differ: median {median(differ):.2%}, most {max(differ):.2%}")
+    print(f"trust differs: median {median(trust):.4f}, most {max(trust):.4f}")
+    print(f"ms an image: browser {median(browser_ms):.0f}, Python {median(python_ms):.0f}")
 
 
 if __name__ == "__main__":

@@ -12,18 +12,14 @@ import argparse
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 ROOT = Path(__file__).resolve().parents[1]
-LOADING = {"script", "img", "iframe", "source", "video", "audio", "embed", "object"}
-"""Tags whose address a browser fetches by itself; of ``link`` those of ``FETCHED``."""
-
-FETCHED = {"stylesheet", "icon", "preload", "modulepreload", "manifest", "preconnect"}
-
+ADDRESSES = {"a": "href", "link": "href", "object": "data", "video": "poster"}
+"""Where tags have their address; others, and a video as well, in ``src``."""
 
 BROWSER = "browser"
 """Folder of the site that has the page for browsers; docs/try.md leads there."""
@@ -34,29 +30,27 @@ WITHOUT_PAGE = """<!doctype html><html lang="en"><title>roadtorch</title>
 """
 
 
-class Link(NamedTuple):
-    """An address in a page, and whether the browser fetches it without being asked."""
-
-    address: str
-    loaded: bool
-
-
 class PageParser(HTMLParser):
-    """Collects the addresses of a page and the names of its places."""
+    """Collects the addresses of a page, with the tags that have them, and its anchors."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__()
-        self.links: list[Link] = []
-        self.places: set[str] = {"", "top"}
+        self.links: list[tuple[str, str]] = []
+        self.anchors: set[str] = {"", "top"}
+        self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Note an opening tag."""
         values = {name: value or "" for name, value in attrs}
-        self.places.add(values.get("id", ""))
-        loaded = tag in LOADING or (tag == "link" and bool(FETCHED & set(values["rel"].split())))
-        names = ("src", "data", "poster") if tag in LOADING else ("href",)
-        if tag in LOADING | {"a", "link"}:
-            self.links += [Link(values[name], loaded) for name in names if name in values]
+        self.anchors.add(values.get("id", ""))
+        if tag == "link" and not FETCHED & set(values["rel"].split()):
+            tag = "a"
+        names = {"src", ADDRESSES.get(tag, "src")}
+        self.links += [(tag, values[name]) for name in names if name in values]
+
+
+FETCHED = {"stylesheet", "icon", "preload", "modulepreload", "manifest", "preconnect"}
+"""Links whose address a browser fetches by itself, as it does of every tag but ``a``."""
 
 
 def build(out: Path) -> None:
@@ -76,40 +70,32 @@ def add_page(out: Path, page: Path | None) -> None:
 
 
 def broken_links(site: Path) -> Iterator[str]:
-    """``PAGE: ADDRESS: what is wrong`` for each address that leads nowhere or is fetched."""
-    paths = [path for path in site.rglob("*.html") if "_static" not in path.parts]
-    pages = {path.resolve(): parsed(path) for path in paths}
+    """Yield ``PAGE: ADDRESS: what is wrong`` for each address that leads nowhere or is fetched."""
+    paths = [path.resolve() for path in site.rglob("*.html") if "_static" not in path.parts]
+    pages = {path: PageParser(path) for path in paths}
     for path, page in sorted(pages.items()):
-        for link in page.links:
-            wrong = wrong_with(link, path, pages)
-            if wrong:
-                yield f"{path.relative_to(site.resolve())}: {link.address}: {wrong}"
+        for tag, address in page.links:
+            if wrong := wrong_with(tag, address, path, pages):
+                yield f"{path.relative_to(site.resolve())}: {address}: {wrong}"
 
 
-def parsed(path: Path) -> PageParser:
-    """A page's links and places."""
-    parser = PageParser()
-    parser.feed(path.read_text(encoding="utf-8"))
-    return parser
-
-
-def wrong_with(link: Link, path: Path, pages: dict[Path, PageParser]) -> str:
-    """What is wrong with an address of the page at a path; empty if nothing is."""
-    parts = urlsplit(link.address)
+def wrong_with(tag: str, address: str, path: Path, pages: Mapping[Path, PageParser]) -> str:
+    """Return what is wrong with an address of the page at a path; empty if nothing is."""
+    parts = urlsplit(address)
     if parts.scheme == "data":
         return ""
     if parts.scheme or parts.netloc:
-        return "is loaded from elsewhere" if link.loaded else ""
+        return "" if tag == "a" else "is loaded from elsewhere"
     target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
     if not target.exists():
         return "there is no such file"
-    if target in pages and unquote(parts.fragment) not in pages[target].places:
+    if target in pages and unquote(parts.fragment) not in pages[target].anchors:
         return "there is no such place in it"
     return ""
 
 
 def main() -> int:
-    """Build and check; 1 where links are broken."""
+    """Build and check; return 1 where links are broken."""
     parser = argparse.ArgumentParser(description="Build the site and check its links.")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "site")
     parser.add_argument("--page", type=Path, help="the page for browsers, to be part of the site")
@@ -118,11 +104,7 @@ def main() -> int:
     build(out)
     add_page(out, options.page)
     broken = list(broken_links(out))
-    print(
-        "\n".join(
-            [*broken, f"{out}: {len(list(out.rglob('*.html')))} pages, {len(broken)} broken links"]
-        )
-    )
+    print(*broken, f"{len(list(out.rglob('*.html')))} pages, {len(broken)} broken links", sep="\n")
     return 1 if broken else 0
 
 

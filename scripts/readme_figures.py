@@ -342,25 +342,8 @@ def used() -> set[str]:
     return set(names)
 
 
-def stale() -> Iterator[tuple[Path, str, str]]:
-    """Yield documents that are not as their records have them: before and after."""
-    values = records()
-    for path in documents():
-        before = path.read_text(encoding="utf-8")
-        after = rewrite(before, values)
-        if after != before:
-            yield path, before, after
-
-
-def loose() -> Iterator[tuple[Path, list[str]]]:
-    """Yield documents with numbers that neither a record nor a study stands behind."""
-    for path in documents():
-        if numbers := unbound_numbers(path.read_text(encoding="utf-8")):
-            yield path, numbers
-
-
 def main(words: Sequence[str] | None = None) -> int:
-    """Run a task; return 1 where ``check`` finds a stale or a loose figure."""
+    """Run a task; return 1 where ``check`` finds a stale figure or a number of no record."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -374,18 +357,19 @@ def main(words: Sequence[str] | None = None) -> int:
         if options.data is None:
             parser.error("evaluate DATA: give the folder of the data")
         evaluate(options.data.resolve(), options.out.resolve(), options.only, options.jobs)
-    changed = list(stale())
-    for path, before, after in changed:
-        lines = difflib.unified_diff(
-            before.splitlines(), after.splitlines(), str(path), lineterm=""
-        )
-        print("\n".join(lines))
-        if options.task != "check":
+    values, problems = records(), 0
+    for path in documents():
+        before = path.read_text(encoding="utf-8")
+        after = rewrite(before, values)
+        lines = before.splitlines(), after.splitlines()
+        for line in difflib.unified_diff(*lines, str(path), lineterm=""):
+            print(line)
+        if options.task != "check" and after != before:
             path.write_text(after, encoding="utf-8")
-    bare = list(loose())
-    for path, numbers in bare:
-        print(f"{path}: of no record and no study: {', '.join(numbers)}")
-    return 1 if options.task == "check" and (changed or bare) else 0
+        if numbers := unbound_numbers(after):
+            print(f"{path}: of no record and no study: {', '.join(numbers)}")
+        problems += bool(numbers) + (after != before)
+    return 1 if options.task == "check" and problems else 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The pictures of README: what `fusion` makes of free pictures and of a free drive.
+"""Make the pictures of README: what `fusion` makes of free images and of a free drive.
 
     python scripts/readme_pictures.py DATA    # docs/pictures: steps.jpg, drive.gif, made.json
 
@@ -19,7 +19,6 @@ from PIL import Image
 from roadtorch import detect_stream, load_detector, read_image
 from roadtorch.base.atomic import digest_of
 from roadtorch.base.image import to_pixels
-from roadtorch.detectors.detector import Detection, Detector
 from roadtorch.evaluation.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
 from roadtorch.layout.weights import FOR_PICTURES, shipped_weights
 
@@ -35,51 +34,39 @@ OUT = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 
 
 def write_steps(folder: Path, path: Path) -> None:
-    """A row a picture: input, layout, likelihood, mask."""
-    detector = load_detector("fusion")
-    rows = [steps(detector, folder / name) for name in CHOSEN]
+    """Write a row an image: input, layout, likelihood, mask."""
+    detector, rows = load_detector("fusion"), []
+    for name in CHOSEN:
+        image = read_image(next(folder.rglob(name)))
+        detection = detector.detect(image)
+        tiles = {
+            "input": to_pixels(image),
+            "layout: sky, vertical, ground": cue_tiles(detection)["layout"],
+            "likelihood of road": heat(detection.likelihood),
+            f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
+        }
+        height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
+        rows.append(np.hstack([captioned(tile, text, height) for text, tile in tiles.items()]))
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-    cv2.imwrite(str(path), np.ascontiguousarray(np.concatenate(rows)[..., ::-1]), options)
-
-
-def steps(detector: Detector, path: Path) -> np.ndarray:
-    """One row uint8 (h,w,3) RGB."""
-    image = read_image(path)
-    detection = detector.detect(image)
-    tiles = tiles_of(to_pixels(image), detection)
-    height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
-    return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)
-
-
-def tiles_of(pixels: np.ndarray, detection: Detection) -> dict[str, np.ndarray]:
-    cues = cue_tiles(detection)
-    return {
-        "input": pixels,
-        "layout: sky, vertical, ground": cues["layout"],
-        "likelihood of road": heat(detection.likelihood),
-        f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
-    }
+    cv2.imwrite(str(path), np.ascontiguousarray(np.vstack(rows)[..., ::-1]), options)
 
 
 def write_drive(clip: Path, path: Path) -> None:
-    """A few seconds of a drive, steadied."""
+    """Write a few seconds of a drive, smoothed over time."""
     start, end = DRIVE_SECONDS
-    frames = [
-        Image.fromarray(small(detection.overlay())).quantize(COLOURS, dither=Image.Dither.NONE)
-        for detection in detect_stream(clip, load_detector("fusion"))
-        if detection.seconds is not None and start <= detection.seconds < end
-    ][::EVERY]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=DURATION, loop=0)
-
-
-def small(pixels: np.ndarray) -> np.ndarray:
-    """Pixels (H,W,3) at the width of the drive."""
-    height = round(pixels.shape[0] * DRIVE_WIDTH / pixels.shape[1])
-    return cv2.resize(pixels, (DRIVE_WIDTH, height), interpolation=cv2.INTER_AREA)
+    frames = []
+    for detection in detect_stream(clip, load_detector("fusion")):
+        if detection.seconds is not None and start <= detection.seconds < end:
+            pixels = detection.overlay()
+            size = DRIVE_WIDTH, round(pixels.shape[0] * DRIVE_WIDTH / pixels.shape[1])
+            small = Image.fromarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
+            frames.append(small.quantize(COLOURS, dither=Image.Dither.NONE))
+    first, *others = frames[::EVERY]
+    first.save(path, save_all=True, append_images=others, duration=DURATION, loop=0)
 
 
 def made_with() -> dict[str, str]:
-    """Hashes of the weights and settings of `fusion`."""
+    """Return hashes of the weights and settings of `fusion`."""
     settings = load_detector("fusion").settings.model_dump_json()
     return {
         "weights": digest_of(shipped_weights(FOR_PICTURES)),

@@ -26,9 +26,8 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -54,7 +53,7 @@ class Block(NamedTuple):
 
 
 def same(expected: Sequence[str], found: Sequence[str]) -> bool:
-    """Whether the lines found are those expected, ``…`` being any lines."""
+    """Tell whether the lines found are those expected, ``…`` being any lines."""
     if not expected:
         return not found
     if expected[0].strip() == ANYTHING:
@@ -63,7 +62,7 @@ def same(expected: Sequence[str], found: Sequence[str]) -> bool:
 
 
 def same_line(expected: str, found: str) -> bool:
-    """Whether two lines are the same but for spaces and numbers that may differ a little."""
+    """Tell whether lines are the same but for spaces and numbers that differ a little."""
     if expected.rstrip().endswith(ANYTHING):
         expected = expected.rstrip().removesuffix(ANYTHING).rstrip()
         found = " ".join(found.split()[: len(expected.split())])  # as far as the expected one goes
@@ -76,7 +75,7 @@ def same_line(expected: str, found: str) -> bool:
 
 
 def near(expected: str, found: str) -> bool:
-    """Whether a number is near another: by ``SHARE``, or ``STEPS`` of its last decimal.
+    """Tell whether a number is near another: by ``SHARE``, or ``STEPS`` of its last decimal.
 
     Whole numbers have no decimals: below 34 they have to be equal.
     """
@@ -90,12 +89,12 @@ def near(expected: str, found: str) -> bool:
 
 
 def blocks_of(page: str) -> list[Block]:
-    """The blocks of a page that are executed or compared."""
+    """Return the blocks of a page that are executed or compared."""
     return [Block(m[1], m[2], m.start(2), m.end(2)) for m in BLOCK.finditer(page)]
 
 
 def commands_of(text: str) -> Iterator[tuple[str, list[str]]]:
-    """The commands of a console block, each with the lines that follow it.
+    """Yield the commands of a console block, each with the lines that follow it.
 
     A command whose line ends in a backslash goes on in the next one.
     """
@@ -114,12 +113,11 @@ def commands_of(text: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def printed_by(command: str) -> list[str]:
-    """Run a command in a copy of this process; the lines that it prints."""
-    with tempfile.TemporaryFile() as printed:
-        child = os.fork()
-        if not child:
-            os.dup2(printed.fileno(), 1)
-            os.dup2(printed.fileno(), 2)
+    """Run a command in a copy of this process and return the lines that it prints."""
+    with tempfile.TemporaryFile() as output:
+        if not (child := os.fork()):
+            os.dup2(output.fileno(), 1)
+            os.dup2(output.fileno(), 2)
             status = 1
             try:
                 status = run(command)
@@ -128,8 +126,8 @@ def printed_by(command: str) -> list[str]:
                 sys.stderr.flush()
                 os._exit(status)
         os.waitpid(child, 0)
-        printed.seek(0)
-        return printed.read().decode().rstrip("\n").splitlines()
+        output.seek(0)
+        return output.read().decode().rstrip("\n").splitlines()
 
 
 def run(command: str) -> int:
@@ -154,50 +152,28 @@ def run(command: str) -> int:
     os.execvp("bash", ["bash", "-c", command])
 
 
-class Python:
-    """Python that keeps its names from block to block, in a copy of this process.
-
-    Not in this process itself: libraries that have worked have threads, which its copies lack.
-    """
-
-    def __init__(self, where: str) -> None:
-        context = get_context("fork")
-        self._pipe, other = context.Pipe()
-        self._process = context.Process(target=execute_all, args=(other, where), daemon=True)
-        self._process.start()
-
-    def printed_by(self, code: str) -> list[str]:
-        """Execute code; the lines that it prints, a traceback among them."""
-        self._pipe.send(code)
-        return self._pipe.recv()
-
-    def stop(self) -> None:
-        """End the process."""
-        self._pipe.send(None)
-        self._process.join()
-
-
-def execute_all(pipe: Connection, where: str) -> None:
-    """Execute each piece of code that comes through a pipe, and send back what it prints."""
+def execute_all(pipe: Any) -> None:
+    """Execute each block of Python that comes through a pipe, and send back what it prints."""
     names: dict[str, object] = {"__name__": "tutorial"}
-    while (code := pipe.recv()) is not None:
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
+    while True:
+        code, output = pipe.recv(), io.StringIO()
+        with contextlib.redirect_stdout(output):
             try:
-                exec(compile(code, where, "exec"), names)
+                exec(compile(code, "tutorial", "exec"), names)
             except Exception:
-                traceback.print_exc(file=printed)
-        pipe.send(printed.getvalue().rstrip("\n").splitlines())
+                traceback.print_exc(file=output)
+        pipe.send(output.getvalue().rstrip("\n").splitlines())
 
 
-def executed(page: str, python: Python) -> Iterator[tuple[Block, str]]:
-    """Each block of a page that holds output, with its text as it would be now."""
+def executed(page: str, python: Any) -> Iterator[tuple[Block, str]]:
+    """Yield each block of a page that holds output, with its text as it would be now."""
     printed: list[str] = []
     for block in blocks_of(page):
         if printed and block.kind != "text":
             raise ValueError(f"this is printed, and no block `text` has it: {printed}")
         if block.kind == "python":
-            printed = python.printed_by(block.text)
+            python.send(block.text)
+            printed = python.recv()
         elif block.kind == "text":
             yield block, output_as_shown(block.text.splitlines(), printed)
             printed = []
@@ -206,7 +182,7 @@ def executed(page: str, python: Python) -> Iterator[tuple[Block, str]]:
 
 
 def console_as_run(text: str) -> str:
-    """A console block with what its commands print now."""
+    """Return a console block with what its commands print now."""
     lines = ""
     for command, expected in commands_of(text):
         lines += f"$ {command}\n" + output_as_shown(expected, printed_by(command))
@@ -214,7 +190,7 @@ def console_as_run(text: str) -> str:
 
 
 def output_as_shown(expected: Sequence[str], found: Sequence[str]) -> str:
-    """The expected lines where the found ones are the same, the found ones otherwise."""
+    """Return the expected lines where the found ones are the same, the found ones otherwise."""
     kept = [line.rstrip() for line in expected]
     while kept and not kept[-1]:
         kept.pop()
@@ -223,7 +199,7 @@ def output_as_shown(expected: Sequence[str], found: Sequence[str]) -> str:
 
 
 def shortened(expected: Sequence[str], found: Sequence[str]) -> list[str]:
-    """The lines found, each ending in ``…`` where the one expected of its first word does."""
+    """Return the lines found, each ending in ``…`` where the one expected of its word does."""
     ends = [line.removesuffix(ANYTHING).split() for line in expected if line.endswith(ANYTHING)]
     words = {line[0]: len(line) for line in ends if line}
     shown = []
@@ -234,20 +210,22 @@ def shortened(expected: Sequence[str], found: Sequence[str]) -> list[str]:
     return shown
 
 
-def run_page(page: str, name: str) -> str:
-    """A page with the output that it has now, executed in an empty folder."""
-    before = Path.cwd()
+def run_page(page: str) -> str:
+    """Return a page with the output that it has now, executed in an empty folder."""
+    before, context = Path.cwd(), get_context("fork")
     with tempfile.TemporaryDirectory() as folder:
         os.symlink(ROOT / "configs", Path(folder, "configs"))
         os.chdir(folder)
-        python = Python(name)
         try:
-            made = list(executed(page, python))
+            # Not in this process: libraries that have worked have threads, which its copies lack.
+            python, other = context.Pipe()
+            process = context.Process(target=execute_all, args=(other,), daemon=True)
+            process.start()
+            outputs = list(executed(page, python))
+            process.kill()
         finally:
-            python.stop()
             os.chdir(before)
-    changes = [(block, text) for block, text in made if text != block.text]
-    for block, text in reversed(changes):
+    for block, text in reversed(outputs):
         page = page[: block.start] + text + page[block.end :]
     return page
 
@@ -274,7 +252,7 @@ def prepare() -> None:
 
 
 def main() -> int:
-    """Check or write the given pages; 1 where a page says something else than happens."""
+    """Check or write the given pages; return 1 where a page differs from what happens."""
     parser = argparse.ArgumentParser(description="Execute the tutorials.")
     parser.add_argument("act", choices=("check", "write"))
     parser.add_argument("pages", nargs="+", type=Path)
@@ -283,7 +261,7 @@ def main() -> int:
     wrong = 0
     for path in options.pages:
         before, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
-        after = run_page(before, path.name)
+        after = run_page(before)
         took = sum(os.times()[:4]) - begin  # of the processor, children's too
         print(f"{path.name}: {'as written' if before == after else 'differs'}, {took:.1f} s")
         if before != after:

@@ -1,6 +1,6 @@
 """Draw a figure or print a table of the three papers, on the data at hand.
 
-    python scripts/figures --list
+    python scripts/figures --help
     python scripts/figures p3-table2 DATA --out results/papers
 
 DATA holds camvid/, idd_lite/, kitti_road/ and many/. P1 is Zhang et al., ICPR 2016; P2 Álvarez et
@@ -20,19 +20,12 @@ from scripts.figures import FIGURES
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Figures and tables of the papers.")
-    parser.add_argument("name", nargs="?", choices=tuple(FIGURES), metavar="NAME")
-    parser.add_argument("data", nargs="?", type=Path, metavar="DATA")
+    parser.add_argument("name", choices=tuple(FIGURES))
+    parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/papers"))
-    parser.add_argument("--list", action="store_true", help="print the names")
-    arguments = parser.parse_args()
-    if arguments.list:
-        for name, figure in FIGURES.items():
-            print(f"{name:12} {(figure.__doc__ or '').splitlines()[0]}")
-    elif arguments.name is None or arguments.data is None:
-        parser.error("give NAME and DATA, or --list")
-    else:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        FIGURES[arguments.name](arguments.data, arguments.out)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    FIGURES[options.name](options.data, options.out)
 
 
 if __name__ == "__main__":

@@ -75,4 +75,4 @@ print(x)
 """
     right = page.replace("4 roads", "3 roads").replace("0.9", "0.4").replace("text\n2", "text\n1")
 
-    assert run_page(page, "page") == right
+    assert run_page(page) == right
