@@ -9,8 +9,7 @@
 
 Each round runs every contestant once, every other round in the reverse order. Times are medians
 over the rounds; a ratio is the median of the rounds' ratios: what slows the whole machine for a
-while slows both sides of it. Other work on the same cores does not; measure on a quiet machine, or
-count the process's own time (``--clock process``).
+while slows both sides of it. Other work on the same cores does not; measure on a quiet machine.
 
 A command runs as a process of its own, on few images and on all of them. Its rate is that of the
 images between, so that imports, weights and the start of workers do not count. Training gets as
@@ -55,7 +54,6 @@ PEERS = {LRASPP: "LRASPP", SLIC: "slic", SKIMAGE: "slic-skimage"}
 
 BEFORE = ", before"
 WARM_UP = 2  # rounds that are not counted
-CLOCKS = {"wall": time.perf_counter, "process": time.process_time}
 
 Calls = Mapping[str, Callable[[], Any]]
 """What is timed once a round, by name."""
@@ -63,16 +61,16 @@ Times = dict[str, list[float]]
 """Milliseconds by name, a number a round."""
 
 
-def interleaved(calls: Calls, rounds: int, clock: Callable[[], float]) -> Times:
+def interleaved(calls: Calls, rounds: int) -> Times:
     """Time every call in every counted round, in milliseconds, on one thread of torch."""
     torch.set_num_threads(1)
     times: Times = {name: [] for name in calls}
     for number in range(WARM_UP + rounds):
         for name in list(calls)[:: -1 if number % 2 else 1]:
-            start = clock()
+            start = time.perf_counter()
             calls[name]()
             if number >= WARM_UP:
-                times[name].append((clock() - start) * 1000)
+                times[name].append((time.perf_counter() - start) * 1000)
     return times
 
 
@@ -149,10 +147,10 @@ def table(times: Times) -> str:
 def suite(words: Sequence[str]) -> str:
     """Measure CPU seconds of the tests for each millisecond of LRASPP before and after them."""
     calls = {LRASPP: lraspp(render_scene(0, 480, 640).image.contiguous())}
-    before = interleaved(calls, 20, time.perf_counter)[LRASPP]
+    before = interleaved(calls, 20)[LRASPP]
     subprocess.run([sys.executable, "-m", "pytest", "-q", *words], cwd=ROOT, check=False)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    taken = median(before + interleaved(calls, 20, time.perf_counter)[LRASPP])
+    taken = median(before + interleaved(calls, 20)[LRASPP])
     cpu = used.ru_utime + used.ru_stime
     return f"tests: {cpu:.0f} s of CPU; {LRASPP}: {taken:.1f} ms; {cpu / taken:.2f} s per ms"
 
@@ -233,7 +231,6 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures/bench.json")
     parser.add_argument("--against", type=Path, help="another checkout")
-    parser.add_argument("--clock", choices=CLOCKS, default="wall")
     parser.add_argument("--commands", type=Path, metavar="DATA", help="the development data")
     parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
     options = parser.parse_args(words)
@@ -249,7 +246,7 @@ def main(words: Sequence[str] | None = None) -> None:
     width, height = options.size
     image = render_scene(0, height, width).image.contiguous()
     calls = contestants(names, image, options.against)
-    times = interleaved(calls, options.rounds, CLOCKS[options.clock])
+    times = interleaved(calls, options.rounds)
     print(table(times))
     if options.write:
         values = {f"bench.{PEERS.get(name, name)}.ms": median(times[name]) for name in times}

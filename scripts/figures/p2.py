@@ -1,6 +1,6 @@
 """P2, Figs. 4b and 4c (layout of CNN-7 and of its teacher), 6a and 6b (road)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -40,20 +40,9 @@ def streets(data: Path, every: int = EVERY) -> Dataset:
     return chosen
 
 
-def tally_detectors(
-    dataset: Dataset,
-    detectors: Mapping[str, tuple[str, Mapping[str, Any]]],
-    change: Callable[[Contender], Contender] = lambda contender: contender,
-) -> Mapping[str, Tally]:
-    """Count what detectors find, by title; RuntimeError for an image that fails.
-
-    detectors: names and settings by title. change: what is applied to each of them.
-    """
-    entries = [
-        replace(change(named_detector(name, settings)), name=title)
-        for title, (name, settings) in detectors.items()
-    ]
-    run = evaluate(dataset, entries, with_baselines=False, measures=(), quiet=False)
+def tally_of(dataset: Dataset, contenders: Sequence[Contender]) -> Mapping[str, Tally]:
+    """Count what detectors find, by name; RuntimeError for an image that fails."""
+    run = evaluate(dataset, contenders, with_baselines=False, measures=(), quiet=False)
     for failure in run.failures:
         raise RuntimeError(f"{failure.image}: {failure.reason}")
     return run.tallies
@@ -88,7 +77,7 @@ def fig4c(data: Path, out: Path) -> None:
 
 def show_confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
     """Show a detector's confusion of classes beside P2's."""
-    counts = pooled(tally_detectors(dataset, {name: (name, {})})[name]).layout
+    counts = pooled(tally_of(dataset, [named_detector(name, {})])[name]).layout
     assert counts is not None
     void_as_vertical = printed_ratios(metrics.void_as_vertical(counts))
     ratios = {
@@ -130,7 +119,7 @@ def printed_ratios(counts: Tensor) -> np.ndarray:
 
 BASELINE, TEXTURE, COMBINED = "LBP (baseline)", "CPF", "CNN-7 × CPF"
 
-LINES = {
+LINES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     BASELINE: ("lbp", {}),
     "U of grey": ("grey-uniformity", {}),
     TEXTURE: ("cpf", {}),
@@ -157,25 +146,22 @@ def fig6a(data: Path, out: Path) -> None:
     sets = {"camvid": streets(data, EVERY // 2)}
     if (data / "idd_lite").is_dir():
         sets["idd"] = every_kth(open_dataset("idd-lite", data / "idd_lite"), IDD_IMAGES)
-    rows = []
+    contenders, rows = [], []
+    for title, (name, settings) in LINES.items():
+        contender = named_detector(name, settings)
+        joined = partial(_prepare_discarding, contender.prepare)
+        contenders.append(replace(contender, name=title, prepare=joined))
+        contenders.append(replace(contender, name=title + WHOLE))
     for name, dataset in sets.items():
-        whole = {title + WHOLE: line for title, line in LINES.items()}
-        tallies = {
-            **tally_detectors(dataset, LINES, discard_isolated),
-            **tally_detectors(dataset, whole),
-        }
+        tallies = tally_of(dataset, contenders)
         rows += [{"set": name, **row} for row in area_rows(tallies)]
         curves = {title: roc(pooled(tallies[title]).road) for title in LINES}
         draw_roc(curves, out / f"p2-fig6a-{name}.png")
     show_table(out / "p2-fig6a.csv", rows)
 
 
-def discard_isolated(contender: Contender) -> Contender:
-    """Discard every area that does not touch the seed area, at every threshold."""
-    return replace(contender, prepare=partial(_prepare_discarding, contender.prepare))
-
-
 def _prepare_discarding(prepare: Callable[[Dataset], Look], dataset: Dataset) -> Look:
+    """Discard every area that does not touch the seed area, at every threshold."""
     detect = prepare(dataset)
 
     def look(image: Tensor, item: LabelledItem) -> Detection:
@@ -239,11 +225,12 @@ ACCURACY = ("fusion:paper", "fusion:untrained", "fusion", "prior:rows")
 
 def fig6b(data: Path, out: Path) -> None:
     """Fig. 6b: road accuracy, the ratio of road that is found; what it costs stands beside."""
-    tallies = tally_detectors(streets(data), {name: (name, {}) for name in ACCURACY})
+    contenders = [named_detector(name, {}) for name in ACCURACY]
+    tallies = tally_of(streets(data), contenders)
     rows = [
-        {"detector": name, "threshold": f"{named_detector(name, {}).threshold:g}"}
-        | accuracy_row(pooled(tally))
-        for name, tally in tallies.items()
+        {"detector": each.name, "threshold": f"{each.threshold:g}"}
+        | accuracy_row(pooled(tallies[each.name]))
+        for each in contenders
     ]
     show_table(out / "p2-fig6b.csv", rows)
 
