@@ -27,7 +27,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -38,15 +38,6 @@ SPLIT = re.compile(r"([+\-\u2212]?(?:\d+(?:,\d{3})*(?:\.\d+)?|\.\d+))")
 TIMES = re.compile(r"^ ?(ms|s|seconds|minutes|MB|kB)\b")
 SHARE = 0.03  # of a number that it may differ by
 STEPS = 3  # of the last decimal that it may differ by
-
-
-class Block(NamedTuple):
-    """A block of a page: its kind, its text, and where the text stands."""
-
-    kind: str
-    text: str
-    start: int
-    end: int
 
 
 # --- comparing ---------------------------------------------------------------------------
@@ -86,11 +77,6 @@ def near(expected: str, found: str) -> bool:
 
 
 # --- executing ---------------------------------------------------------------------------
-
-
-def blocks_of(page: str) -> list[Block]:
-    """Return the blocks of a page that are executed or compared."""
-    return [Block(m[1], m[2], m.start(2), m.end(2)) for m in BLOCK.finditer(page)]
 
 
 def commands_of(text: str) -> Iterator[tuple[str, list[str]]]:
@@ -165,22 +151,6 @@ def execute_all(pipe: Any) -> None:
         pipe.send(output.getvalue().rstrip("\n").splitlines())
 
 
-def executed(page: str, python: Any) -> Iterator[tuple[Block, str]]:
-    """Yield each block of a page that holds output, with its text as it would be now."""
-    printed: list[str] = []
-    for block in blocks_of(page):
-        if printed and block.kind != "text":
-            raise ValueError(f"this is printed, and no block `text` has it: {printed}")
-        if block.kind == "python":
-            python.send(block.text)
-            printed = python.recv()
-        elif block.kind == "text":
-            yield block, output_as_shown(block.text.splitlines(), printed)
-            printed = []
-        else:
-            yield block, console_as_run(block.text)
-
-
 def console_as_run(text: str) -> str:
     """Return a console block with what its commands print now."""
     lines = ""
@@ -212,22 +182,34 @@ def shortened(expected: Sequence[str], found: Sequence[str]) -> list[str]:
 
 def run_page(page: str) -> str:
     """Return a page with the output that it has now, executed in an empty folder."""
-    before, context = Path.cwd(), get_context("fork")
+    before, context, printed = Path.cwd(), get_context("fork"), list[str]()
+    # Not in this process: libraries that have worked have threads, which its copies lack.
+    python, other = context.Pipe()
+    process = context.Process(target=execute_all, args=(other,), daemon=True)
+
+    def as_run(block: re.Match[str]) -> str:
+        nonlocal printed
+        kind, text = block.groups()
+        if printed and kind != "text":
+            raise ValueError(f"this is printed, and no block `text` has it: {printed}")
+        if kind == "python":
+            python.send(text)
+            printed = python.recv()
+        elif kind == "text":
+            text, printed = output_as_shown(text.splitlines(), printed), []
+        else:
+            text = console_as_run(text)
+        return f"```{kind}\n{text}```"
+
     with tempfile.TemporaryDirectory() as folder:
         os.symlink(ROOT / "configs", Path(folder, "configs"))
         os.chdir(folder)
+        process.start()
         try:
-            # Not in this process: libraries that have worked have threads, which its copies lack.
-            python, other = context.Pipe()
-            process = context.Process(target=execute_all, args=(other,), daemon=True)
-            process.start()
-            outputs = list(executed(page, python))
-            process.kill()
+            return BLOCK.sub(as_run, page)
         finally:
+            process.kill()
             os.chdir(before)
-    for block, text in reversed(outputs):
-        page = page[: block.start] + text + page[block.end :]
-    return page
 
 
 # --- the command ---------------------------------------------------------------------------
