@@ -59,7 +59,7 @@ git archive --prefix=source/ HEAD | tar -x -C "$place" # what is committed, and 
 wheel=$(echo dist/*.whl)
 "$python" -m zipfile -e "$wheel" "$place/wheel"
 tar -x -C "$place" -f dist/*.tar.gz
-for made in "$place/wheel" "$place"/roadtorch-*; do # wheel and sdist; links count as what they lead to
+for made in "$place/wheel" "$place"/roadtorch-*; do # links count as what they lead to
   diff -rq "$place/source/roadtorch" "$made/roadtorch" ||
     refuse "$made" "has other files than the commit" "mend package-data in pyproject.toml"
 done

@@ -40,7 +40,7 @@ def streets(data: Path, every: int = EVERY) -> Dataset:
     return chosen
 
 
-def tally_of(dataset: Dataset, contenders: Sequence[Contender]) -> Mapping[str, Tally]:
+def tally_of(dataset: Dataset, contenders: Sequence[str | Contender]) -> Mapping[str, Tally]:
     """Count what detectors find, by name; RuntimeError for an image that fails."""
     run = evaluate(dataset, contenders, with_baselines=False, measures=(), quiet=False)
     for failure in run.failures:
@@ -77,7 +77,7 @@ def fig4c(data: Path, out: Path) -> None:
 
 def show_confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
     """Show a detector's confusion of classes beside P2's."""
-    counts = pooled(tally_of(dataset, [named_detector(name, {})])[name]).layout
+    counts = pooled(tally_of(dataset, [name])[name]).layout
     assert counts is not None
     void_as_vertical = printed_ratios(metrics.void_as_vertical(counts))
     ratios = {
@@ -225,13 +225,11 @@ ACCURACY = ("fusion:paper", "fusion:untrained", "fusion", "prior:rows")
 
 def fig6b(data: Path, out: Path) -> None:
     """Fig. 6b: road accuracy, the ratio of road that is found; what it costs stands beside."""
-    contenders = [named_detector(name, {}) for name in ACCURACY]
-    tallies = tally_of(streets(data), contenders)
-    rows = [
-        {"detector": each.name, "threshold": f"{each.threshold:g}"}
-        | accuracy_row(pooled(tallies[each.name]))
-        for each in contenders
-    ]
+    tallies = tally_of(streets(data), ACCURACY)
+    rows = []
+    for name in ACCURACY:
+        row = {"detector": name, "threshold": f"{named_detector(name, {}).threshold:g}"}
+        rows.append(row | accuracy_row(pooled(tallies[name])))
     show_table(out / "p2-fig6b.csv", rows)
 
 

@@ -27,7 +27,6 @@ from scripts.figures.chart import chart, show_table
 NAMES = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "a", "b", "H", "S")
 
 PRINTED = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "ab", "H", "S")
-
 SIGNS = {
     "global illumination": "-----++-+++",
     "discriminative power": "++--+---+--",

@@ -63,17 +63,15 @@ def printed_table() -> Mapping[Key, float]:
 def evaluate_few(data: Path, patterns: Sequence[str]) -> Evaluation:
     """Measure the AUC of detectors on some images of CamVid."""
     few = every_kth(open_dataset("camvid", data / "camvid"), IMAGES)
-    return evaluate(few, patterns, measures=(AUC_MEAN,), quiet=False)
+    return evaluate(few, patterns, with_baselines=False, measures=(AUC_MEAN,), quiet=False)
 
 
 def cells(evaluation: Evaluation) -> Mapping[Key, str]:
     """Return the one-class detectors of a run by classifier and representation."""
-    by_key = {}
-    for name in evaluation.detectors:
-        family, kind, *rest = name.split(":")
-        if family == "oneclass":
-            by_key[":".join([kind, *rest[1:]]), rest[0]] = name
-    return by_key
+    parts = {name: name.split(":")[1:] for name in evaluation.detectors}
+    return {
+        (":".join([kind, *paper]), planes): name for name, (kind, planes, *paper) in parts.items()
+    }
 
 
 def percents(evaluation: Evaluation) -> Mapping[Key, float]:
