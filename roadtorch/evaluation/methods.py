@@ -217,12 +217,12 @@ def mean_masks(dataset: Dataset, mean_from: Dataset | None = None) -> dict[str, 
     where there is nothing to learn from.
     Raises ConfigError for a second set where the groups of the first teach each other.
     """
-    groups = dataset.groups()
+    groups = sorted({item.group or "" for item in dataset.items})
     if mean_from is not None:
         if len(groups) > 1:
             message = f"is not for {dataset.name}, whose groups teach each other"
             raise ConfigError("--mean-from", message, "leave it out")
-        return dict.fromkeys(groups or [""], _mean(road_shares(mean_from).values()))
+        return dict.fromkeys(groups, _mean(road_shares(mean_from).values()))
     if len(groups) - len(dataset.left_out) < 2:
         return {}
     shares = road_shares(dataset)

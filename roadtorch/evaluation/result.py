@@ -3,6 +3,8 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import add
 from typing import NamedTuple
 
 import torch
@@ -13,8 +15,8 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Contender
-from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.tally import WHOLE, Part, Pictures, Tally, of_groups, of_pictures
+from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.tally import WHOLE, Part, Pictures, Tally
 
 
 class Interval(NamedTuple):
@@ -240,6 +242,48 @@ def summarise(
     )
 
 
+def of_groups(tally: Tally, thresholds: Mapping[str, float]) -> Part:
+    """Add up the counts of the groups that have thresholds."""
+    counts = {group: tally.road[group] for group in thresholds}
+    return _add_up(tally.kept(thresholds), counts, thresholds)
+
+
+def of_pictures(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
+    """Add up the counts of pictures of any groups, on 8-bit maps; thresholds: of their groups."""
+    counts = {
+        group: RoadCounts(pictures.road.road[own].sum(0), pictures.road.other[own].sum(0))
+        for group in dict.fromkeys(pictures.groups)
+        for own in [pictures.of_group(group)]
+    }
+    return _add_up(pictures, counts, thresholds)
+
+
+def _add_up(
+    pictures: Pictures, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
+) -> Part:
+    """Add pictures up; counts: of their likelihoods, by group."""
+    areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
+    layout, labels = (
+        rows.sum(0) if rows is not None and rows.any() else None
+        for rows in (pictures.layout, pictures.labels)
+    )
+    outcomes = [
+        metrics.decisions_at(counts[group], thresholds[group])
+        for group in counts
+        if not math.isnan(thresholds[group])
+    ]
+    return Part(
+        reduce(add, counts.values()),
+        Decisions(*pictures.outcomes.sum(0)),
+        pictures.boundary.sum(0),
+        layout,
+        reduce(add, outcomes) if outcomes else None,
+        torch.tensor(sum(areas) / len(areas) if areas else math.nan, dtype=torch.float64),
+        labels,
+        pictures=pictures,
+    )
+
+
 def figures_of(part: Part, measures: Sequence[Measure]) -> Figures:
     """The measures of a part, without those that it does not have."""
     values = {measure.key: measure.formula(part) for measure in measures}
@@ -270,46 +314,6 @@ def mean(values: Sequence[float]) -> float:
 
 
 # --- single pictures ---------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ImageRow:
-    """One picture as one detector saw it: a row of images.csv; NaN where undefined.
-
-    threshold: of its group; f: there, of the 8-bit map; f_mask, iou_mask: of the detector's
-    own mask; trust: its expected F, by the detector; ms: the time of detect.
-    """
-
-    image: str
-    group: str
-    detector: str
-    auc: float
-    maxf: float
-    threshold: float
-    f: float
-    f_mask: float
-    iou_mask: float
-    trust: float
-    ms: float
-
-
-def image_rows(name: str, tally: Tally, figures: DetectorFigures) -> list[ImageRow]:
-    """A row for every picture that one detector has seen."""
-    kept = tally.kept()
-    columns = (
-        kept.auc.tolist(),
-        kept.max_f.tolist(),
-        [figures.thresholds[group] for group in kept.groups],
-        image_f(kept, figures.thresholds).tolist(),
-        metrics.f_measure(kept.mask).tolist(),
-        metrics.iou(kept.mask).tolist(),
-        kept.trust.tolist(),
-        (1000 * kept.seconds).tolist(),
-    )
-    return [
-        ImageRow(image, group, name, *values)
-        for image, group, *values in zip(kept.names, kept.groups, *columns, strict=True)
-    ]
 
 
 def image_f(pictures: Pictures, thresholds: Mapping[str, float]) -> Tensor:

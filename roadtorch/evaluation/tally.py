@@ -7,8 +7,7 @@ stay (2 kB), for distributions, intervals and comparisons.
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, reduce
-from operator import add
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -160,45 +159,3 @@ class Part:
     def max_f(self) -> tuple[Tensor, Tensor]:
         """KITTI's MaxF and its threshold, see ``metrics.max_f``."""
         return metrics.max_f(self.road)
-
-
-def of_groups(tally: Tally, thresholds: Mapping[str, float]) -> Part:
-    """Add up the counts of the groups that have thresholds."""
-    counts = {group: tally.road[group] for group in thresholds}
-    return _add_up(tally.kept(thresholds), counts, thresholds)
-
-
-def of_pictures(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
-    """Add up the counts of pictures of any groups, on 8-bit maps; thresholds: of their groups."""
-    counts = {
-        group: RoadCounts(pictures.road.road[own].sum(0), pictures.road.other[own].sum(0))
-        for group in dict.fromkeys(pictures.groups)
-        for own in [pictures.of_group(group)]
-    }
-    return _add_up(pictures, counts, thresholds)
-
-
-def _add_up(
-    pictures: Pictures, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
-) -> Part:
-    """Add pictures up; counts: of their likelihoods, by group."""
-    areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
-    layout, labels = (
-        rows.sum(0) if rows is not None and rows.any() else None
-        for rows in (pictures.layout, pictures.labels)
-    )
-    outcomes = [
-        metrics.decisions_at(counts[group], thresholds[group])
-        for group in counts
-        if not math.isnan(thresholds[group])
-    ]
-    return Part(
-        reduce(add, counts.values()),
-        Decisions(*pictures.outcomes.sum(0)),
-        pictures.boundary.sum(0),
-        layout,
-        reduce(add, outcomes) if outcomes else None,
-        torch.tensor(sum(areas) / len(areas) if areas else math.nan, dtype=torch.float64),
-        labels,
-        pictures=pictures,
-    )

@@ -19,7 +19,8 @@ from roadtorch.evaluation.curves import Curve, area, roc
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import Contender, Look, named_detector
 from roadtorch.evaluation.metrics import auc
-from roadtorch.evaluation.tally import Part, Tally, of_groups
+from roadtorch.evaluation.result import of_groups
+from roadtorch.evaluation.tally import Part, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.road.seed_area import seed_rectangle
 from scripts.figures.chart import chart, show_table

@@ -1,6 +1,5 @@
 """roadtorch evaluate, from files on disk to the table, metrics.json, rows and sheets."""
 
-import csv
 import json
 from collections.abc import Iterator
 from functools import partial
@@ -11,7 +10,7 @@ import pytest
 from click.testing import Result
 
 from roadtorch.annotate.session import import_event
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.cli.evaluate import evaluate
 from roadtorch.cli.options import DetectorOptions
@@ -88,16 +87,6 @@ def test_table_and_metrics_with_the_baselines_beside(whole):
     assert best["settings"] == DECISION | {"doubt": 0.0}
 
 
-def test_rows_for_every_image_and_detector(whole):
-    with (whole[1] / "images.csv").open() as file:
-        rows = list(csv.DictReader(file))
-
-    assert len(rows) == 6 * 4
-    own = [row for row in rows if row["detector"] == ORACLE]
-    assert {row["image"] for row in own} == set(SCENES)
-    assert all(float(row["f"]) == 1 and row["status"] == "ok" for row in own)
-
-
 def test_tables_and_a_report_are_left_behind(whole):
     tables = (whole[1] / "tables.md").read_text()
     report = (whole[1] / "report.html").read_text()
@@ -118,19 +107,25 @@ def test_sheets_of_best_median_and_worst(whole):
 
 @pytest.mark.usefixtures("_no_page")
 def test_options_reach_the_run(camvid, tmp_path):
+    table = tmp_path / "weather.csv"
+    rows = [f"{name[:6]},{name}.png,{'rain' if '1' in name[6:] else 'day'}" for name in SCENES]
+    table.write_text("\n".join(["name,file,condition", *rows]))
     chosen = ("--detector", ORACLE, "--set", "doubt=0.4", "--against", "prior:rows")
+    places = ("--leave-out", GROUPS[0], "--conditions", table, "--limit", 5)
 
-    run("camvid", camvid, *chosen, "--limit", 3, "--montage", 0, "--out", tmp_path)
+    run("camvid", camvid, *chosen, *places, "--montage", 0, "--out", tmp_path)
 
     found = metrics(tmp_path)
     own = found["detectors"][ORACLE]
-    assert found["images"] == 3
+    assert (found["images"], found["left_out"]) == (5, [GROUPS[0]])
     assert own["settings"] == DECISION | {"doubt": 0.4}
     assert own["maxf_threshold"] == pytest.approx(0.2, abs=1e-4)
+    assert set(own["groups"]) == set(GROUPS[1:])
+    assert set(own["conditions"]) == {"day", "rain"}
     assert found["paired"]["against"] == "prior:rows"
     gain = found["paired"]["detectors"][ORACLE]["maxf"]
     assert 0 < gain["ci95"][0] <= gain["difference"] <= gain["ci95"][1]
-    assert "--set doubt=0.4 --against prior:rows --limit 3" in found["command"]
+    assert "--set doubt=0.4 --against prior:rows --leave-out" in found["command"]
     assert not list(tmp_path.glob("montage.*"))
 
 
@@ -226,39 +221,6 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_p
         run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "out")
 
 
-# --- groups and conditions -----------------------------------------------------------------------
-
-
-def test_groups_left_out_and_conditions_reach_the_screen_and_the_files(camvid, tmp_path):
-    out, table = tmp_path / "out", tmp_path / "weather.csv"
-    rows = [
-        f"{name[:6]},{name}.png,{'rain' if name[:6] == GROUPS[1] else 'day'}" for name in SCENES
-    ]
-    table.write_text("\n".join(["name,file,condition", *rows]))
-    chosen = ("--detector", ORACLE, "--leave-out", GROUPS[0], "--conditions", table)
-
-    result = run("camvid", camvid, *chosen, "--montage", 0, "--out", out)
-
-    assert result.exit_code == 0
-    found = metrics(out)
-    one = found["detectors"][ORACLE]
-    assert (found["left_out"], found["images"], one["images"]) == ([GROUPS[0]], 6, 4)
-    assert set(one["groups"]) == set(GROUPS[1:])
-    assert set(one["left_out"]) == {GROUPS[0]}
-    assert {name: part["images"] for name, part in one["conditions"].items()} == {
-        "day": 2, "rain": 2
-    }  # fmt: skip
-    assert f"--leave-out {GROUPS[0]}" in found["command"]
-    assert f"{GROUPS[0]} (left out)" in result.stdout
-    assert f"{ORACLE} by condition" in result.stdout
-    report = (out / "report.html").read_text()
-    assert "rain (1 group)" in report
-    assert f"{GROUPS[0]} left out of every mean" in report
-    with (out / "images.csv").open() as file:
-        status = {row["group"]: row["status"] for row in csv.DictReader(file)}
-    assert status == {GROUPS[0]: "left out", GROUPS[1]: "ok", GROUPS[2]: "ok"}
-
-
 # --- maps of infer --------------------------------------------------------------------------------
 
 
@@ -278,19 +240,3 @@ def test_maps_of_infer_score_like_the_detector(
     assert its["threshold_default"] == own["threshold_default"]
     for key in ("iou_mask", "f_mask"):
         assert its[key] == own[key], key
-
-
-@pytest.mark.parametrize(
-    ("config", "what"),
-    [
-        ("threshold = 2", r"config\.toml: threshold: 2 was given"),
-        ("threshold = ", r"config\.toml: is not TOML"),
-    ],
-)
-def test_a_config_beside_maps_that_cannot_be_used_is_told_before_the_run(
-    camvid: Path, tmp_path: Path, config: str, what: str
-) -> None:
-    (tmp_path / "config.toml").write_text(config)
-
-    with pytest.raises(ConfigError, match=what):
-        run("camvid", camvid, "--detector", f"theirs={tmp_path}")

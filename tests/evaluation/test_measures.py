@@ -1,49 +1,16 @@
 """A measure is one object: whoever adds one finds it everywhere."""
 
-import json
 from pathlib import Path
 
 import pytest
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.evaluation import metrics
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MAXF, MEASURES
-from roadtorch.evaluation.report.files import document, write
-from roadtorch.evaluation.report.tables import screen
-from tests.oracle import GROUPS, ORACLE, know_oracle, write_set
+from tests.oracle import GROUPS, know_oracle, write_set
 
 DOCUMENT = Path(__file__).parents[2] / "docs/evaluation.md"
-
-TOY = Measure(
-    "masks/specificity",
-    "TNR",
-    "Share of the background that is left alone.",
-    lambda part: 1 - metrics.false_positive_rate(part.mask),
-    interval=True,
-    shown=("scores", "pairs", "compared"),
-)
-
-
-def test_a_measure_that_is_added_is_in_the_file_on_the_screen_and_on_the_page(tmp_path):
-    know_oracle()
-    dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
-
-    found = evaluate(dataset, [ORACLE], measures=(*MEASURES, TOY))
-    write(found, tmp_path, images=0)
-
-    one = json.loads((tmp_path / "metrics.json").read_text())["detectors"][ORACLE]
-    assert one["masks"]["specificity"] == 1
-    assert [one["groups"][group]["masks"]["specificity"] for group in GROUPS] == [1, 1, 1]
-    assert one["ci95"]["masks_specificity"] == [1, 1]
-    assert "masks_specificity" in document(found, "")["paired"]["detectors"]["prior:rows"]
-    road, _, pairs = screen(found).split("\n\n")
-    assert road.splitlines()[0].split()[-1] == "TNR"
-    assert pairs.splitlines()[0].split()[-3] == "TNR"
-    page = (tmp_path / "report.html").read_text()
-    assert f"<dt>TNR</dt><dd>{TOY.meaning}</dd>" in page
-    assert page.count(">TNR</th>") == 2  # scores, differences
 
 
 def test_a_formula_that_draws_cannot_have_is_named(tmp_path):

@@ -1,18 +1,15 @@
 """The pass over the pictures: order, failures, processes, views."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import pytest
 import torch
 
-from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import LabelledItem, every_kth
 from roadtorch.evaluation.methods import Contender, contenders, named_detector
 from roadtorch.evaluation.scoring import score
 from tests.evaluation.conftest import counted, looking, summarised
-from tests.streets import write_camvid
 
 ROWS = [named_detector("prior:rows", {})]
 TRIANGLE = named_detector("prior:triangle", {})
@@ -24,19 +21,6 @@ def test_results_keep_the_order_of_the_set_and_every_kth_spreads(dataset):
     names = [result.item.name for result in score(chosen, ROWS)]
 
     assert names == [dataset.items[i].name for i in (0, 2, 4)]
-
-
-def test_a_broken_image_counts_for_no_detector(dataset, tmp_path: Path, scenes):
-    write_camvid(tmp_path, "train", scenes)
-    (tmp_path / "train" / "0006R0_1.png").write_bytes(b"not a picture")
-    broken = open_dataset("camvid", tmp_path, "train")
-
-    results = list(score(broken, [*ROWS, TRIANGLE]))
-
-    failed = [result for result in results if result.failure]
-    assert [result.item.name for result in failed] == ["0006R0_1"]
-    assert not failed[0].scores
-    assert all(len(result.scores) == 2 for result in results if not result.failure)
 
 
 def test_a_detector_that_breaks_is_named(dataset):

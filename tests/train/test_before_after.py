@@ -77,7 +77,7 @@ def test_a_run_from_weights_ends_with_a_page(
     ):
         assert text in page
     # With labels: F before and after, and the paired interval.
-    assert re.search(r"F of mask</th><td>0\.\d{3}.*?to.*?</td><td>0\.\d{3}", page, re.S)
+    assert re.search(r">before</th><td>.*>after</th><td>.*minus before</th>.* to ", page, re.S)
     assert "Nobody labelled these" not in page
     # It asks for nothing.
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)

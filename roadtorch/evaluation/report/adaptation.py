@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,8 @@ from roadtorch.evaluation.report.table import (
     share,
     signed,
 )
-from roadtorch.evaluation.result import Evaluation, Interval
+from roadtorch.evaluation.report.tables import difference_table, score_table
+from roadtorch.evaluation.result import Evaluation
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
         "shown": list(zip(adaptation.shown, sheets, strict=True)),
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
-        "scores": score_table(adaptation.labelled) if adaptation.labelled else None,
+        "tables": label_tables(adaptation.labelled) if adaptation.labelled else [],
         "charts": [loss_chart, trust_chart(adaptation)],
     }
     write_text(path, page_text("adaptation.html", command, values))
@@ -115,30 +116,16 @@ def summary_table(adaptation: Adaptation) -> Table:
         before, after = adaptation.taught.before, adaptation.taught.after
         rows["agrees with the teacher on road"] = _row(before.road, after.road)
         rows["agrees with the teacher on layout"] = _row(before.layout, after.layout)
-    return _table("mean over the pictures", rows)
+    table = Table("mean over the pictures", list(rows))
+    for place, header in enumerate(("before", "after", "change")):
+        table.add(header, [row[place] for row in rows.values()])
+    return table
 
 
-def score_table(evaluation: Evaluation) -> Table:
-    """Measures of both on labels, with intervals, and the difference on the same pictures."""
+def label_tables(evaluation: Evaluation) -> list[Table]:
+    """Return the scores of both on labels, and the difference on the same images."""
     names = list(evaluation.detectors)
-    differences = evaluation.comparison.differences[names[1]]
-    rows = {}
-    for measure in evaluation.shown_in("compared"):
-        if measure.key in differences:
-            of_both = [evaluation.detectors[name] for name in names]
-            before, after = (
-                _score(
-                    measure.of(figures.headline),
-                    figures.intervals.get(measure.key, Interval()),
-                    share,
-                )
-                for figures in of_both
-            )
-            change = differences[measure.key]
-            under = measure.key.rpartition("/")[0].replace("/", ", ")
-            title = f"{under}, {measure.name}" if under else measure.name
-            rows[title] = (before, after, _score(change.value, change.interval, signed))
-    return _table("measure", rows)
+    return [score_table(evaluation, names), difference_table(evaluation, names)]
 
 
 def score_line(adaptation: Adaptation) -> str:
@@ -153,26 +140,10 @@ def score_line(adaptation: Adaptation) -> str:
     return f"on labels, {images} pictures: {scores}, {signed(change.value)} ({ends})"
 
 
-Row = tuple[Cell, Cell, Cell]
-"""Before, after, and the change."""
-
-
-def _row(before: float, after: float) -> Row:
-    """Two shares, and what lies between them in points of a per cent."""
+def _row(before: float, after: float) -> tuple[Cell, Cell, Cell]:
+    """Return two fractions, and the difference in points of a per cent."""
     change = NONE if math.isnan(before + after) else f"{100 * (after - before):+.1f} points"
     return Cell(percent(before)), Cell(percent(after)), Cell(change.replace("-", MINUS))
-
-
-def _score(value: float, ends: Interval, text: Callable[[float], str]) -> Cell:
-    note = f"{text(ends.low)} to {text(ends.high)}" if ends.is_known else ""
-    return Cell(text(value), note=note)
-
-
-def _table(title: str, rows: Mapping[str, Row]) -> Table:
-    table = Table(title, list(rows))
-    for place, header in enumerate(("before", "after", "change")):
-        table.add(header, [row[place] for row in rows.values()])
-    return table
 
 
 # --- charts ------------------------------------------------------------------------------

@@ -1,30 +1,27 @@
 """What a run leaves behind in a folder: figures, rows, tables, sheets of images, the page."""
 
-import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, fields
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
+from math import isnan
 from pathlib import Path
 from typing import Any
 
 from roadtorch.base.atomic import csv_text, write_json, write_text
 from roadtorch.base.version import __version__
+from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import Figures, Measure
 from roadtorch.evaluation.report.charts import run_charts
 from roadtorch.evaluation.report.montage import write_montages
 from roadtorch.evaluation.report.table import page_text
 from roadtorch.evaluation.report.tables import run_tables
-from roadtorch.evaluation.result import (
-    DetectorFigures,
-    Evaluation,
-    Failure,
-    ImageRow,
-    image_rows,
-)
+from roadtorch.evaluation.result import DetectorFigures, Evaluation, image_f
 
 SHEETS = 4  # images of a sheet, if nobody says
 
-COLUMNS = (*(each.name for each in fields(ImageRow)), "status")
+COLUMNS = (
+    *("image", "group", "detector", "auc", "maxf", "threshold", "f", "f_mask", "iou_mask"),
+    *("trust", "ms", "status"),
+)
 
 
 def write(evaluation: Evaluation, out: Path, command: str = "", images: int = SHEETS) -> None:
@@ -33,13 +30,8 @@ def write(evaluation: Evaluation, out: Path, command: str = "", images: int = SH
     command: what made it, for the record. images: how many the sheets of the best, median
     and worst show; none for 0.
     """
-    rows = [
-        row
-        for name, tally in evaluation.tallies.items()
-        for row in image_rows(name, tally, evaluation.detectors[name])
-    ]
     write_json(out / "metrics.json", document(evaluation, command))
-    write_text(out / "images.csv", rows_csv(rows, evaluation.failures, evaluation.left_out))
+    write_text(out / "images.csv", csv_text(COLUMNS, image_rows(evaluation)))
     tables = run_tables(evaluation)
     write_text(out / "tables.md", "\n".join(table.markdown() for table in tables))
     sheets = write_montages(out, evaluation, images) if images else {}
@@ -55,29 +47,36 @@ def write(evaluation: Evaluation, out: Path, command: str = "", images: int = SH
     write_text(out / "report.html", page_text("report.html", command, values))
 
 
-def rows_csv(
-    rows: Sequence[ImageRow], failures: Sequence[Failure], left_out: Collection[str] = ()
-) -> str:
-    """Return CSV text: a line for each image and detector, then one for each image that failed.
+def image_rows(evaluation: Evaluation) -> Iterator[Mapping[str, str]]:
+    """Yield a row of images.csv for each image and detector, and for each image that failed.
 
-    left_out: groups whose images say so, since no mean counts them.
+    f is at the threshold of the image's group, of its 8-bit map; f_mask and iou_mask are of the
+    detector's own mask; trust is its expected F. Undefined values are empty.
     """
-
-    def cell(value: str | float) -> str:
-        if isinstance(value, str):
-            return value
-        return "" if math.isnan(value) else f"{value:.6f}"
-
-    scored = (
-        {key: cell(value) for key, value in asdict(row).items()}
-        | {"ms": f"{row.ms:.2f}", "status": "left out" if row.group in left_out else "ok"}
-        for row in rows
-    )
-    failed = (
-        {"image": failure.image, "group": failure.group or "", "status": failure.reason}
-        for failure in failures
-    )
-    return csv_text(COLUMNS, chain(scored, failed))
+    left_out = evaluation.left_out
+    for name, tally in evaluation.tallies.items():
+        kept, thresholds = tally.kept(), evaluation.detectors[name].thresholds
+        columns = {
+            "auc": kept.auc.tolist(),
+            "maxf": kept.max_f.tolist(),
+            "threshold": [thresholds[group] for group in kept.groups],
+            "f": image_f(kept, thresholds).tolist(),
+            "f_mask": metrics.f_measure(kept.mask).tolist(),
+            "iou_mask": metrics.iou(kept.mask).tolist(),
+            "trust": kept.trust.tolist(),
+        }
+        for place, (image, group) in enumerate(zip(kept.names, kept.groups, strict=True)):
+            values = {key: column[place] for key, column in columns.items()}
+            yield {
+                "image": image,
+                "group": group,
+                "detector": name,
+                **{key: "" if isnan(value) else f"{value:.6f}" for key, value in values.items()},
+                "ms": f"{1000 * float(kept.seconds[place]):.2f}",
+                "status": "left out" if group in left_out else "ok",
+            }
+    for failure in evaluation.failures:
+        yield {"image": failure.image, "group": failure.group or "", "status": failure.reason}
 
 
 # --- metrics.json -----------------------------------------------------------------------
@@ -158,4 +157,4 @@ def _defined(value: Any) -> Any:
         return {key: _defined(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
         return [_defined(part) for part in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and isnan(value) else value
