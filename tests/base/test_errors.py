@@ -20,9 +20,7 @@ from roadtorch.base.progress import Progress
 
 
 @pytest.mark.parametrize("kind", [InputError, ConfigError, DatasetError, WeightsError])
-def test_errors_survive_a_process_boundary_and_repeat_paths_but_no_content_at_length(
-    kind: type[RoadtorchError],
-) -> None:
+def test_errors_survive_a_process_boundary_and_are_short(kind: type[RoadtorchError]) -> None:
     path = Path("/".join(["folder"] * 100)) / "a.png"
     error = kind("k" * 10_000, f"holds {'x' * 100_000} pixels", "replace the file")
 

@@ -49,9 +49,7 @@ EXACT = {".png": {}, ".bmp": {}, ".tif": {}, ".webp": {"lossless": True, "exact"
 
 @pytest.mark.parametrize("suffix", EXACT)
 @pytest.mark.parametrize("mode", ["RGB", "L", "P", "1", "LA", "RGBA"])
-def test_every_mode_looks_as_pillow_shows_it_over_black(
-    tmp_path: Path, suffix: str, mode: str
-) -> None:
+def test_every_mode_looks_as_in_pillow_over_black(tmp_path: Path, suffix: str, mode: str) -> None:
     mode = mode.removesuffix("A") if suffix == ".bmp" else mode  # which keeps no alpha
     alpha = np.full((5, 7, 1), 255, np.uint8)
     alpha[0], alpha[1:, :3] = 51, 0
@@ -163,9 +161,7 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
         (PIXELS, "RGB", "RGB: unknown order of colours"),
     ],
 )
-def test_what_a_program_has_that_is_no_picture_is_refused(
-    picture: Any, order: Any, what: str
-) -> None:
+def test_what_is_no_image_is_refused(picture: Any, order: Any, what: str) -> None:
     with pytest.raises((InputError, ConfigError)) as caught:
         as_image(picture, order)
 

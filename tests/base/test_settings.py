@@ -46,9 +46,7 @@ class Example(Settings):
         ({"plane": "X"}, "plane: unknown plane 'X' (known: R)"),
     ],
 )
-def test_a_mistake_names_the_full_key_and_what_was_given(
-    values: dict[str, Any], message: str
-) -> None:
+def test_a_mistake_names_the_key_and_what_was_given(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_settings(Example, values)
 

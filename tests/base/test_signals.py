@@ -27,9 +27,7 @@ def send(number: signal.Signals) -> None:
 @pytest.mark.parametrize(
     ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)]
 )
-def test_what_a_library_makes_of_an_interruption_is_an_interruption(
-    number: signal.Signals, raised: type[KeyboardInterrupt]
-) -> None:
+def test_an_interruption_stays_one(number: signal.Signals, raised: type[KeyboardInterrupt]) -> None:
     def read() -> None:
         try:
             send(number)
@@ -66,9 +64,7 @@ if __name__ == "__main__":
 """
 
 
-def test_processes_do_not_see_ctrl_c_and_end_with_the_one_that_started_them(
-    tmp_path: Path,
-) -> None:
+def test_processes_do_not_see_ctrl_c_and_end_with_their_parent(tmp_path: Path) -> None:
     (tmp_path / "start.py").write_text(PROCESSES)
     words = [sys.executable, "start.py"]
 

@@ -41,9 +41,7 @@ def camera() -> Camera:
     return camera_of(drive())
 
 
-def test_horizon_and_seed_row_are_those_of_the_street_and_a_file_gives_them_again(
-    camera: Camera, tmp_path: Path
-) -> None:
+def test_horizon_and_seed_row_come_back_from_a_file(camera: Camera, tmp_path: Path) -> None:
     assert (camera.width, camera.height, camera.frames) == (160, 120, 12)
     assert camera.horizon == pytest.approx(0.42, abs=0.06)
     assert camera.seed_row == pytest.approx(0.82, abs=0.03)

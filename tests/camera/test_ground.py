@@ -162,9 +162,7 @@ def info(folder: Path, text: str) -> Path:
         (PRINTED, "equidistant", (0.05, -0.01, 0.001, 0)),
     ],
 )
-def test_what_camera_calibration_writes_and_a_printed_message(
-    text: str, model: str, coefficients: tuple[float, ...], tmp_path: Path
-) -> None:
+def test_info_files(text: str, model: str, coefficients: tuple[float, ...], tmp_path: Path) -> None:
     lens = read_camera_info(info(tmp_path, text))
 
     assert (lens.width, lens.height, lens.focal_x, lens.focal_y) == (640, 480, 500, 510)

@@ -26,9 +26,7 @@ def test_no_other_cut_parts_the_values_better(integers: list[int]) -> None:
 
 
 @given(st.floats(-50, 50), st.floats(0.01, 50), st.integers(1, 99))
-def test_two_values_are_parted_in_the_middle_however_rare_one_is(
-    low: float, apart: float, many: int
-) -> None:
+def test_two_values_are_parted_in_the_middle(low: float, apart: float, many: int) -> None:
     values = torch.tensor([low] * many + [low + apart] * (100 - many), dtype=torch.float64)
 
     found = float(otsu_threshold(values))
@@ -73,7 +71,7 @@ def test_the_lower_quartile_is_that_of_torch(values: list[float]) -> None:
 
 
 @pytest.mark.parametrize("grey", [0.1, 0.2, 0.35])
-def test_the_lower_part_of_a_dark_picture_reaches_the_level(grey: float) -> None:
+def test_the_lower_part_of_a_dark_image_reaches_the_level(grey: float) -> None:
     image = torch.full((3, 20, 30), grey)
     image[:, :11] = 0.9  # the sky: rows above 0.55 of the height do not count
 
@@ -97,9 +95,7 @@ def test_brightening_keeps_the_order_of_values_and_the_range(dark: float) -> Non
 
 
 @pytest.mark.parametrize(("grey", "bright"), [(0.01, 0.01**STRONGEST), (0.0, 0.0)])
-def test_the_exponent_has_a_floor_and_a_black_picture_stays_nearly_black(
-    grey: float, bright: float
-) -> None:
+def test_the_exponent_has_a_floor_and_black_stays_black(grey: float, bright: float) -> None:
     found = brightened(torch.full((3, 16, 40), grey), Exposure(ground=0.9))
 
     assert found.unique().numel() == 1

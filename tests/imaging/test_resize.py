@@ -24,9 +24,7 @@ SIDES = st.integers(16, 4000)
 
 
 @given(SIDES, SIDES, st.integers(256, 10**6))
-def test_the_working_size_is_the_pictures_shape_with_at_most_so_many_pixels(
-    height: int, width: int, pixels: int
-) -> None:
+def test_the_working_size_keeps_shape_and_bound(height: int, width: int, pixels: int) -> None:
     tall, wide = working_size(height, width, WorkingSize(pixels=pixels))
 
     assert SHORTEST <= tall <= height

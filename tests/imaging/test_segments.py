@@ -166,9 +166,7 @@ def test_likeness_is_a_product_of_gaussians(count: int) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("apart", [0.5, 3.0, 20.0])
-def test_the_density_of_a_class_is_the_weighted_mean_of_the_likeness_to_its_segments(
-    seed: int, apart: float
-) -> None:
+def test_the_density_of_a_class_is_a_weighted_mean_of_likeness(seed: int, apart: float) -> None:
     count, classes = seed % 6 + 1, seed % 3 + 1
     points = random(count, 2, seed=seed) * apart
     alike = torch.exp(-torch.cdist(points, points).square() / 2)
@@ -215,9 +213,7 @@ def check_segments(labels: Tensor) -> int:
     ("height", "width"),
     [(16, 16), (17, 16), (16, 201), (203, 17), (97, 131), (120, 160), (1, 60), (60, 1), (2, 33)],
 )
-def test_the_segments_of_a_picture_of_any_size_are_connected_and_numbered_without_gaps(
-    height: int, width: int
-) -> None:
+def test_segments_of_any_image_are_connected_and_numbered(height: int, width: int) -> None:
     labels = slic(textured(height, width), segments=60)
 
     assert labels.shape == (height, width)
@@ -237,9 +233,7 @@ def test_a_flat_picture_is_cut_into_even_pieces(grey: float, height: int, width:
 
 @pytest.mark.parametrize(("height", "width"), [(120, 160), (97, 211), (240, 320)])
 @pytest.mark.parametrize("segments", [50, 300])
-def test_about_as_many_segments_come_out_as_asked_for(
-    height: int, width: int, segments: int
-) -> None:
+def test_about_as_many_segments_as_asked_for(height: int, width: int, segments: int) -> None:
     count = int(slic(textured(height, width), segments).max()) + 1
 
     assert 0.75 * segments <= count <= 1.35 * segments
@@ -268,9 +262,7 @@ def test_segments_keep_to_a_slanted_edge() -> None:
 
 
 @pytest.mark.parametrize(("height", "width"), [(30, 44), (25, 31)])
-def test_each_pixel_goes_to_the_nearest_of_the_nine_centres_around_its_cell(
-    height: int, width: int
-) -> None:
+def test_each_pixel_goes_to_the_nearest_of_nine_centres(height: int, width: int) -> None:
     # Inside slic, because its result is repaired by ``connect`` before it comes out.
     grid, image = superpixels._grid(height, width, 20), textured(height, width)
     moves = superpixels._moves(grid, 0.1 * 0.12, 1)
@@ -299,9 +291,7 @@ def test_each_pixel_goes_to_the_nearest_of_the_nine_centres_around_its_cell(
 
 @settings(max_examples=80)
 @given(st.integers(0, 10**6), st.integers(1, 9), st.integers(1, 9), st.integers(1, 12))
-def test_the_largest_region_of_each_label_stays_and_the_others_join_one(
-    seed: int, height: int, width: int, smallest: int
-) -> None:
+def test_small_regions_join_others(seed: int, height: int, width: int, smallest: int) -> None:
     labels = torch.randint(5, (1, height, width), generator=seeded(seed))
 
     found = connect(labels, smallest)[0]

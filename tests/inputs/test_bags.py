@@ -218,9 +218,7 @@ def test_one_bad_message_leaves_the_others(tmp_path: Path):
         ("sqlite3", False, "ros2 bag reindex"),
     ],
 )
-def test_a_bag_without_its_end_names_what_mends_it(
-    tmp_path: Path, form: str, inside: bool, command: str
-) -> None:
+def test_a_cut_bag_names_its_mending(tmp_path: Path, form: str, inside: bool, command: str) -> None:
     path = written(tmp_path, form)
     file = next(path.glob("*.[dm]*[3p]")) if path.is_dir() else path
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])

@@ -50,9 +50,7 @@ ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
         (["b.jpg", "none.jpg"], "none", ["b", "none"]),  # reading that one fails
     ],
 )
-def test_folders_globs_and_files(
-    footage: Path, ends: list[str], apart: str, expected: list[str]
-) -> None:
+def test_folders_and_globs(footage: Path, ends: list[str], apart: str, expected: list[str]) -> None:
     images = find_pictures([f"{footage}/{end}" for end in ends], apart=footage / apart)
 
     assert [image.name for image in images] == expected

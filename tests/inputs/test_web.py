@@ -69,9 +69,7 @@ def host() -> Iterator[str]:
         ("moved.png", "moved.png"),
     ],
 )
-def test_a_picture_is_what_the_server_calls_one_or_else_its_name(
-    path: str, name: str, host: str
-) -> None:
+def test_the_server_or_a_name_says_what_is_an_image(path: str, name: str, host: str) -> None:
     (found,), sources = find_inputs([f"http://{host}/{path}"])
 
     assert sources == []
@@ -121,9 +119,7 @@ def test_what_does_not_end_is_a_stream(host: str) -> None:
         ("http://127.0.0.1:9/a.png", "cannot be fetched: "),
     ],
 )
-def test_what_servers_do_wrong_is_said_in_a_line(
-    url: str, problem: str, host: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_server_faults(url: str, problem: str, host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(urls, "ANSWER", 0.2)
     monkeypatch.setattr(urls, "MAX_BYTES", 10**6)
     url = url.format(host=host)

@@ -65,9 +65,7 @@ FIVE = line(0.3, 0.4, 0.5, 0.6, 0.7)
         ([0.2, 0.4], [0.0, 0.0], 0.3),
     ],
 )
-def test_the_mean_hue_follows_the_circle(
-    hues: list[float], saturations: list[float], mean: float
-) -> None:
+def test_the_mean_hue_is_circular(hues: list[float], saturations: list[float], mean: float) -> None:
     found = mean_hues(torch.tensor([hues, saturations]), axes_of(("H", "S"))).tolist()
 
     assert found == pytest.approx([mean, 0], abs=1e-7)
@@ -90,9 +88,7 @@ def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> Non
 @pytest.mark.parametrize(
     ("rejected", "boundary"), [(0, 8), (0.1, 8), (0.2, 6), (0.5, 3), (0.75, 1.5), (0.9, 1), (1, 1)]
 )
-def test_the_boundary_lies_between_kept_and_rejected_samples(
-    rejected: float, boundary: float
-) -> None:
+def test_the_boundary_lies_between_the_samples(rejected: float, boundary: float) -> None:
     assert rejecting_distance(np.array([4.0, 1.0, 8.0, 2.0]), rejected) == boundary
     assert rejecting_distance(np.array([3.0]), rejected) == 3
 

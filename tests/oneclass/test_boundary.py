@@ -53,9 +53,7 @@ def test_ball_meets_the_conditions_of_optimality(number, dimensions, rejected, s
 
 @DIMENSIONS
 @pytest.mark.parametrize(("sigma", "rejected"), [(0.3, 0.025), (0.3, 0.5), (5.0, 0.1)])
-def test_svdd_is_the_distance_to_the_centre_of_the_ball_in_the_kernels_space(
-    dimensions, sigma, rejected
-):
+def test_svdd_is_the_distance_to_the_centre_in_the_kernels_space(dimensions, sigma, rejected):
     samples, pixels = road(40, dimensions), some(300, dimensions)
     cap = min(1 / (rejected * 40), 2)
     learned = fitted(SVDD, samples, SvddSettings(sigma=sigma, rejected=rejected))

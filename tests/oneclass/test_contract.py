@@ -133,9 +133,7 @@ AWKWARD = {
         ),
     ],
 )
-def test_awkward_samples_give_a_proper_answer_whatever_is_told(
-    classifier: Classifier, settings: dict[str, Any]
-) -> None:
+def test_awkward_samples_give_an_answer(classifier: Classifier, settings: dict[str, Any]) -> None:
     for samples in AWKWARD.values():
         fitted = fit(classifier, samples, RGB, classifier.settings.model_validate(settings))
 
@@ -236,9 +234,7 @@ def test_hue_is_a_circle_in_every_reading_but_the_plain_number(classifier: Class
 
 
 @every_classifier
-def test_the_same_samples_give_the_same_bytes_in_any_chunks_and_are_left_alone(
-    classifier: Classifier, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_same_samples_same_bytes(classifier: Classifier, monkeypatch: pytest.MonkeyPatch) -> None:
     samples, pixels = asphalt(), colours()
 
     torch.manual_seed(1)

@@ -174,9 +174,7 @@ def test_the_density_is_the_sum_of_its_gaussians(dimensions: int) -> None:
 
 
 @pytest.mark.parametrize("formula", ["density", "paper"])
-def test_the_distance_is_that_of_the_density_or_of_the_papers_formula_from_the_peaks(
-    formula: str,
-) -> None:
+def test_the_distance_is_that_of_the_density_or_of_the_papers_formula(formula: str) -> None:
     samples = torch.cat([clusters(1), 0.2 * clusters(1) + 0.4])
     settings = MixtureSettings.model_validate({"formula": formula})
 

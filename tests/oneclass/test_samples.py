@@ -45,9 +45,7 @@ def street() -> Tensor:
         ((1080, 1920), (148, 603)),
     ],
 )
-def test_the_area_scales_with_the_picture_and_stays_inside(
-    size: tuple[int, int], shape: tuple[int, int]
-) -> None:
+def test_the_area_scales_with_the_image(size: tuple[int, int], shape: tuple[int, int]) -> None:
     rows, columns = sample_area(size)
 
     assert (rows.stop - rows.start, columns.stop - columns.start) == shape

@@ -24,9 +24,7 @@ SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "chaos.py"
         pytest.param("fault", ("--times", "40"), marks=pytest.mark.slow),
     ],
 )
-def test_trouble_costs_nothing_once_the_command_is_started_again(
-    trouble: str, words: tuple[str, ...]
-) -> None:
+def test_trouble_costs_nothing_after_another_start(trouble: str, words: tuple[str, ...]) -> None:
     command = [sys.executable, SCRIPT, trouble, *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
 

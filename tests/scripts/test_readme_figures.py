@@ -146,9 +146,7 @@ def test_an_evaluation_becomes_flat_records() -> None:
     assert not [name for name in records if "seed" in name or "layout.mean" in name]
 
 
-def test_the_example_in_python_runs_as_it_stands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.S)
     write_picture(tmp_path / "street.png", render_scene(1, 96, 128))
     (tmp_path / "street.png").rename(tmp_path / "street.jpg")

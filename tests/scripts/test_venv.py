@@ -43,9 +43,7 @@ def answer(handler: BaseHTTPRequestHandler) -> None:
         ("http://none.invalid", False),
     ],
 )
-def test_an_index_of_cpu_wheels_is_taken_where_it_answers_soon(
-    address: str, is_taken: bool
-) -> None:
+def test_an_index_is_taken_where_it_answers_soon(address: str, is_taken: bool) -> None:
     with serving(answer) as host:
         address = address.format(index=f"http://{host}")
         code = f'source "{SCRIPT}"; PYTHON={sys.executable}; choose_index; echo "${{INDEX[@]}}"'

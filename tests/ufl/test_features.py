@@ -43,9 +43,7 @@ def test_whitening_without_epsilon_leaves_unit_covariance() -> None:
 
 @settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 40))
-def test_a_round_of_k_means_moves_bases_to_the_means_of_their_own(
-    seed: int, bases: int, count: int
-) -> None:
+def test_a_round_of_k_means_moves_bases_to_means(seed: int, bases: int, count: int) -> None:
     points, start = random(count, 4, seed=seed), random(bases, 4, seed=seed + 1)
 
     bases_after, counts = features.update(points, start)
@@ -123,9 +121,7 @@ def test_the_papers_sizes_follow_from_the_shape(height: int, width: int, size: t
 
 
 @pytest.mark.parametrize(("sigma", "reach"), [(1.5, 3), (2.5, 5), (0.4, 1), (1.6, 4)])
-def test_blur_is_the_gaussian_of_equation_1_in_a_window_that_follows_sigma(
-    sigma: float, reach: int
-) -> None:
+def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, reach: int) -> None:
     smoothing, image = preprocess.Smoothing(sigma=sigma), random(2, 9, 11)
 
     found = preprocess.blur(image, smoothing.sigma, smoothing.reach)

@@ -162,9 +162,7 @@ def test_both_rounds_from_the_stored_mean_map(golden: Golden) -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_from_the_picture_and_the_stored_start_to_the_mask(
-    golden: Golden, dtype: torch.dtype
-) -> None:
+def test_from_image_and_stored_start_to_the_mask(golden: Golden, dtype: torch.dtype) -> None:
     patches, dictionary = white(golden, dtype), golden.patches("centroids_init").to(dtype)
     for bases, sizes in zip(
         golden.patches("centroids_iter"), golden["cluster_counts_iter"], strict=True

@@ -90,9 +90,7 @@ def test_angles_are_between_lines_without_a_sense(left: int, right: int, degrees
     ],
     ids=["misses by 3 degrees", "by more than 5/(1 + 2d)", "beyond the radius", "above the point"],
 )
-def test_a_voter_gives_the_less_the_more_and_the_farther_it_misses(
-    place: tuple[float, float], angle: float, votes: float
-) -> None:
+def test_votes_fall_with_the_miss(place: tuple[float, float], angle: float, votes: float) -> None:
     voters = torch.tensor([place]), torch.tensor([angle])
 
     found = soft_votes(torch.tensor([[20.0, 50.0]]), *voters, 200.0, VotingSettings())

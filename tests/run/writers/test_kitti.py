@@ -31,9 +31,7 @@ def kitti(tmp_path: Path) -> Path:
     return root
 
 
-def test_each_picture_gives_its_map_and_all_of_them_the_archive(
-    call: Call, kitti: Path, out: Path, tmp_path: Path
-) -> None:
+def test_images_give_maps_and_archive(call: Call, kitti: Path, out: Path, tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "testing").symlink_to(kitti)  # as the benchmark's archive has it
 
@@ -69,9 +67,7 @@ def test_maps_are_the_detectors_from_above(call: Call, kitti: Path, out: Path) -
     assert len(set(expected)) > 10
 
 
-def test_broken_pictures_are_listed_and_mended_by_a_second_run(
-    call: Call, kitti: Path, out: Path
-) -> None:
+def test_broken_images_are_mended_by_a_second_run(call: Call, kitti: Path, out: Path) -> None:
     picture, calibration = kitti / "image_2/um_000000.png", kitti / "calib/uu_000012.txt"
     whole, text = picture.read_bytes(), calibration.read_text()
     picture.write_bytes(whole[:1000])
@@ -97,9 +93,7 @@ def test_broken_pictures_are_listed_and_mended_by_a_second_run(
     assert (out / "submission.zip").is_file()
 
 
-def test_two_images_of_one_name_are_refused_before_any_work(
-    call: Call, kitti: Path, out: Path
-) -> None:
+def test_two_images_of_one_name_are_refused(call: Call, kitti: Path, out: Path) -> None:
     image = kitti / "image_2/um_000000.png"
     image.with_suffix(".jpg").write_bytes(image.read_bytes())
 

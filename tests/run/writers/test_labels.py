@@ -14,9 +14,7 @@ from tests.command import Call
 
 
 @pytest.mark.parametrize("support", ["margin", "maximum"])
-def test_labels_are_written_as_one_byte_a_pixel(
-    call: Call, tmp_path: Path, out: Path, support: str
-) -> None:
+def test_labels_are_one_byte_a_pixel(call: Call, tmp_path: Path, out: Path, support: str) -> None:
     street = tmp_path / "in" / "sub" / "street.png"
     write_picture(street, render_scene(1, 96, 128))
     options = [] if support == "margin" else ["--set", f"support={support}", "--overlay"]

@@ -74,9 +74,7 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
     assert [one.shape for one in frames] == [(48, 64, 3)] * 2
 
 
-def test_a_disk_that_takes_no_more_leaves_nothing_half_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer = VideoWriter(tmp_path / "x.mp4", shown, 10)
     writer.write(frame(0), detection(street_pixels(0)))
 
