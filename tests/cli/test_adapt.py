@@ -10,37 +10,42 @@ from roadtorch.base.image import read_image, write_colours
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.layout.weights import load_network, read_origin
+from roadtorch.layout.weights import load_network
 from roadtorch.train.run import TrainingRun
 
-QUICK = ("samples_per_epoch=16", "stopping.epochs=1", "teacher.views=one")
-SMALL = ("network.height=64", "network.width=96")
-SHORT = (*(word for change in (*QUICK, *SMALL) for word in ("--set", change)), "--threads", "1")
-LABELLER = ("--set", "teacher.detector=labeller")
+SETTINGS = (
+    *("samples_per_epoch=16", "stopping.epochs=1", "teacher.views=one"),
+    *("teacher.detector=labeller", "network.height=64", "network.width=96"),
+)
+SHORT = (*(word for setting in SETTINGS for word in ("--set", setting)), "--threads", "1")
 
 
 def adapt(*words: object) -> Result:
     return CliRunner().invoke(main, ["adapt", *map(str, words)])
 
 
-def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
-    street: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "mine"
+@pytest.fixture(scope="module")
+def adapted(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """The folder of a run on the drive, and what the command printed."""
+    out = tmp_path_factory.mktemp("adapted") / "mine"
+    return out, adapt(street, "--out", out, *SHORT)
 
-    done = adapt(street, "--out", out, *SHORT)
+
+def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
+    street: Path, adapted: tuple[Path, Result]
+) -> None:
+    out, done = adapted
 
     assert done.exit_code == 0, done.stderr
     assert done.stdout.split(":")[0] in ("adopt", "do not adopt", "cannot tell")
     page = (out / "adaptation.html").read_text("utf-8")
     assert done.stdout.strip().splitlines()[-1] in page
-    assert f"roadtorch adapt {street} --out {out} --set {QUICK[0]}" in page
+    assert f"roadtorch adapt {street} --out {out} --set {SETTINGS[0]}" in page
     assert "pictures have no times" in done.stderr
     files = [out / name / "weights.safetensors" for name in ("", "first", "second")]
     mean, first, second = (next(iter(load_network(file).state_dict().values())) for file in files)
     assert not first.equal(second)
     assert ((first + second) / 2).allclose(mean, atol=1e-3)
-    assert read_origin(files[0])["config"]["teacher"]["detector"] == "fusion:large"
     camera = Camera.read(out / "camera.toml")
     detector = load_detector("fusion", weights={"file": str(files[0])}, camera=camera)
     assert detector.detect(read_image(street / "00.png")).mask.any()
@@ -54,24 +59,22 @@ def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
 
 
 def test_a_run_cut_short_before_its_first_checkpoint_goes_on(
-    street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    street: Path, adapted: tuple[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = (street, *SHORT, *LABELLER, "--out")
-    assert adapt(*words, tmp_path / "quiet").exit_code == 0
     out = tmp_path / "mine"
     (out / "frames").mkdir(parents=True)
     (out / "frames" / ".roadtorch.0123abcd.part").write_text("{")  # KILL within the first write
     with monkeypatch.context() as cut:
         cut.setattr(TrainingRun, "_train", Mock(side_effect=KeyboardInterrupt))
-        assert adapt(*words, out).exit_code != 0
+        assert adapt(street, "--out", out, *SHORT).exit_code != 0
     assert (out / "first/run.json").exists()
     assert not (out / "first/checkpoint.pt").exists()
 
-    done = adapt(*words, out)
+    done = adapt(street, "--out", out, *SHORT)
 
     assert done.exit_code == 0, done.stderr
     for name in ("", "first", "second"):  # the logs hold times
-        files = [folder / name / "weights.safetensors" for folder in (tmp_path / "quiet", out)]
+        files = [folder / name / "weights.safetensors" for folder in (adapted[0], out)]
         assert files[0].read_bytes() == files[1].read_bytes()
 
 
@@ -79,7 +82,7 @@ def test_footage_that_stands_still_is_told_and_not_judged(street: Path, tmp_path
     for number in range(10):
         write_colours(tmp_path / f"{number:02d}.png", read_image(street / "00.png"))
 
-    done = adapt(tmp_path, "--out", tmp_path / "out", *SHORT, *LABELLER)
+    done = adapt(tmp_path, "--out", tmp_path / "out", *SHORT)
 
     assert done.exit_code == 0
     assert "no camera.toml" in done.stderr
