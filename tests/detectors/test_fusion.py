@@ -12,13 +12,12 @@ from torch import Tensor
 from roadtorch.base.errors import WeightsError
 from roadtorch.detectors import fusion
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.fusion import RoadCalibration, ScratchFusionSettings, calibrated
+from roadtorch.detectors.fusion import RoadCalibration, calibrated
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import FOR_PICTURES, load_network, shipped_weights
 from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segment_road
-from tests.networks import write_ego_network
 from tests.streets import lost_highlights
 
 CUES = {
@@ -69,19 +68,6 @@ def test_without_learning_the_map_is_the_weighted_product_of_its_own_cues(
     odds = 0.5 + 0.3 * log_odds(cues["place"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
     odds = odds + 1.3 * log_odds(cues["distance"]) + 0.6 * log_odds(cues["texture"])
     np.testing.assert_allclose(found.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
-
-
-def test_a_network_that_is_not_trusted_says_nothing_of_the_layout(tmp_path: Path) -> None:
-    weights = {"file": str(write_ego_network(tmp_path / "silent", bottom=0.0))}
-
-    found = load_detector("fusion:scratch", share=0.0, weights=weights).detect(street())
-
-    usual = ScratchFusionSettings()
-    alone = load_detector(
-        "fusion:untrained", working=usual.working, superpixels=usual.superpixels
-    ).detect(street())
-    np.testing.assert_allclose(found.cues["layout"], alone.cues["layout"], atol=2e-3, rtol=0.0)
-    assert set(found.cues) == {*alone.cues, "learned_road", "ego"}
 
 
 def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> None:

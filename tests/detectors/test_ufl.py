@@ -12,7 +12,6 @@ from roadtorch.detectors.ufl import ENTRIES
 from roadtorch.imaging.resize import resized, size_of
 from roadtorch.testing import flaws
 from roadtorch.testing.scenes import render_scene
-from roadtorch.ufl.maps import dictionary_picture, mosaic
 from roadtorch.ufl.road import AS_CHOSEN
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
@@ -121,10 +120,8 @@ def test_awkward_pictures_get_a_sound_answer_and_those_without_contrast_no_road(
     [
         {"dictionary": {"bases": 1}},
         {"dictionary": {"side": 16, "bases": 8}, "working": {"rows": 16}},
-        {"dictionary": {"side": 5, "bases": 20}},
         {"maps": {"share": 1.0}, "dictionary": {"bases": 6}},
         {"tree": {"least": 10**6}, "dictionary": {"bases": 20}},
-        {"tree": {"levels": 1}, "dictionary": {"bases": 20}},
         {"tree": {"least": 1}, "dictionary": {"bases": 20}},
         {"road": {"dilation": 0, "rounds": 1}, "dictionary": {"bases": 20, "rounds": 0}},
     ],
@@ -134,31 +131,3 @@ def test_extreme_settings_work(name: str, settings: dict[str, Any]) -> None:
     detection = detector(name, **{"working": {"rows": 48}, **settings}).detect(street())
 
     assert list(flaws(detection, (96, 128), "a street")) == []
-
-
-def test_isolated_road_is_dropped_before_the_likelihood_is_made() -> None:
-    kept = detector("ufl", isolated="keep").detect(street()).cues["iteration_2"]
-
-    assert not (found().cues["iteration_2"] & ~kept).any()
-
-
-# --- pictures of the stages -----------------------------------------------------------------
-
-
-def test_a_mosaic_shows_tiles_in_reading_order() -> None:
-    tiles = torch.arange(1.0, 6)[:, None, None, None].expand(5, 1, 2, 2)
-
-    board = mosaic(tiles, (4, 6))
-
-    assert board[0, ::2, ::2].tolist() == [[1, 2, 3], [4, 5, 0]]
-
-
-def test_the_dictionary_is_shown_best_base_first_each_from_0_to_1() -> None:
-    dictionary = torch.zeros(2, 12)
-    dictionary[1, 0] = 5.0
-
-    picture = dictionary_picture(dictionary, torch.tensor([1, 0]), 2, (2, 4))
-
-    assert picture.shape == (3, 2, 4)
-    assert float(picture[0, 0, 0]) == float(picture.max()) == 1
-    assert (picture[:, :, 2:] == 0).all()

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.evaluation.metrics import class_recalls, count_layout
-from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.segments import Segments, measure_segments
 from roadtorch.layout import labeller
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
@@ -32,8 +31,6 @@ from roadtorch.testing.scenes import RenderedScene
 from tests.draws import seeded
 from tests.reference import layout as reference
 from tests.streets import scene
-
-ALL = LabellerSettings(support="maximum")
 
 # --- place --------------------------------------------------------------------------------
 
@@ -206,25 +203,6 @@ def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: fl
     leads = best - second >= LabellerSettings().margin
     assert torch.equal(leads, layout.labels != UNLABELLED)
     assert torch.equal(layout.labels[leads], layout.potentials.argmax(0)[leads])
-
-
-@pytest.mark.parametrize("size", [(16, 16), (16, 90), (61, 33), (480, 640)])
-def test_labels_have_the_pictures_size(size: tuple[int, int]) -> None:
-    image = torch.rand(3, *size, generator=seeded(0))
-    layout = label_layout(image, working=WorkingSize(pixels=10_000))
-    assert layout.potentials.shape == (3, *size)
-    assert layout.labels.shape == size
-    assert set(layout.labels.unique().tolist()) <= {SKY, VERTICAL, HORIZONTAL, UNLABELLED}
-
-
-@pytest.mark.parametrize(
-    ("grey", "size"), [(0.0, (16, 16)), (0.5, (60, 80)), (1.0, (16, 16)), (1.0, (60, 80))]
-)
-def test_a_flat_picture_is_labelled_in_order(grey: float, size: tuple[int, int]) -> None:
-    layout = label_layout(torch.full((3, *size), grey), ALL)
-    assert layout.potentials.isfinite().all()
-    torch.testing.assert_close(layout.potentials.sum(0), torch.ones(size), atol=1e-5, rtol=0.0)
-    assert (layout.labels[:, size[1] // 2].diff() >= 0).all()
 
 
 def test_learning_the_look_of_the_classes_beats_place_and_order(

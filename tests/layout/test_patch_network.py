@@ -164,15 +164,6 @@ def test_the_frame_is_a_reflection_as_often_as_it_takes(height: int, width: int)
 # --- pictures --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(16, 16), (250, 340), (17, 90)])
-def test_cues_have_the_size_of_the_picture_and_are_potentials(size: tuple[int, int]) -> None:
-    image = torch.nn.functional.interpolate(scene(1).image[None], size=size)[0]
-    layout = PatchNetwork().cues(image)["layout"]
-    assert layout.shape == (3, *size)
-    assert 0 <= layout.min() <= layout.max() <= 1
-    assert not layout.requires_grad
-
-
 def test_a_picture_less_its_mean_over_its_deviation_forgets_light_and_cast() -> None:
     image = scene(2).image * 0.6 + 0.1
     cast = image * 0.5 + torch.tensor([0.05, 0.1, 0.2])[:, None, None]
@@ -182,9 +173,3 @@ def test_a_picture_less_its_mean_over_its_deviation_forgets_light_and_cast() -> 
     torch.testing.assert_close(one.pixels, two.pixels, atol=1e-4, rtol=0)
     assert two.gain == pytest.approx(2 * one.gain, rel=1e-4)
     assert float(one.pixels.square().mean()) == pytest.approx(1, abs=1e-3)
-
-
-def test_dark_pictures_are_brightened_before_the_network_where_asked() -> None:
-    dark = scene(3).image * 0.1
-    bright = normalise(dark, Normalisation(kind="brightened")).pixels
-    assert bright.mean() > normalise(dark, Normalisation()).pixels.mean() + 0.3

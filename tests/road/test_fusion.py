@@ -17,7 +17,6 @@ from roadtorch.road.fusion import (
     PRIORS,
     STRONGEST_LOOK,
     Exponents,
-    Prior,
     RoadPlace,
     RoadRules,
     fused_log_odds,
@@ -26,7 +25,7 @@ from roadtorch.road.fusion import (
     road_place,
     segment_road,
 )
-from roadtorch.road.seed_area import FAINTEST, distance_likelihood, seed_area, seed_distance
+from roadtorch.road.seed_area import FAINTEST, seed_area, seed_distance
 from tests.draws import random
 from tests.reference import fusion as reference
 from tests.streets import scene
@@ -102,17 +101,6 @@ def test_the_place_of_the_road_is_a_triangle_that_widens_downwards() -> None:
     assert even.tolist() == pytest.approx([0.5] * 3, abs=1e-5)
 
 
-def test_the_likelihood_of_a_distance_falls_through_one_half_at_the_reach() -> None:
-    distance = torch.tensor([0.0, 0.1, 0.2, 5.0, 1e9, float("inf")])
-
-    found = distance_likelihood(distance, 0.2)
-
-    assert found[0] == pytest.approx(0.7311, abs=1e-4)
-    assert found[2] == pytest.approx(0.5)
-    assert (found.diff() <= 0).all()
-    assert found.isfinite().all()
-
-
 def test_the_distance_adds_up_along_the_way_even_to_what_looks_the_same() -> None:
     image = torch.zeros(3, 60, 100)  # upright stripes; the third is as grey as the fifth
     labels = torch.arange(100).div(20, rounding_mode="floor").expand(60, 100)
@@ -182,17 +170,6 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
 
 
 # --- priors -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("prior", PRIORS.values(), ids=PRIORS)
-@pytest.mark.parametrize("size", [(16, 16), (17, 40), (360, 480), (33, 16)])
-def test_priors_are_symmetric_likelihoods(prior: Prior, size: tuple[int, int]) -> None:
-    likelihood = prior(*size)
-
-    assert likelihood.shape == size
-    assert likelihood.dtype == torch.float32
-    assert 0 <= likelihood.min() <= likelihood.max() <= 1
-    assert torch.equal(likelihood, likelihood.flip(1))
 
 
 def test_priors_are_one_half_grow_evenly_and_widen_until_they_fill_the_bottom() -> None:

@@ -99,15 +99,6 @@ def test_what_looks_different_is_not_believed_and_a_change_of_light_is_no_differ
     assert flow_confidence(grey, grey + 20, still, SteadySettings()).mean() > 0.95
 
 
-@pytest.mark.parametrize("size", [(16, 16), (17, 300), (97, 131)])
-def test_any_size_will_do_and_flat_pictures_too(size: tuple[int, int]) -> None:
-    likelihood = torch.full(size, 0.7)
-
-    *_, last = steadied([likelihood] * 3, image=torch.full((3, *size), 0.5))
-
-    assert torch.allclose(last, likelihood, atol=1e-4)
-
-
 # --- the ego car ------------------------------------------------------------------------------
 
 

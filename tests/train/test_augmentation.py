@@ -23,7 +23,6 @@ from roadtorch.train.augmentation import (
     draw_ego_car,
     draw_frames,
     in_fog,
-    in_weather,
     laid_over,
     reframed,
     relit,
@@ -122,17 +121,9 @@ def test_weather_changes_what_it_lies_on(weather, changed, kept) -> None:
         for seed in range(8)
     ]
     change = torch.stack(by).mean(0)
+    assert not change[..., 72:, :].any()  # the ego car
     assert change[..., changed[0], changed[1]].mean() > 0.05
     assert change[..., kept[0], kept[1]].mean() < change[..., changed[0], changed[1]].mean() / 3
-
-
-def test_weather_leaves_the_ego_car_as_it_is() -> None:
-    image, scene = street()
-    for seed in range(8):
-        foul = in_weather(image, scene, WeatherAugmentation(), seeded(seed))
-        assert torch.equal(foul[..., 72:, :], image[..., 72:, :])
-        assert foul.amin() >= 0
-        assert foul.amax() <= 1
 
 
 def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.base.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflected
 from roadtorch.run.memo import write_arrays
@@ -163,11 +162,6 @@ def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
     sums = torch.bincount(targets, weights=weights, minlength=3)
     torch.testing.assert_close(sums, torch.full((3,), 47 / 3))
     assert class_weights(files, training_of()).tolist() == [1, 1, 1]
-
-
-def test_pictures_without_a_certain_label_are_refused(files: list[Path]) -> None:
-    with pytest.raises(InputError, match=r"no superpixel whose label is certain"):
-        PatchSamples(files[2:], training_of())
 
 
 def test_the_loss_is_the_sum_of_squares_to_one_hot() -> None:

@@ -21,7 +21,7 @@ from roadtorch.train.prepared import (
     PreparedPicture,
     prepare,
 )
-from roadtorch.train.recordings import ego_of, find_ego_cars, is_line, recording_of, shape_of
+from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of, shape_of
 from tests.train.runs import bonnet, write_bonnets, write_streets
 
 
@@ -190,16 +190,6 @@ def test_the_ego_car_of_a_recording_is_found_cut_to_each_size_and_not_looked_for
 
     monkeypatch.setattr(recordings, "still_ego", lambda _: pytest.fail("looked again"))
     assert find_ego_cars(footage, tmp_path, NUMBERED, *ALONE) == cars
-
-
-@pytest.mark.parametrize("size", [(60, 80), (480, 640)])
-def test_the_edge_of_a_bonnet_is_a_line_and_one_that_jumps_is_none(size: tuple[int, int]) -> None:
-    at = torch.Generator().manual_seed(5)
-    jumps = 0.7 + 0.1 * torch.rand(40, generator=at).repeat_interleave(size[1] // 40)
-    rows = (torch.arange(size[0])[:, None] + 0.5) / size[0]
-
-    assert is_line(bonnet(*size))
-    assert not is_line(rows > jumps)
 
 
 # --- looked at -----------------------------------------------------------------------------
