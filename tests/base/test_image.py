@@ -1,6 +1,5 @@
 """Pictures in and out: what is read, and what is written."""
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -151,12 +150,10 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
     ("picture", "order", "what"),
     [
         (PIXELS, None, "whose order of colours is not told"),
-        (PIXELS.astype(np.int64), "rgb", "is an array of int64"),
         (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
         (PIXELS[None], "bgr", "give all of them to detect_many"),
         ([PIXELS, PIXELS], "bgr", "image: is a list, not one picture (give one, or all of them to"),
         (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
-        (io.StringIO("text"), None, 'is a file of text (open it with "rb")'),
         (None, "bgr", "is None (check its path: cv2.imread gives that"),
         (PIXELS, "RGB", "RGB: unknown order of colours"),
     ],

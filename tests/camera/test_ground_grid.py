@@ -45,11 +45,7 @@ REACH = math.sqrt(0.2 * CAMERA.lens.focal_x * 1.4)  # a pixel is r² / (f h) met
         # Free in the view, unknown below and beside it.
         (None, {}, {FREE: [(8, 0), (2.6, 0)], UNKNOWN: [(0.5, 0), (2, 5)]}),
         # A wall is unknown behind; left is left.
-        (
-            "(x > 9) & (y > 0)",
-            {},
-            {FREE: [(8.5, 1), (12, -2)], UNKNOWN: [(9.5, 1), (14, 3)]},
-        ),
+        ("(x > 9) & (y > 0)", {}, {FREE: [(8.5, 1), (12, -2)], UNKNOWN: [(9.5, 1), (14, 3)]}),
         ("y > 1", {}, {FREE: [(8, 0), (8, -2)], UNKNOWN: [(8, 2.5)]}),
         # Behind a box road is seen, over the box's smear.
         (

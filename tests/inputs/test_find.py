@@ -58,11 +58,7 @@ def test_folders_and_globs(footage: Path, ends: list[str], apart: str, expected:
 
 @pytest.mark.parametrize(
     ("end", "what"),
-    [
-        ("bare", "holds no pictures"),
-        ("*.gif", "holds no pictures"),
-        ("none.jpg", "does not exist"),
-    ],
+    [("bare", "holds no pictures"), ("*.gif", "holds no pictures"), ("none.jpg", "does not exist")],
 )
 def test_nothing_found_is_an_error_that_names_the_input(footage: Path, end: str, what: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -175,12 +171,7 @@ def item(number: int, seconds: float | None = None) -> Item:
 
 @pytest.mark.parametrize(
     ("count", "known", "expected"),
-    [
-        (100, True, [0, 33, 66]),
-        (2, True, [0, 1]),
-        (100, False, [0, 1, 2]),
-        (0, True, []),
-    ],
+    [(100, True, [0, 33, 66]), (2, True, [0, 1]), (100, False, [0, 1, 2]), (0, True, [])],
 )
 def test_sampled_items_are_evenly_spaced(count: int, known: bool, expected: list[int]) -> None:
     asked: list[int] = []

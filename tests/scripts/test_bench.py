@@ -10,7 +10,7 @@ from scripts import bench
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
-def test_detectors_stand_beside_their_peers_and_are_kept(
+def test_records_of_peers(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept: dict[str, float] = {}

@@ -79,15 +79,6 @@ def test_at_every_threshold_isolated_areas_are_discarded() -> None:
         assert torch.equal(joined >= threshold, remove_isolated(mask, seed))
 
 
-def test_road_accuracy_is_recall_and_its_cost_stands_beside() -> None:
-    drive = ([0.9, 0.1, 0.8, 0.2], [True, True, False, False])
-
-    row = p2.accuracy_row(p2.pooled(tally_of(a=drive)))
-
-    assert row["road accuracy (recall)"] == row["FPR"] == 0.5
-    assert row["FPR where recall is .95"] == 1
-
-
 def test_a_confusion_is_printed_in_the_papers_order() -> None:
     confusion = torch.zeros(4, 4, dtype=torch.int64)
     confusion[SKY, SKY], confusion[SKY, VERTICAL] = 3, 1
@@ -123,15 +114,6 @@ def test_planes_move_as_their_formulas_say(change, kept, lost) -> None:
 
     assert max(moved[name] for name in kept) < 0.25
     assert min(moved[name] for name in lost) > 0.5
-
-
-def test_agreement_counts_equal_signs() -> None:
-    measures = {"+": 0.1, "-": 0.9}
-    row = {name: measures[p3_light.printed_sign(name, "highlights")] for name in p3_light.NAMES}
-    turned = {name: 1 - value for name, value in row.items()}
-
-    assert p3_light.agreement([{"property": "highlights", **row}]) == (12, 12)
-    assert p3_light.agreement([{"property": "highlights", **turned}]) == (0, 12)
 
 
 def test_cells_are_areas_by_drive_beside_the_papers(tmp_path: Path) -> None:

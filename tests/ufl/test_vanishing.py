@@ -74,13 +74,6 @@ def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "degrees"), [(0, 179, 1), (10, 100, 90), (-30, 150, 0), (170, 20, 30)]
-)
-def test_angles_are_between_lines_without_a_sense(left: int, right: int, degrees: int) -> None:
-    assert float(angle_between(torch.tensor(left), torch.tensor(right))) == degrees
-
-
-@pytest.mark.parametrize(
     ("place", "angle", "votes"),  # of the point in row 20, column 50; the diagonal is 200
     [
         ((60.0, 50.0), 93.0, 1 / (1 + (3 * 40 / 200) ** 2)),

@@ -7,33 +7,32 @@ import pytest
 from PIL import Image
 
 from roadtorch.base.image import read_image
-from roadtorch.base.settings import build_settings
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 from roadtorch.testing.scenes import render_scene, write_picture
 from tests.command import Call
 
 
-@pytest.mark.parametrize("support", ["margin", "maximum"])
-def test_labels_are_one_byte_a_pixel(call: Call, tmp_path: Path, out: Path, support: str) -> None:
+@pytest.mark.parametrize(
+    ("support", "values"), [("margin", {0, 1, 2, 255}), ("maximum", {0, 1, 2})]
+)
+def test_labels_are_one_byte_a_pixel(
+    call: Call, tmp_path: Path, out: Path, support: str, values: set[int]
+) -> None:
     street = tmp_path / "in" / "sub" / "street.png"
     write_picture(street, render_scene(1, 96, 128))
-    options = [] if support == "margin" else ["--set", f"support={support}", "--overlay"]
 
-    result = call("label", tmp_path / "in", "--out", out, *options)
+    result = call(
+        "label", tmp_path / "in", "--out", out, "--set", f"support={support}", "--overlay"
+    )
 
-    assert result.exit_code == 0, result.stderr
-    assert result.stderr == f"roadtorch: 1 done; results in {out}\n"
-    labels = label_layout(
-        read_image(street), build_settings(LabellerSettings, {"support": support})
-    ).labels
+    assert (result.exit_code, result.stderr) == (0, f"roadtorch: 1 done; results in {out}\n")
+    settings = LabellerSettings.model_validate({"support": support})
+    labels = label_layout(read_image(street), settings).labels
     with Image.open(out / "sub" / "street.png") as written:
         assert written.mode == "L"
         assert np.array_equal(np.asarray(written), labels.numpy())
-    assert set(labels.unique().tolist()) <= ({0, 1, 2} if options else {0, 1, 2, 255})
-    overlay = out / "sub" / "street.overlay.jpg"
-    assert overlay.is_file() == bool(options)
-    if options:
-        assert read_image(overlay).shape == (3, 96, 128)
+    assert set(labels.unique().tolist()) <= values
+    assert read_image(out / "sub" / "street.overlay.jpg").shape == (3, 96, 128)
 
 
 def test_labels_never_replace_the_pictures(call: Call, footage: Path) -> None:
