@@ -57,9 +57,7 @@ def test_pandas_has_a_row_for_each() -> None:
 
 
 @pytest.mark.parametrize("name", ["supervision", "pandas"])
-def test_a_package_that_is_not_installed_is_named(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_package_is_named(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, name, None)
 
     with pytest.raises(ConfigError, match=rf"{name}: is not installed \(pip install {name}\)"):

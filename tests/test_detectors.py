@@ -274,9 +274,7 @@ def test_a_ctrl_c_while_a_package_is_imported_is_not_the_packages_own(
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 @pytest.mark.parametrize("settings", [DetectorSettings, WorkingSettings])
-def test_a_likelihood_that_is_not_finite_is_refused(
-    value: float, settings: type[DetectorSettings]
-) -> None:
+def test_likelihoods_not_finite_are_refused(value: float, settings: type[DetectorSettings]) -> None:
     broken = Silent({"likelihood": with_value(value)[1]})  # the same of every pixel, but for one
     detector = Detector(Entry("theirs", "", settings, lambda _: broken), settings())
 

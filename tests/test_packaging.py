@@ -86,9 +86,7 @@ def test_wheel_and_sdist_hold_the_package_and_nothing_else(built: dict[str, Path
     assert set(SOURCES) <= set(sources)
 
 
-def test_an_editable_install_is_found_beside_the_clone(
-    built: dict[str, Path], checkout: Path
-) -> None:
+def test_an_editable_install_is_found(built: dict[str, Path], checkout: Path) -> None:
     """The folder ``roadtorch`` there, the clone itself, is a namespace package to Python."""
     site = checkout.parent / "editable-site"
     with zipfile.ZipFile(built["editable"]) as archive:

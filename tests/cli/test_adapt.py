@@ -31,7 +31,7 @@ def adapted(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     return out, adapt(street, "--out", out, *SHORT)
 
 
-def test_halves_teach_apart_their_mean_comes_out_and_it_is_judged(
+def test_halves_teach_apart_and_their_mean_is_judged(
     street: Path, adapted: tuple[Path, Result]
 ) -> None:
     out, done = adapted

@@ -46,9 +46,7 @@ def test_the_address_is_printed(call: Call, footage: Path) -> None:
     assert call("annotate", footage, *QUICK).stdout.splitlines()[1] == second
 
 
-def test_the_packages_are_missing(
-    call: Call, footage: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_packages_are_missing(call: Call, footage: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "roadtorch.annotate.server")
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     result = call("annotate", footage, *QUICK)

@@ -32,7 +32,7 @@ def known(made: tuple[Path, Result]) -> Path:
     return made[0]
 
 
-def test_it_writes_a_file_and_a_picture_and_tells_three_lines(
+def test_a_file_and_a_picture_are_written(
     call: Call, street: Path, made: tuple[Path, Result]
 ) -> None:
     out, result = made
@@ -76,9 +76,7 @@ def test_frames_are_chosen_evenly_over_all_inputs(street: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["camera.toml", "camera.jpg"])
-def test_what_is_not_ours_is_not_replaced(
-    name: str, call: Call, street: Path, tmp_path: Path
-) -> None:
+def test_files_of_others_stay(name: str, call: Call, street: Path, tmp_path: Path) -> None:
     other = tmp_path / name
     other.write_text("x = 1")
 
@@ -93,7 +91,7 @@ def test_what_is_not_ours_is_not_replaced(
 # --- what takes its file --------------------------------------------------------------------
 
 
-def test_infer_leaves_the_ego_car_out_and_tells_other_cameras(
+def test_infer_leaves_the_ego_car_out(
     call: Call, street: Path, known: Path, tmp_path: Path
 ) -> None:
     foreign = tmp_path / "foreign.png"
@@ -114,9 +112,7 @@ def test_infer_leaves_the_ego_car_out_and_tells_other_cameras(
     assert "outline = [" in (out / "config.toml").read_text()
 
 
-def test_evaluate_takes_it_for_all_detectors(
-    call: Call, street: Path, known: Path, tmp_path: Path
-) -> None:
+def test_evaluate_takes_it_for_all(call: Call, street: Path, known: Path, tmp_path: Path) -> None:
     root = tmp_path / "set"
     (root / "images").mkdir(parents=True)
     (root / "masks").mkdir()

@@ -15,9 +15,7 @@ from tests.command import Call, call
 __all__ = ["call"]
 
 
-def test_a_sound_installation_is_told_line_by_line(
-    call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sound_installation_line_by_line(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "ROUNDS", 2)
 
     result = call("doctor")
@@ -32,7 +30,7 @@ def test_a_sound_installation_is_told_line_by_line(
     assert checks["fusion"][1].startswith("F 0.9")
 
 
-def test_what_is_broken_exits_1_and_a_section_that_fails_breaks_itself_alone(
+def test_a_section_that_fails_breaks_itself_alone(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails() -> list[Check]:
@@ -51,9 +49,7 @@ def test_what_is_broken_exits_1_and_a_section_that_fails_breaks_itself_alone(
     ]
 
 
-def test_what_is_absent_comes_with_the_line_that_installs_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_absent_comes_with_its_installation(monkeypatch: pytest.MonkeyPatch) -> None:
     class Metadata:
         def get_all(self, _: str) -> list[str]:
             return ["video", "grid", "test"]
@@ -74,9 +70,7 @@ def test_what_is_absent_comes_with_the_line_that_installs_it(
     assert [check.state for check in doctor.check_video()] == ["missing"]
 
 
-def test_other_bytes_and_no_weights_at_all_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_bytes_and_missing_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bare").mkdir()
     data = (weights.SHIPPED / "cnn-7.safetensors").read_bytes()
     (tmp_path / "cnn-7.safetensors").write_bytes(data[:-5] + b"mouse")

@@ -226,9 +226,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_p
 
 @pytest.mark.usefixtures("_no_page")
 @pytest.mark.parametrize("kinds", ["likelihood,mask", "npy"])
-def test_maps_of_infer_score_like_the_detector(
-    camvid: Path, tmp_path: Path, call: Call, kinds: str
-) -> None:
+def test_maps_score_like_the_detector(camvid: Path, tmp_path: Path, call: Call, kinds: str) -> None:
     maps, out, detector = tmp_path / "maps", tmp_path / "out", "fusion:untrained"
     pictures = (camvid / "train", camvid / "val")
     call("infer", *pictures, "--detector", detector, "--jobs", 1, "--out", maps, "--save", kinds)

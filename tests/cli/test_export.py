@@ -8,7 +8,7 @@ from roadtorch.export.export import Exported, Parity
 from tests.command import Call
 
 
-def test_export_tells_what_it_wrote_and_nothing_else(
+def test_export_reports_its_file(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def written(detector: Detector, out: Path) -> Exported:

@@ -56,9 +56,7 @@ def failing(problem: Exception) -> click.Command:
     return fails
 
 
-def test_a_fault_is_one_line_and_a_traceback_on_demand(
-    call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_is_one_line_or_a_traceback(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, "fails", failing(ZeroDivisionError("oh")))
 
     short, long, also_long = call("fails"), call("fails", "--debug"), call("--debug", "fails")

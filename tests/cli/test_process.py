@@ -28,9 +28,7 @@ main()
 """
 
 
-def test_pictures_become_maps_and_a_broken_one_a_failed_row_also_where_the_system_speaks_ascii(
-    tmp_path: Path,
-) -> None:
+def test_images_become_maps_and_a_broken_one_a_failed_row_even_in_ascii(tmp_path: Path) -> None:
     pictures, out = tmp_path / "pictures", tmp_path / "out"
     write_picture(pictures / "Straße.png", render_scene(3))
     whole = (pictures / "Straße.png").read_bytes()

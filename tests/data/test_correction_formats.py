@@ -114,7 +114,7 @@ def coco(folder: Path, *segmentations: object) -> np.ndarray:
     ],
     ids=["none", "polygon", "between pixels", "two are united", "counts", "later ones cover"],
 )
-def test_regions_of_other_programs(
+def test_regions_of_others(
     tmp_path: Path, segmentations: list[object], expected: list[list[int]]
 ) -> None:
     assert coco(tmp_path, *segmentations).tolist() == expected
@@ -147,9 +147,7 @@ def test_a_coco_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
         ("", ["1.jpg"], None),
     ],
 )
-def test_an_image_is_the_picture_of_its_whole_name(
-    file: str, names: list[str], expected: str | None
-) -> None:
+def test_the_image_of_a_whole_name(file: str, names: list[str], expected: str | None) -> None:
     assert picture_of(file, names) == expected
 
 

@@ -222,7 +222,7 @@ REFUSALS = [
 @pytest.mark.parametrize(
     ("error", "row"), REFUSALS, ids=[f"{row[2]}: {row[3]}"[:60] for _, row in REFUSALS]
 )
-def test_what_cannot_be_read_is_refused_with_its_name(
+def test_a_mistake_is_refused_with_its_name(
     error: type[RoadtorchError], row: tuple[Read, Files, str, str], tmp_path: Path
 ) -> None:
     read, files, where, what = row

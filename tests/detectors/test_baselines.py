@@ -19,9 +19,7 @@ def detections() -> dict[str, Detection]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_road_of_a_rendered_street_is_found(
-    name: str, detections: dict[str, Detection]
-) -> None:
+def test_the_road_of_a_street_is_found(name: str, detections: dict[str, Detection]) -> None:
     mask, likelihood = detections[name].mask, detections[name].likelihood
 
     assert (mask & SCENE.road).sum() > 0.85 * (mask | SCENE.road).sum()
@@ -53,9 +51,7 @@ def found() -> dict[str, Detection]:
     return {name: detector.detect(getattr(skimage.data, name)(), "rgb") for name in THINGS}
 
 
-def test_of_things_that_are_no_road_most_have_no_mask_or_no_trust(
-    found: dict[str, Detection],
-) -> None:
+def test_most_things_without_road_have_no_mask_or_no_trust(found: dict[str, Detection]) -> None:
     believed = {
         name for name, each in found.items() if each.mask.any() and (each.trust or 0) >= 0.3
     }

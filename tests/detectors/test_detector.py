@@ -197,7 +197,7 @@ def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wro
         ([BGR[0]], {"order": "gbr"}, "gbr: unknown order of colours"),
     ],
 )
-def test_what_cannot_be_looked_at_is_refused_in_the_words_of_the_caller(
+def test_other_values_are_refused_in_the_callers_words(
     pictures: Any, options: dict[str, Any], what: str
 ) -> None:
     with pytest.raises((InputError, ConfigError)) as caught:
@@ -242,9 +242,7 @@ def test_a_detection_is_saved_as_its_name_says(found: Detection, tmp_path: Path)
         found.save(tmp_path / "street.png")
 
 
-def test_a_detection_shows_itself_in_a_notebook_or_a_window(
-    found: Detection, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_detection_shows_itself(found: Detection, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[object] = []
 
     class Window(ImageShow.Viewer):

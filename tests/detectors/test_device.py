@@ -45,8 +45,6 @@ def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
 @pytest.mark.parametrize(
     ("device", "what"), [("gpu", "is no device of torch"), ("meta", "cannot be used")]
 )
-def test_a_device_that_is_not_there_is_refused_when_the_detector_is_made(
-    device: str, what: str
-) -> None:
+def test_a_missing_device_is_refused_when_the_detector_is_made(device: str, what: str) -> None:
     with pytest.raises(ConfigError, match=rf"^device: {what}"):
         load_detector("fusion", device=device)

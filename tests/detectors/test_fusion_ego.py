@@ -57,9 +57,7 @@ def car(height: int, width: int) -> Tensor:
     return ((torch.arange(height) + 0.5) / height > 1 - BOTTOM)[:, None].expand(height, width)
 
 
-def test_the_ego_car_is_where_the_network_sees_it_and_above_it_there_is_road(
-    detected: Detection,
-) -> None:
+def test_the_ego_car_is_where_the_network_sees_it_below_road(detected: Detection) -> None:
     right = detected.mask & scene(3, 96, 128, shadows=0).road
 
     assert torch.equal(detected.cues["ego"], car(96, 128))
@@ -99,7 +97,7 @@ def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(weig
     assert torch.equal(dropped, kept)
 
 
-def test_what_is_above_is_as_if_the_ground_went_on(
+def test_above_it_the_ground_goes_on(
     seeing: Detector, blind: Detector, detected: Detection
 ) -> None:
     ground = continued(street(), car(96, 128))

@@ -71,9 +71,7 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
         ("kmeans:RGB", {"classifier": {"centre": 1}}, r"^classifier\.centre"),
     ],
 )
-def test_what_there_is_not_is_refused_with_the_reason(
-    name: str, settings: dict[str, Any], what: str
-) -> None:
+def test_what_there_is_not_is_refused(name: str, settings: dict[str, Any], what: str) -> None:
     with pytest.raises(ConfigError, match=what):
         load_detector(f"oneclass:{name}", **settings)
 
@@ -197,9 +195,7 @@ def auc_of(root: Path, name: str, **settings: object) -> Tensor:
 
 @pytest.mark.data
 @pytest.mark.parametrize("plane", [name for name, of in REPRESENTATIONS.items() if len(of) == 1])
-def test_in_one_plane_all_that_rank_by_the_distance_to_one_centre_agree(
-    plane: str, data_root: Path
-) -> None:
+def test_in_one_plane_distances_to_one_centre_agree(plane: str, data_root: Path) -> None:
     """As P3's Table III has it: about the mean in each picture, about the middle on average."""
     mean: dict[str, dict] = {
         "gaussian": {},

@@ -251,9 +251,7 @@ def test_every_setting_reaches_the_result(name: str) -> None:
         ("ufl", ("working", "rows"), 720),
     ],
 )
-def test_settings_out_of_range_are_refused_by_their_full_name(
-    name: str, path: tuple[str, ...], value: object
-) -> None:
+def test_settings_out_of_range_are_refused(name: str, path: tuple[str, ...], value: object) -> None:
     with pytest.raises(ConfigError) as refused:
         load_detector(name, **nested(path, value))
 

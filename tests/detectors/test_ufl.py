@@ -59,9 +59,7 @@ def test_the_cues_show_every_stage_at_the_size_of_the_picture() -> None:
 
 @pytest.mark.parametrize("size", [(96, 128), (241, 319), (120, 397)])
 @pytest.mark.parametrize("name", BY_NAME)
-def test_at_a_half_the_likelihood_is_exactly_the_regions_at_any_size(
-    name: str, size: tuple[int, int]
-) -> None:
+def test_at_a_half_the_likelihood_is_the_chosen_region(name: str, size: tuple[int, int]) -> None:
     image = resized(render_scene(4, 120, 160).image, size).clamp(0, 1)
 
     detection = detector(name, **QUICK).detect(image)
@@ -104,9 +102,7 @@ AWKWARD = {
 
 @pytest.mark.parametrize("name", BY_NAME)
 @pytest.mark.parametrize("kind", AWKWARD)
-def test_awkward_pictures_get_a_sound_answer_and_those_without_contrast_no_road(
-    name: str, kind: str
-) -> None:
+def test_awkward_images_get_a_sound_answer_without_contrast_no_road(name: str, kind: str) -> None:
     image = AWKWARD[kind]
 
     detection = detector(name, **QUICK).detect(image)

@@ -68,9 +68,7 @@ def test_modules_that_the_page_of_the_architecture_names_exist() -> None:
     assert [name for name in named if not (ROOT / "roadtorch" / name).is_file()] == []
 
 
-def test_the_detector_of_contributing_keeps_to_the_contract(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_detector_of_contributing_keeps_the_contract(monkeypatch: pytest.MonkeyPatch) -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.S)
     module = ModuleType("their_package")
@@ -164,9 +162,7 @@ def test_links_lead_to_pages_of_the_site(text: str, folder: str, linked: str) ->
     assert parts.linked(text, parts.ROOT / folder) == linked
 
 
-def test_a_page_that_nobody_lists_is_listed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_without_a_list_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parts, "DOCS", tmp_path)
     for name in ("new", "known", "optional"):
         (tmp_path / f"{name}.md").write_text("# A page\n")

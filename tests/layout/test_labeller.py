@@ -128,9 +128,7 @@ def test_columns_of_single_samples_have_the_posteriors_of_all_paths(
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 4])
-def test_segments_get_the_mean_of_their_samples_or_their_own_score_where_there_are_none(
-    step: int,
-) -> None:
+def test_segments_get_the_mean_of_their_samples_or_their_own_score(step: int) -> None:
     generator = seeded(step)
     labels = torch.randint(0, 9, (7, 9), generator=generator)
     scores = 2 * torch.randn(12, 3, generator=generator)  # 9, 10 and 11 never occur
@@ -163,9 +161,7 @@ potentials = st.lists(st.tuples(*[st.floats(0.0625, 1, width=32)] * 3), min_size
 
 
 @given(potentials, st.floats(0, 1))
-def test_the_largest_potential_decides_where_it_leads_by_the_margin(
-    values: Tensor, margin: float
-) -> None:
+def test_the_largest_potential_decides_beyond_the_margin(values: Tensor, margin: float) -> None:
     labels = decide_layout(values, margin)
 
     for row, label in zip(values.tolist(), labels.tolist(), strict=True):
@@ -205,7 +201,7 @@ def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: fl
     assert torch.equal(layout.labels[leads], layout.potentials.argmax(0)[leads])
 
 
-def test_learning_the_look_of_the_classes_beats_place_and_order(
+def test_learning_the_looks_of_classes_beats_place_and_order(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     streets = [scene(seed, dusk=0.0) for seed in range(4)]

@@ -64,9 +64,7 @@ def test_the_default_is_cnn_7() -> None:
         ({"connections": 5}, "is 5, and the first layer has 4 kernels", "give 0 to 4"),
     ],
 )
-def test_sizes_that_do_not_fit_are_refused_with_what_would_fit(
-    values: dict[str, int], what: str, near: str
-) -> None:
+def test_sizes_that_do_not_fit_are_refused(values: dict[str, int], what: str, near: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_settings(PatchNetworkSettings, {"topology": values})
     assert what in caught.value.what

@@ -45,9 +45,7 @@ def assert_potentials(network: WholePictureNetwork, size: tuple[int, int]) -> No
 
 
 @pytest.mark.parametrize("size", [(16, 16), (50, 61), (100, 333)])
-def test_cues_are_potentials_of_the_size_of_the_picture(
-    size: tuple[int, int], backbone: BackboneNetwork
-) -> None:
+def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: BackboneNetwork) -> None:
     assert_potentials(backbone, size)
     assert_potentials(PictureNetwork(SMALL), size)
 
@@ -82,9 +80,7 @@ def test_the_same_weights_see_pictures_of_another_size() -> None:
 
 
 @pytest.mark.parametrize(("kernel", "pads"), [(3, (0, 1)), (5, (1, 2))])
-def test_a_convolution_of_stride_two_is_padded_as_in_tensorflow(
-    kernel: int, pads: tuple[int, int]
-) -> None:
+def test_stride_two_is_padded_as_in_tensorflow(kernel: int, pads: tuple[int, int]) -> None:
     layer, maps = SamePadded(1, 1, kernel, 2), torch.rand(1, 1, 8, 8)
 
     wanted = F.conv2d(F.pad(maps, pads * 2), layer.weight, layer.bias, 2)
@@ -93,9 +89,7 @@ def test_a_convolution_of_stride_two_is_padded_as_in_tensorflow(
     assert wanted.shape[-2:] == (4, 4)
 
 
-def test_it_is_written_in_half_precision_and_comes_back(
-    backbone: BackboneNetwork, tmp_path: Path
-) -> None:
+def test_it_comes_back_from_half_precision(backbone: BackboneNetwork, tmp_path: Path) -> None:
     path = tmp_path / "weights.safetensors"
     save_network(path, backbone, {})
     assert path.stat().st_size < 2.2 * sum(value.numel() for value in backbone.parameters())
@@ -121,7 +115,5 @@ def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
         ((32, 32), 0.5, (32, 32)),  # never nothing
     ],
 )
-def test_a_network_sees_multiples_of_32_pixels(
-    size: tuple[int, int], scale: float, seen: tuple[int, int]
-) -> None:
+def test_multiples_of_32_pixels(size: tuple[int, int], scale: float, seen: tuple[int, int]) -> None:
     assert scaled(*size, scale) == seen

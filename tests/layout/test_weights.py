@@ -40,9 +40,7 @@ def weights(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("network", NETWORKS, ids=lambda network: network.kind)
-def test_a_network_comes_back_with_its_settings_and_origin_from_the_same_bytes(
-    network: LayoutNetwork, tmp_path: Path
-) -> None:
+def test_a_network_comes_back_from_the_same_bytes(network: LayoutNetwork, tmp_path: Path) -> None:
     path, again = tmp_path / "weights.safetensors", tmp_path / "again"
     save_network(path, network, {"config": {"seed": 3}})
     save_network(again, network, {"config": {"seed": 3}})
@@ -100,9 +98,7 @@ def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
         ({"settings": {"topology": {"k1": 4}}}, "holds another network: size mismatch for first"),
     ],
 )
-def test_headers_that_do_not_fit_are_refused(
-    changes: dict[str, object], message: str, weights: Path
-) -> None:
+def test_other_headers_are_refused(changes: dict[str, object], message: str, weights: Path) -> None:
     change_header(weights, NETWORKS[0].state_dict(), **changes)
     assert_refused(weights, message)
 

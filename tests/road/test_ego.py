@@ -91,9 +91,7 @@ def loaded(**values: Any) -> Callable[[Path], object]:
         (loaded(outline=(0.01, 0.05)), "ego.outline: .*leave at least 10% of the picture free"),
     ],
 )
-def test_what_makes_no_sense_is_refused(
-    call: Callable[[Path], object], what: str, tmp_path: Path
-) -> None:
+def test_nonsense_is_refused(call: Callable[[Path], object], what: str, tmp_path: Path) -> None:
     with pytest.raises((ConfigError, InputError), match=what):
         call(tmp_path)
 
@@ -227,16 +225,12 @@ LIT[33:36, 20:30] = 0.2
         pytest.param(0.85 * potential((slice(20, None), EVERY)), []),
     ],
 )
-def test_the_ego_car_is_what_goes_down_to_the_lower_edge(
-    seen: Tensor, car: list[tuple[slice, slice]]
-) -> None:
+def test_the_ego_car_reaches_the_lower_edge(seen: Tensor, car: list[tuple[slice, slice]]) -> None:
     assert torch.equal(ego_found(seen), potential(*car) > 0.5)
 
 
 @given(st.integers(0, 2**31), st.floats(0.1, 0.9))
-def test_each_column_is_free_above_and_ego_car_below_and_solid_where_it_begins(
-    seed: int, level: float
-) -> None:
+def test_each_column_is_free_above_and_solid_ego_car_below(seed: int, level: float) -> None:
     at = torch.Generator().manual_seed(seed)
     rough = torch.rand(12, 16, generator=at) + (torch.arange(12)[:, None] / 12 - 0.5) * level
 

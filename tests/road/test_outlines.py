@@ -81,9 +81,7 @@ ROAD, NOT = 0.8, 0.1
         ((slice(20, 110), slice(80, 83)), False),  # what is thin and joins the background
     ],
 )
-def test_what_is_enclosed_and_thin_is_road_by_the_least_that_a_byte_can_say(
-    hole: tuple[slice, slice], is_filled: bool
-) -> None:
+def test_thin_holes_are_road_by_one_byte_level(hole: tuple[slice, slice], is_filled: bool) -> None:
     likelihood = torch.full((120, 320), NOT)
     likelihood[40:] = ROAD
     likelihood[hole] = NOT

@@ -93,9 +93,7 @@ SMALL = st.integers(16, 60)
 
 
 @given(SMALL, SMALL, st.integers(1, 70), st.integers(1, 240), st.integers(1, 320))
-def test_there_is_always_a_seed_segment_and_each_is_in_the_seed_area(
-    height, width, size, tall, wide
-):
+def test_there_is_a_seed_segment_and_each_is_in_the_seed_area(height, width, size, tall, wide):
     labels, seed = squares(height, width, size), SeedArea(height=tall, width=wide)
 
     found = seed_segments(labels, seed_rectangle((height, width), seed))

@@ -136,9 +136,7 @@ def test_an_ego_car_is_never_road_not_even_where_a_frame_misses_it() -> None:
     ("images", "of"),
     [([STREET] * 4, [range(4)] * 4), ([STREET, STREET, OTHER, OTHER], [range(2), range(2, 4)])],
 )
-def test_smoothed_frames_say_their_mean_as_far_as_the_next_cut(
-    images: list[Tensor], of: list[range]
-) -> None:
+def test_smoothed_frames_are_means_up_to_a_cut(images: list[Tensor], of: list[range]) -> None:
     odds = [log_odds(likelihood) for likelihood in noisy(4)]
     greys = [flow_picture(image, 160) for image in images]
 

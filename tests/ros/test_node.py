@@ -89,9 +89,7 @@ def test_the_talker_may_leave_and_come_back_with_another_size(start: Start, talk
         assert told["mask"][1:3] == [height, width]
 
 
-def test_an_encoding_that_is_not_read_is_refused_and_the_others_go_on(
-    start: Start, talk: Talk
-) -> None:
+def test_an_unknown_encoding_is_refused_and_the_others_go_on(start: Start, talk: Talk) -> None:
     node = start("-p", "detector:=prior:triangle")
 
     told = talk(5, "--encodings", "rgb8,32FC1")
@@ -105,9 +103,7 @@ def test_an_encoding_that_is_not_read_is_refused_and_the_others_go_on(
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_the_node_within_a_second_or_two(
-    start: Start, number: signal.Signals, code: int
-) -> None:
+def test_a_signal_ends_the_node_in_seconds(start: Start, number: signal.Signals, code: int) -> None:
     node = start("-p", "detector:=prior:rows")
     began = time.monotonic()
 

@@ -84,9 +84,7 @@ def test_a_run_from_weights_ends_with_a_page(
     assert "<script" not in page
 
 
-def test_names_are_text_on_the_page_which_is_written_again_on_resuming(
-    start: Path, tmp_path: Path
-) -> None:
+def test_names_are_text_on_the_page_even_after_resuming(start: Path, tmp_path: Path) -> None:
     images = tmp_path / "footage"
     write_picture(images / "plain.png", scene(0, 60, 80))
     for name in (HOSTILE, "third"):

@@ -168,7 +168,7 @@ def test_weights_say_that_people_corrected_pictures(kind: str, runs: dict[str, O
         assert (values["detector"], values["weights"]) == ("fusion", {"file": str(weights)})
 
 
-def test_what_goes_on_from_corrected_weights_is_not_label_free_either(
+def test_what_starts_from_them_is_not_label_free(
     trained: Trained, runs: dict[str, Outcome]
 ) -> None:
     first = runs["patches"].weights

@@ -25,9 +25,7 @@ def manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_pictures_are_gathered_under_the_name_of_their_recording(
-    manifest: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_they_are_gathered_by_recording(manifest: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status = main([str(manifest / "data"), "--out", str(manifest / "out")])
 
     assert status == 1

@@ -105,9 +105,7 @@ def test_every_picture_can_get_an_ego_car(files: list[Path]) -> None:
 
 
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=60), st.integers(0, 2**31))
-def test_nobody_is_visited_a_whole_time_more_or_less_than_is_fair(
-    values: list[float], seed: int
-) -> None:
+def test_visits_are_fair_to_less_than_a_whole_one(values: list[float], seed: int) -> None:
     shares = torch.tensor(values)
 
     visits = draw_members(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
@@ -121,7 +119,7 @@ NAMES = ("a_1", "a_2", "a_3", "b", "c")
 
 
 @pytest.mark.parametrize(("evenness", "share"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
-def test_recordings_are_told_by_the_names_of_pictures_wherever_they_are_kept(
+def test_recordings_follow_from_names_of_images(
     evenness: float, share: float, tmp_path: Path
 ) -> None:
     """The kept folder's own name has the separator; the names of two pictures have none."""

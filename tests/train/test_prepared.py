@@ -67,9 +67,7 @@ def test_pictures_are_made_ready_once(tmp_path: Path, pictures: list[Item]) -> N
     assert all(item.file and read_arrays(item.file, "mean")["mean"].shape == (3,) for item in first)
 
 
-def test_a_changed_picture_is_made_again_and_with_other_settings_all_are(
-    tmp_path: Path, pictures: list[Item]
-) -> None:
+def test_changed_images_and_settings_are_made_again(tmp_path: Path, pictures: list[Item]) -> None:
     make = Maker()
     prepared(tmp_path, pictures, make)
     pictures[0].path.write_bytes(pictures[1].path.read_bytes())
@@ -154,9 +152,7 @@ def overlap(one: torch.Tensor, other: torch.Tensor) -> float:
         ("drive_007", "", "drive_007"),
     ],
 )
-def test_a_recording_is_what_stands_before_the_last_separator(
-    name: str, separator: str, recording: str
-) -> None:
+def test_recordings_end_at_the_last_separator(name: str, separator: str, recording: str) -> None:
     assert recording_of(name, separator) == recording
 
 

@@ -88,17 +88,13 @@ def test_rounds_begin_with_the_labels_of_the_last_network(whole: dict[str, Path]
 
 
 @pytest.mark.parametrize(("fall", "epochs"), [("10.0", 2), ("0.0", 4)])
-def test_training_stops_when_the_error_falls_by_no_more(
-    fall: str, epochs: int, trained: Trained
-) -> None:
+def test_training_stops_on_a_plateau(fall: str, epochs: int, trained: Trained) -> None:
     slow = "descent.learning_rate=0.02"  # so slow that the error falls at each of four epochs
     rules = ("stopping.rule=plateau", "stopping.epochs=4", f"stopping.min_delta={fall}")
     assert len(rows_of(folder_of(trained("patches", *rules, slow)))) == epochs
 
 
-def test_a_loss_that_is_no_number_is_refused(
-    trained: Trained, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loss_of_nan_is_refused(trained: Trained, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Loop, "step", lambda *_: math.nan)
     with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer a number"):
         trained("patches")
@@ -116,9 +112,7 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Train
         torch.testing.assert_close(weight, (begun[name] + 10 * last[name]) / 11)
 
 
-def test_the_ego_car_that_footage_shows_is_in_the_pictures_made_ready(
-    trained: Trained, tmp_path: Path
-) -> None:
+def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path: Path) -> None:
     """And what killed runs left half-written is removed from all folders of a run."""
     footage, kept = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
     changes = ("augmentation.ego_car.share=1.0", "recordings.least=8", "stopping.epochs=1")

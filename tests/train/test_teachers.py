@@ -215,9 +215,7 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
     assert lends_ego(tmp_path / "a.npz")
 
 
-def test_a_prepared_picture_has_the_networks_size_and_what_is_not_known_of_the_ego_car(
-    tmp_path: Path,
-) -> None:
+def test_a_prepared_image_has_the_networks_size(tmp_path: Path) -> None:
     image, teachers = scene(1, 60, 80).image, [load_detector("labeller")]
 
     arrays = prepare_picture(image, None, teachers, small_training())
@@ -233,7 +231,7 @@ def test_a_prepared_picture_has_the_networks_size_and_what_is_not_known_of_the_e
 @pytest.mark.parametrize(
     ("rows", "columns", "lends"), [(8, 96, True), (8, 88, False), (1, 96, False)]
 )
-def test_only_an_ego_car_from_one_side_to_the_other_is_lent(
+def test_only_an_ego_car_of_full_width_is_lent(
     rows: int, columns: int, lends: bool, tmp_path: Path
 ) -> None:
     ego = torch.zeros(64, 96, dtype=torch.uint8)
@@ -243,9 +241,7 @@ def test_only_an_ego_car_from_one_side_to_the_other_is_lent(
     assert lends_ego(tmp_path / "a.npz") == lends
 
 
-def test_a_network_labels_again_what_another_picture_or_network_has_changed(
-    tmp_path: Path,
-) -> None:
+def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
     settings = PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)
     network, files = PictureNetwork(settings).eval(), [tmp_path / f"{n}.npz" for n in range(2)]
     for file in files:

@@ -102,9 +102,7 @@ def test_too_few_frames_are_not_taken_as_they_are_by_the_next_run(
     assert kept_of(pictures, tmp_path).count == 10
 
 
-def test_other_footage_and_folders_with_other_files_are_refused(
-    pictures: Path, tmp_path: Path
-) -> None:
+def test_other_footage_and_other_files_are_refused(pictures: Path, tmp_path: Path) -> None:
     (tmp_path / "mine/kept").mkdir(parents=True)
     (tmp_path / "mine/kept/01.jpg").touch()
     kept_of(pictures, tmp_path)

@@ -40,9 +40,7 @@ def roads(files: list[Path]) -> Tensor:
     return torch.stack([from_bytes(read_arrays(file, "maps")["maps"][CLASSES]) for file in files])
 
 
-def test_looks_at_one_place_become_alike_and_other_pictures_stay_as_they_are(
-    tmp_path: Path,
-) -> None:
+def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None:
     (tmp_path / "drive").mkdir()
     street, generator = render_scene(1, 120, 160).image, seeded(0)
     for number in range(4):
@@ -83,7 +81,7 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
 
 
 @pytest.mark.parametrize("shift", [-2.0, 2.0], ids=["timid", "bold"])
-def test_the_bias_undoes_a_shift_of_the_road(
+def test_the_bias_undoes_a_shift(
     shift: float, streets: tuple[list[Item], Path], tmp_path: Path
 ) -> None:
     shifted, mended = tmp_path / "s.file", tmp_path / "m.file"
@@ -100,7 +98,7 @@ def test_the_bias_undoes_a_shift_of_the_road(
     assert after > max(before, 0.97)
 
 
-def test_without_a_frame_that_can_tell_nothing_is_shifted(
+def test_without_evidence_nothing_is_shifted(
     streets: tuple[list[Item], Path], tmp_path: Path
 ) -> None:
     assert fitted_bias(streets[0], SHIPPED, tmp_path / "nothing", training_of(), quiet=True) == 0
@@ -135,9 +133,7 @@ def judged(half: Half) -> Judged:
         ([([50] * 12, [60] * 12, [60] * 12), ([60] * 12, [50] * 12, [50] * 12)], "cannot tell"),
     ],
 )
-def test_a_verdict_needs_a_change_on_frames_that_were_not_seen(
-    halves: list[Half], word: str
-) -> None:
+def test_a_verdict_needs_a_change_on_held_out_frames(halves: list[Half], word: str) -> None:
     assert verdict_of([judged(half) for half in halves]).word == word
 
 
