@@ -19,7 +19,6 @@ from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.testing.scenes import render_scene
 from scripts.figures import p1, p2, p3_light, p3_table3
-from scripts.figures.p3_light import deviation, distance, median_of
 from tests.streets import as_bytes, scene, write_camvid
 
 # --- P1 ---------------------------------------------------------------------------------
@@ -89,16 +88,6 @@ def test_a_confusion_is_printed_in_the_papers_order() -> None:
 
 
 # --- P3 ---------------------------------------------------------------------------------
-
-
-def test_hue_is_a_circle() -> None:
-    hues = torch.tensor([0.98, 0.99, 0.01, 0.02, 0.03])
-
-    assert float(median_of(hues, "H")) == pytest.approx(0.01, abs=1e-6)
-    assert float(median_of(hues, "S")) == pytest.approx(0.03, abs=1e-6)
-    assert float(distance(torch.tensor(0.95), torch.tensor(0.05), "H")) == pytest.approx(0.1)
-    assert float(distance(torch.tensor(0.95), torch.tensor(0.05), "S")) == pytest.approx(0.9)
-    assert deviation(hues, "H") < 0.03 < deviation(hues, "S")
 
 
 @pytest.mark.parametrize(

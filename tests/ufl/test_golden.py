@@ -128,19 +128,6 @@ def test_the_regions_of_every_level_and_their_nodes(golden: Golden) -> None:
     assert torch.equal(owner[1:], golden["region_node"])
 
 
-def test_the_basis_of_the_road_and_the_reconstruction_error(golden: Golden) -> None:
-    stack, area = selected(golden).maps, golden["road_region_after_it1"]
-
-    mean, basis = road.road_basis(stack[:, area].T, "road", 0.95)
-    error = road.reconstruction_error(stack, area, "road", 0.95)
-
-    close(mean, golden["pca_mean"])
-    assert basis.shape[1] == int(golden["pca_k"])
-    close(basis @ basis.T, golden["pca_projector"], 2e-5)
-    close(error, golden["error_raw"])
-    close(road.normalised_error(error, golden["mean_map"] != 0), golden["error_normalised"])
-
-
 def test_both_rounds_from_the_stored_mean_map(golden: Golden) -> None:
     tree = found_tree(golden)
     order = golden["node_id"].argsort()

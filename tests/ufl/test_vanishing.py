@@ -7,26 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.ufl.vanishing import (
-    OCTAVES,
-    BorderSettings,
-    GaborBank,
-    VotingSettings,
-    angle_between,
-    angles_from,
-    dominant_orientation,
-    filter_spectrum,
-    find_borders,
-    gabor_responses,
-    road_between,
-    soft_votes,
-    vote_vanishing_point,
-)
+from roadtorch.ufl import vanishing
 from tests.draws import random
 
 SIZE = (90, 120)
 POINT = torch.tensor([25.0, 60.0])
-AIMING = angles_from(POINT, SIZE).remainder(180)  # all texture aims at the point
+AIMING = vanishing.angles_from(POINT, SIZE).remainder(180)  # all texture aims at the point
 
 
 # --- which way texture runs -------------------------------------------------------------
@@ -38,9 +24,11 @@ def test_stripes_run_the_way_they_run(angle: int) -> None:
     across = row * math.cos(math.radians(angle)) - column * math.sin(math.radians(angle))
     stripes = torch.from_numpy(0.5 + 0.5 * np.cos(2 * math.pi * across / 6)).float()
 
-    found, sure = dominant_orientation(gabor_responses(stripes, GaborBank()))
+    found, sure = vanishing.dominant_orientation(
+        vanishing.gabor_responses(stripes, vanishing.GaborBank())
+    )
 
-    assert (angle_between(found[16:32, 16:32], torch.tensor(angle)) <= 5).all()
+    assert (vanishing.angle_between(found[16:32, 16:32], torch.tensor(angle)) <= 5).all()
     assert sure.shape == (48, 48)
 
 
@@ -50,13 +38,13 @@ def test_the_spectrum_is_that_of_the_filter_as_it_is_written() -> None:
     y, x = np.indices((size, size)) - size // 2
     turn = math.radians(angle)
     a, b = x * math.cos(turn) + y * math.sin(turn), y * math.cos(turn) - x * math.sin(turn)
-    envelope = np.exp(-(frequency**2) * (4 * a**2 + b**2) / (8 * OCTAVES**2))
-    wave = np.exp(1j * frequency * a) - math.exp(-(OCTAVES**2) / 2)
-    filtered = frequency / (math.sqrt(2 * math.pi) * OCTAVES) * envelope * wave
+    envelope = np.exp(-(frequency**2) * (4 * a**2 + b**2) / (8 * vanishing.OCTAVES**2))
+    wave = np.exp(1j * frequency * a) - math.exp(-(vanishing.OCTAVES**2) / 2)
+    filtered = frequency / (math.sqrt(2 * math.pi) * vanishing.OCTAVES) * envelope * wave
 
     expected = np.fft.fft2(np.fft.ifftshift(filtered))
 
-    found = filter_spectrum((size, size), angle, frequency).numpy()
+    found = vanishing.filter_spectrum((size, size), angle, frequency).numpy()
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
@@ -64,7 +52,7 @@ def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None
     responses = torch.linspace(1, 2, 36)[:, None, None].repeat(1, 1, 2)
     responses[:35, 0, 1] = 0.1  # one response stands out
 
-    angle, sure = dominant_orientation(responses)
+    angle, sure = vanishing.dominant_orientation(responses)
 
     assert angle.tolist() == [[175.0, 175.0]]
     assert sure.tolist() == [[0.0, 1.0]]  # scaled to the picture
@@ -86,7 +74,9 @@ def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None
 def test_votes_fall_with_the_miss(place: tuple[float, float], angle: float, votes: float) -> None:
     voters = torch.tensor([place]), torch.tensor([angle])
 
-    found = soft_votes(torch.tensor([[20.0, 50.0]]), *voters, 200.0, VotingSettings())
+    found = vanishing.soft_votes(
+        torch.tensor([[20.0, 50.0]]), *voters, 200.0, vanishing.VotingSettings()
+    )
 
     assert found.tolist() == [pytest.approx(votes)]
 
@@ -95,9 +85,11 @@ def test_votes_fall_with_the_miss(place: tuple[float, float], angle: float, vote
 def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
     orientation, sure = AIMING.clone(), torch.ones(SIZE)
     sure[:, :left_out] = 0
-    orientation[:, :left_out] = angles_from(torch.tensor([50.0, 20.0]), SIZE)[:, :left_out]
+    orientation[:, :left_out] = vanishing.angles_from(torch.tensor([50.0, 20.0]), SIZE)[
+        :, :left_out
+    ]
 
-    found = vote_vanishing_point(orientation, sure, VotingSettings())
+    found = vanishing.vote_vanishing_point(orientation, sure, vanishing.VotingSettings())
 
     assert found is not None
     assert math.dist(found.tolist(), POINT.tolist()) <= 2
@@ -108,7 +100,7 @@ def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
 
 def wedge(first: float, second: float) -> Tensor:
     """A picture (3,H,W) of a grey road between two rays from the point, green elsewhere."""
-    angle = angles_from(POINT, SIZE)
+    angle = vanishing.angles_from(POINT, SIZE)
     road = (angle > first) & (angle < second)
     grey, green = torch.full((3, 1, 1), 0.5), torch.tensor([0.2, 0.5, 0.2])[:, None, None]
     return torch.where(road, grey, green) + 0.1 * random(3, *SIZE, dtype=torch.float32)
@@ -116,20 +108,20 @@ def wedge(first: float, second: float) -> Tensor:
 
 @pytest.mark.parametrize(("first", "second"), [(45, 130), (70, 140)])
 def test_both_borders_of_a_road_are_found_and_it_lies_between(first: int, second: int) -> None:
-    found = find_borders(wedge(first, second), AIMING, POINT, BorderSettings())
+    found = vanishing.find_borders(wedge(first, second), AIMING, POINT, vanishing.BorderSettings())
 
     assert sorted((found.first, found.second)) == [first, second]
     assert torch.equal(found.point, POINT)
-    angle, below = angles_from(POINT, SIZE), torch.arange(SIZE[0])[:, None] > POINT[0] + 1
+    angle, below = vanishing.angles_from(POINT, SIZE), torch.arange(SIZE[0])[:, None] > POINT[0] + 1
     expected = (angle > first) & (angle < second) & below
-    assert (road_between(found, SIZE) == expected).float().mean() > 0.98
+    assert (vanishing.road_between(found, SIZE) == expected).float().mean() > 0.98
 
 
 def test_the_point_moves_along_the_first_border_to_where_texture_aims() -> None:
     angle = torch.tensor(130).deg2rad()
     high = POINT - 12 * torch.stack([angle.sin(), angle.cos()])
 
-    found = find_borders(wedge(45, 130), AIMING, high, BorderSettings())
+    found = vanishing.find_borders(wedge(45, 130), AIMING, high, vanishing.BorderSettings())
 
     assert found.first == 130
     assert math.dist(found.point.tolist(), POINT.tolist()) < 3
