@@ -32,6 +32,12 @@ def without_password(url: str) -> str:
     return re.sub(r"(?<=://)[^/@]*@", "", url)
 
 
+def slug(url: str) -> str:
+    """Return a name for results: what stands between the signs of an address, no password."""
+    address = re.sub(r"^\w+://|[?#].*", "", without_password(url))
+    return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
+
+
 @contextmanager
 def answer(url: str) -> Iterator[Any]:
     """Yield a server's answer, after redirections: its headers, and its body to read.

@@ -187,8 +187,8 @@ def write_submission(
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
     from roadtorch.run.memo import key_of
-    from roadtorch.run.plan import plan
-    from roadtorch.run.run import RunOptions, open_run
+    from roadtorch.run.plan import RunOptions, plan
+    from roadtorch.run.run import open_run
     from roadtorch.run.writers.kitti import ARCHIVE, BirdsEyeMaps, pack, pictures_to_submit
 
     threshold = contender.threshold

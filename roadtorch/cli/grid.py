@@ -19,7 +19,7 @@ from roadtorch.cli.options import (
 
 if TYPE_CHECKING:
     from roadtorch.inputs.item import Selection
-    from roadtorch.run.run import RunOptions
+    from roadtorch.run.plan import RunOptions
 
 
 def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from roadtorch.cli.options import (
 if TYPE_CHECKING:
     from roadtorch.annotate.viewer import Viewer
     from roadtorch.inputs.item import Selection
-    from roadtorch.run.run import RunOptions
+    from roadtorch.run.plan import RunOptions
 
 KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
@@ -113,13 +113,12 @@ def infer(
     says how it was made. A second run resumes where the first one stopped.
     """
     from roadtorch.inputs.find import select_inputs
-    from roadtorch.run.folder import result_folder
-    from roadtorch.run.ledger import INDEX, Method, open_ledger
+    from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
     from roadtorch.run.memo import key_of
     from roadtorch.run.plan import plan
-    from roadtorch.run.record import RunRecord
-    from roadtorch.run.run import Run
+    from roadtorch.run.record import recorded
+    from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle
     from roadtorch.run.writers.choice import OF_PICTURES, MapOutput
     from roadtorch.run.writers.coco import write_coco
@@ -135,22 +134,16 @@ def infer(
     viewer = context.with_resource(opened_viewer()) if view else None
     output = MapOutput(maps, save, selection.topic, viewer)
     todo = plan(found, out, maps.suffixes, output)
-    workers = context.with_resource(run.workers(todo.count))
-    context.with_resource(result_folder(out, effective, run.overwrite))
     of_frames = {**asdict(selection), "steady": steady}
-    inference = Inference(detector, known, run.device)
     key = key_of(detector, depth)
     method, of_footage = Method(key, kinds), Method(key_of(key, of_frames), ())
-
-    def work() -> int:
+    task = Task(Inference(detector, known, run.device), maps, method)
+    given = {**asdict(run), **of_frames, "save": kinds, "depth": bits}
+    record = recorded(out, detector, todo.row_names, given, command_line(context))
+    with open_run(out, effective, todo.count, run, record) as own:
         try:
-            with open_ledger(out / INDEX) as ledger:
-                task = Task(inference, maps, method)
-                return Run(out, ledger, workers, run).all(todo, task, of_footage, steady)
+            code = own.all(todo, task, of_footage, steady)
         finally:
             if "polygons" in kinds:
                 write_coco(out)
-
-    given = {**asdict(run), **of_frames, "save": kinds, "depth": bits}
-    command = command_line(context)
-    context.exit(RunRecord(out, detector, todo.row_names, given, command).around(work))
+    context.exit(code)

@@ -9,7 +9,7 @@ from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import PATH, SETTING, as_toml, with_run
 
 if TYPE_CHECKING:
-    from roadtorch.run.run import RunOptions
+    from roadtorch.run.plan import RunOptions
 
 
 @click.command()

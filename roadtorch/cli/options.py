@@ -23,7 +23,7 @@ Command = Callable[..., Any]
 # --- what a user may say ------------------------------------------------------------------
 
 DEFAULT_DETECTOR = "fusion"
-RUN_OPTIONS = "roadtorch.run.run:RunOptions"
+RUN_OPTIONS = "roadtorch.run.plan:RunOptions"
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,12 @@ from dataclasses import replace
 from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TextIO
-from urllib.parse import urlsplit
 
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import READABLE, read_image
-from roadtorch.base.urls import WEB, answer, scheme_of, without_password
+from roadtorch.base.urls import WEB, scheme_of, slug
 from roadtorch.inputs.bags import bag_source, is_bag
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.live import STREAMS, camera_source, stream_source
@@ -23,8 +22,8 @@ from roadtorch.inputs.pictures import (
     each_once,
     files_at,
     names_picture,
-    pictures_at,
-    web_picture_item,
+    picture_item,
+    web_picture,
 )
 from roadtorch.inputs.video import (
     VIDEO_SUFFIXES,
@@ -66,29 +65,26 @@ def find_inputs(
     pictures: list[Item] = []
     sources: list[Source] = []
     for given in named(inputs, sys.stdin if names is None else names):
-        scheme, number = scheme_of(given), camera_number(given)
-        if scheme in WEB and is_picture_of_web(given):
-            name = PurePosixPath(urlsplit(given).path).with_suffix("")
-            pictures.append(web_picture_item(given, slug(name.as_posix())))
-        elif number is not None:
+        number, scheme, name = camera_number(given), scheme_of(given), slug(given)
+        if number is not None:
             sources.append(camera_source(number, selection))
         elif WHOLE.match(given):
-            sources.append(video_source(given, slug(given), selection))
+            sources.append(video_source(given, name, selection))
+        elif scheme in WEB and (picture := web_picture(given)) is not None:
+            pictures.append(picture)
         elif scheme in STREAMS:
-            sources.append(stream_source(given, slug(given), selection))
+            sources.append(stream_source(given, name, selection))
         elif is_bag(given):
             sources.append(bag_source(given, selection.topic, selection))
-        elif isinstance(videos := files_at(given, names_video, apart), File):
-            if videos.name.lower().endswith(VIDEO_SUFFIXES):
-                sources.append(video_source(videos.path, videos.path.stem, selection))
-            else:
-                pictures += pictures_at(given)
         else:
-            for video in videos:
-                name = Path(video.name).with_suffix("").as_posix()
-                sources.append(video_source(video.path, name, selection))
-            pictures += (here := pictures_at(given, apart))
-            if not here and not videos:
+            files = files_at(given, names_footage, apart)
+            for file in [files] if isinstance(files, File) else files:
+                name = PurePosixPath(file.name).with_suffix("").as_posix()
+                if not file.name.lower().endswith(VIDEO_SUFFIXES):
+                    pictures.append(picture_item(file.path, name))
+                else:
+                    sources.append(video_source(file.path, name, selection))
+            if not files:
                 raise InputError(given, "holds no pictures", f"give {READABLE} files")
     if inputs and not pictures and not sources:
         raise InputError(inputs[0], "names nothing", "give names, one a line")
@@ -104,23 +100,9 @@ def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inp
     return Inputs(selection.of_pictures(pictures), sources)
 
 
-def is_picture_of_web(url: str) -> bool:
-    """Whether the server calls what is behind an address a picture, or else its name does.
-
-    A camera's endless series of pictures (``multipart/…``) is none. Raises InputError where there
-    is no answer and the name is a picture's; other addresses may be streams, which are waited for.
-    """
-    by_name = names_picture(PurePosixPath(urlsplit(url).path).name)
-    if not by_name and WHOLE.match(url):
-        return False
-    try:
-        with answer(url) as response:
-            kind = response.headers.get_content_maintype()
-    except InputError:
-        if by_name:
-            raise
-        return False
-    return kind == "image" or (by_name and kind != "multipart")
+def names_footage(name: str) -> bool:
+    """Return whether a file of that name is an image or a video to look at."""
+    return names_picture(name) or names_video(name)
 
 
 def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
@@ -171,12 +153,6 @@ def open_source(given: str, selection: Selection) -> Source:
         what = f"holds {len(sources)} videos" + " and pictures" * bool(pictures)
         raise ConfigError(given, what, "give one of them")
     return sources[0]
-
-
-def slug(url: str) -> str:
-    """A name for the results of an address: what stands between its signs, without a password."""
-    address = re.sub(r"^\w+://|[?#].*", "", without_password(url))
-    return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
 
 
 # --- single frames ----------------------------------------------------------------------

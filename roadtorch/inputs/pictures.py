@@ -10,13 +10,14 @@ from itertools import takewhile
 from os.path import basename
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 from torch import Tensor
 
 from roadtorch.base.atomic import digest_of
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image import READABLE, SUFFIXES, decode_image, read_image
-from roadtorch.base.urls import scheme_of, url_bytes, without_password
+from roadtorch.base.urls import answer, scheme_of, slug, url_bytes, without_password
 from roadtorch.inputs.item import Item
 
 RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
@@ -95,8 +96,23 @@ def picture_item(path: Path, name: str) -> Item:
 # --- images by http ---------------------------------------------------------------------
 
 
-def web_picture_item(url: str, name: str) -> Item:
-    """Make an item of an image behind an address."""
+def web_picture(url: str) -> Item | None:
+    """Return the image behind an address; None where the server calls it something else.
+
+    A camera's endless series of images (``multipart/…``) is none. Raises InputError where there
+    is no answer and the name is an image's; other addresses may be streams, which are waited for.
+    """
+    path = PurePosixPath(urlsplit(url).path)
+    name, is_named = slug(path.with_suffix("").as_posix()), names_picture(path.name)
+    try:
+        with answer(url) as response:
+            kind = response.headers.get_content_maintype()
+    except InputError:
+        if is_named:
+            raise
+        return None
+    if kind != "image" and (not is_named or kind == "multipart"):
+        return None
     suffix = PurePosixPath(re.split(r"(?<=\w)[?#]", url)[0]).suffix
     return Item(name, url, partial(_read_remote, url), partial(_digest_remote, url), suffix)
 

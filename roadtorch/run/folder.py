@@ -3,14 +3,14 @@
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from roadtorch.base.atomic import locked, make_folder, remove_leftovers, write_text
 from roadtorch.base.bounded import printable, read_regular
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.maps import CONFIG
-from roadtorch.run.ledger import BAG_LIST, INDEX
+from roadtorch.run.ledger import INDEX
 
 ELSEWHERE = "give another --out"
 COCO, RUN = "coco.json", "run.json"
@@ -33,14 +33,6 @@ def output_lock(out: Path) -> Iterator[None]:
     with locked(out, "wait for it, or give another --out"):
         remove_leftovers([out])
         yield
-
-
-def has_result(folder: Path, name: str) -> bool:
-    """Return whether a result exists; a bag that is a folder is one once it has its list."""
-    path = folder / name
-    with suppress(OSError):  # a name that is too long, which nothing can have
-        return path.is_file() or (path / BAG_LIST).is_file()
-    return False
 
 
 @contextmanager

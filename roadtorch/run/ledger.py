@@ -7,14 +7,15 @@ at the end.
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from roadtorch.base.atomic import csv_text, from_cell, unwritable, write_text
 from roadtorch.base.bounded import printable, read_regular
 from roadtorch.base.errors import ExitCode, InputError
+from roadtorch.inputs.item import Item, Source
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
@@ -111,12 +112,37 @@ def write_index(path: Path, rows: Iterable[Row]) -> None:
     write_text(path, csv_text(COLUMNS, map(asdict, sorted(rows, key=lambda row: row.file))))
 
 
+def has_result(folder: Path, name: str) -> bool:
+    """Return whether a result exists; a bag that is a folder is one once it has its list."""
+    path = folder / name
+    with suppress(OSError):  # a name that is too long, which nothing can have
+        return path.is_file() or (path / BAG_LIST).is_file()
+    return False
+
+
 class Ledger:
     """The rows of a folder of results while a run adds to them; see ``open_ledger``."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.rows = read_index(path)
+
+    def is_done(self, item: Item | Source, method: Method, suffixes: Sequence[str]) -> bool:
+        """Return whether an item is done, with this method, for the bytes that it has now.
+
+        All files have to exist, those of the cues that its row names among them.
+        """
+        row = self.rows.get(item.row_name)
+        if row is None or not method.covers(row) or item.digest is None:
+            return False
+        cues = filter(None, row.cues.split("/"))
+        named = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
+        return self.is_complete(item, [*suffixes, *named]) and row.sha256 == item.digest() != ""
+
+    def is_complete(self, item: Item | Source, suffixes: Iterable[str]) -> bool:
+        """Return whether all files exist whose names are known beforehand."""
+        ends = [end for end in suffixes if "{}" not in end]
+        return all(has_result(self.path.parent, item.name + end) for end in ends)
 
     def add(self, row: Row) -> None:
         """Keep one more row, with the kinds that the same method gave of the same bytes before.

@@ -1,9 +1,10 @@
-"""What a run does: pictures, sources and what is written of each."""
+"""What a run does, and how: images, sources, what is written of each; its options."""
 
 import os
 import re
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,36 @@ from roadtorch.inputs.item import Item, Source
 from roadtorch.run.folder import COCO, ELSEWHERE, RUN
 from roadtorch.run.ledger import FRAME_NUMBER, INDEX
 from roadtorch.run.loop import FileWriter, Writer
+from roadtorch.run.workers import Workers, processors, workers_for
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of a run.
+
+    jobs: processes, or actors on Ray; None for as many as pay. overwrite: redo what is done. quiet:
+    no progress on stderr. engine: ``local``, ``ray`` for a cluster of this machine, or the address
+    of one. threads: within an image. device: of torch.
+    """
+
+    jobs: int | None = None
+    overwrite: bool = False
+    quiet: bool = False
+    engine: str = "local"
+    threads: int = 1
+    device: str = "cpu"
+
+    @contextmanager
+    def workers(self, count: int | None) -> Iterator[Workers]:
+        """Give the workers for so many items (None: unknown); ConfigError where Ray is missing."""
+        if self.engine == "local":
+            yield workers_for(self.jobs, count, self.device)
+            return
+        from roadtorch.run.ray_workers import ray_workers
+
+        address = None if self.engine == "ray" else self.engine
+        with ray_workers(self.jobs or processors(), address, self.device) as workers:
+            yield workers
 
 
 class Writers(NamedTuple):

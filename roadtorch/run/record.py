@@ -2,8 +2,8 @@
 
 import hashlib
 import platform
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -22,43 +22,37 @@ from roadtorch.run.folder import RUN
 from roadtorch.run.ledger import INDEX, read_index
 
 
-@dataclass(frozen=True)
-class RunRecord:
-    """What is known when a run begins.
+@contextmanager
+def recorded(
+    folder: Path,
+    detector: Detector,
+    files: Sequence[str],
+    options: Mapping[str, object],
+    command: str,
+) -> Iterator[None]:
+    """Write run.json behind the block, which is the run, however it ends.
 
-    files: the pictures of this run, as index.csv names them. options: what else is to be kept of
+    files: the images of this run, as index.csv names them. options: what else is to be kept of
     how it was started. command: as it was typed.
     """
-
-    folder: Path
-    detector: Detector
-    files: Sequence[str]
-    options: Mapping[str, object]
-    command: str
-
-    def around(self, run: Callable[[], int]) -> int:
-        """Do the run, which gives the exit code; write run.json, however it ends."""
-        started, status = _now(), ExitCode.SOME_FAILED
-        try:
-            status = run()
-        except KeyboardInterrupt as stop:
-            status = ExitCode.TERMINATED if isinstance(stop, Terminated) else ExitCode.INTERRUPTED
-            raise
-        except RoadtorchError:
-            status = ExitCode.WRONG_USAGE
-            raise
-        finally:
-            write_json(self.folder / RUN, self._document(started, status))
-        return status
-
-    def _document(self, started: str, status: int) -> dict[str, object]:
-        index = self.folder / INDEX
+    started, status = _now(), ExitCode.SOME_FAILED
+    try:
+        yield
+        status = None
+    except KeyboardInterrupt as stop:
+        status = ExitCode.TERMINATED if isinstance(stop, Terminated) else ExitCode.INTERRUPTED
+        raise
+    except RoadtorchError:
+        status = ExitCode.WRONG_USAGE
+        raise
+    finally:
+        index = folder / INDEX
         rows = read_index(index)
-        own = [rows[file] for file in self.files if file in rows]
+        own = [rows[file] for file in files if file in rows]
         done = sorted((row for row in own if not row.failed), key=lambda row: row.file)
         inputs = "".join(f"{row.sha256}  {row.file}\n" for row in done)
-        settings = self.detector.settings.model_dump(mode="json")
-        return {
+        settings = detector.settings.model_dump(mode="json")
+        document = {
             "versions": {  # those that results may depend on
                 "roadtorch": __version__,
                 "torch": torch.__version__,
@@ -67,26 +61,27 @@ class RunRecord:
                 "python": platform.python_version(),
                 "platform": platform.platform(),
             },
-            "command": self.command,
-            "detector": self.detector.name,
+            "command": command,
+            "detector": detector.name,
             "settings": settings,
             "corrected_pictures": corrected_pictures(settings),
-            "weights_sha256": tensors_hash(self.detector.state_dict()),
+            "weights_sha256": tensors_hash(detector.state_dict()),
             "threads": vars(Threads.of_now()),
-            "options": self.options,
+            "options": options,
             "inputs_sha256": hashlib.sha256(inputs.encode()).hexdigest(),
             "index_sha256": digest_of(index),
             "started": started,
             "ended": _now(),
             "pictures": {
-                "all": len(self.files),
+                "all": len(files),
                 "done": len(done),
                 "doubtful": sum(row.doubtful for row in own),
                 "failed": len(own) - len(done),
-                "not_tried": len(self.files) - len(own),
+                "not_tried": len(files) - len(own),
             },
-            "exit_status": status,
+            "exit_status": int(len(done) < len(own)) if status is None else status,
         }
+        write_json(folder / RUN, document)
 
 
 def _now() -> str:

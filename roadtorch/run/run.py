@@ -3,7 +3,7 @@
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from heapq import nsmallest
 from pathlib import Path
@@ -18,7 +18,7 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop, stop_on_signals
 from roadtorch.inputs.item import Item, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.folder import ELSEWHERE, has_result, result_folder
+from roadtorch.run.folder import ELSEWHERE, result_folder
 from roadtorch.run.ledger import (
     DONE,
     DOUBTFUL,
@@ -39,40 +39,11 @@ from roadtorch.run.loop import (
     until_stopped,
     write_row,
 )
-from roadtorch.run.plan import Output, Plan, Writers
-from roadtorch.run.workers import Workers, processors, workers_for
+from roadtorch.run.plan import Output, Plan, RunOptions, Writers
+from roadtorch.run.workers import Workers
 
 LEAST_TRUSTED = 5
 """Pictures that are named at the end of a run, to be looked at first."""
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """Options of a run.
-
-    jobs: processes, or actors on Ray; None for as many as pay. overwrite: redo what is done. quiet:
-    no progress on stderr. engine: ``local``, ``ray`` for a cluster of this machine, or the address
-    of one. threads: within an image. device: of torch.
-    """
-
-    jobs: int | None = None
-    overwrite: bool = False
-    quiet: bool = False
-    engine: str = "local"
-    threads: int = 1
-    device: str = "cpu"
-
-    @contextmanager
-    def workers(self, count: int | None) -> Iterator[Workers]:
-        """Give the workers for so many items (None: unknown); ConfigError where Ray is missing."""
-        if self.engine == "local":
-            yield workers_for(self.jobs, count, self.device)
-            return
-        from roadtorch.run.ray_workers import ray_workers
-
-        address = None if self.engine == "ray" else self.engine
-        with ray_workers(self.jobs or processors(), address, self.device) as workers:
-            yield workers
 
 
 @dataclass(frozen=True)
@@ -82,7 +53,7 @@ class Run:
     folder: Path
     ledger: Ledger
     workers: Workers
-    options: RunOptions = RunOptions()
+    options: RunOptions
 
     def all(self, plan: Plan, task: Task, of_footage: Method, steady: bool = True) -> int:
         """Work through what is planned; the exit code.
@@ -104,9 +75,11 @@ class Run:
             return 0
         rows, suffixes, redo = self.ledger.rows, task.writer.suffixes, self.options.overwrite
         self._remove_leftovers(items)
-        todo = [item for item in items if redo or not self._is_done(item, task.method, suffixes)]
+        todo = [
+            item for item in items if redo or not self.ledger.is_done(item, task.method, suffixes)
+        ]
         known = [] if redo else [item for item in todo if item.row_name in rows]
-        again = sum(self._is_complete(item, suffixes) for item in known)
+        again = sum(self.ledger.is_complete(item, suffixes) for item in known)
         with stop_on_signals() as stop:
             made = self.workers.map(task, until_stopped(todo, stop), crashed_row)
             tried = list(self._recorded(made, "image", total=len(todo)))
@@ -136,7 +109,7 @@ class Run:
         for source, output in plan.sources:
             own = replace(task, method=replace(task.method, kinds=output.kinds))
             redo = self.options.overwrite
-            if not redo and self._is_done(source, own.method, output.suffixes):
+            if not redo and self.ledger.is_done(source, own.method, output.suffixes):
                 skipped += 1
                 continue
             row = self._source(source, output, own, steady)
@@ -148,23 +121,6 @@ class Run:
                 f"{ended[DONE]} done", others | {x: ended[x] for x in (PARTIAL, FAILED)}
             )
         return 1 if failed else 0
-
-    def _is_done(self, item: Item | Source, method: Method, suffixes: Sequence[str]) -> bool:
-        """Return whether an item is done, with this method, for the bytes that it has now.
-
-        All files have to exist, those of the cues that its row names among them.
-        """
-        row = self.ledger.rows.get(item.row_name)
-        if row is None or not method.covers(row) or item.digest is None:
-            return False
-        cues = filter(None, row.cues.split("/"))
-        named = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
-        return self._is_complete(item, [*suffixes, *named]) and row.sha256 == item.digest() != ""
-
-    def _is_complete(self, item: Item | Source, suffixes: Iterable[str]) -> bool:
-        """Return whether all files exist whose names are known beforehand."""
-        ends = [end for end in suffixes if "{}" not in end]
-        return all(has_result(self.folder, item.name + end) for end in ends)
 
     def _remove_leftovers(self, items: Iterable[Item]) -> None:
         names = [*(item.name for item in items), *self.ledger.rows]
@@ -238,11 +194,22 @@ class Run:
 
 
 @contextmanager
-def open_run(out: Path, effective: str, count: int | None, options: RunOptions) -> Iterator[Run]:
-    """A run into a folder; raises as ``result_folder`` and ``open_ledger``."""
+def open_run(
+    out: Path,
+    effective: str,
+    count: int | None,
+    options: RunOptions,
+    record: AbstractContextManager[None] | None = None,
+) -> Iterator[Run]:
+    """Open a run over so many items into a folder; see ``result_folder`` and ``open_ledger``.
+
+    effective: the settings, for config.toml. record: what stands around the run, such as
+    ``roadtorch.run.record.recorded``.
+    """
     with (
         options.workers(count) as workers,
         result_folder(out, effective, options.overwrite),
+        record or nullcontext(),
         open_ledger(out / INDEX) as ledger,
     ):
         yield Run(out, ledger, workers, options)

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.inputs.find import camera_number, find_inputs, open_source, slug
+from roadtorch.base.urls import slug
+from roadtorch.inputs.find import camera_number, find_inputs, open_source
 from roadtorch.inputs.item import Item, Selection, Source, spread
 from roadtorch.inputs.pictures import find_pictures
 from tests.command import save_picture

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.run.folder import has_result, result_folder
+from roadtorch.run.folder import result_folder
+from roadtorch.run.ledger import has_result
 
 
 def test_a_bag_that_is_a_folder_is_there_once_it_has_its_list(tmp_path: Path) -> None:

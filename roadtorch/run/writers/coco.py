@@ -9,8 +9,8 @@ import numpy as np
 
 from roadtorch.base.atomic import atomic
 from roadtorch.data.polygons import coco_region, read_outlined_mask
-from roadtorch.run.folder import COCO, has_result
-from roadtorch.run.ledger import INDEX, read_index
+from roadtorch.run.folder import COCO
+from roadtorch.run.ledger import INDEX, has_result, read_index
 
 POLYGONS = ".labelme.json"
 """How the name of the annotation file of a picture ends."""
