@@ -21,7 +21,7 @@ LINES = {
     "roadtorch/cli": 2_400,
     "roadtorch/data": 2_150,
     "roadtorch/detectors": 1_900,
-    "roadtorch/evaluation": 4_000,
+    "roadtorch/evaluation": 3_800,
     "roadtorch/export": 1_300,
     "roadtorch/imaging": 1_200,
     "roadtorch/inputs": 1_350,

@@ -12,9 +12,8 @@ from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import image_cache
 from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.evaluation.methods import Contender
+from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.result import Failure
-from roadtorch.evaluation.scoring import Looks
 from roadtorch.inputs.item import Item
 from roadtorch.run.workers import DIED, workers_for
 
@@ -69,14 +68,14 @@ class Disagreements:
 class Comparing:
     """The task of workers: two contenders decide on one image."""
 
-    looks: Looks
+    looks: Sequence[Look]
 
     def __call__(self, item: LabelledItem) -> Disagreement | Failure:
         """Return how they differ, or why one of them says nothing."""
         try:
             image = read_image(item.image)
             with image_cache():
-                first, second = (look(image, item) for look in self.looks.by_name.values())
+                first, second = (look(image, item) for look in self.looks)
         except RoadtorchError as problem:
             return Failure(item.name, None, str(problem))
         parts = (first.mask & ~second.mask, second.mask & ~first.mask, first.mask, second.mask)
@@ -99,7 +98,8 @@ def disagreements(
 
     jobs: processes, None for what pays. bar: what else ``Progress`` is told.
     """
-    task, items = Comparing(Looks(dataset, methods)), dataset.items
+    task = Comparing([contender.prepare(dataset) for contender in methods])
+    items = dataset.items
     results = workers_for(jobs, len(items)).map(task, items, _died)
     pictures, failures = list[Disagreement](), list[Failure]()
     with closing(results):

@@ -23,7 +23,7 @@ from roadtorch.detectors.catalogue import (
     list_detectors,
     load_detector,
 )
-from roadtorch.detectors.detector import Detection, DetectorSettings
+from roadtorch.detectors.detector import Detection, Detector, DetectorSettings
 from roadtorch.imaging.resize import size_of
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.patch_network import PatchNetwork
@@ -44,7 +44,7 @@ BY_NETWORK = {
 """The detector that weights alone stand for, by the kind of their network."""
 
 Look = Callable[[Tensor, LabelledItem], Detection]
-
+"""A contender that is ready; it travels to processes."""
 
 LONGEST_NAME = 60  # letters that a message tells of a name in a file
 
@@ -53,10 +53,10 @@ LONGEST_NAME = 60  # letters that a message tells of a name in a file
 class Contender:
     """One detector of a run.
 
-    prepare: makes it ready for a set's pictures; it travels to processes. settings: all of them
-    but the threshold, as JSON can hold them. threshold: its default one; chosen: the one that an
-    earlier run chose. is_baseline: whether it never looks at the picture. detector: its name in
-    the catalogue; empty for maps made elsewhere, and for prior:mean.
+    prepare: makes it ready for a set's images. settings: all of them but the threshold, as JSON
+    can hold them. threshold: its default one; chosen: the one that an earlier run chose.
+    is_baseline: whether it never looks at the image. detector: its name in the catalogue; empty
+    for maps made elsewhere, and for prior:mean.
     """
 
     name: str
@@ -93,8 +93,9 @@ def contenders(
         for name in BASELINES:
             entries.setdefault(name, named_detector(name, {}))
         if masks := mean_masks(dataset, mean_from):
-            prepare = partial(_mean_look, masks)
-            entries[MEAN] = Contender(MEAN, prepare, {}, MEAN_THRESHOLD, is_baseline=True)
+            entries[MEAN] = Contender(
+                MEAN, lambda _: partial(_mean_mask, masks), {}, MEAN_THRESHOLD, is_baseline=True
+            )
     return list(entries.values())
 
 
@@ -164,13 +165,18 @@ def named_detector(name: str, values: Mapping[str, Any], camera: Camera | None =
         values = merge(camera.settings_for(entry.settings), values)
     settings = entry.configured(values).model_dump(mode="json")
     threshold = settings.pop("threshold")
-    prepare = partial(_load, name, values)
-    return Contender(name, prepare, settings, threshold, entry.baseline, detector=name)
+    return Contender(
+        name,
+        lambda _: partial(_detect, load_detector(name, **values)),
+        settings,
+        threshold,
+        entry.baseline,
+        detector=name,
+    )
 
 
-def _load(name: str, values: Mapping[str, Any], _: Dataset) -> Look:
-    detector = load_detector(name, **values)
-    return lambda image, item: detector.detect(image)
+def _detect(detector: Detector, image: Tensor, _: LabelledItem) -> Detection:
+    return detector.detect(image)
 
 
 # --- maps -------------------------------------------------------------------------------
@@ -185,26 +191,29 @@ def maps_from(name: str, folder: Path) -> Contender:
     settings: dict[str, Any] = {"folder": str(folder)}
     if maps.is_of_infer(folder):
         settings["isolated"] = deciding.isolated
-    prepare = partial(_read_maps, folder, deciding)
-    return Contender(f"maps:{name}", prepare, settings, deciding.threshold)
+    return Contender(
+        f"maps:{name}",
+        lambda dataset: partial(_read_maps, folder, deciding, dataset),
+        settings,
+        deciding.threshold,
+    )
 
 
-def _read_maps(folder: Path, deciding: DetectorSettings, dataset: Dataset) -> Look:
-    def look(image: Tensor, item: LabelledItem) -> Detection:
-        sizes = [size_of(image)]
-        if dataset.view is not None:
-            height, width = dataset.view(item, torch.zeros(sizes[0])).shape
-            sizes.append((height, width))
-        # What infer makes is named like the picture, from its own folder or from that of the set;
-        # what KITTI's server takes is named like the label.
-        like_picture = str(PurePath(item.name).with_name(item.image.stem))
-        names = list(dict.fromkeys([item.name, like_picture, item.label.stem]))
-        if item.image.is_relative_to(dataset.root):
-            names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
-        likelihood = maps.map_likelihood(folder, names, sizes)
-        return Detection(likelihood, maps.map_mask(folder, names, likelihood, deciding), {})
-
-    return look
+def _read_maps(
+    folder: Path, deciding: DetectorSettings, dataset: Dataset, image: Tensor, item: LabelledItem
+) -> Detection:
+    sizes = [size_of(image)]
+    if dataset.view is not None:
+        height, width = dataset.view(item, torch.zeros(sizes[0])).shape
+        sizes.append((height, width))
+    # What infer makes is named like the image, from its own folder or from that of the set;
+    # what KITTI's server takes is named like the label.
+    like_image = str(PurePath(item.name).with_name(item.image.stem))
+    names = list(dict.fromkeys([item.name, like_image, item.label.stem]))
+    if item.image.is_relative_to(dataset.root):
+        names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
+    likelihood = maps.map_likelihood(folder, names, sizes)
+    return Detection(likelihood, maps.map_mask(folder, names, likelihood, deciding), {})
 
 
 # --- the baseline that data sets teach: the mean road mask of other groups ----------------
@@ -255,13 +264,9 @@ def _mean(shares: Iterable[Tensor]) -> Tensor:
     return torch.stack(list(shares)).mean(0).clamp(0, 1)
 
 
-def _mean_look(masks: Mapping[str, Tensor], _: Dataset) -> Look:
-    def look(image: Tensor, item: LabelledItem) -> Detection:
-        likelihood = resize(masks[item.group or ""], image.shape[1:]).to(torch.float32)
-        likelihood = likelihood.clamp(0, 1)
-        return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
-
-    return look
+def _mean_mask(masks: Mapping[str, Tensor], image: Tensor, item: LabelledItem) -> Detection:
+    likelihood = resize(masks[item.group or ""], image.shape[1:]).to(torch.float32).clamp(0, 1)
+    return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
 
 
 def resize(values: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:

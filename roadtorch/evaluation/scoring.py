@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -69,40 +69,25 @@ def score_look(look: Look, scene: LabelledPicture, truth: Truth, shared: ImageCa
     )
 
 
-class Looks:
-    """Contenders by name, ready to look; another process makes them ready itself."""
-
-    def __init__(self, dataset: Dataset, contenders: Sequence[Contender]) -> None:
-        self.dataset, self.contenders = dataset, contenders
-        self.by_name: dict[str, Look] = {}
-        self.__setstate__({})  # mistakes show here, before processes start
-
-    def __getstate__(self) -> dict[str, object]:
-        return {"dataset": self.dataset, "contenders": self.contenders}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        vars(self).update(state)
-        self.by_name = {entry.name: entry.prepare(self.dataset) for entry in self.contenders}
-
-
 @dataclass(frozen=True)
 class Scoring:
     """The task of workers: one item is read once, and every contender is scored on it."""
 
-    looks: Looks
+    dataset: Dataset
+    looks: Mapping[str, Look]
 
     def __call__(self, item: LabelledItem) -> Scored:
-        """The scores of one item.
+        """Return the scores of one item.
 
         Whatever goes wrong becomes the result's failure, and the picture then counts for no
         detector, so that all are scored on the same pictures.
         """
         name = ""
         try:
-            scene = LabelledPicture(self.looks.dataset, item, *self.looks.dataset.read(item))
+            scene = LabelledPicture(self.dataset, item, *self.dataset.read(item))
             truth, scores = scene.seen_truth(), {}
             with image_cache() as shared:
-                for name, look in self.looks.by_name.items():
+                for name, look in self.looks.items():
                     scores[name] = score_look(look, scene, truth, shared)
             return Scored(item, scores)
         except RoadtorchError as problem:
@@ -116,7 +101,8 @@ def score(
     dataset: Dataset, contenders: Sequence[Contender], jobs: int | None = 1
 ) -> Generator[Scored]:
     """Yield a result for every item, in the set's order; jobs: processes, None for what pays."""
-    task = Scoring(Looks(dataset, contenders))
+    looks = {entry.name: entry.prepare(dataset) for entry in contenders}
+    task = Scoring(dataset, looks)
     return workers_for(jobs, len(dataset.items)).map(task, dataset.items, _died)
 
 

@@ -62,7 +62,7 @@ def metrics(out: Path) -> dict:
 # --- one run, and all that it leaves -------------------------------------------------------------
 
 
-def test_table_and_metrics_with_the_baselines_beside(whole):
+def test_a_table_metrics_and_a_report_are_left_behind(whole):
     result, out = whole
 
     assert result.exit_code == 0
@@ -71,28 +71,16 @@ def test_table_and_metrics_with_the_baselines_beside(whole):
     assert lines[1].split()[:5] == [ORACLE, "1.000", "1.000", "1.000", "1.000"]
     baselines = {"prior:rows", "prior:triangle", "prior:mean"}
     assert {line.split()[0] for line in lines[2:5]} == baselines
-    assert f"minus {ORACLE}" in result.stdout
     found = metrics(out)
     assert (found["dataset"], found["split"], found["images"]) == ("camvid", "dev", 6)
-    assert found["void"] == "ignored"
-    assert found["command"].startswith("roadtorch evaluate camvid ")
+    assert (found["void"], found["command"].split()[:3]) == (
+        "ignored", ["roadtorch", "evaluate", "camvid"]
+    )  # fmt: skip
     best = found["detectors"][ORACLE]
-    assert set(best["groups"]) == set(GROUPS)
-    for key in ("auc_pooled", "auc_mean", "maxf", "ap", "iou"):
-        assert best[key] == pytest.approx(1)
-        assert best["groups"]["0001TP"][key] == pytest.approx(1)
+    assert [best["maxf"], best["groups"]["0001TP"]["maxf"]] == pytest.approx([1, 1])
     assert best["ms_per_image"] > 0
-    assert best["ci95"]["maxf"] == pytest.approx([1, 1])
-    assert best["layout"]["mean"] == 1
-    assert best["settings"] == DECISION | {"doubt": 0.0}
-
-
-def test_tables_and_a_report_are_left_behind(whole):
-    tables = (whole[1] / "tables.md").read_text()
-    report = (whole[1] / "report.html").read_text()
-
-    assert f"| {ORACLE} | 1.000 |" in tables
-    assert ORACLE in report
+    assert f"| {ORACLE} | 1.000 |" in (out / "tables.md").read_text()
+    report = (out / "report.html").read_text()
     assert report.count("data:image/svg+xml;base64,") == 3
     assert report.count("data:image/jpeg;base64,") == 3
 

@@ -1,6 +1,8 @@
 """Intervals and paired differences: the textbook case, how often they are right, and of a run."""
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import pytest
 import torch
@@ -11,7 +13,8 @@ from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import DetectorFigures
-from tests.evaluation.conftest import counted, summarised
+from roadtorch.testing.scenes import RenderedScene
+from tests.evaluation.conftest import GROUPS, counted, summarised
 
 
 def weights(size: int, replicates: int = 400, seed: int = 5) -> Tensor:
@@ -71,15 +74,20 @@ def test_intervals_hold_the_truth_and_equals_are_called_different_as_often_as_th
 Measured = tuple[DetectorFigures, uncertainty.Draws]
 
 
+def blurred(road: Tensor, name: str, noise: float) -> Tensor:
+    """A road that is mixed with noise, which depends on the image."""
+    generator = torch.Generator().manual_seed(int(name[7:]))
+    return (1 - noise) * road + noise * torch.rand(48, 64, generator=generator)
+
+
 def measured(dataset: Dataset, scenes, noise: float) -> Measured:
     """Figures and draws of a detector whose road is that much blurred by noise."""
 
     def look(image, item):
-        generator = torch.Generator().manual_seed(int(item.name[7:]))
-        blur = torch.rand(48, 64, generator=generator)
-        likelihood = (1 - noise) * scenes[item.name].road + noise * blur
+        likelihood = blurred(scenes[item.name].road, item.name, noise)
         scores = scenes[item.name].layout
-        layout = torch.stack([(scores == kind).float() for kind in range(3)]) + blur * noise * 3
+        blur = blurred(torch.zeros_like(likelihood), item.name, 3 * noise)
+        layout = torch.stack([(scores == kind).float() for kind in range(3)]) + blur
         return Detection(likelihood, likelihood > 0.5, {"layout": layout})
 
     tally = counted(dataset, look)
@@ -101,6 +109,37 @@ def test_every_headline_figure_has_an_interval_around_it(dataset, scenes):
         assert low <= figures.headline[name] <= high
         assert 0 <= high - low < 0.2
     assert found["maxf"][1] > found["maxf"][0]
+
+
+def test_draws_are_those_of_a_plain_bootstrap_the_same_for_both(dataset, scenes):
+    masks = {
+        noise: {name: blurred(scenes[name].road, name, noise) > 0.5 for name in scenes}
+        for noise in (0.6, 0.8)
+    }
+    ours = torch.stack([measured(dataset, scenes, noise)[1]["f_mask"] for noise in masks], 1)
+
+    f_of_draws = []  # of each group, the four equally likely draws of its two images
+    for group in GROUPS:
+        names = [name for name in scenes if name.startswith(group)]
+        f_of_draws.append([
+            [pooled_f([scenes[name] for name in draw], [of[name] for name in draw])
+             for of in masks.values()]
+            for draw in itertools.product(names, repeat=2)
+        ])  # fmt: skip
+    expected = torch.tensor(list(itertools.product(*f_of_draws)), dtype=torch.float64).mean(1)
+    apart = (ours[:, None] - expected).abs().amax(2)
+    assert apart.amin(1).max() < 1e-9
+    assert len(apart.argmin(1).unique()) > 20  # of 27 different ones
+
+
+def pooled_f(shown: Sequence[RenderedScene], masks: Sequence[Tensor]) -> float:
+    """F of masks of some scenes together, by loops."""
+    right = decided = true = 0
+    for one, mask in zip(shown, masks, strict=True):
+        right += int((mask & one.road & ~one.void).sum())
+        decided += int((mask & ~one.void).sum())
+        true += int((one.road & ~one.void).sum())
+    return 2 * right / (decided + true)
 
 
 def test_pairs_are_signed_share_their_draws_and_have_the_figures_of_both(dataset, scenes):
