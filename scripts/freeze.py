@@ -3,7 +3,7 @@
     python scripts/freeze.py record DATA frozen/before        # on the commit before
     python scripts/freeze.py record DATA frozen/after         # on the commit after
     python scripts/freeze.py compare frozen/before frozen/after
-    python scripts/freeze.py thumbnails tests/frozen.json     # what tests/test_freeze.py holds to
+    python scripts/freeze.py thumbnails tests/frozen.json  # what tests/test_detectors.py holds to
 
 Recorded are hashes of every detection (all detectors of the catalogue, ten pictures) and of every
 file that the command lines of OUTPUTS leave, with what they print and their exit status. The files

@@ -1,12 +1,17 @@
-"""What every registered detector keeps to, and the door that leads to them."""
+"""What every registered detector keeps to, on any device, and the door that leads to them."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -33,7 +38,10 @@ from roadtorch.detectors.detector import (
 from roadtorch.detectors.fusion import Fusion
 from roadtorch.road.seed_area import SeedArea
 from roadtorch.testing import broken_promises, street
-from tests.representatives import quick, representatives
+from roadtorch.testing.scenes import render_scene
+from scripts import freeze
+from tests.pretended_device import Pretended, PretendedDevice, moved
+from tests.representatives import quick, representatives, ways_of_working
 
 # --- the contract -------------------------------------------------------------------------
 
@@ -330,3 +338,97 @@ def test_inside_the_block_this_thread_alone_has_one_whatever_goes_wrong() -> Non
 
     assert seen == [(1, 2)]
     assert (torch.get_num_threads(), threads_of_a_new_one()) == (2, 2)
+
+
+# --- on another device ------------------------------------------------------------------
+
+
+IMAGE = render_scene(5, 48, 64).image
+
+
+@pytest.mark.parametrize("name", ways_of_working())
+def test_a_detector_works_on_another_device(name: str) -> None:
+    here = load_detector(name, **quick(name)).detect(IMAGE)
+    detector = moved(load_detector(name, **quick(name)))
+
+    with PretendedDevice():
+        there = detector.detect(Pretended(IMAGE))  # type: ignore[attr-defined]
+
+    assert isinstance(there.likelihood, Pretended)
+    assert isinstance(there.mask, Pretended)
+    # On the CPU it is OpenCV that resizes: equal but for rounding, which deep networks magnify.
+    rounding = 5e-5 if name.startswith("fusion") else 1e-6
+    np.testing.assert_allclose(there.likelihood.inner, here.likelihood, atol=rounding, rtol=0)
+    assert torch.equal(there.mask.inner, here.mask)
+    assert there.trust == (None if here.trust is None else pytest.approx(here.trust, abs=1e-4))
+    assert there.doubt == here.doubt
+    assert set(there.cues) == set(here.cues)
+
+
+def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
+    detector = moved(load_detector("fusion"))
+    detector.device = "meta"  # type: ignore[assignment]
+
+    with PretendedDevice():
+        there = detector([IMAGE.numpy().transpose(1, 2, 0)], order="rgb")[0]  # type: ignore[operator]
+
+    assert isinstance(there.likelihood, Pretended)
+
+
+@pytest.mark.parametrize(
+    ("device", "what"), [("gpu", "is no device of torch"), ("meta", "cannot be used")]
+)
+def test_a_missing_device_is_refused_when_the_detector_is_made(device: str, what: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^device: {what}"):
+        load_detector("fusion", device=device)
+
+
+# --- memory -----------------------------------------------------------------------------
+
+
+DETECT = """
+import json, resource, torch
+from roadtorch import load_detector
+from roadtorch.testing.scenes import render_scene
+detector, small, peaks = load_detector("fusion"), render_scene(0, 240, 320).image, []
+for height in (480, 1200):
+    width = height * 4 // 3
+    rows, columns = torch.arange(height) * 240 // height, torch.arange(width) * 320 // width
+    image = torch.empty(3, height, width)
+    for plane, values in zip(image, small):
+        for row, place in zip(plane, rows):
+            row.copy_(values[place][columns])
+    detector.detect(image)
+    peaks.append((height * width, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024))
+print(json.dumps(peaks))
+"""
+
+
+def test_the_memory_of_a_large_picture_stays_below_24_bytes_a_pixel() -> None:
+    """Of the image itself 12, of likelihood and mask 5: the rest is made on the way."""
+    (few, small), (many, large) = json.loads(
+        subprocess.check_output([sys.executable, "-c", DETECT])
+    )
+
+    assert (large - small) / (many - few) < 24
+
+
+# --- what they said before --------------------------------------------------------------
+
+
+FROZEN = json.loads((Path(__file__).parent / "frozen.json").read_text(encoding="utf-8"))
+AWAY = 4.0  # 255ths: how far another machine's arithmetic may move a likelihood, on average
+
+
+def test_every_detector_says_what_it_said() -> None:
+    """Meant to change? `python scripts/freeze.py thumbnails tests/frozen.json` writes it anew."""
+    # Other tests of this process may have put detectors of theirs into the catalogue.
+    names = [name for name in freeze.detectors() if not name.startswith("test-")]
+
+    now = freeze.thumbnails(names)
+
+    assert list(now) == list(FROZEN)
+    before, after = (np.array(list(maps.values())) for maps in (FROZEN, now))
+    assert after.shape == (len(FROZEN), 2, 6 * 8)
+    away = abs(after - before).mean((1, 2))
+    assert [name for name, share in zip(FROZEN, away, strict=True) if share > AWAY] == []

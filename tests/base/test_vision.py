@@ -1,5 +1,6 @@
-"""torchvision beside the torch that is installed, beside another one, and not there at all."""
+"""torchvision beside a torch of another build; threads, memory, devices."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -33,3 +34,29 @@ def test_one_of_another_build_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     assert told.startswith("torchvision: cannot be imported beside torch ")
     assert "compiled with another CUDA (pip install" in told
     assert "\n" not in told
+
+
+# --- compute ----------------------------------------------------------------------------
+
+
+HELD = """
+from roadtorch.base.compute import forget_peak, peak_mebibytes
+forget_peak()
+before = peak_mebibytes()
+held = bytearray(64 * 2**20)
+for place in range(0, len(held), 4096):  # pages count when they are written
+    held[place] = 1
+del held
+print(before, peak_mebibytes())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a peak cannot be forgotten")
+def test_it_is_what_was_held_though_let_go_of_and_not_what_the_parent_held() -> None:
+    parent = bytearray(b"1") * (256 * 2**20)
+
+    told = subprocess.check_output([sys.executable, "-c", HELD], text=True)
+
+    before, peak = map(float, told.split())
+    assert 1 < before < len(parent) / 2**20
+    assert before + 60 < peak < before + 90
