@@ -18,7 +18,6 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, roc
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import Contender, Look, named_detector
-from roadtorch.evaluation.metrics import auc
 from roadtorch.evaluation.result import of_groups
 from roadtorch.evaluation.tally import Part, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
@@ -190,8 +189,8 @@ def area_rows(tallies: Mapping[str, Tally]) -> list[dict[str, str]]:
     """Return AUC of each line pooled and by drives, the gains over the baseline, and P2's."""
     areas = {
         title: {
-            "AUC, pooled": float(auc(pooled(tally).road)),
-            "mean of drives": fmean(map(float, map(auc, tally.road.values()))),
+            "AUC, pooled": float(metrics.auc(pooled(tally).road)),
+            "mean of drives": fmean(map(float, map(metrics.auc, tally.road.values()))),
         }
         for title, tally in tallies.items()
     }
