@@ -2,7 +2,9 @@
 
     python train/footages.py camvid:DATA/camvid --out FOOTAGES
     for one in FOOTAGES/* MANY/* DRIVES/*; do
-      roadtorch adapt $one/images --labelled folder:$one --threads 1 --out runs/$(basename $one)
+      run=runs/$(basename $one)
+      roadtorch adapt $one/images --threads 1 --out $run
+      roadtorch evaluate folder $one --detector $run/weights.safetensors --against fusion --out $run
     done
 
 writes FOOTAGES/GROUP/images, links, and masks (255 road, 0 not, 128 uncertain). Labels score, and

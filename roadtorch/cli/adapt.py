@@ -22,9 +22,6 @@ CONFIG = "adapt"
     help="Frames to learn from, in stretches of five.",
 )
 @SETTING
-@click.option(
-    "--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing."
-)
 @click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
 @QUIET
 @click.pass_context
@@ -34,7 +31,6 @@ def adapt(
     out: Path,
     most: int,
     assignments: tuple[str, ...],
-    labelled: str | None,
     threads: int | None,
     quiet: bool,
 ) -> None:
@@ -57,7 +53,6 @@ def adapt(
 
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.settings import config_file, merge, parse_assignments, read_settings_file
-    from roadtorch.data.catalogue import open_named
     from roadtorch.train.adaptation.adapt import adapt as run
     from roadtorch.train.before_after import write_page
     from roadtorch.train.config import PictureTraining, build_training
@@ -71,7 +66,6 @@ def adapt(
     if not isinstance(training, PictureTraining) or not training.start:
         message = "adaptation starts from a network for whole pictures"
         raise ConfigError("kind, start", message, "leave kind as it is, and give start=WEIGHTS")
-    scored = None if labelled is None else open_named(labelled)
     done = run(footage, out, training, most, quiet)
     outcome, verdict, frames = done.outcome, str(done.verdict), done.frames
     if outcome.interrupted:
@@ -81,9 +75,9 @@ def adapt(
         context.exit(128 + outcome.interrupted)
     request = Request(frames.glob(), out, prepared=done.prepared, quiet=quiet)
     command = command_line(context)
-    score = write_page(training, request, outcome, scored, verdict, command)
-    files = [outcome.weights, done.camera, None if score is None else out / PAGE]
-    lines = [*frames.skipped, *done.missing, *([score] if score else [])]
+    is_written = write_page(training, request, outcome, verdict, command)
+    files = [outcome.weights, done.camera, out / PAGE if is_written else None]
+    lines = [*frames.skipped, *done.missing]
     if not quiet:
         camera = f" --camera {done.camera}" if done.camera else ""
         use = f"roadtorch infer FOOTAGE --set weights.file={outcome.weights}{camera} --out roads"

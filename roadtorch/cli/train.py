@@ -34,9 +34,6 @@ from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
     help="Where labelled pictures are kept, for several runs. [OUT/prepared]",
 )
 @click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
-@click.option(
-    "--labelled", help="Labelled set NAME:ROOT for F before and after; its labels teach nothing."
-)
 @click.option("--quiet", is_flag=True, help="No progress, only what goes wrong.")
 @click.pass_context
 def train(
@@ -49,7 +46,6 @@ def train(
     assignments: tuple[str, ...],
     prepared: Path | None,
     threads: int | None,
-    labelled: str | None,
     quiet: bool,
 ) -> None:
     """Train a layout network on machine labels of pictures that nobody labelled.
@@ -69,9 +65,7 @@ def train(
     """
     import torch
 
-    from roadtorch.base.errors import ConfigError
     from roadtorch.base.settings import merge, parse_assignments, read_settings_file
-    from roadtorch.data.catalogue import open_named
     from roadtorch.data.corrections import read_corrections
     from roadtorch.train.before_after import write_page
     from roadtorch.train.config import build_training
@@ -83,10 +77,6 @@ def train(
         torch.set_num_threads(threads)
     training = build_training(merge(read_settings_file(config), parse_assignments(assignments)))
     people = read_corrections(corrections, pictures) if corrections else []
-    if labelled is not None and not training.start:
-        message = "is for runs that start from weights: there is no before"
-        raise ConfigError("--labelled", message, "give --set start=WEIGHTS, or leave it out")
-    scored = None if labelled is None else open_named(labelled)
     request = Request(images, out, prepared, quiet, people)
     outcome = run(training, request)
     if outcome.interrupted:
@@ -98,10 +88,7 @@ def train(
         skipped = f"; {outcome.skipped} skipped, see pictures.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
     if training.start:
-        command = command_line(context)
-        score = write_page(training, request, outcome, scored, command=command)
-        if score is not None and not quiet:
-            score = score or "not scored, and it may have lost; --labelled SET:ROOT would tell"
+        is_written = write_page(training, request, outcome, command=command_line(context))
+        if is_written and not quiet:
             click.echo(f"roadtorch: before and after in {out / PAGE}", err=True)
-            click.echo(f"roadtorch: {score}", err=True)
     context.exit(1 if outcome.skipped else 0)

@@ -2,16 +2,15 @@
 
 from dataclasses import replace
 
-from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.data.dataset import every_kth
 from roadtorch.evaluation.disagreement import (
     Taught,
     disagreements,
     most_and_spread,
     unlabelled_set,
 )
-from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.methods import reference
-from roadtorch.evaluation.report.adaptation import Adaptation, score_line, write_adaptation
+from roadtorch.evaluation.report.adaptation import Adaptation, write_adaptation
 from roadtorch.inputs.item import spread
 from roadtorch.inputs.pictures import find_pictures
 from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
@@ -30,17 +29,16 @@ def write_page(
     training: Training,
     request: Request,
     outcome: Outcome,
-    labelled: Dataset | None = None,
     verdict: str = "",
     command: str = "",
-) -> str | None:
-    """Write the page of a finished run; its line on labels, None where nothing could be seen.
+) -> bool:
+    """Write the page of a finished run; return False where no image could be seen.
 
-    The run has to have a ``start``. labelled: a set that scores both; nothing is learned from it.
-    verdict: a sentence on top. command: the command line at its end.
+    The run has to have a ``start``. verdict: a sentence on top. command: the command line at its
+    end.
     """
     if outcome.weights is None:
-        return None
+        return False
     weights, calibrated = outcome.weights, outcome.weights.with_name(FUSION)
     start = weights_path(training.start)
     before = reference(str(start), {})
@@ -50,7 +48,7 @@ def write_page(
     dataset = every_kth(unlabelled_set(pictures), COMPARED)
     seen = disagreements(dataset, methods, quiet=request.quiet, desc="before and after")
     if not seen.pictures:
-        return None
+        return False
     taught = None
     if isinstance(training, PictureTraining):
         folder = request.prepared or request.out / PREPARED
@@ -68,10 +66,7 @@ def write_page(
         shown=most_and_spread(seen.pictures, SHOWN),
         taught=taught,
         rows=RunFolder(request.out).read_log(),
-        labelled=evaluate(labelled, methods, against="before", with_baselines=False)
-        if labelled
-        else None,
         verdict=verdict,
     )
     write_adaptation(request.out / PAGE, change, command)
-    return score_line(change)
+    return True

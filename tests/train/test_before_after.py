@@ -5,12 +5,9 @@ import shutil
 from functools import partial
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 import torch
 
-from roadtorch.base.errors import ConfigError, RoadtorchError
 from roadtorch.cli.train import train as train_command
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
@@ -34,19 +31,6 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Rendered streets with their road, as the set ``folder`` is laid out."""
-    root = tmp_path_factory.mktemp("labelled")
-    (root / "masks").mkdir()
-    for seed in range(2):
-        street = scene(seed, 60, 80)
-        write_picture(root / "images" / f"s{seed}.png", street)
-        mask = np.where(street.road.numpy(), 255, 0).astype(np.uint8)
-        cv2.imwrite(str(root / "masks" / f"s{seed}.png"), mask)
-    return root
-
-
 run = partial(invoked, train_command)
 
 
@@ -57,10 +41,10 @@ def words(out: Path, images: Path, *more: object) -> list[object]:
 
 
 def test_a_run_from_weights_ends_with_a_page(
-    streets: Path, kept: Path, start: Path, labelled: Path, tmp_path: Path
+    streets: Path, kept: Path, start: Path, tmp_path: Path
 ) -> None:
-    more = ("--set", f"start={start}", "--labelled", f"folder:{labelled}")
-    result = run(*words(tmp_path / "run", streets, "--prepared", kept / "pictures", *more))
+    more = ("--prepared", kept / "pictures", "--set", f"start={start}")
+    result = run(*words(tmp_path / "run", streets, *more))
 
     assert "before and after in" in result.output
     page = (tmp_path / "run" / "adaptation.html").read_text()
@@ -72,13 +56,10 @@ def test_a_run_from_weights_ends_with_a_page(
         "The teacher is the detector labeller",
         'alt="Mean loss of the epochs"',
         'alt="Trust before and after"',
-        "folder",
+        "Nobody labelled these",
         "default-src 'none'",
     ):
         assert text in page
-    # With labels: F before and after, and the paired interval.
-    assert re.search(r">before</th><td>.*>after</th><td>.*minus before</th>.* to ", page, re.S)
-    assert "Nobody labelled these" not in page
     # It asks for nothing.
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page)
     assert "<script" not in page
@@ -107,17 +88,6 @@ def test_names_are_text_on_the_page_even_after_resuming(start: Path, tmp_path: P
 def test_a_run_from_new_weights_has_no_before(streets: Path, kept: Path, tmp_path: Path) -> None:
     run(*words(tmp_path / "run", streets, "--prepared", kept / "pictures"))
     assert not (tmp_path / "run" / "adaptation.html").exists()
-
-
-@pytest.mark.parametrize("is_there", [True, False])
-def test_labels_without_a_before_or_not_there_are_refused_before_anything_is_made(
-    streets: Path, start: Path, labelled: Path, tmp_path: Path, is_there: bool
-) -> None:
-    root, begun = (labelled, ()) if is_there else (tmp_path / "none", ("--set", f"start={start}"))
-    message = "--labelled: is for runs that start from weights" if is_there else "is not a folder"
-    with pytest.raises(ConfigError if is_there else RoadtorchError, match=message):
-        run(*words(tmp_path / "run", streets, "--labelled", f"folder:{root}", *begun))
-    assert not (tmp_path / "run").exists()
 
 
 def test_agreement_counts_the_pixels_where_the_teacher_is_sure(tmp_path: Path) -> None:

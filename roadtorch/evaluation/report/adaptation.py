@@ -16,7 +16,6 @@ from roadtorch.base.image import read_image, tint_mask, to_pixels
 from roadtorch.base.image_cache import image_cache
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
-from roadtorch.evaluation.measures import F_MASK
 from roadtorch.evaluation.report.charts import BASELINE, COLOURS, DASHES, WIDTH, Series, svg_uri
 from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned, jpeg_uri
 from roadtorch.evaluation.report.table import (
@@ -29,8 +28,6 @@ from roadtorch.evaluation.report.table import (
     share,
     signed,
 )
-from roadtorch.evaluation.report.tables import difference_table, score_table
-from roadtorch.evaluation.result import Evaluation
 
 
 @dataclass(frozen=True)
@@ -39,8 +36,7 @@ class Adaptation:
 
     seen: the pictures as the detectors before and after see them; files: their weights. shown:
     the pictures on the page. taught: None for networks without a teacher's maps. rows: round,
-    epoch and error of each epoch. labelled: None without labels. verdict: whether to adopt it, and
-    why; empty where nobody judged.
+    epoch and error of each epoch. verdict: whether to adopt it, and why; empty where nobody judged.
     """
 
     seen: Disagreements
@@ -48,7 +44,6 @@ class Adaptation:
     shown: Sequence[Disagreement]
     taught: Taught | None
     rows: Sequence[Mapping[str, Any]]
-    labelled: Evaluation | None
     verdict: str = ""
 
 
@@ -68,7 +63,6 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
         "shown": list(zip(adaptation.shown, sheets, strict=True)),
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
-        "tables": label_tables(adaptation.labelled) if adaptation.labelled else [],
         "charts": [loss_chart, trust_chart(adaptation)],
     }
     write_text(path, page_text("adaptation.html", command, values))
@@ -120,24 +114,6 @@ def summary_table(adaptation: Adaptation) -> Table:
     for place, header in enumerate(("before", "after", "change")):
         table.add(header, [row[place] for row in rows.values()])
     return table
-
-
-def label_tables(evaluation: Evaluation) -> list[Table]:
-    """Return the scores of both on labels, and the difference on the same images."""
-    names = list(evaluation.detectors)
-    return [score_table(evaluation, names), difference_table(evaluation, names)]
-
-
-def score_line(adaptation: Adaptation) -> str:
-    """F of the mask on labels before and after, with the interval of the change, in a line."""
-    if adaptation.labelled is None:
-        return ""
-    before, after = (figures.headline for figures in adaptation.labelled.detectors.values())
-    change = adaptation.labelled.comparison.differences["after"][F_MASK.key]
-    ends = f"{signed(change.interval.low)} to {signed(change.interval.high)}"
-    scores = f"F {share(F_MASK.of(before))} to {share(F_MASK.of(after))}"
-    images = adaptation.labelled.images
-    return f"on labels, {images} pictures: {scores}, {signed(change.value)} ({ends})"
 
 
 def _row(before: float, after: float) -> tuple[Cell, Cell, Cell]:
