@@ -64,9 +64,7 @@ def test_the_public_names_are_eight_and_an_unknown_one_is_an_attribute_error() -
 
 
 @pytest.mark.parametrize("name", ["Detector", *dir(roadtorch)])
-def test_docstrings_show_what_happens(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_docstrings_are_true(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_picture(tmp_path / "street.jpg", render_scene(1, 240, 320))
     monkeypatch.chdir(tmp_path)
 

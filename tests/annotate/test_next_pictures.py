@@ -93,9 +93,7 @@ class Largest(TorchDispatchMode):
 
 @pytest.mark.parametrize("rule", sorted(RULES))
 @pytest.mark.parametrize("corrected", [[], [*range(0, 6000, 2)]])
-def test_memory_grows_with_the_images_and_not_with_their_pairs(
-    rule: str, corrected: list[int]
-) -> None:
+def test_memory_grows_with_images_not_with_their_pairs(rule: str, corrected: list[int]) -> None:
     with Largest() as largest:
         assert len(RULES[rule](candidates(6000), corrected, 20)) == 20
     assert largest.elements < 6000**2 / 20

@@ -31,9 +31,7 @@ def adapted(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     return out, adapt(street, "--out", out, *SHORT)
 
 
-def test_halves_teach_apart_and_their_mean_is_judged(
-    street: Path, adapted: tuple[Path, Result]
-) -> None:
+def test_halves_teach_and_their_mean_is_judged(street: Path, adapted: tuple[Path, Result]) -> None:
     out, done = adapted
 
     assert done.exit_code == 0, done.stderr

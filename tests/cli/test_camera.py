@@ -32,7 +32,7 @@ def known(made: tuple[Path, Result]) -> Path:
     return made[0]
 
 
-def test_a_file_and_a_picture_are_written(
+def test_a_file_and_an_image_are_written(
     call: Call, street: Path, made: tuple[Path, Result]
 ) -> None:
     out, result = made
@@ -91,9 +91,7 @@ def test_files_of_others_stay(name: str, call: Call, street: Path, tmp_path: Pat
 # --- what takes its file --------------------------------------------------------------------
 
 
-def test_infer_leaves_the_ego_car_out(
-    call: Call, street: Path, known: Path, tmp_path: Path
-) -> None:
+def test_infer_leaves_the_car_out(call: Call, street: Path, known: Path, tmp_path: Path) -> None:
     foreign = tmp_path / "foreign.png"
     write_colours(foreign, scene(40, 120, 160).image)
     out = tmp_path / "out"

@@ -30,9 +30,7 @@ def test_a_sound_installation_line_by_line(call: Call, monkeypatch: pytest.Monke
     assert checks["fusion"][1].startswith("F 0.9")
 
 
-def test_a_section_that_fails_breaks_itself_alone(
-    call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_section_breaks_itself_alone(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails() -> list[Check]:
         raise ModuleNotFoundError("No module named 'torch'\nand more")
 

@@ -87,9 +87,7 @@ def test_a_detectors_config_is_found_by_name(call: Call, footage: Path, tmp_path
 # --- export -----------------------------------------------------------------------------
 
 
-def test_export_reports_its_file(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def written(detector: Detector, out: Path) -> Exported:
         out.write_bytes(bytes(20_000))
         part = f"the whole of {detector.name}"

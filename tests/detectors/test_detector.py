@@ -198,7 +198,7 @@ def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wro
         ([BGR[0]], {"order": "gbr"}, "gbr: unknown order of colours"),
     ],
 )
-def test_other_values_are_refused_in_the_callers_words(
+def test_other_values_are_refused_as_given(
     pictures: Any, options: dict[str, Any], what: str
 ) -> None:
     with pytest.raises((InputError, ConfigError)) as caught:

@@ -54,9 +54,7 @@ def test_saturated_segments_have_no_texture_the_seed_area_is_nearest_and_the_sky
     assert distance[seed].mean() > 1.3 * distance[~seed].mean()
 
 
-def test_without_learning_the_map_is_the_product_of_its_cues(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.MonkeyPatch) -> None:
     exponents = Exponents(layout=0.9, distance=1.3, texture=0.6)
     place = RULES.place._replace(weight=0.3)
     rules = RULES._replace(rounds=0, bias=0.5, temperature=2.0, place=place, exponents=exponents)
@@ -142,7 +140,7 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
         ("layout:cnn-7", lambda _: "nowhere.safetensors", "is not a file"),
     ],
 )
-def test_other_weights_are_named(
+def test_other_weights(
     name: str, file: Callable[[Path], object], what: str, tmp_path: Path
 ) -> None:
     page = tmp_path / "page.safetensors"

@@ -97,9 +97,7 @@ def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(weig
     assert torch.equal(dropped, kept)
 
 
-def test_above_it_the_ground_goes_on(
-    seeing: Detector, blind: Detector, detected: Detection
-) -> None:
+def test_above_the_ground_goes_on(seeing: Detector, blind: Detector, detected: Detection) -> None:
     ground = continued(street(), car(96, 128))
 
     without = blind.detect(ground)

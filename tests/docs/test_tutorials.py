@@ -39,7 +39,7 @@ def test_every_page_says_what_happens() -> None:
         ("config.toml …", "index.csv and anything else", False),
     ],
 )
-def test_same_lines_but_for_spaces_times_and_digits(
+def test_lines_same_but_for_spaces_times_and_digits(
     expected: str, line: str, is_same: bool
 ) -> None:
     assert same_line(expected, line) is is_same

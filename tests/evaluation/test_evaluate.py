@@ -75,9 +75,7 @@ def test_the_detector_to_compare_with_joins_the_run(camvid):
     assert next(changes) == next(changes)
 
 
-def test_sets_without_groups_use_the_default_or_an_earlier_threshold(
-    found, camvid, plain, tmp_path
-):
+def test_sets_without_groups_use_the_default_or_another_threshold(found, camvid, plain, tmp_path):
     write_json(tmp_path / "metrics.json", document(found, ""))
     settings = {"doubt": 0.2}
 

@@ -106,9 +106,7 @@ def test_both_networks_and_closer_looks_are_inside(exported: Exported, folder: P
     assert exported.notes["terms"].startswith("those of whoever trained them")
 
 
-def test_the_same_detector_gives_the_same_bytes(
-    own: Detector, exported: Exported, tmp_path: Path
-) -> None:
+def test_one_detector_gives_one_file(own: Detector, exported: Exported, tmp_path: Path) -> None:
     again = tmp_path / "again.onnx"
 
     write_onnx(exportable(own).module, exported.notes, again)
@@ -119,9 +117,7 @@ def test_the_same_detector_gives_the_same_bytes(
 # --- what they say about themselves -------------------------------------------------------
 
 
-def test_files_say_what_they_take_and_where_they_come_from(
-    fusion: Exported, cnn7: Exported
-) -> None:
+def test_files_state_what_they_take_and_their_origin(fusion: Exported, cnn7: Exported) -> None:
     for exported, name in ((fusion, "backbone-free"), (cnn7, "cnn-7")):
         model, notes = onnx.load(exported.files[0]), exported.notes
         onnx.checker.check_model(model, full_check=True)
@@ -216,9 +212,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
-def test_the_example_makes_maps_with_neither_torch_nor_roadtorch(
-    fusion: Exported, tmp_path: Path
-) -> None:
+def test_the_example_needs_neither_torch_nor_roadtorch(fusion: Exported, tmp_path: Path) -> None:
     source = tmp_path / "pictures" / "sub"
     source.mkdir(parents=True)
     for name in ("a.jpg", "b.png"):

@@ -201,9 +201,7 @@ def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: fl
     assert torch.equal(layout.labels[leads], layout.potentials.argmax(0)[leads])
 
 
-def test_learning_the_looks_of_classes_beats_place_and_order(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_learning_the_classes_beats_place_and_order(monkeypatch: pytest.MonkeyPatch) -> None:
     streets = [scene(seed, dusk=0.0) for seed in range(4)]
 
     def recall(layouts: list[LayoutLabels]) -> float:

@@ -45,9 +45,7 @@ def as_map(value: float) -> Tensor:
 
 
 @given(LIKELIHOODS, st.lists(st.tuples(LIKELIHOODS, WEIGHTS), max_size=5))
-def test_naive_bayes_is_the_normalised_product(
-    prior: float, cues: list[tuple[float, float]]
-) -> None:
+def test_naive_bayes_normalises_the_product(prior: float, cues: list[tuple[float, float]]) -> None:
     likelihoods, weights = [cue[0] for cue in cues], [cue[1] for cue in cues]
 
     road = naive_bayes(as_map(prior), [as_map(value) for value in likelihoods], weights)
@@ -197,7 +195,7 @@ def test_the_triangle_covers_the_seed_area_and_no_sky(height: int, width: int) -
     [({"shadows": 0}, 0.02), ({}, 0.0)],  # measured without shadows: 0.99 and 0.89
     ids=["no shadows", "hard shadows"],
 )
-def test_road_ranks_above_the_rest_and_beats_row_over_height(
+def test_road_ranks_above_the_rest_and_row_over_height(
     options: dict[str, int], gain: float
 ) -> None:
     masks, floors = [], []

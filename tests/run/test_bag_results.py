@@ -82,9 +82,7 @@ def test_a_bag_is_replaced_by_one_of_other_frames(run: Call, drive: Path, out: P
         "config.toml", "index.csv", "run.json", result_of(drive, out).name}  # fmt: skip
 
 
-def test_a_video_gives_a_bag_whose_stamps_are_its_seconds(
-    call: Call, tmp_path: Path, out: Path
-) -> None:
+def test_a_video_gives_a_bag_with_its_seconds(call: Call, tmp_path: Path, out: Path) -> None:
     video = write_video(tmp_path / "drive.mp4")
 
     result = call("infer", video, *ROWS, "--out", out, "--save", "bag", "--limit", 3)

@@ -127,9 +127,7 @@ VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
         (f"evaluate kitti-road @ --submit {WEIGHTS}", "weights.safetensors"),
     ],
 )
-def test_results_are_those_of_a_new_folder(
-    call: Call, root: Path, tmp_path: Path, line: str, name: str
-) -> None:
+def test_as_in_a_new_folder(call: Call, root: Path, tmp_path: Path, line: str, name: str) -> None:
     words = words_of(root, line)
     assert call(*words, "--out", tmp_path / "out").exit_code == 0
     change(root, name)
@@ -153,7 +151,7 @@ def test_results_are_those_of_a_new_folder(
         (f"grid @streets {VIEW} --fov 55 --camera @camera.toml", "camera.toml"),
     ],
 )
-def test_other_settings_from_a_file_are_refused(
+def test_other_settings_of_a_file(
     call: Call, root: Path, tmp_path: Path, line: str, name: str
 ) -> None:
     words = [*words_of(root, line), "--out", tmp_path / "out"]

@@ -39,9 +39,7 @@ def run(call: Call, drive: Path, out: Path) -> Call:
     return partial(call, "infer", drive, *ROWS, "--out", out)
 
 
-def test_a_video_gives_an_overlay_video_and_a_row_a_frame(
-    run: Call, drive: Path, out: Path
-) -> None:
+def test_a_video_gives_an_overlay_and_a_row_a_frame(run: Call, drive: Path, out: Path) -> None:
     result = run()
 
     assert result.exit_code == 0, result.stderr
@@ -118,9 +116,7 @@ def test_folders_of_both_and_names_on_standard_input(call: Call, tmp_path: Path,
 # --- a second run -----------------------------------------------------------------------
 
 
-def test_a_video_that_is_done_is_skipped_until_something_changes(
-    run: Call, drive: Path, out: Path
-) -> None:
+def test_a_done_video_is_skipped_until_something_changes(run: Call, drive: Path, out: Path) -> None:
     run()
 
     again = run()
@@ -136,7 +132,7 @@ def test_a_video_that_is_done_is_skipped_until_something_changes(
 # --- what goes wrong --------------------------------------------------------------------
 
 
-def test_a_cut_video_keeps_what_is_readable_and_the_others_go_on(
+def test_a_cut_video_keeps_what_is_readable(
     call: Call, drive: Path, tmp_path: Path, out: Path
 ) -> None:
     cut = write_video(tmp_path / "in" / "a.mp4", [n / 10 for n in range(40)], options={"crf": "1"})
@@ -209,9 +205,7 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
     assert not list(out.glob(".*"))
 
 
-def test_footage_is_steadied_unless_one_asks_for_its_frames_alone(
-    call: Call, drive: Path, tmp_path: Path
-) -> None:
+def test_footage_is_smoothed_unless_refused(call: Call, drive: Path, tmp_path: Path) -> None:
     steadied, alone = tmp_path / "steadied", tmp_path / "alone"
 
     call("infer", drive, *GREY, "--out", steadied, "--save", "likelihood")

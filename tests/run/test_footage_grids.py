@@ -31,9 +31,7 @@ def drive(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap"])
-def test_a_bag_gives_a_grid_a_frame_and_messages(
-    call: Call, tmp_path: Path, out: Path, form: str
-) -> None:
+def test_a_bag_gives_grids_and_messages(call: Call, tmp_path: Path, out: Path, form: str) -> None:
     drive = write_drive(tmp_path, form, [street(s) for s in (3, 4)], FOCAL)
     options = ("--pitch", 3, "--frame-id", "robot", *TRIANGLE)
 
@@ -86,9 +84,7 @@ def test_all_frames_have_the_median_of_their_pitches(call: Call, drive: Path, ou
     assert low <= float(words[2]) <= high > low
 
 
-def test_neither_jobs_nor_a_second_run_change_the_grids_of_a_video(
-    call: Call, tmp_path: Path
-) -> None:
+def test_neither_jobs_nor_a_second_run_change_grids(call: Call, tmp_path: Path) -> None:
     video = write_video(tmp_path / "drive.mp4", size=(HEIGHT, WIDTH))
     run = ("grid", video, *VIEW, "--every", 4, "--likelihood", "--picture", "--out")
     results = [call(*run, tmp_path / jobs, "--jobs", jobs) for jobs in "12"]

@@ -8,7 +8,7 @@ import pytest
 from roadtorch.camera.camera import Camera
 from roadtorch.testing.scenes import render_scene, write_picture
 from tests.command import Call, rows_of
-from tests.run.writers.test_grid import loaded
+from tests.run.writers.test_files import loaded
 
 VIEW = ("--height", 1.35, "--fov", 55, "--range", 20, "--side", 8, "--resolution", 0.2)
 
@@ -40,9 +40,7 @@ def test_every_picture_gives_a_map(call: Call, street: Path, out: Path) -> None:
     assert list(rows_of(out)) == ["a.png", "sub/b.png"]
 
 
-def test_the_pitch_is_that_of_the_cameras_file(
-    call: Call, street: Path, tmp_path: Path, out: Path
-) -> None:
+def test_the_pitch_of_a_camera_file(call: Call, street: Path, tmp_path: Path, out: Path) -> None:
     path = tmp_path / "camera.toml"
     Camera(width=160, height=120, frames=10, horizon=0.4, seed_row=1).write(path)
 
@@ -61,9 +59,7 @@ distortion_coefficients: {{data: [-0.1, 0, 0, 0, 0]}}
 """
 
 
-def test_camera_info_is_scaled_and_other_shapes_fail(
-    call: Call, street: Path, tmp_path: Path
-) -> None:
+def test_camera_info_is_scaled_or_refused(call: Call, street: Path, tmp_path: Path) -> None:
     info, other = tmp_path / "info.yaml", tmp_path / "other.yaml"
     info.write_text(INFO.format(width=320, focal=300))
     other.write_text(INFO.format(width=300, focal=300))

@@ -26,9 +26,7 @@ GREY = ("--detector", "grey-uniformity")
 # --- what is written ------------------------------------------------------------------------
 
 
-def test_a_folder_gives_three_files_a_picture_and_an_index(
-    run: Call, footage: Path, out: Path
-) -> None:
+def test_a_folder_gives_three_files_an_image(run: Call, footage: Path, out: Path) -> None:
     result = run()
 
     assert (result.exit_code, result.stdout) == (0, "")
@@ -153,7 +151,7 @@ def test_results_beside_the_pictures_are_not_taken_for_pictures(call: Call, foot
 # --- bad input ------------------------------------------------------------------------------
 
 
-def test_broken_pictures_become_failed_rows_beside_finished_ones(
+def test_broken_images_become_failed_rows_beside_others(
     call: Call, footage: Path, out: Path
 ) -> None:
     whole = (footage / "a.jpg").read_bytes()
@@ -216,9 +214,7 @@ def test_a_detector_that_trips_costs_one_row(
 # --- trust --------------------------------------------------------------------------------
 
 
-def test_the_five_least_trusted_pictures_are_named_the_worst_first(
-    call: Call, tmp_path: Path
-) -> None:
+def test_the_five_least_trusted_images_are_named_in_order(call: Call, tmp_path: Path) -> None:
     for seed in range(6):
         write_jpeg(tmp_path / f"street-{seed}.jpg", render_scene(seed, 120, 160).image)
     noise = torch.rand(3, 120, 160, generator=torch.Generator().manual_seed(0))
@@ -242,9 +238,7 @@ def test_the_five_least_trusted_pictures_are_named_the_worst_first(
 # --- names and kinds of files -----------------------------------------------------------------
 
 
-def test_names_in_any_encoding_and_files_that_are_none_cost_nobody_else(
-    run: Call, footage: Path, out: Path
-) -> None:
+def test_odd_names_and_files_that_are_none(run: Call, footage: Path, out: Path) -> None:
     odd = footage / os.fsdecode(b"z\xff.jpg")
     (footage / "a.jpg").rename(odd)
     os.mkfifo(footage / "pipe.png")

@@ -109,7 +109,7 @@ def test_frames_of_a_source_are_forgotten_and_nothing_else(path: Path) -> None:
     assert [*read_index(path)] == sorted(names[2:5])
 
 
-def test_a_disk_that_is_full_is_one_error_and_the_rows_stay(
+def test_a_full_disk_is_one_error_and_rows_stay(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ledger = module.Ledger(path)

@@ -30,7 +30,7 @@ def write_inputs(root: Path, names: Sequence[str]) -> Path:
         [r"1\xff.png", os.fsdecode(b"1\xff.png")],  # index.csv calls both 1\xff.png
     ],
 )
-def test_two_images_with_one_result_are_refused_by_name(
+def test_two_images_with_one_result(
     names: list[str], call: Call, tmp_path: Path, out: Path
 ) -> None:
     (tmp_path / "in").mkdir()
@@ -43,9 +43,7 @@ def test_two_images_with_one_result_are_refused_by_name(
     assert not out.exists()
 
 
-def test_pictures_beside_a_video_of_their_name_keep_their_rows(
-    call: Call, tmp_path: Path, out: Path
-) -> None:
+def test_images_beside_a_video_of_their_name_stay(call: Call, tmp_path: Path, out: Path) -> None:
     given = write_inputs(tmp_path, ["drive.mp4", "drive/000003.png", "drive/x.png"])
 
     result = call("infer", given, *ROWS, "--out", out)

@@ -113,9 +113,7 @@ def test_a_killed_worker_costs_one_picture(pictures: Path, expected: Path, tmp_p
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_keeps_what_was_finished(
-    pictures: Path, expected: Path, tmp_path: Path
-) -> None:
+def test_an_interrupted_run_keeps_its_rows(pictures: Path, expected: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run = start(pictures, *WORK, "--out", out, *RAY)
     wait_for_a_mask(out, run)

@@ -119,9 +119,7 @@ def test_files_of_cues_that_were_removed_are_made_again(
     assert bytes_in(out) == before
 
 
-def test_a_name_too_long_for_its_results_is_a_failed_row_every_time(
-    call: Call, tmp_path: Path, out: Path
-) -> None:
+def test_a_name_too_long_for_results_is_a_failed_row(call: Call, tmp_path: Path, out: Path) -> None:
     (tmp_path / "in").mkdir()
     save_picture(tmp_path / "in/a.bmp", 0)
     save_picture(tmp_path / f"in/{'x' * 246}.bmp", 1)
@@ -212,9 +210,7 @@ def test_a_death_costs_its_picture_alone_and_is_told(
     assert bytes_in(out) == bytes_in(tmp_path / "quiet")
 
 
-def test_a_kill_costs_only_the_picture_in_hand(
-    run: Call, out: Path, before_each: BeforeEach
-) -> None:
+def test_a_kill_costs_the_image_in_hand(run: Call, out: Path, before_each: BeforeEach) -> None:
     def die(item: Item) -> None:
         if item.name == "b":
             os.kill(os.getpid(), signal.SIGKILL)

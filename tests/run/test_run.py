@@ -17,9 +17,7 @@ from tests.command import ROWS, Call, bytes_in, rows_of
 # --- polygons and facts -----------------------------------------------------------------
 
 
-def test_polygons_are_the_mask_and_coco_has_all_pictures(
-    call: Call, tmp_path: Path, out: Path
-) -> None:
+def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out: Path) -> None:
     pictures = tmp_path / "in"
     for seed in (1, 2):
         write_picture(pictures / f"{seed}.png", render_scene(seed, 60, 80))
@@ -37,9 +35,7 @@ def test_polygons_are_the_mask_and_coco_has_all_pictures(
         assert one["area"] == mask.sum() > 0
 
 
-def test_facts_of_a_picture_do_not_depend_on_the_run(
-    call: Call, footage: Path, tmp_path: Path
-) -> None:
+def test_an_image_does_not_depend_on_the_run(call: Call, footage: Path, tmp_path: Path) -> None:
     for out in ("one", "two"):
         call("infer", footage, *ROWS, "--out", tmp_path / out, "--save", "json,polygons")
 

@@ -39,9 +39,7 @@ def died(number: int) -> Result:
 
 
 @pytest.mark.parametrize(("jobs", "pause"), [(1, 0), (2, 0), (3, 0), (2, 0.01)])
-def test_results_come_in_the_order_of_the_items_from_other_processes(
-    jobs: int, pause: float
-) -> None:
+def test_results_come_in_the_order_of_items_from_other_processes(jobs: int, pause: float) -> None:
     results: list[Result] = []
     for result in Workers(jobs).map(work, range(30), died):
         time.sleep(pause)
@@ -121,9 +119,7 @@ def test_a_worker_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("problem", [BlockingIOError(11, "try again"), RuntimeError("try again")])
-def test_where_a_process_cannot_be_made_it_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, problem: Exception
-) -> None:
+def test_no_process_is_one_line(monkeypatch: pytest.MonkeyPatch, problem: Exception) -> None:
     def refuse(*_: object) -> None:
         raise problem
 
@@ -184,9 +180,7 @@ def test_a_users_file_is_no_module_of_workers_that_are_started_anew(
         (None, None, "cuda", 1),
     ],
 )
-def test_workers_are_as_many_as_pay(
-    jobs: int | None, count: int | None, device: str, expected: int
-) -> None:
+def test_how_many_workers(jobs: int | None, count: int | None, device: str, expected: int) -> None:
     assert workers_for(jobs, count, device) == Workers(expected)
 
 

@@ -10,9 +10,7 @@ from scripts import bench
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
-def test_records_of_peers(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_peers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     kept: dict[str, float] = {}
     monkeypatch.setattr(bench, "keep_records", lambda *words: kept.update(words[-1]))
 

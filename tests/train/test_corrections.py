@@ -168,9 +168,7 @@ def test_weights_say_that_people_corrected_pictures(kind: str, runs: dict[str, O
         assert (values["detector"], values["weights"]) == ("fusion", {"file": str(weights)})
 
 
-def test_what_starts_from_them_is_not_label_free(
-    trained: Trained, runs: dict[str, Outcome]
-) -> None:
+def test_what_starts_there_is_not_label_free(trained: Trained, runs: dict[str, Outcome]) -> None:
     first = runs["patches"].weights
     assert first
     second = trained("patches", f"start={first}", "stopping.epochs=1", out="second").weights

@@ -86,9 +86,7 @@ def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> N
 
 @settings(max_examples=15)
 @given(st.floats(0.6, 1.4), st.floats(-17, 17), st.integers(0, 17), st.integers(0, 22))
-def test_varied_patches_equal_slow_ones(
-    scale: float, degrees: float, row: int, column: int
-) -> None:
+def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, column: int) -> None:
     pixels = torch.rand(3, 18, 23, generator=seeded(2))
     turn = math.radians(degrees)
     centre = torch.tensor([[row, column]])

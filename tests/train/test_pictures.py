@@ -119,9 +119,7 @@ NAMES = ("a_1", "a_2", "a_3", "b", "c")
 
 
 @pytest.mark.parametrize(("evenness", "share"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
-def test_recordings_follow_from_names_of_images(
-    evenness: float, share: float, tmp_path: Path
-) -> None:
+def test_recordings_follow_from_names(evenness: float, share: float, tmp_path: Path) -> None:
     """The kept folder's own name has the separator; the names of two pictures have none."""
     folder = tmp_path / "kept_here"
     folder.mkdir()

@@ -231,7 +231,7 @@ def test_a_prepared_image_has_the_networks_size(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "columns", "lends"), [(8, 96, True), (8, 88, False), (1, 96, False)]
 )
-def test_only_an_ego_car_of_full_width_is_lent(
+def test_ego_cars_of_full_width_are_lent(
     rows: int, columns: int, lends: bool, tmp_path: Path
 ) -> None:
     ego = torch.zeros(64, 96, dtype=torch.uint8)

@@ -66,7 +66,7 @@ def test_pictures_have_y_upwards_and_numpy_has_the_rows_from_the_right(tmp_path:
 @pytest.mark.parametrize(
     ("support", "values"), [("margin", {0, 1, 2, 255}), ("maximum", {0, 1, 2})]
 )
-def test_labels_are_one_byte_a_pixel(
+def test_labels_are_bytes(
     call: Call, tmp_path: Path, out: Path, support: str, values: set[int]
 ) -> None:
     street = tmp_path / "in" / "sub" / "street.png"

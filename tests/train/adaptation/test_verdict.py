@@ -81,9 +81,7 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
 
 
 @pytest.mark.parametrize("shift", [-2.0, 2.0], ids=["timid", "bold"])
-def test_the_bias_undoes_a_shift(
-    shift: float, streets: tuple[list[Item], Path], tmp_path: Path
-) -> None:
+def test_bias_undoes_shift(shift: float, streets: tuple[list[Item], Path], tmp_path: Path) -> None:
     shifted, mended = tmp_path / "s.file", tmp_path / "m.file"
     pictures, prepared = streets
     write_shifted(SHIPPED, shifted, shift)
@@ -98,9 +96,7 @@ def test_the_bias_undoes_a_shift(
     assert after > max(before, 0.97)
 
 
-def test_without_evidence_nothing_is_shifted(
-    streets: tuple[list[Item], Path], tmp_path: Path
-) -> None:
+def test_without_evidence_none_is_shifted(streets: tuple[list[Item], Path], tmp_path: Path) -> None:
     assert fitted_bias(streets[0], SHIPPED, tmp_path / "nothing", training_of(), quiet=True) == 0
 
 
