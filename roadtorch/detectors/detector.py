@@ -350,6 +350,8 @@ def lean(find: Callable[..., Mapping[str, Tensor]]) -> Callable[..., dict[str, T
 
     @wraps(find)
     def wrapped(*parts: Any) -> dict[str, Tensor]:
+        if torch.compiler.is_exporting():
+            return dict(find(*parts))
         on_cpu = all(part.device.type == "cpu" for part in parts if isinstance(part, Tensor))
         with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
             maps = find(*parts)

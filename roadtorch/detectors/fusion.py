@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import torch
 from pydantic import Field
 from torch import Tensor, nn
+from torch.nn import functional
 
 from roadtorch.base.settings import Settings
 from roadtorch.detectors.detector import (
@@ -19,7 +20,7 @@ from roadtorch.detectors.detector import (
     lean,
 )
 from roadtorch.imaging.color import brightened
-from roadtorch.imaging.resize import WorkingSize
+from roadtorch.imaging.resize import WorkingSize, side, whole
 from roadtorch.imaging.segments import Segments, measure_segments, paint, segment_mean
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
@@ -199,18 +200,19 @@ class Fusion(nn.Module):
 
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
+        """The cues of an image (3,H,W) in [0,1]; in an exported graph of a batch (N,3,H,W)."""
         learned = self.learned(image)
         ego = ego_found(learned["ego"])
         layout, road = learned["layout"], learned["road"]
         if is_anywhere(ego):
-            layout, road = continued(torch.cat([layout, road[None]]), ego).split([CLASSES, 1])
-            road = road[0]
+            known = torch.cat([layout, road[..., None, :, :]], -3)
+            layout, road = continued(known, ego).split([CLASSES, 1], -3)
+            road = road.squeeze(-3)
         odds = log_odds(road)
         return {
             "likelihood": calibrated(odds, self.settings.calibration),
             "layout": layout,
-            "layout_labels": decide_layout(layout.flatten(1).T).view(road.shape),
+            "layout_labels": decide_layout(layout.movedim(-3, -1)),
             "learned_road": road,
             "seed_area": likely_seed_area(odds, self.settings.seed_area.share),
             "ego": ego,
@@ -231,28 +233,31 @@ class Fusion(nn.Module):
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
         signs = signs_of(cues["likelihood"], mask, cues)
-        return judgement(signs, bool(mask.any()), self.settings.trust)
+        return judgement(signs, mask.flatten(-2).any(-1), self.settings.trust)
 
 
 def seen_closer(
     network: WholePictureNetwork, image: Tensor, cuts: Sequence[float]
 ) -> Mapping[str, Tensor]:
-    """``cues`` of an image (3,H,W), and of what is left of it below each cut; their mean."""
-    whole, height = network.cues(image), image.shape[-2]
+    """``cues`` of an image (…,3,H,W), and of what is left of it below each cut; their mean."""
+    first, height = network.cues(image), image.shape[-2]
     if not cuts:
-        return whole
-    rows = [max(1, round(height * (1 - cut))) for cut in cuts]
-    looks = [whole, *(network.cues(image[:, -count:]) for count in rows)]
-    return {name: mean_of_looks(*(look[name] for look in looks)) for name in whole}
+        return first
+    looks = [first]
+    for cut in cuts:
+        rows = whole(side(height) * (1 - cut), 1)
+        lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
+        looks.append(network.cues(lower))
+    return {name: mean_of_looks(*(look[name] for look in looks)) for name in first}
 
 
 def mean_of_looks(whole: Tensor, *lower: Tensor) -> Tensor:
     """The mean of maps (…,H,W) of a picture and those (…,h,W) of its lowest h rows, row by row."""
-    total, looks = whole.clone(), whole.new_ones(whole.shape[-2], 1)
+    total, looks = whole, whole.new_ones(whole.shape[-2], 1)
     for maps in lower:
-        rows = maps.shape[-2]
-        total[..., -rows:, :] += maps
-        looks[-rows:] += 1
+        above = (0, 0, whole.shape[-2] - maps.shape[-2], 0)
+        total = total + functional.pad(maps, above)
+        looks = looks + functional.pad(maps.new_ones(maps.shape[-2], 1), above)
     return total / looks
 
 
@@ -310,7 +315,7 @@ class ScratchFusion(nn.Module):
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
         signs = signs_of(cues["likelihood"], mask, cues)
-        return judgement(signs, bool(mask.any()), self.settings.trust)
+        return judgement(signs, mask.flatten(-2).any(-1), self.settings.trust)
 
 
 def seen_from(

@@ -1,7 +1,7 @@
 """Detectors as files that run without Python."""
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -20,9 +20,9 @@ from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.detector import MIN_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
-from roadtorch.export.files import Run, open_onnx, write_onnx
-from roadtorch.export.graph import OUTPUTS, EveryPixel, FusedRoad, Graph
+from roadtorch.export.files import Graph, Run, Steps, open_onnx, write_onnx
 from roadtorch.imaging.resize import at_picture_size, at_work, resized, size_of
+from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.weights import FOR_PICTURES, terms_of, weights_path
 from roadtorch.road.outlines import outlined
 from roadtorch.testing.scenes import render_scene
@@ -36,24 +36,29 @@ ISOLATED = "dropping of isolated road"
 
 OWN_TERMS = "those of whoever trained them"
 
-Reference = Callable[[Tensor], Mapping[str, Tensor]]
-"""An image (3,H,W) in [0,1] → maps by name, as Python says them."""
+OUTPUTS: Mapping[str, str] = {
+    "likelihood": "float32 (N, H, W): how road-like each pixel is, 0 to 1",
+    "layout": "float32 (N, 3, H, W): sky, vertical, horizontal, 0 to 1",
+    "ego": "float32 (N, H, W): the vehicle that carries the camera, 0 to 1",
+    "seed_area": "float32 (N, H, W): where road surely is, 0 or 1; isolated road does not touch it",
+    "trust": "float32 (N): the F to expect of the mask, 0 to 1",
+}
+"""What files give, by name."""
 
 
 @dataclass(frozen=True)
 class Exportable:
-    """A part of a detector as a graph.
+    """A part of a detector as a function, which a graph is traced of.
 
-    what: which part, in words. lacks: what Python does beside it.
-    module: pictures uint8 (N,H,W,3) RGB → its ``outputs``.
-    reference: what each of these has to equal. settings: those that have a part in it.
-    weights: the files of its networks' weights.
+    what: which part, in words. lacks: what Python does beside it. steps: an image (3,H,W) in
+    [0,1] → the outputs by name; where it is traced, a batch (N,3,H,W). outputs: some of
+    ``OUTPUTS``. settings: those that have a part in it. weights: the files of its networks'.
     """
 
     what: str
     lacks: str
-    module: Graph
-    reference: Reference
+    steps: Steps
+    outputs: tuple[str, ...]
     settings: tuple[str, ...]
     weights: tuple[Path, ...]
 
@@ -77,8 +82,8 @@ def part_of(detector: Detector) -> Exportable:
         part = Exportable(
             "its road, layout, ego car and trust",
             f"filling of thin holes, {ISOLATED}",
-            FusedRoad(analysis.network, analysis.second, settings),
             partial(fused_maps, analysis, settings),
+            tuple(OUTPUTS),
             (
                 *("weights", "second", "threshold", "calibration"),
                 *("cuts", "working", "seed_area"),
@@ -93,8 +98,8 @@ def part_of(detector: Detector) -> Exportable:
         part = Exportable(
             "its likelihood and layout",
             ISOLATED,
-            EveryPixel(analysis.network, settings.working),
-            partial(detected_maps, detector),
+            partial(ground_maps, analysis, settings),
+            ("likelihood", "layout"),
             ("weights", "threshold", "working"),
             (weights_path(settings.weights.file or "cnn-7"),),
         )
@@ -104,10 +109,16 @@ def part_of(detector: Detector) -> Exportable:
 
 
 def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dict[str, Tensor]:
-    """What ``FusedRoad`` has to give of an image (3,H,W) in [0,1]."""
+    """All of `fusion` but what takes connected regions.
+
+    Thin holes are not filled, and isolated road is not dropped. In the graph pictures are followed
+    at their own size, however large that is.
+    """
     small, full = at_work(image, settings.working), size_of(image)
     cues = analysis(small)
-    likelihood = resized(outlined(cues, small, image, settings.working, settings.threshold), full)
+    likelihood = outlined(cues, small, image, settings.working, settings.threshold)
+    if not torch.compiler.is_exporting():
+        likelihood = resized(likelihood, full)
     hidden = at_picture_size(cues["ego"], full)
     likelihood = likelihood.masked_fill(hidden, 0)
     mask = at_picture_size(likelihood >= settings.threshold, size_of(small))
@@ -116,14 +127,15 @@ def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dic
         "layout": resized(cues["layout"], full),
         "ego": hidden.float(),
         "seed_area": at_picture_size(cues["seed_area"], full).float(),
-        "trust": torch.tensor(analysis.judge(mask, cues).trust),
+        "trust": torch.as_tensor(analysis.judge(mask, cues).trust),
     }
 
 
-def detected_maps(detector: Detector, image: Tensor) -> dict[str, Tensor]:
-    """What ``EveryPixel`` has to give of an image (3,H,W) in [0,1]: likelihood, layout."""
-    detection = detector.detect(image)
-    return {"likelihood": detection.likelihood, "layout": detection.cues["layout"]}
+def ground_maps(analysis: Cnn7, settings: Cnn7Settings, image: Tensor) -> dict[str, Tensor]:
+    """All of `layout:cnn-7` but the dropping of isolated road."""
+    layout = analysis.network.potentials(at_work(image, settings.working))
+    layout = resized(layout, size_of(image))
+    return {"likelihood": layout[..., HORIZONTAL, :, :], "layout": layout}
 
 
 def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
@@ -137,7 +149,7 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
         "colour_order": "RGB",
         "range": "0 to 255",
         "smallest_side": str(MIN_SIDE),
-        **{f"output.{name}": OUTPUTS[name] for name in part.module.outputs},
+        **{f"output.{name}": OUTPUTS[name] for name in part.outputs},
         "threshold": f"{detector.settings.threshold:g}",
         "weights": ", ".join(file.name for file in part.weights),
         "weights_sha256": ", ".join(map(digest_of, part.weights)),
@@ -182,8 +194,8 @@ def rendered_batches() -> Iterator[np.ndarray]:
         yield np.stack([to_pixels(scene.image) for scene in scenes])
 
 
-def parity(run: Run, reference: Reference, batches: Iterable[np.ndarray]) -> Parity:
-    """How far ``run`` is off the reference on batches of pictures uint8 (N,H,W,3), at least one.
+def parity(run: Run, steps: Steps, batches: Iterable[np.ndarray]) -> Parity:
+    """How far ``run`` is off the steps in Python on batches of pictures uint8 (N,H,W,3).
 
     What is no number is endlessly far.
     """
@@ -192,7 +204,7 @@ def parity(run: Run, reference: Reference, batches: Iterable[np.ndarray]) -> Par
     for batch in batches:
         maps = run(batch)
         for at, picture in enumerate(batch):
-            expected = reference(from_pixels(picture))
+            expected = steps(from_pixels(picture))
             height, width = picture.shape[:2]
             pictures += 1
             for name, values in maps.items():
@@ -238,9 +250,9 @@ def export_detector(detector: Detector, out: Path) -> Exported:
     notes = notes_of(detector, part)
     with TemporaryDirectory(prefix="roadtorch.") as folder:
         path = Path(folder) / out.name
-        write_onnx(part.module, notes, path)
+        write_onnx(Graph(detector.analysis, part.steps, part.outputs), notes, path)
         run = open_onnx(path, torch.get_num_threads())
-        apart = parity(run, part.reference, rendered_batches())
+        apart = parity(run, part.steps, rendered_batches())
         if not apart.most <= BOUND:
             what = f"would be {apart.most:.2g} off in its {apart.where}, more than {BOUND:g}"
             raise InputError(out, what, "nothing was written; try other versions of the extra")

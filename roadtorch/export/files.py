@@ -2,18 +2,21 @@
 
 import logging
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 
 from roadtorch.base.version import __version__
-from roadtorch.export.graph import Graph
 
 OPSET = 18
+
+Steps = Callable[[Tensor], Mapping[str, Tensor]]
+"""An image (3,H,W) in [0,1] → maps by name, of any of which a graph may be traced."""
 
 Run = Callable[[np.ndarray], Mapping[str, np.ndarray]]
 """Pictures uint8 (N,H,W,3) RGB → maps by name, by a runtime that has read a file."""
@@ -22,8 +25,26 @@ EXAMPLE = (2, 240, 320, 3)
 """The shape of the pictures that the graph is traced with; no number of it stays but the 3."""
 
 
+class Graph(nn.Module):
+    """Steps as a module of the exporter: pictures uint8 (N,H,W,3) RGB → the outputs, in order.
+
+    analysis: what has their weights.
+    """
+
+    def __init__(self, analysis: nn.Module, steps: Steps, outputs: Sequence[str]) -> None:
+        super().__init__()
+        self.analysis = analysis
+        self.steps = steps
+        self.outputs = outputs
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """The outputs of a batch."""
+        maps = self.steps(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
+        return tuple(maps[name] for name in self.outputs)
+
+
 def write_onnx(module: Graph, notes: Mapping[str, str], path: Path) -> None:
-    """Write a module of ``graph`` with notes about it; needs onnx and onnxscript.
+    """Write a graph with notes about it; needs onnx and onnxscript.
 
     The same module and notes give the same bytes, wherever they are made.
     """

@@ -226,11 +226,18 @@ class Exposure(Settings):
 def brightened(image: Tensor, exposure: Exposure) -> Tensor:
     """An image (3,H,W) in [0,1] under the gamma that lifts its lower part to ``ground``.
 
+    In an exported graph a batch (N,3,H,W), each by its own gamma.
+
     At dusk all differences shrink; this restores them. The median of the grey image below
     0.55 of the height decides; pictures that are bright enough stay as they are, and the
     exponent is never below ``STRONGEST``. Ours, in place of P1's brightness equalisation.
     """
-    lower = image[:, int(image.shape[1] * 0.55) :].mean(0).reshape(-1)
+    lower = image[..., image.shape[-2] * 11 // 20 :, :].mean(-3).flatten(-2)
+    if torch.compiler.is_exporting():
+        middle = lower.sort(-1).values[..., (lower.shape[-1] - 1) // 2].clamp(0.01, 0.99)
+        exponents = (math.log(exposure.ground) / middle.log()).clamp(STRONGEST, 1.0)
+        power = exponents[..., None, None, None]
+        return torch.where(power == 1, image, image.clamp(min=DARKEST) ** power)
     grey = min(max(order_statistic(lower, (len(lower) - 1) // 2), 0.01), 0.99)
     exponent = min(max(math.log(exposure.ground) / math.log(grey), STRONGEST), 1.0)
     # As 2 to the log2, which is three times as fast as a power.

@@ -1,6 +1,6 @@
 """Levels of values: where they are exceeded, the k-th smallest, and what parts them in two.
 
-On the CPU by NumPy, which compares five to ten times as fast as torch.
+By NumPy, which compares five to ten times as fast as torch, but in an exported graph.
 """
 
 import math
@@ -12,11 +12,15 @@ from torch import Tensor
 
 def at_least(values: Tensor, level: float) -> Tensor:
     """Where values (…) are ``level`` or more: bool (…)."""
+    if torch.compiler.is_exporting():
+        return values >= level
     return torch.from_numpy(values.detach().cpu().numpy() >= level).to(values.device)
 
 
 def above(values: Tensor, level: float) -> Tensor:
     """Where values (…) are more than ``level``: bool (…)."""
+    if torch.compiler.is_exporting():
+        return values > level
     return torch.from_numpy(values.detach().cpu().numpy() > level).to(values.device)
 
 

@@ -1,8 +1,13 @@
-"""The size at which detectors think, and the way back to the size of the picture."""
+"""The size at which detectors think, and the way back to the size of the picture.
+
+Sizes are known only at run time in an exported graph, which holds neither OpenCV nor NumPy. There
+maps are resized by whole matrix products, not by the operator for it: ONNX Runtime's averages as
+torch does, OpenVINO's reads the same file and does not (up to 0.45 off in a trial).
+"""
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,6 +20,8 @@ from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 
 SHORTEST = 16  # pixels that a long, thin picture keeps on its short side
+
+LONGEST = 10**9  # pixels; a graph has to know a bound
 
 ROWS, COLUMNS = 32, 64
 """Old rows and columns that one matrix product averages, about: narrow, and not too small."""
@@ -33,8 +40,21 @@ class WorkingSize(Settings):
 
 def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
     """Height and width at which a picture is analysed: its shape, at most ``working.pixels``."""
-    scale = min(1.0, (working.pixels / (height * width)) ** 0.5)
-    return max(SHORTEST, round(height * scale)), max(SHORTEST, round(width * scale))
+    scale = (working.pixels / (side(height) * side(width))).sqrt().clamp(max=1.0)
+    return whole(side(height) * scale), whole(side(width) * scale)
+
+
+def side(pixels: int) -> Tensor:
+    """The length of a side as a scalar, with which a graph can compute."""
+    return torch.scalar_tensor(pixels, dtype=torch.float64)
+
+
+def whole(length: Tensor, least: int = SHORTEST) -> int:
+    """A length, a scalar, in whole pixels, ``least`` or more."""
+    pixels: Any = length.round().clamp(min=least).to(torch.int64).item()
+    torch._check(pixels >= least)
+    torch._check(pixels <= LONGEST)
+    return pixels
 
 
 @cached_per_image
@@ -51,6 +71,9 @@ def size_of(maps: Tensor) -> tuple[int, int]:
 def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
     """Maps (…,H,W), floating point, at another size: averaged or bilinear."""
     before = size_of(maps)
+    if torch.compiler.is_exporting():
+        rows, columns = (averaging(*sides) for sides in zip(before, size, strict=True))
+        return rows @ maps @ columns.mT
     if before == tuple(size):
         return maps
     if maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad:
@@ -97,11 +120,7 @@ class Band(NamedTuple):
 @lru_cache(maxsize=256)  # a picture of another size asks for eight
 @torch.inference_mode(False)  # kept for callers in any mode
 def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
-    """How a side of ``before`` pixels becomes one of ``after``; about ``old`` of them in a band.
-
-    Around the place of each new pixel lies a triangle two pixels wide, old or new ones, whichever
-    are wider, over its sum: Pillow's and torch's antialiased bilinear filter.
-    """
+    """How a side of ``before`` pixels becomes one of ``after``; about ``old`` of them in a band."""
     scale = before / after
     reach = max(scale, 1.0)
     most = max(1, round(old / scale))
@@ -110,15 +129,36 @@ def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
         centre = (torch.arange(start, min(start + most, after), dtype=torch.float64) + 0.5) * scale
         low = max(0, int(centre[0] - reach))
         high = min(before, int(centre[-1] + reach) + 1)
-        away = (torch.arange(low, high) + 0.5 - centre[:, None]).abs()
-        triangle = (1 - away / reach).clamp_min(0)
-        weights = (triangle / triangle.sum(1, keepdim=True)).to(torch.float32)
+        weights = triangles(torch.arange(low, high), centre, reach).to(torch.float32)
         bands.append(Band(slice(start, start + len(centre)), slice(low, high), weights))
     return tuple(bands)
 
 
+def averaging(before: int, after: int) -> Tensor:
+    """The same as one matrix (after,before), for sides that a graph knows at run time."""
+    scale = (side(before) / side(after)).to(torch.float32)
+    centre = (torch.arange(after) + 0.5) * scale
+    return triangles(torch.arange(before), centre, scale.clamp(min=1.0))
+
+
+def triangles(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
+    """Weights (new,old) of old pixels (old,) in new ones, whose centres (new,) are among them.
+
+    Around each centre lies a triangle two pixels wide, old or new ones, whichever are wider, over
+    its sum: Pillow's and torch's antialiased bilinear filter.
+    """
+    away = (pixels + 0.5 - centre[:, None]).abs()
+    triangle = (1 - away / reach).clamp_min(0)
+    return triangle / triangle.sum(1, keepdim=True)
+
+
 def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
+    if torch.compiler.is_exporting() and not cue.is_floating_point():
+        for axis in (-2, -1):
+            place = torch.arange(size[axis]) * cue.shape[axis] // size[axis]
+            cue = cue.index_select(axis, place)
+        return cue
     if cue.is_floating_point() or size_of(cue) == tuple(size):
         return resized(cue, size)
     pixels = cue.cpu().numpy()

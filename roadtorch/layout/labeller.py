@@ -273,9 +273,9 @@ def _chain_posterior(evidence: np.ndarray, moves: np.ndarray) -> np.ndarray:
 
 
 def decide_layout(potentials: Tensor, margin: float = MARGIN) -> Tensor:
-    """Labels (n,) of the largest potentials (n,3); 255 where the margin to the second is less."""
+    """Labels (…) of the largest potentials (…,3); 255 where the margin to the second is less."""
     # Of three potentials, compared plane by plane: argmax of triples takes ten times as long.
-    sky, vertical, horizontal = potentials.unbind(1)
+    sky, vertical, horizontal = potentials.unbind(-1)
     higher, lower = torch.maximum(sky, vertical), torch.minimum(sky, vertical)
     best = torch.maximum(higher, horizontal)
     labels = torch.where(sky == best, SKY, torch.where(vertical == best, VERTICAL, HORIZONTAL))

@@ -123,13 +123,19 @@ class Normalised(NamedTuple):
 
 
 def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
-    """An image (3,H,W) in [0,1] as the networks want it. Ours; P2 says "RGB pixel values"."""
+    """An image (3,H,W) in [0,1] as the networks want it. Ours; P2 says "RGB pixel values".
+
+    In an exported graph a batch (N,3,H,W), each image for itself, of no gain.
+    """
     if normalisation.kind == "none":
         return Normalised(image, 1.0)
     if normalisation.kind.startswith("brightened"):
         image = brightened(image, normalisation.exposure)
     if normalisation.kind.endswith("picture"):
-        centred = image - image.mean((1, 2), keepdim=True)
+        centred = image - image.mean((-2, -1), keepdim=True)
+        if torch.compiler.is_exporting():
+            deviation = centred.square().mean((-3, -2, -1), keepdim=True).sqrt()
+            return Normalised(centred / deviation.clamp(min=MIN_DEVIATION), math.nan)
         gain = 1 / max(math.sqrt(centred.square().mean()), MIN_DEVIATION)
         return Normalised(centred * gain, gain)
     return Normalised((image - FIXED_MEAN) * FIXED_GAIN, FIXED_GAIN)

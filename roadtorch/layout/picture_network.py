@@ -104,12 +104,16 @@ class PictureNetwork(nn.Module):
 def cues_of(
     network: nn.Module, image: Tensor, size: tuple[int, int], normalisation: Normalisation
 ) -> Mapping[str, Tensor]:
-    """What a network that works at a size and gives scores says of an image, as its ``cues``."""
-    pixels = normalise(resized(image, size).clamp(0, 1), normalisation).pixels[None]
-    scores = network(pixels.to(next(network.parameters()))).to(image)
-    full = size_of(image)
-    potentials = resized(potentials_of(scores)[0], full).clamp(0, 1)
-    return {"layout": potentials[:CLASSES], "road": potentials[ROAD], "ego": potentials[EGO]}
+    """What a network that works at a size and gives scores says of an image, as its ``cues``.
+
+    Of a batch (N,3,H,W) in an exported graph.
+    """
+    pixels = normalise(resized(image, size).clamp(0, 1), normalisation).pixels
+    batch = pixels if pixels.ndim == 4 else pixels[None]
+    potentials = potentials_of(network(batch.to(next(network.parameters()))).to(image))
+    potentials = resized(potentials if pixels.ndim == 4 else potentials[0], size_of(image))
+    layout, road, ego = potentials.clamp(0, 1).split([CLASSES, 1, 1], -3)
+    return {"layout": layout, "road": road.squeeze(-3), "ego": ego.squeeze(-3)}
 
 
 def scaled(height: int, width: int, scale: float) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import above
+from roadtorch.imaging.resize import side
 
 MIN_FREE = 0.1  # share of the picture that an ego car must leave free
 
@@ -110,32 +111,35 @@ def outline_rows(outline: tuple[float, ...], width: int) -> Tensor:
 
 
 def is_anywhere(ego: Tensor) -> bool:
-    """Whether an ego car bool (H,W) has a pixel; torch takes thirty times as long for it."""
-    return bool(ego.cpu().numpy().any())
+    """Whether an ego car bool (H,W) has a pixel; torch takes thirty times as long for it.
+
+    An exported graph cannot branch on it, and reckons with one.
+    """
+    return torch.compiler.is_exporting() or bool(ego.cpu().numpy().any())
 
 
 # --- found in the picture ---------------------------------------------------------------
 
 
 def ego_found(potential: Tensor) -> Tensor:
-    """The ego car bool (H,W) by its potential (H,W) in [0,1]: what goes down to the lower edge.
+    """The ego car bool (…,H,W) by its potential (…,H,W) in [0,1]: what goes to the lower edge.
 
     In each column it begins at the first row from which on at least ``SOLID`` of all pixels
     are likelier ego car than not: light on a bonnet leaves no hole in it, and a car ahead
     is none. Nor is there one where next to nothing would be left free, or where it is
     only half believed.
     """
-    height = potential.shape[0]
+    height, width = potential.shape[-2:]
     ego = above(potential, 0.5)
     if not is_anywhere(ego):
         return ego
-    below = ego.flip(0).cumsum(0, dtype=torch.int32).flip(0)
+    below = ego.flip(-2).cumsum(-2, dtype=torch.int32).flip(-2)
     left = torch.arange(height, 0, -1, device=ego.device)[:, None]
-    car = (ego & (below >= SOLID * left)).cumsum(0, dtype=torch.int32) > 0
-    share = float(car.sum()) / car.numel()
-    needed = MIN_MEAN + PER_SHARE * share
-    is_one = share <= 1 - MIN_FREE and float(potential[car].mean()) >= needed
-    return car if is_one else torch.zeros_like(car)
+    car = (ego & (below >= SOLID * left)).cumsum(-2, dtype=torch.int32) > 0
+    size = car.sum((-2, -1), keepdim=True)
+    share = size / (height * width)
+    mean = (potential * car).sum((-2, -1), keepdim=True) / size.clamp(min=1)
+    return car & (share <= 1 - MIN_FREE) & (mean >= MIN_MEAN + PER_SHARE * share)
 
 
 # --- ground in its place ----------------------------------------------------------------
@@ -149,6 +153,8 @@ def continued(maps: Tensor, ego: Tensor) -> Tensor:
     What has nothing above (a mirror hung at the top) is continued from below, and columns
     that are all ego car from beside. At least one pixel must be free.
     """
+    if torch.compiler.is_exporting():
+        return _mirrored_down(maps, ego)
     ground, left = maps.reshape(-1, *ego.shape), ego
     for flipped, turned in ((False, False), (True, False), (False, True), (True, True)):
         if not is_anywhere(left):
@@ -182,3 +188,16 @@ def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
     ground[:, first:] = maps.flatten(1).index_select(1, place).view(len(maps), -1, width)
     hidden[first:] = torch.from_numpy(car & (free < 0)).to(ego.device)
     return ground, hidden
+
+
+def _mirrored_down(maps: Tensor, ego: Tensor) -> Tensor:
+    """The same of maps (N,C,H,W) in a graph, for an ego car (N,H,W) down to the lower edge."""
+    height = maps.shape[-2]
+    rows = torch.arange(height)[:, None]
+    first = height - ego.to(torch.int64).sum(1, keepdim=True)
+    strip = (side(height) * STRIP).round().to(torch.int64).clamp(min=1)
+    run = first.minimum(strip).clamp(min=1)
+    step = (rows - first).clamp(min=0) % (2 * run)
+    source = (first - 1 - step.minimum(2 * run - 1 - step)).clamp(min=0)
+    source = torch.where(ego, source, rows)
+    return maps.gather(2, source[:, None].expand(-1, maps.shape[1], -1, -1))

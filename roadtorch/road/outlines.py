@@ -1,6 +1,6 @@
 """Outlines: a likelihood enlarged as the picture's edges are, without thin holes in its road."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Literal
 
 import cv2
@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
+from roadtorch.imaging.resize import WorkingSize, at_work, resized, side, size_of, whole
 from roadtorch.road.seed_area import remove_isolated
 
 Outlines = Annotated[
@@ -56,9 +56,13 @@ def guided(
 def outlined(
     maps: Mapping[str, Tensor], small: Tensor, image: Tensor, working: WorkingSize, threshold: float
 ) -> Tensor:
-    """The same but for its last step: thin holes are still there."""
+    """The same but for its last step: thin holes are still there.
+
+    In an exported graph it is as large as the image, and may be one of a batch.
+    """
     more = working.model_copy(update={"pixels": MAX_ENLARGEMENT * working.pixels})
-    larger = image if image[0].numel() <= more.pixels else at_work(image, more)
+    is_small = torch.compiler.is_exporting() or image[0].numel() <= more.pixels
+    larger = image if is_small else at_work(image, more)
     likelihood = maps["likelihood"]
     if "ego" in maps:
         likelihood = likelihood.masked_fill(maps["ego"], 0)
@@ -69,7 +73,7 @@ def outlined(
 
 
 def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
-    """A likelihood (h,w) of an image (3,h,w) as it is in a larger one (3,H,W): (H,W), in [0,1].
+    """A likelihood (…,h,w) of an image (…,3,h,w) in a larger one (…,3,H,W): (…,H,W), in [0,1].
 
     In each window it is an affine function of the colour, q = a · I + b with
     a = (Σ + ε U)⁻¹ (mean(I p) - mean(I) mean(p)) and b = mean(p) - a · mean(I): the guided filter
@@ -77,31 +81,56 @@ def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     Guided Filter", arXiv 1505.00996, 2015, a and b are found in a small picture and enlarged. Ours:
     windows are triangles ``CELL`` apart and twice as wide, so no filter runs over all pixels.
     """
-    both = resized(torch.cat([likelihood[None], image]), _size(likelihood, SUBSAMPLING))
-    likelihood, small = both[0], both[1:]
+    both = resized(_joined(likelihood, image), _size(likelihood, SUBSAMPLING))
+    likelihood, small = both[..., 0, :, :], both[..., 1:, :, :]
     cells = _size(likelihood, CELL)
-    first, second = torch.triu_indices(3, 3)
-    mean, square = resized(torch.cat([small, small[first] * small[second]]), cells).split([3, 6])
-    spread = mean.new_empty(3, 3, *cells)
-    spread[first, second] = spread[second, first] = square - mean[first] * mean[second]
-    ridge = RIDGE * torch.eye(3, dtype=mean.dtype, device=mean.device)
-    inverse = torch.linalg.inv(spread.permute(2, 3, 0, 1) + ridge)
+    first, second = SYMMETRIC
+    products = small[..., first, :, :] * small[..., second, :, :]
+    mean, square = resized(torch.cat([small, products], -3), cells).split([3, 6], -3)
+    inverse = _inverse(square - mean[..., first, :, :] * mean[..., second, :, :])
     for picture in [*[small] * (PASSES - 1), larger]:
-        road, *joint = resized(torch.cat([likelihood[None], small * likelihood]), cells)
-        shared = torch.stack(joint, -1) - (mean * road).permute(1, 2, 0)
-        slope = (inverse @ shared[..., None])[..., 0].permute(2, 0, 1)
-        offset = road - (slope * mean).sum(0)
-        shape = size_of(picture)
-        *slopes, likelihood = resized(torch.cat([slope, offset[None]]), shape)
-        for weight, plane in zip(slopes, picture, strict=True):
+        joint = resized(_joined(likelihood, small * likelihood[..., None, :, :]), cells)
+        road, joint = joint.split([1, 3], -3)
+        slope = inverse(joint - mean * road)
+        offset = road.squeeze(-3) - (slope * mean).sum(-3)
+        slopes, likelihood = (resized(part, size_of(picture)) for part in (slope, offset))
+        for weight, plane in zip(slopes.unbind(-3), picture.unbind(-3), strict=True):
             likelihood.addcmul_(weight, plane)
         likelihood.clamp_(0, 1)
     return likelihood
 
 
+SYMMETRIC = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
+"""Rows and columns of the upper triangle of a symmetric matrix (3,3)."""
+
+
+def _joined(map: Tensor, planes: Tensor) -> Tensor:
+    return torch.cat([map[..., None, :, :], planes], -3)
+
+
+def _inverse(spread: Tensor) -> Callable[[Tensor], Tensor]:
+    """What multiplies vectors (…,3,h,w) by the inverse of a covariance (…,6,h,w) plus ``RIDGE``."""
+    if torch.compiler.is_exporting():  # ONNX inverts no matrices: by minors
+        a, b, c, d, e, f = spread.unbind(-3)
+        a, d, f = a + RIDGE, d + RIDGE, f + RIDGE
+        first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+        fourth, fifth, sixth = a * f - c * c, b * c - a * e, a * d - b * b
+        minors = torch.stack([first, second, third, fourth, fifth, sixth], -3)
+        six = (minors / (a * first + b * second + c * third)[..., None, :, :]).unbind(-3)
+        rows = [torch.stack([six[n] for n in row], -3) for row in ((0, 1, 2), (1, 3, 4), (2, 4, 5))]
+        return lambda vectors: torch.stack([(row * vectors).sum(-3) for row in rows], -3)
+    first, second = SYMMETRIC
+    matrix = spread.new_empty(3, 3, *size_of(spread))
+    matrix[first, second] = matrix[second, first] = spread
+    ridge = RIDGE * torch.eye(3, dtype=spread.dtype, device=spread.device)
+    inverse = torch.linalg.inv(matrix.permute(2, 3, 0, 1) + ridge)
+    return lambda vectors: (inverse @ vectors.permute(1, 2, 0)[..., None])[..., 0].permute(2, 0, 1)
+
+
 def _size(of: Tensor, times: int) -> tuple[int, int]:
-    """So many times less on each side than a map (H,W), and two at least."""
-    return max(2, round(of.shape[-2] / times)), max(2, round(of.shape[-1] / times))
+    """So many times less on each side than a map (…,H,W), and two at least."""
+    height, width = (whole(side(length) / times, 2) for length in size_of(of))
+    return height, width
 
 
 def filled(likelihood: Tensor, threshold: float) -> Tensor:

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import at_picture_size, resized
+from roadtorch.imaging.resize import at_picture_size, resized, side, size_of, whole
 from roadtorch.imaging.segments import Segments
 
 FRAME = (240, 320)  # height and width in pixels of the frame in which a seed area is described
@@ -70,30 +70,34 @@ def seed_rectangle(shape: Sequence[int], seed: SeedArea | None = None) -> Tensor
 
 
 def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Tensor:
-    """Which of n segments are the seed area: bool (n,), those where road most likely is.
+    """Which of n segments are the seed area: bool (…,n), those where road most likely is.
 
-    evidence: log odds of road (n,); row: centroids (n,) from 0 at the top to 1; size: shares of
+    evidence: log odds of road (…,n); row: centroids (n,) from 0 at the top to 1; size: shares of
     the picture (n,). From the lower half, the best come first until they fill ``share`` of the
     picture; one at least, several pieces if need be. What is near is seen best, and counts by
     ``NEARNESS`` more. Ours: the bottom of a picture may be a bonnet, grass or a car ahead.
     """
     score = evidence + NEARNESS * row - UPPER_HALF * (row < 0.5)
-    order = score.argsort(descending=True, stable=True)
-    before = size[order].cumsum(0) - size[order]
-    chosen = torch.zeros_like(row, dtype=torch.bool)
-    chosen[order[before < share]] = True
-    return chosen
+    # ONNX has no sort of that name, but one that is stable.
+    order = (
+        score.sort(descending=True).indices
+        if torch.compiler.is_exporting()
+        else score.argsort(descending=True, stable=True)
+    )
+    sizes = size.expand_as(score).gather(-1, order)
+    inside = sizes.cumsum(-1) - sizes < share
+    return torch.zeros_like(inside).scatter(-1, order, inside)
 
 
 def likely_seed_area(evidence: Tensor, share: float) -> Tensor:
-    """The same of a map of log odds (H,W), cell by cell: bool (H,W)."""
-    height, width = evidence.shape
-    cells = resized(evidence[None], (-(-height // CELL), -(-width // CELL)))[0]
-    rows, columns = cells.shape
+    """The same of a map of log odds (…,H,W), cell by cell: bool (…,H,W)."""
+    full = size_of(evidence)
+    rows, columns = (whole((side(length) / CELL).ceil(), 1) for length in full)
+    cells = resized(evidence, (rows, columns))
     row = ((torch.arange(rows, device=cells.device) + 0.5) / rows)[:, None].expand(rows, columns)
-    size = torch.full_like(cells, 1 / cells.numel())
-    chosen = likely_seed(cells.flatten(), row.flatten(), size.flatten(), share)
-    return at_picture_size(chosen.view(rows, columns), (height, width))
+    size = torch.full_like(row, 1 / (rows * columns))
+    chosen = likely_seed(cells.flatten(-2), row.flatten(), size.flatten(), share)
+    return at_picture_size(chosen.unflatten(-1, (rows, columns)), full)
 
 
 def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ trust``, which tells what both are worth on what had no part).
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -77,29 +77,35 @@ class Judgement(NamedTuple):
 def signs_of(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> Signs:
     """The signs of a mask bool (H,W) made of a likelihood (H,W) in [0,1].
 
-    cues: ``learned_road``, ``seed_area`` and ``ego``, all (H,W).
+    cues: ``learned_road``, ``seed_area`` and ``ego``, all (H,W). In an exported graph all may have
+    a dimension more, and signs are tensors (N,).
     """
     free = weights_of(~cues["ego"])
     inside = free * weights_of(mask)
-    low, high = (float(free.dot(weights_of(above(likelihood, level)))) for level in LOW_AND_HIGH)
-    road, right = (float(likelihood.reshape(-1).dot(area)) for area in (free, inside))
-    return Signs(
-        high / max(low, 1),
-        2 * right / max(float(inside.sum()) + road, 1),
-        mean_over(cues["learned_road"], weights_of(cues["seed_area"]), 0.0),
-        mean_over(entropy(likelihood), free, math.nan),
-    )
+    low, high = (total(weights_of(above(likelihood, level)), free) for level in LOW_AND_HIGH)
+    road, right = (total(likelihood, area) for area in (free, inside))
+    seed = weights_of(cues["seed_area"])
+    signs: list[Any] = [
+        high / low.clamp(min=1),
+        2 * right / (total(inside, inside) + road).clamp(min=1),
+        total(cues["learned_road"], seed) / total(seed, seed).clamp(min=1),
+        total(entropy(likelihood), free) / total(free, free),
+    ]
+    return Signs(*(signs if torch.compiler.is_exporting() else map(float, signs)))
 
 
 def weights_of(area: Tensor) -> Tensor:
-    """An area bool (H,W) as weights float32 (H·W,); by NumPy, which is five times as fast."""
-    return torch.from_numpy(area.cpu().numpy().astype(np.float32)).reshape(-1).to(area.device)
+    """An area bool (H,W) as weights float32 (H,W); by NumPy, which is five times as fast."""
+    if torch.compiler.is_exporting():
+        return area.to(torch.float32)
+    return torch.from_numpy(area.cpu().numpy().astype(np.float32)).to(area.device)
 
 
-def mean_over(values: Tensor, weights: Tensor, nowhere: float) -> float:
-    """Weighted mean of values float32 (H,W), weights (H·W,); ``nowhere`` where all are 0."""
-    size = float(weights.sum())
-    return float(values.reshape(-1).dot(weights)) / size if size else nowhere
+def total(values: Tensor, weights: Tensor) -> Tensor:
+    """The sum of values (H,W) times weights (H,W), as a scalar float64."""
+    if torch.compiler.is_exporting():
+        return (values * weights).sum((-2, -1))
+    return values.reshape(-1).dot(weights.reshape(-1)).double()
 
 
 def entropy(likelihood: Tensor) -> Tensor:
@@ -110,15 +116,19 @@ def entropy(likelihood: Tensor) -> Tensor:
     return information.add_(other * other.clamp_min(tiny).log2_()).neg_()
 
 
-def judgement(signs: Signs, road: bool, settings: TrustSettings) -> Judgement:
+def judgement(signs: Signs, road: bool | Tensor, settings: TrustSettings) -> Judgement:
     """What signs say of a mask; road: whether there is any in it.
 
-    The reason is the sign that lowers the expectation most, against what it usually is.
+    The reason is the sign that lowers the expectation most, against what it usually is. An exported
+    graph gives none, and the trust as a tensor (N,).
     """
+    expected: Any = CONSTANT + sum(w * sign for w, sign in zip(WEIGHTS, signs, strict=True))
+    odds: Any = ROAD_THERE + ROAD_STEADY * signs.steady + ROAD_VAGUE * signs.vague
+    if torch.compiler.is_exporting():
+        there = (odds.sigmoid() / ENOUGH).clamp(max=1)
+        return Judgement((there * expected.clamp(0, 1)).where(road, 0.0), "")
     if not road:
         return Judgement(0.0, "no road found")
-    expected = CONSTANT + sum(w * sign for w, sign in zip(WEIGHTS, signs, strict=True))
-    odds = ROAD_THERE + ROAD_STEADY * signs.steady + ROAD_VAGUE * signs.vague
     there = min(1.0, 1 / (1 + math.exp(-odds)) / ENOUGH)
     trust = there * min(1.0, max(0.0, expected))
     if trust >= settings.least:

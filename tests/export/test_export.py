@@ -26,7 +26,7 @@ from roadtorch.export.export import (
     exportable,
     parity,
 )
-from roadtorch.export.files import open_onnx, write_onnx
+from roadtorch.export.files import Graph, open_onnx, write_onnx
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
 from tests.networks import write_random_network
@@ -76,10 +76,10 @@ def cnn7(folder: Path) -> Exported:
 
 
 def test_a_file_says_what_the_network_says_at_any_size_and_batch(fusion: Exported) -> None:
-    reference = exportable(load_detector("fusion")).reference
+    steps = exportable(load_detector("fusion")).steps
     batches = [pictures(*size, count=2) for size in SIZES]
 
-    apart = parity(open_onnx(fusion.files[0], 1), reference, batches)
+    apart = parity(open_onnx(fusion.files[0], 1), steps, batches)
 
     assert apart.most < BOUND
     assert apart.mean < apart.most
@@ -109,7 +109,8 @@ def test_both_networks_and_closer_looks_are_inside(exported: Exported, folder: P
 def test_one_detector_gives_one_file(own: Detector, exported: Exported, tmp_path: Path) -> None:
     again = tmp_path / "again.onnx"
 
-    write_onnx(exportable(own).module, exported.notes, again)
+    part = exportable(own)
+    write_onnx(Graph(own.analysis, part.steps, part.outputs), exported.notes, again)
 
     assert again.read_bytes() == exported.files[0].read_bytes()
 
@@ -225,7 +226,7 @@ def test_the_example_needs_neither_torch_nor_roadtorch(fusion: Exported, tmp_pat
 
     for name in ("a.jpg", "b.png"):
         image = read_image(source / name)
-        expected = exportable(load_detector("fusion")).reference(image)["likelihood"]
+        expected = exportable(load_detector("fusion")).steps(image)["likelihood"]
         likelihood = read_image((tmp_path / "maps" / "sub" / name).with_suffix(".png"))[0]
         assert torch.allclose(likelihood, expected, atol=1 / 255)
 

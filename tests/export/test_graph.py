@@ -1,26 +1,102 @@
-"""The steps before and behind a network, for a batch: the same as for one picture."""
+"""What a graph computes for a batch where Python branches on values or uses OpenCV and NumPy."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.export.graph import averaged, averaging, normalised, planes_of, size_at_work
-from roadtorch.imaging.resize import WorkingSize, working_size
+from roadtorch.imaging.color import Exposure, brightened
+from roadtorch.imaging.levels import above, at_least
+from roadtorch.imaging.resize import (
+    WorkingSize,
+    at_picture_size,
+    at_work,
+    averaging,
+    resized,
+)
 from roadtorch.layout.patch_network import Normalisation, normalise
+from roadtorch.road.ego import continued, ego_found
+from roadtorch.road.fusion import log_odds
+from roadtorch.road.outlines import followed
+from roadtorch.road.seed_area import likely_seed_area
+from roadtorch.road.trust import TrustSettings, judgement, signs_of
 from roadtorch.testing import street
+from tests.draws import seeded
 
-SIDES = st.integers(1, 80)
+HEIGHT, WIDTH = 61, 80
+IMAGES = torch.stack([street(HEIGHT, WIDTH), street(HEIGHT, WIDTH, 1) * 0.1])
+BONNET = torch.zeros(HEIGHT, WIDTH)
+BONNET[50:, 20:], BONNET[54:, :20] = 0.95, 0.9
+EGO = torch.stack([BONNET, torch.zeros_like(BONNET)])
+ROAD = torch.rand(2, HEIGHT, WIDTH, generator=seeded(3))
+
+
+@contextmanager
+def exporting() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch.compiler, "is_exporting", lambda: True)
+        yield
+
+
+def normalised(kind: str, image: Tensor) -> Tensor:
+    return normalise(image, Normalisation.model_validate({"kind": kind})).pixels
+
+
+def trust(road: Tensor) -> Tensor:
+    seed, ego = likely_seed_area(log_odds(road), 0.05), torch.zeros_like(road, dtype=torch.bool)
+    cues = {"learned_road": road, "seed_area": seed, "ego": ego}
+    signs, mask = signs_of(road, road > 0.5, cues), road > 0.5
+    return torch.as_tensor(judgement(signs, mask.flatten(-2).any(-1), TrustSettings()).trust)
+
+
+STEPS: dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]] = {
+    "above": (partial(above, level=0.5), (IMAGES,)),
+    "at_least": (partial(at_least, level=0.5), (IMAGES,)),
+    "smaller": (partial(resized, size=(33, 20)), (IMAGES,)),
+    "larger": (partial(resized, size=(90, 200)), (IMAGES,)),
+    "labels": (partial(at_picture_size, size=(90, 20)), (EGO > 0.5,)),
+    "at_work": (partial(at_work, working=WorkingSize(pixels=1000)), (IMAGES,)),
+    "brightened": (partial(brightened, exposure=Exposure()), (IMAGES,)),
+    "fixed": (partial(normalised, "fixed"), (IMAGES,)),
+    "picture": (partial(normalised, "brightened picture"), (IMAGES,)),
+    "ego_found": (ego_found, (EGO,)),
+    "continued": (continued, (IMAGES, EGO > 0.5)),
+    "likely_seed_area": (partial(likely_seed_area, share=0.05), (log_odds(ROAD),)),
+    "followed": (followed, (ROAD, IMAGES, resized(IMAGES, (122, 160)))),
+    "trust": (trust, (ROAD,)),
+}
+
+
+@pytest.mark.parametrize(("step", "parts"), STEPS.values(), ids=STEPS)
+def test_a_step_of_a_graph_says_of_a_batch_what_python_says_of_each(
+    step: Callable[..., Tensor], parts: tuple[Tensor, ...]
+) -> None:
+    expected = torch.stack([step(*each) for each in zip(*parts, strict=True)])
+
+    with exporting():
+        found = step(*parts)
+
+    assert torch.allclose(found.double(), expected.double(), atol=2e-5)
+
+
+SIDES = st.integers(2, 80)  # torch does not enlarge columns that are alone
 
 
 @settings(max_examples=30)
 @given(SIDES, SIDES, SIDES, SIDES)
 def test_matrices_resize_as_torch_does(height: int, width: int, rows: int, columns: int) -> None:
     maps = torch.rand(2, 3, height, width)
+    with exporting():
+        found = resized(maps, (rows, columns))
 
     expected = F.interpolate(maps, (rows, columns), mode="bilinear", antialias=True)
-    assert torch.allclose(averaged(maps, rows, columns), expected, atol=1e-5)
+    assert torch.allclose(found, expected, atol=1e-5)
 
 
 def test_halving_a_row_weighs_four_pixels_and_fewer_at_its_ends() -> None:
@@ -28,25 +104,3 @@ def test_halving_a_row_weighs_four_pixels_and_fewer_at_its_ends() -> None:
 
     assert torch.allclose(matrix[1], torch.tensor([0, 1, 3, 3, 1, 0]) / 8)
     assert torch.allclose(matrix[0], torch.tensor([3, 3, 1, 0, 0, 0]) / 7)
-
-
-@given(st.integers(16, 3000), st.integers(16, 3000))
-def test_the_working_size_is_that_of_detectors(height: int, width: int) -> None:
-    planes = torch.empty(1, 0, height, width)
-
-    assert size_at_work(planes, WorkingSize()) == working_size(height, width, WorkingSize())
-
-
-@pytest.mark.parametrize("kind", ["fixed", "picture", "brightened", "brightened picture"])
-def test_each_picture_of_a_batch_is_normalised_for_itself(kind: str) -> None:
-    normalisation = Normalisation.model_validate({"kind": kind})
-    images = torch.stack([street(61, 80), street(61, 80) * 0.1, torch.zeros(3, 61, 80)])
-
-    expected = torch.stack([normalise(image, normalisation).pixels for image in images])
-    assert torch.allclose(normalised(images, normalisation), expected, atol=2e-5)
-
-
-def test_bytes_become_planes() -> None:
-    image = torch.tensor([[[[255, 0, 51]]]], dtype=torch.uint8)
-
-    assert torch.equal(planes_of(image), torch.tensor([1, 0, 0.2]).view(1, 3, 1, 1))
