@@ -467,10 +467,9 @@ def load(kind: str) -> None:
 def run_preloaded() -> int:
     """Run this script again behind the library that replaces calls."""
     with tempfile.TemporaryDirectory() as folder:
-        library, source = f"{folder}/chaos.so", str(Path(__file__).with_suffix(".c"))
-        subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
-        words = [sys.executable, *sys.argv]
-        return subprocess.call(words, env={**os.environ, "LD_PRELOAD": library})
+        shim, source = f"{folder}/chaos.so", str(Path(__file__).with_suffix(".c"))
+        subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", shim, source, "-ldl"], check=True)
+        return subprocess.call([sys.executable, *sys.argv], env=os.environ | {"LD_PRELOAD": shim})
 
 
 def run() -> int | str:

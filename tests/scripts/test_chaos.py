@@ -19,7 +19,7 @@ SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "chaos.py"
     ("trouble", "words"),
     [
         ("kill", ("infer", "--times", "1", "--jobs", "2")),
-        ("fault", ("infer", "--times", "3")),
+        ("fault", ("infer", "--times", "2")),
         *(pytest.param(name, ("--times", "3"), marks=pytest.mark.slow) for name in TROUBLE),
         pytest.param("fault", ("--times", "40"), marks=pytest.mark.slow),
     ],
