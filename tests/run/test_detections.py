@@ -1,6 +1,5 @@
 """Frame after frame: in order, whoever works; steadied, bounded, and the source closed at last."""
 
-import os
 import signal
 from collections.abc import Iterator
 from functools import partial
@@ -14,7 +13,6 @@ from roadtorch import detect_stream, load_detector
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.signals import Stop
 from roadtorch.camera.camera import Camera
-from roadtorch.detectors.detector import Evidence
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.run.loop import FrameResult, Inference, detections
@@ -171,24 +169,6 @@ def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) ->
     other = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
     for number, frame in enumerate(detections(source, other, workers)):
         assert str(frame.outcome).startswith(f"frame {number}: is ")
-
-
-class Deadly(Inference):
-    """Dies over the fourth frame."""
-
-    def find(self, image: Tensor) -> Evidence:
-        if torch.equal(image, scene(3, 48, 64).image):
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().find(image)
-
-
-def test_a_worker_that_dies_over_a_frame_costs_that_one() -> None:
-    frames = list(detections(of_scenes(6), Deadly(ROWS), Workers(2)))
-
-    assert [frame.item.number for frame in frames] == [*range(6)]
-    (missed,) = [frame for frame in frames if is_missed(frame)]
-    told = "frame 3: a worker died over it (run it again; with less memory, --jobs 1)"
-    assert (missed.item.number, str(missed.outcome)) == (3, told)
 
 
 def test_stopping_ends_the_frames() -> None:

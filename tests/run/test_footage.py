@@ -19,7 +19,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import video_source
 from roadtorch.run.writers.video import VideoWriter
-from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of
 from tests.inputs.bags import write_drive
 from tests.videos import pixels_of, stamps_of, street_pixels, write_sound, write_video
 
@@ -97,20 +97,6 @@ def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
         {name: row | {"ms": ""} for name, row in rows_of(tmp_path / jobs).items()} for jobs in "13"
     ]
     assert lasting[0] == lasting[1]
-
-
-def test_folders_of_both_and_names_on_standard_input(call: Call, tmp_path: Path, out: Path) -> None:
-    root = tmp_path / "in"
-    save_picture(root / "a.png")
-    write_video(root / "drive.mp4")
-    listed = tmp_path / "list.txt"
-    listed.write_text(f"{root}\n")
-
-    result = call("infer", f"@{listed}", *ROWS, "--out", out)
-
-    assert result.exit_code == 0
-    assert list(rows_of(out))[:2] == ["a.png", "drive.mp4"]
-    assert {"a.mask.png", "drive.overlay.mp4"} <= files_in(out)
 
 
 # --- a second run -----------------------------------------------------------------------

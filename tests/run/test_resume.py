@@ -13,15 +13,12 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
-import torch
 
-from roadtorch.base.image import write_mask
-from roadtorch.detectors import catalogue
 from roadtorch.inputs.item import Item
 from roadtorch.run import memo
 from roadtorch.run.ledger import Row
 from roadtorch.run.loop import Task
-from tests.command import ROWS, Call, bytes_in, files_in, rows_of, save_picture
+from tests.command import ROWS, Call, bytes_in, files_in, rows_of
 
 BeforeEach = Callable[[Callable[[Item], None]], AbstractContextManager[None]]
 
@@ -80,27 +77,6 @@ def test_results_made_otherwise_are_done_anew_even_without_their_config(
     assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
 
 
-@pytest.mark.parametrize("what", ["picture", "file of the settings"])
-def test_other_bytes_are_done_anew_even_with_the_same_date_and_size(
-    call: Call, tmp_path: Path, out: Path, what: str
-) -> None:
-    picture, ego = save_picture(tmp_path / "x.bmp", 0), tmp_path / "ego.png"
-    write_mask(ego, torch.arange(48)[:, None].expand(48, 64) > 40)
-    run = ("infer", picture, *ROWS, "--set", f"ego.mask={ego}", "--out", out)
-    call(*run)
-    before = picture.stat()
-    if what == "picture":
-        save_picture(picture, 1)
-        os.utime(picture, ns=(before.st_atime_ns, before.st_mtime_ns))
-    else:
-        write_mask(ego, torch.arange(48)[:, None].expand(48, 64) > 30)
-
-    again = call(*run)
-
-    assert picture.stat().st_size == before.st_size
-    assert again.stderr.startswith("roadtorch: 1 done (1 anew);")
-
-
 @pytest.mark.parametrize(
     ("kind", "gone"), [("cues", "b.cue.uniformity.png"), ("npy", "b.uniformity.npy")]
 )
@@ -117,22 +93,6 @@ def test_files_of_cues_that_were_removed_are_made_again(
     assert fewer.stderr.startswith("roadtorch: 0 done, 3 skipped")
     assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
     assert bytes_in(out) == before
-
-
-def test_a_name_too_long_for_results_is_a_failed_row(call: Call, tmp_path: Path, out: Path) -> None:
-    (tmp_path / "in").mkdir()
-    save_picture(tmp_path / "in/a.bmp", 0)
-    save_picture(tmp_path / f"in/{'x' * 246}.bmp", 1)
-    run = ("infer", tmp_path / "in", *ROWS, "--out", out)
-
-    results = [call(*run) for _ in range(3)]
-
-    assert [result.exit_code for result in results] == [1, 1, 1]
-    long = next(row for name, row in rows_of(out).items() if "x" in name)
-    assert long["status"].startswith("failed: ")
-    assert "too long" in long["status"]
-    skipped = f"roadtorch: 0 done, 1 skipped (done before), 1 failed; results in {out}\n"
-    assert all(result.stderr.endswith(skipped) for result in results[1:])
 
 
 # --- killed -----------------------------------------------------------------------------
@@ -223,18 +183,6 @@ def test_a_kill_costs_the_image_in_hand(run: Call, out: Path, before_each: Befor
     assert process.exitcode == -signal.SIGKILL
     assert list(rows_of(out)) == ["a.jpg"]
     assert run().stderr.startswith("roadtorch: 2 done, 1 skipped")
-
-
-def test_a_signal_before_the_work_is_told(run: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object, **__: object) -> None:
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    monkeypatch.setattr(catalogue, "load_detector", stop)
-
-    ended = run()
-
-    assert ended.exit_code == 143
-    assert ended.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
 
 
 # --- nowhere to write -------------------------------------------------------------------

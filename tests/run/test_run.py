@@ -1,6 +1,9 @@
-"""What a run of ``infer`` leaves beside the pictures' files, and how it ends."""
+"""What a run of infer leaves beside the images' files; its folder; every result has one owner."""
 
+import fcntl
 import json
+import os
+from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -10,9 +13,13 @@ import torch
 from PIL import Image
 
 from roadtorch.base.compute import Threads
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.polygons import read_outlined_mask
+from roadtorch.run.folder import result_folder
+from roadtorch.run.ledger import has_result
 from roadtorch.testing.scenes import render_scene, write_picture
-from tests.command import ROWS, Call, bytes_in, rows_of
+from tests.command import ROWS, Call, bytes_in, rows_of, save_picture
+from tests.videos import write_video
 
 # --- polygons and facts -----------------------------------------------------------------
 
@@ -71,3 +78,104 @@ def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: 
     assert record["started"] < record["ended"]
     lines = [f"{row['sha256']}  {name}\n" for name, row in rows_of(out).items() if row["sha256"]]
     assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
+
+
+# --- the folder -------------------------------------------------------------------------
+
+
+def test_a_bag_that_is_a_folder_is_there_once_it_has_its_list(tmp_path: Path) -> None:
+    (tmp_path / "a.road").mkdir()
+
+    assert not has_result(tmp_path, "a.road")
+    (tmp_path / "a.road" / "metadata.yaml").touch()
+    assert has_result(tmp_path, "a.road")
+
+
+def test_results_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for effective in ("a = 1", "a = 2"):  # nothing was done with the first ones
+        with result_folder(out, effective, overwrite=False):
+            assert (out / "config.toml").read_text() == f"{effective}\n"
+    (out / "index.csv").write_text("file\n")
+
+    with (
+        pytest.raises(ConfigError, match=r"holds results of other settings \(config\.toml\)"),
+        result_folder(out, "a = 1", overwrite=False),
+    ):
+        pass
+    with result_folder(out, "a = 1", overwrite=True):
+        assert (out / "config.toml").read_text() == "a = 1\n"
+
+
+def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:
+    handle = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    with (
+        pytest.raises(InputError, match=r"another run is writing here \(wait for it, or give ano"),
+        result_folder(tmp_path, "", overwrite=False),
+    ):
+        pass
+    os.close(handle)
+    with (
+        pytest.raises(InputError, match="is an address"),
+        result_folder(Path("s3://bucket/out"), "", overwrite=False),
+    ):
+        pass
+
+
+# --- owners of results ------------------------------------------------------------------
+
+
+def write_inputs(root: Path, names: Sequence[str]) -> Path:
+    """Pictures and videos in a folder."""
+    for seed, name in enumerate(names):
+        if name.endswith(".mp4"):
+            write_video(root / name)
+        else:
+            save_picture(root / name, seed)
+    return root
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["1.png", "1.jpg"],
+        ["drive.mp4", "drive/000003.png"],
+        ["1.png", "run.png"],
+        ["1.png", "1.labelme.png"],
+        [r"1\xff.png", os.fsdecode(b"1\xff.png")],  # index.csv calls both 1\xff.png
+    ],
+)
+def test_two_images_with_one_result(
+    names: list[str], call: Call, tmp_path: Path, out: Path
+) -> None:
+    (tmp_path / "in").mkdir()
+    given = write_inputs(tmp_path / "in", names)
+
+    result = call("infer", given, *ROWS, "--out", out, "--save", "json,polygons,cues")
+
+    assert result.exit_code == 2
+    assert "both would write" in result.stderr
+    assert not out.exists()
+
+
+def test_images_beside_a_video_of_their_name_stay(call: Call, tmp_path: Path, out: Path) -> None:
+    given = write_inputs(tmp_path, ["drive.mp4", "drive/000003.png", "drive/x.png"])
+
+    result = call("infer", given, *ROWS, "--out", out)
+
+    assert result.exit_code == 0, result.stderr
+    assert {"drive/000003.png", "drive/x.png"} < set(rows_of(out))
+
+
+def test_a_name_that_is_too_long_costs_its_own_image(call: Call, tmp_path: Path, out: Path) -> None:
+    names = [*(f"{number}.png" for number in range(4)), f"1{'n' * 245}.png"]
+    given = write_inputs(tmp_path / "in", names)
+
+    result = call("infer", given, *ROWS, "--out", out)
+
+    assert result.exit_code == 1
+    statuses = {name[:2]: row["status"] for name, row in rows_of(out).items()}
+    assert statuses.pop("1n").startswith("failed")
+    assert set(statuses.values()) == {"done"}
+    assert len(statuses) == 4
