@@ -5,9 +5,8 @@ that the reference documents. Each is loaded when it is first used, so that ``im
 (and with it ``roadtorch --help``) does not wait for torch.
 """
 
-from typing import TYPE_CHECKING
-
-import lazy_loader
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from roadtorch.base.version import __version__
 
@@ -32,15 +31,26 @@ __all__ = [
     "read_image",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
-    __name__,
-    submod_attrs={
-        "base.errors": ["RoadtorchError"],
-        "base.image": ["read_image"],
-        "camera.camera": ["Camera"],
-        "detectors.detection": ["Detection"],
-        "detectors.detector": ["DetectorSettings"],
-        "detectors.catalogue": ["list_detectors", "load_detector"],
-        "run.loop": ["detect_stream"],
-    },
-)
+_MODULES = {
+    "Camera": "camera.camera",
+    "Detection": "detectors.detection",
+    "DetectorSettings": "detectors.detector",
+    "RoadtorchError": "base.errors",
+    "detect_stream": "run.loop",
+    "list_detectors": "detectors.catalogue",
+    "load_detector": "detectors.catalogue",
+    "read_image": "base.image",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module when it is first used (PEP 562)."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(_MODULES)

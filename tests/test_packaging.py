@@ -7,7 +7,6 @@ import tarfile
 import zipfile
 from pathlib import Path
 
-import lazy_loader
 import pytest
 
 from roadtorch.base.version import __version__
@@ -91,7 +90,6 @@ def test_an_editable_install_is_found(built: dict[str, Path], checkout: Path) ->
     site = checkout.parent / "editable-site"
     with zipfile.ZipFile(built["editable"]) as archive:
         archive.extractall(site)
-    shutil.copytree(Path(lazy_loader.__file__).parent, site / "lazy_loader")  # what it needs
     code = f"import site; site.addsitedir({str(site)!r})\n"
     code += "import roadtorch; print(roadtorch.__file__)"
 

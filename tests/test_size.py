@@ -40,7 +40,7 @@ LINES = {
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
-DEPENDENCIES = 16
+DEPENDENCIES = 14
 OPTIONS = 117
 COMMAND_COUNT = 12
 

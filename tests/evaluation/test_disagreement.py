@@ -43,7 +43,7 @@ def test_the_means_leave_out_pictures_without_trust() -> None:
 
     both = made_contender("before"), made_contender("after")
     seen = Disagreements(scored({"it": None}).dataset, both, found, [])
-    table = summary_table(Adaptation(seen, (Path("a"), Path("b")), found, None, [], None))
+    table = summary_table(Adaptation(seen, (Path("a"), Path("b")), found, None, []))
 
     minus = "\N{MINUS SIGN}"
     rows = {name: [(cell.text, cell.note) for cell in cells] for name, cells in table.rows()}
