@@ -12,7 +12,7 @@ import torch
 from pydantic import Discriminator, Field, Tag
 
 from roadtorch.base.atomic import make_folder, write_text
-from roadtorch.base.bounded import Coordinate, ForeignDocument, Side, read_document
+from roadtorch.base.documents import Coordinate, ForeignDocument, Side, read_document
 from roadtorch.base.errors import DatasetError
 from roadtorch.base.image import write_labels
 from roadtorch.data.corrections import Correction

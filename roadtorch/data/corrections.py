@@ -20,8 +20,9 @@ from PIL.ExifTags import Base as ExifTag
 from pydantic import Field, model_validator
 
 from roadtorch.base.atomic import make_folder
-from roadtorch.base.bounded import Side, read_document, read_regular, reason
+from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.decoding import check_pixels, open_picture, without_warnings
+from roadtorch.base.documents import Side, read_document
 from roadtorch.base.errors import DatasetError, InputError, UnwritableError
 from roadtorch.base.settings import Settings
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth

@@ -17,7 +17,7 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from roadtorch.base.bounded import first_mistake
+from roadtorch.base.documents import first_mistake
 from roadtorch.base.errors import InputError
 from roadtorch.base.settings import Settings
 from roadtorch.data.polygons import fill_polygon

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from roadtorch.base.bounded import Coordinate, ForeignDocument, Side, read_document
+from roadtorch.base.documents import Coordinate, ForeignDocument, Side, read_document
 
 CORNERS = 3  # a polygon needs as many, even that of one pixel
 

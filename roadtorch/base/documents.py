@@ -1,0 +1,62 @@
+"""Documents of other programs and of browsers: bounded models, and one line for any mistake."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import pydantic
+from pydantic import Field
+
+from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.errors import DatasetError, RoadtorchError, shortened
+
+# A model bounds every number and list, so that nothing is allocated for what a file merely claims;
+# JSON goes from its bytes straight into the model.
+
+MAX_DOCUMENT_BYTES = 2**28  # of one file; ours: a COCO file of a thousand images has as many
+
+MAX_SIDE = 2**20  # pixels, as of an image that is read
+
+SHOWN = 60  # letters of a wrong value that a refusal repeats
+
+Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
+Coordinate = Annotated[float, Field(ge=-4 * MAX_SIDE, le=4 * MAX_SIDE)]
+
+
+class ForeignDocument(pydantic.BaseModel):
+    """A part of a document of another program: the keys that are read; others are passed over."""
+
+    model_config = pydantic.ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+
+def first_mistake(problem: pydantic.ValidationError) -> str:
+    """Describe the first mistake: where in the document, what should be there, what is there."""
+    error = problem.errors(include_url=False)[0]
+    if error["type"] == "json_invalid":
+        return f"it is not JSON: {error['msg'].removeprefix('Invalid JSON: ')}"
+    place = ".".join(str(part) for part in error["loc"]) or "it"
+    if error["type"] == "missing":
+        return f"{place} is missing"
+    message = error["msg"].removeprefix("Value error, ")
+    value = shortened(repr(error["input"]), SHOWN)
+    return f"{place}: {message[0].lower()}{message[1:]}, {value} was given"
+
+
+@contextmanager
+def read_document(path: Path, remedy: str) -> Iterator[bytes]:
+    """Yield the bytes of a file to a block that reads a document from them.
+
+    What goes wrong in the block with files, numbers and memory becomes a DatasetError that names
+    the file; errors of ours go through.
+    """
+    try:
+        yield read_regular(path, MAX_DOCUMENT_BYTES)
+    except RoadtorchError:
+        raise
+    except pydantic.ValidationError as problem:
+        raise DatasetError(path, f"cannot be read: {first_mistake(problem)}", remedy) from None
+    except MemoryError:
+        raise DatasetError(path, "is more than there is memory for", remedy) from None
+    except (OSError, ValueError, LookupError, ArithmeticError, RecursionError) as problem:
+        raise DatasetError(path, f"cannot be read: {reason(problem)}", remedy) from None
