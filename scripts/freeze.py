@@ -74,7 +74,7 @@ OUTPUTS = {
     "evaluate/labelled": "evaluate camvid ../data/camvid --limit 6 --detector fusion --against cpf",
     "adapt/clip": f"adapt clip.mp4 --frames 40 {EPOCH} --set samples_per_epoch=16",
     "train/cnn7": f"train --config cnn7 --images footage {EPOCH} --set passes=1",
-    "train/layout": f"train --config layout --images footage {EPOCH} --set rounds.count=2",
+    "train/layout": f"train --config layout --images footage {EPOCH}",
     "commands/version": "--version",
     "commands/help": "--help",
     "commands/infer-help": "infer --help",

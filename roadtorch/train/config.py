@@ -52,7 +52,7 @@ class Descent(Settings):
 class Stopping(Settings):
     """When training ends."""
 
-    epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most, in each round")
+    epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most")
     rule: Literal["plateau", "epochs"] = Field(
         default="plateau",
         description="when an epoch's loss falls by no more than ``min_delta`` (Álvarez 2012), or "
@@ -156,9 +156,8 @@ class Teacher(Settings):
     weights: str = Field(
         default="", description="of the teacher's own network; empty: those shipped, if it has one"
     )
-    views: Literal["one", "mirrored", "scaled"] = Field(
-        default="one",
-        description="the picture alone, the mean with its mirror image, or of both at two sizes",
+    views: Literal["one", "mirrored"] = Field(
+        default="one", description="the image alone, or the mean with its mirror image"
     )
     working: WorkingSize = WorkingSize()
     margin: float = Field(
@@ -205,19 +204,15 @@ class HeadWeights(Settings):
 
 
 class Rounds(Settings):
-    """Training again on labels that the last network and the teacher agree on.
+    """What a run that starts from a weight file does with the network in it."""
 
-    The first round has no last network, unless the run starts from a weight file.
-    """
-
-    count: int = Field(default=1, ge=1, le=20, description="rounds; 1 is the teacher alone")
-    combine: Literal["agreement", "mean", "network", "teacher"] = Field(
+    count: Literal[1] = Field(default=1, description="for more, start a run from the last weights")
+    combine: Literal["agreement", "teacher"] = Field(
         default="agreement",
-        description="pixels on which the last network and the teacher agree, the mean of both, or "
-        "one of them alone",
+        description="pixels on which that network and the teacher agree, or the teacher alone",
     )
     start: Literal["fresh", "continued"] = Field(
-        default="fresh", description="new weights in each round, or those of the last"
+        default="fresh", description="new weights, or those of that network"
     )
 
 

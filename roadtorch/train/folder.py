@@ -35,7 +35,9 @@ FORMAT = 2
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
 PICTURES, WEIGHTS, PAGE = "pictures.csv", "weights.safetensors", "adaptation.html"
 OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS, PAGE)
-LABELS = "labels-"
+LABELS = "labels-1"
+"""The folder of the labels by the network that a run starts from."""
+
 ELSEWHERE = "give another --out"
 NO_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
 
@@ -78,14 +80,6 @@ class RunFolder:
         with locked(self.path, f"wait for it, or {ELSEWHERE}"):
             yield
 
-    def labels_of(self, number: int) -> Path:
-        """The folder of the labels by the network of the round before round ``number``."""
-        return self.path / f"{LABELS}{number + 1}"
-
-    def weights_of(self, number: int) -> Path:
-        """The file of the weights at the end of round ``number`` (from 0)."""
-        return self.path / f"round-{number + 1}.safetensors"
-
     def check(self, record: Mapping[str, Any]) -> None:
         """Check that the run of a record (``record_of``) may write here; nothing is written yet.
 
@@ -109,7 +103,7 @@ class RunFolder:
 
     def begin(self, record: Mapping[str, Any]) -> None:
         """Remove what killed runs left half-written, and write the record of this one."""
-        remove_leftovers([self.path, *self.path.glob(f"{LABELS}*")])
+        remove_leftovers([self.path, self.path / LABELS])
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
     def _record(self) -> dict[str, Any] | None:
@@ -166,7 +160,7 @@ class RunFolder:
         write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
     def read_log(self) -> list[dict[str, Any]]:
-        """Round, epoch and loss of each epoch."""
+        """Return round, epoch and loss of each epoch; rounds are halves of an adaptation."""
         kinds = {"round": int, "epoch": int, "loss": float}
         with (self.path / LOG).open(newline="", encoding="utf-8") as file:
             return [
@@ -174,7 +168,7 @@ class RunFolder:
             ]
 
     def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Draw the loss of the epochs, one line a round."""
+        """Draw the loss of the epochs."""
         from matplotlib.figure import Figure
 
         from roadtorch.evaluation.report.adaptation import draw_losses

@@ -29,7 +29,7 @@ PATCH_ORDER, CENTRES, PATCH_VARIATION, PICTURE_ORDER, VARIATION = range(5)
 
 
 def generator_at(seed: int, *place: int) -> torch.Generator:
-    """A generator that belongs to this seed and place (round, epoch, chunk, …) alone.
+    """A generator that belongs to this seed and place (epoch, chunk, …) alone.
 
     Nothing is carried from one place to the next, so a run that goes on in the middle draws
     what the uninterrupted one would have drawn.
@@ -79,17 +79,17 @@ class MovingAverage(Generic[Network]):
 SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
 
 
-class RoundStart(NamedTuple):
-    """The beginning of a round, by its number.
+class TrainingInputs(NamedTuple):
+    """What a network learns from.
 
     files: prepared pictures. corrected: the file of the correction of a prepared picture, if it
-    has one. last: the network of the round before, or the one that the run starts from.
+    has one. start: the network that the run starts from, if any. labels: the folder for its labels.
     """
 
-    number: int
     files: Sequence[Path]
     corrected: Mapping[Path, Path]
-    last: LayoutNetwork | None
+    start: LayoutNetwork | None
+    labels: Path
 
 
 class Batch(NamedTuple):
@@ -110,7 +110,6 @@ class TrainingProgress:
     loss, count: sums over the part of the epoch that is done. rows: the finished epochs.
     """
 
-    round: int = 0
     epoch: int = 0
     chunk: int = 0
     steps: int = 0
@@ -123,7 +122,7 @@ class TrainingProgress:
 
 @dataclass
 class Loop:
-    """The epochs of one round: a network that learns, its average, and how far they are.
+    """The epochs of a run: a network that learns, its average, and how far they are.
 
     batches: those of an epoch and a chunk, the same whenever they are asked for. chunks: of an
     epoch; each is in memory as a whole, and between them a run can be cut and resumed. loss: of a
@@ -169,7 +168,7 @@ class Loop:
             raise WeightsError(path, *NO_CHECKPOINT) from None
 
     def train(self) -> None:
-        """Train from where ``progress`` is until the round's end, or until asked to stop.
+        """Train from where ``progress`` is to the last epoch, or until asked to stop.
 
         Saves a checkpoint at the end of each epoch, now and then between, and before it returns.
         Raises ConfigError when the loss is no longer a number.
@@ -224,7 +223,7 @@ class Loop:
     @property
     def _title(self) -> str:
         part, parts = self.part
-        return f"half {part} of {parts}" if parts > 1 else f"round {self.progress.round + 1}"
+        return f"half {part} of {parts}" if parts > 1 else "training"
 
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
@@ -255,15 +254,14 @@ class Loop:
         """Log an epoch and decide whether it was the last."""
         progress = self.progress
         row = {
-            "round": progress.round + 1,
+            "round": 1,
             "epoch": progress.epoch + 1,
             "loss": progress.loss / max(1, progress.count),
             "samples": progress.count,
             "learning_rate": self._optimiser.param_groups[0]["lr"],
             "seconds": round(progress.seconds, 1),
         }
-        losses = [before["loss"] for before in progress.rows if before["round"] == row["round"]]
-        fall = losses[-1] - row["loss"] if losses else math.inf
+        fall = progress.rows[-1]["loss"] - row["loss"] if progress.rows else math.inf
         progress.rows.append(row)
         progress.epoch += 1
         progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
@@ -271,7 +269,7 @@ class Loop:
         progress.finished = plateau or progress.epoch >= self.stopping.epochs
         self.folder.write_log(progress.rows)
         if not self.quiet:
-            change = f" ({-fall:+.4f})" if losses else ""
+            change = f" ({-fall:+.4f})" if math.isfinite(fall) else ""
             text = (
                 f"roadtorch: {self._title}, epoch {row['epoch']} of {self.stopping.epochs}: "
                 f"loss {row['loss']:.4f}{change}, {row['samples']} samples in "

@@ -28,13 +28,12 @@ from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, key_of, read_arrays
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
-from roadtorch.train.folder import RunFolder
 from roadtorch.train.loop import (
     CENTRES,
     PATCH_ORDER,
     PATCH_VARIATION,
     Batch,
-    RoundStart,
+    TrainingInputs,
     generator_at,
     seeded,
 )
@@ -302,9 +301,8 @@ def squared_error(network: nn.Module, batch: Batch) -> Tensor:
 
 
 class PatchRecipe:
-    """CNN-7 and its family on patches; one round."""
+    """CNN-7 and its family on patches."""
 
-    rounds = 1
     loss = staticmethod(squared_error)
 
     def __init__(self, training: PatchTraining) -> None:
@@ -349,16 +347,14 @@ class PatchRecipe:
         void = at_picture_size(torch.from_numpy(correction.road == VOID_SAID), size)
         return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
-    def network(self, begun: RoundStart) -> LayoutNetwork:
+    def network(self, start: LayoutNetwork | None) -> LayoutNetwork:
         """A new patch network, or the one to start from."""
-        if begun.last is not None:
-            return begun.last
-        with seeded(self._training.random_seed, begun.number):
+        if start is not None:
+            return start
+        with seeded(self._training.random_seed, 0):
             return PatchNetwork(self._training.network)
 
-    def samples(
-        self, begun: RoundStart, folder: RunFolder, stop: Stop, quiet: bool
-    ) -> PatchSamples:
+    def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
         """The varied patches of prepared pictures; corrected ones come more often."""
-        often = repeated(begun.files, begun.corrected, self._training.corrections.share)
-        return PatchSamples(often, self._training, begun.corrected)
+        often = repeated(given.files, given.corrected, self._training.corrections.share)
+        return PatchSamples(often, self._training, given.corrected)

@@ -25,12 +25,18 @@ from roadtorch.layout.picture_network import (
     PictureNetworkSettings,
     scaled,
 )
-from roadtorch.layout.weights import WholePictureNetwork
+from roadtorch.layout.weights import LayoutNetwork, WholePictureNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, file_digests, key_of
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, PictureTraining
-from roadtorch.train.folder import RunFolder
-from roadtorch.train.loop import PICTURE_ORDER, VARIATION, Batch, RoundStart, generator_at, seeded
+from roadtorch.train.loop import (
+    PICTURE_ORDER,
+    VARIATION,
+    Batch,
+    TrainingInputs,
+    generator_at,
+    seeded,
+)
 from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
 from roadtorch.train.teachers import (
@@ -39,7 +45,7 @@ from roadtorch.train.teachers import (
     best_class,
     label_with_network,
     lends_ego,
-    load_teachers,
+    load_teacher,
     prepare_picture,
     targets_of,
 )
@@ -53,15 +59,15 @@ EGO_CARS = "ego-cars"
 
 @dataclass(frozen=True)
 class PictureSamples:
-    """Prepared pictures of a round in varied batches; a chunk is one batch.
+    """Prepared pictures in varied batches; a chunk is one batch.
 
-    files: image, teacher's maps and ego car of each. labels: the last network's maps, in the
-    same order; none in the first round. shares: how often each is visited, against the others.
-    ego_cars: the files that show an ego car, by recording. corrected: the corrections, by file.
+    files: image, teacher's maps and ego car of each. labels: the maps of the network that
+    the run starts from, in the same order, if any. shares: how often each is visited, against the
+    others. ego_cars: the files that show an ego car, by recording. corrected: the corrections, by
+    file.
     """
 
     training: PictureTraining
-    number: int
     files: Sequence[Path]
     labels: Sequence[Path]
     shares: Tensor
@@ -81,12 +87,12 @@ class PictureSamples:
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """The varied pictures of one batch. Targets are the ``Targets``, eight planes."""
-        training, place = self.training, (self.number, epoch)
-        generator = generator_at(training.random_seed, PICTURE_ORDER, *place)
+        training = self.training
+        generator = generator_at(training.random_seed, PICTURE_ORDER, 0, epoch)
         order = draw_members(self.shares, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
-        generator = generator_at(training.random_seed, VARIATION, *place, chunk)
+        generator = generator_at(training.random_seed, VARIATION, 0, epoch, chunk)
         geometry = training.augmentation.geometry
         frames = augmentation.draw_frames(len(members), size, geometry, generator)
         seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
@@ -236,13 +242,12 @@ TEACHER_PARTS = {"detector", "weights", "views", "working"}
 
 
 class PictureRecipe:
-    """A network for whole pictures, in rounds."""
+    """A network for whole pictures."""
 
     def __init__(self, training: PictureTraining) -> None:
         self._training = training
-        self.rounds = training.rounds.count
         self.loss = partial(picture_loss, training=training)
-        self._teachers = load_teachers(training.teacher)
+        self._teacher = load_teacher(training.teacher)
         self._recordings: Mapping[str, Path] = {}
         self._prepared = Path()
         self.preparation = {  # size, and what the teacher's maps depend on
@@ -264,7 +269,7 @@ class PictureRecipe:
     def make(self, image: Tensor, name: str) -> Arrays:
         """The picture at the network's size, with the teacher's maps and the ego car."""
         ego = ego_of(self._recordings.get(name), image)
-        return prepare_picture(image, ego, self._teachers, self._training)
+        return prepare_picture(image, ego, self._teacher, self._training)
 
     def shrink(self, correction: Correction) -> Arrays:
         """Corrections at the network's size.
@@ -279,25 +284,23 @@ class PictureRecipe:
         stacked = torch.stack(planes).to(torch.float32)
         return {"planes": to_bytes(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
-    def network(self, begun: RoundStart) -> WholePictureNetwork:
-        """The network with which a round starts: a new one, or the last one."""
-        settings, start, last = self._training.network, self._training.rounds.start, begun.last
-        if isinstance(last, BackboneNetwork):
-            return last
-        if isinstance(last, PictureNetwork) and start == "continued":
-            return last
+    def network(self, start: LayoutNetwork | None) -> WholePictureNetwork:
+        """A new network, or the one to start from."""
+        settings = self._training.network
+        if isinstance(start, BackboneNetwork):
+            return start
+        if isinstance(start, PictureNetwork) and self._training.rounds.start == "continued":
+            return start
         assert isinstance(settings, PictureNetworkSettings)  # a backbone has weights to start from
-        with seeded(self._training.random_seed, begun.number):
+        with seeded(self._training.random_seed, 0):
             return PictureNetwork(settings)
 
-    def samples(
-        self, begun: RoundStart, folder: RunFolder, stop: Stop, quiet: bool
-    ) -> PictureSamples:
-        """Varied pictures of a round; with what the last network says of them, if any."""
-        training, files, labels = self._training, begun.files, list[Path]()
-        if isinstance(begun.last, WholePictureNetwork):
-            kept = folder.labels_of(begun.number)
-            labels = label_with_network(files, kept, begun.last.eval(), stop, quiet)
+    def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> PictureSamples:
+        """Varied pictures; with what the network to start from says of them, if any."""
+        training, files, labels = self._training, given.files, list[Path]()
+        if isinstance(given.start, WholePictureNetwork):
+            network = given.start.eval()
+            labels = label_with_network(files, given.labels, network, stop, quiet)
         names = []
         for file in files:
             stem = file.relative_to(self._prepared).with_suffix("").with_suffix("").as_posix()
@@ -307,7 +310,6 @@ class PictureRecipe:
             if lends_ego(file):
                 cars.setdefault(name, []).append(file)
         shares = torch.tensor([sizes[name] ** -training.recordings.evenness for name in names])
-        corrected = torch.tensor([file in begun.corrected for file in files])
+        corrected = torch.tensor([file in given.corrected for file in files])
         shares = corrected_shares(shares, corrected, training.corrections.share)
-        rest = (files, labels, shares, cars, begun.corrected)
-        return PictureSamples(training, begun.number, *rest)
+        return PictureSamples(training, files, labels, shares, cars, given.corrected)

@@ -1,4 +1,4 @@
-"""A whole run: pictures made ready, rounds trained, weights written; interrupted and resumed."""
+"""A whole run: pictures made ready, a network trained, weights written; and resumed."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -37,13 +37,14 @@ from roadtorch.train.corrections import (
 )
 from roadtorch.train.folder import (
     CHECKPOINT,
+    LABELS,
     NO_CHECKPOINT,
     WEIGHTS,
     RunFolder,
     config_hash,
     record_of,
 )
-from roadtorch.train.loop import Loop, RoundStart, TrainingProgress
+from roadtorch.train.loop import Loop, TrainingInputs, TrainingProgress
 from roadtorch.train.patches import PatchRecipe
 from roadtorch.train.pictures import PictureRecipe
 from roadtorch.train.prepared import Preparation, PreparedPicture, prepare
@@ -151,7 +152,7 @@ class TrainingRun:
     corrections: Mapping[str, Correction]
 
     def go(self, pictures: Sequence[Item]) -> Outcome:
-        """Make the pictures ready and train the rounds that are left, from a checkpoint if any."""
+        """Make the pictures ready and train the epochs that are left, from a checkpoint if any."""
         stop, folder = self.stop, self.folder
         summary = corrections_summary(self.corrections)
         record = record_of(as_values(self.training), pictures, summary)
@@ -172,7 +173,7 @@ class TrainingRun:
         state: dict[str, Any] | None,
         behind: Sequence[Mapping[str, Any]],
     ) -> bool:
-        """Train the rounds that are left; whether it came to their end."""
+        """Train the epochs that are left; whether it came to their end."""
         path = self.folder.path
         self.folder.write_pictures(prepared)
         files = {item.file: item.name for item in prepared if item.file is not None}
@@ -187,30 +188,21 @@ class TrainingRun:
         shrink = self.recipe.shrink
         corrected = write_corrections(path / CORRECTIONS, people, shrink) if people else {}
         progress = _progress_of(state, path / CHECKPOINT) if state else TrainingProgress()
-        while True:
-            number = progress.round
-            last = load_network(self.folder.weights_of(number - 1)) if number else self.start
-            begun = RoundStart(number, list(files), corrected, last)
-            loop = self._train_round(begun, progress, state)
-            if progress.finished or not number:
-                self._write(loop.average.network.eval(), progress, len(files), behind)
-            if not progress.finished:
-                return False
-            if number + 1 == self.recipe.rounds:
-                break
-            state, progress = None, TrainingProgress(number + 1, rows=progress.rows)
-        if people and isinstance(self.training, PictureTraining):
+        given = TrainingInputs(list(files), corrected, self.start, path / LABELS)
+        loop = self._train_epochs(given, progress, state)
+        self._write(loop.average.network.eval(), progress, len(files), behind)
+        if people and progress.finished and isinstance(self.training, PictureTraining):
             write_corrected(path / FUSION, path / WEIGHTS, list(people.values()))
-        return True
+        return progress.finished
 
-    def _train_round(
-        self, begun: RoundStart, progress: TrainingProgress, state: dict[str, Any] | None
+    def _train_epochs(
+        self, given: TrainingInputs, progress: TrainingProgress, state: dict[str, Any] | None
     ) -> Loop:
-        """Train one round, or the rest of it from a checkpoint."""
+        """Train all epochs, or the rest of them from a checkpoint."""
         training = self.training
         stop, quiet = self.stop, self.request.quiet
-        samples = self.recipe.samples(begun, self.folder, stop, quiet)
-        network = self.recipe.network(begun)
+        samples = self.recipe.samples(given, stop, quiet)
+        network = self.recipe.network(self.start)
         descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
         parts = (network, samples.chunks, samples.batches, self.recipe.loss)
         rules = (descent, training.stopping)
@@ -229,14 +221,14 @@ class TrainingRun:
         used: int,
         behind: Sequence[Mapping[str, Any]],
     ) -> None:
-        """The weights as they are, and the curve so far; half of a later round is not worth it."""
+        """Write the weights as they are, and the curve so far."""
         path, config = self.folder.path / WEIGHTS, as_values(self.training)
         origin = {
             "roadtorch": __version__,
             "config": config,
             "config_sha256": config_hash(config),
             "pictures": used,
-            "round": progress.round + 1,
+            "round": 1,
             "epochs": progress.epoch,
             "finished": progress.finished,
             "corrections": list(behind),
@@ -244,8 +236,6 @@ class TrainingRun:
         if behind:
             write_text(path.with_suffix(".md"), card_of(behind))
         save_network(path, network, origin)
-        if progress.finished:
-            save_network(self.folder.weights_of(progress.round), network, origin)
         if progress.rows:
             self.folder.write_curve(progress.rows)
 

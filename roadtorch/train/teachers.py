@@ -1,6 +1,6 @@
 """Who labels whole pictures, what of it counts, and how far a network says the same. Ours.
 
-The teachers are detectors, and from the second round on the last network too.
+The teacher is a detector; the network that a run starts from has a say too.
 """
 
 import math
@@ -37,7 +37,7 @@ KNOWN = 0.25
 
 CERTAIN = 0.8
 """From here on a network's ego car is one, below it is none: what it half believes would grow
-from round to round."""
+from run to run."""
 
 
 class Targets(NamedTuple):
@@ -61,13 +61,13 @@ PLANES = (CLASSES, 1, 1, 1, 1, 1)
 def targets_of(
     teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher, rounds: Rounds
 ) -> Targets:
-    """Targets from the maps (B,4,H,W) of the teacher and, from round 2 on, of the last network.
+    """Targets from the maps (B,4,H,W) of the teacher and of the network to start from, if any.
 
     ego: (B,1,H,W), the ego car where the footage shows it: 1 ego, 0 not, 0.5 unknown. Where it
-    is unknown there is none at first, later what the last network's maps (B,5,H,W) are certain
-    of. The road's likelihood is moved so that its threshold becomes 0.5. A pixel counts where
-    the best class leads by ``margin``; with agreement, only where both name the same class, or
-    both say road, or both say no road. On the ego car the road is 0 and counts, the layout not.
+    is unknown there is none, or what the network's maps (B,5,H,W) are certain of. The road's
+    likelihood is moved so that its threshold becomes 0.5. A pixel counts where the best class
+    leads by ``margin``; with agreement, only where both name the same class, or both say road, or
+    both say no road. On the ego car the road is 0 and counts, the layout not.
     """
     layout, road = teacher[:, :CLASSES], centred_as(teacher[:, CLASSES:], settings)
     agree = agree_road = torch.ones_like(road)
@@ -76,7 +76,7 @@ def targets_of(
         if rounds.combine == "agreement":
             agree = (best_class(layout) == best_class(other)).to(road)
             agree_road = ((road >= 0.5) == (other_road >= 0.5)).to(road)
-        own = {"network": 0.0, "teacher": 1.0}.get(rounds.combine, 0.5)
+        own = 1.0 if rounds.combine == "teacher" else 0.5
         layout, road = torch.lerp(other, layout, own), torch.lerp(other_road, road, own)
     guess = torch.zeros_like(ego) if network is None else (network[:, EGO:] >= CERTAIN).to(ego)
     ego = torch.where((ego - 0.5).abs() < KNOWN, guess, ego)
@@ -112,18 +112,18 @@ MIN_EGO_WIDTH, MIN_EGO_AREA = 0.95, 0.03
 
 
 def prepare_picture(
-    image: Tensor, ego: Tensor | None, teachers: Sequence[Detector], training: PictureTraining
+    image: Tensor, ego: Tensor | None, teacher: Detector, training: PictureTraining
 ) -> Arrays:
     """What training needs of an image (3,H,W), at the network's size.
 
-    ego: bool (H,W), the ego car that the footage shows; the teachers see the ground continued
+    ego: bool (H,W), the ego car that the footage shows; the teacher sees the ground continued
     in its place. None where nothing is known.
 
     Raises ConfigError for a teacher without a layout.
     """
     size = (training.network.height, training.network.width)
     street = image if ego is None else continued(image, ego)
-    maps = teacher_maps(street, teachers, training.teacher.views)
+    maps = teacher_maps(street, teacher, training.teacher.views)
     return shrunk(image, maps, torch.full(size, 0.5) if ego is None else ego.float(), size)
 
 
@@ -148,34 +148,28 @@ def lends_ego(file: Path) -> bool:
     return across >= MIN_EGO_WIDTH and float(ego.double().mean()) >= MIN_EGO_AREA
 
 
-def load_teachers(teacher: Teacher) -> list[Detector]:
-    """The detectors that make the labels together: one, or one for each size.
+def load_teacher(teacher: Teacher) -> Detector:
+    """Load the detector that makes the labels.
 
     Raises ConfigError for a wrong name or a detector without a working size.
     """
-    sizes = [teacher.working.pixels]
-    if teacher.views == "scaled":
-        sizes.append(teacher.working.pixels // 2)
     own: dict[str, Any] = {"weights": {"file": teacher.weights}} if teacher.weights else {}
-    return [load_detector(teacher.detector, working={"pixels": size}, **own) for size in sizes]
+    return load_detector(teacher.detector, working={"pixels": teacher.working.pixels}, **own)
 
 
-def teacher_maps(image: Tensor, teachers: Sequence[Detector], views: str = "one") -> Tensor:
-    """Layout and road (4,H,W) in [0,1] of an image (3,H,W): the mean over all teachers.
+def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor:
+    """Compute layout and road (4,H,W) in [0,1] of an image (3,H,W).
 
-    views: "one", or another word for the mean with the mirror image. ConfigError for a teacher
-    without a layout.
+    views: of ``Teacher``. ConfigError for a teacher without a layout.
     """
     maps = []
     for mirrored in (False,) if views == "one" else (False, True):
-        view = image.flip(-1) if mirrored else image
-        for teacher in teachers:
-            detection = teacher.detect(view)
-            if "layout" not in detection.cues:
-                message = f"{teacher.name} has no layout among its cues"
-                raise ConfigError("teacher.detector", message, "use fusion or labeller")
-            planes = torch.cat([detection.cues["layout"], detection.likelihood[None]])
-            maps.append(planes.flip(-1) if mirrored else planes)
+        detection = teacher.detect(image.flip(-1) if mirrored else image)
+        if "layout" not in detection.cues:
+            message = f"{teacher.name} has no layout among its cues"
+            raise ConfigError("teacher.detector", message, "use fusion or labeller")
+        planes = torch.cat([detection.cues["layout"], detection.likelihood[None]])
+        maps.append(planes.flip(-1) if mirrored else planes)
     return torch.stack(maps).mean(0)
 
 

@@ -28,7 +28,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    """``trained("pictures", "rounds.count=1", out="one")``: a run on the streets.
+    """``trained("pictures", "descent.ema=0.9", out="one")``: a run on the streets.
 
     Its folder is new unless ``out`` names one of this module.
     """

@@ -48,9 +48,6 @@ wide = 8
 detector = "labeller"
 working = { pixels = 4800 }
 
-[rounds]
-count = 2
-
 [recordings]
 separator = "_"
 least = 5

@@ -123,6 +123,7 @@ def test_settings_survive_the_way_to_nested_values_and_back(kind: str) -> None:
     [
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
         ({"kind": "pictures", "mix": 3}, "mix: unknown setting"),
+        ({"kind": "pictures", "rounds": {"count": 2}}, "rounds.count: 2 was given"),
         (
             {"augmentation": {"min_scale": 2.0}},
             "augmentation.min_scale: 2 was given, and augmentation.max_scale is 1.4",

@@ -36,8 +36,8 @@ run = partial(invoked, train_command)
 
 def words(out: Path, images: Path, *more: object) -> list[object]:
     config = write_config(out.with_suffix(".toml"), PICTURES)
-    quick = ("--set", "rounds.count=1", "--set", "rounds.start=continued")
-    return ["--config", config, "--images", images, "--out", out, *quick, *more]
+    own = ("--set", "rounds.start=continued")
+    return ["--config", config, "--images", images, "--out", out, *own, *more]
 
 
 def test_a_run_from_weights_ends_with_a_page(

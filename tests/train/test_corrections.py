@@ -18,7 +18,6 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
 from roadtorch.train.config import PatchTraining, Training, build_training
 from roadtorch.train.corrections import write_corrected
-from roadtorch.train.loop import RoundStart
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, corrected_centres, repeated
 from roadtorch.train.pictures import corrected_shares, corrected_targets
 from roadtorch.train.run import FUSION, Outcome, Request, recipe_of, train
@@ -144,8 +143,7 @@ def test_a_run_paces_its_steps_by_the_corrected_pictures(
     """One corrected picture and a far halfway: next to no step is taken."""
     slow = trained("pictures", "corrections.halfway=1e6", out="slow", corrections=[street])
     slowly, fast = (load_network(run.weights or "") for run in (slow, runs["pictures"]))
-    begun = RoundStart(1, [], {}, None)
-    start = recipe_of(training_of("pictures")).network(begun).state_dict()
+    start = recipe_of(training_of("pictures")).network(None).state_dict()
     for name, weight in start.items():
         torch.testing.assert_close(slowly.state_dict()[name], weight, atol=1e-6, rtol=0)
     assert any(not fast.state_dict()[name].allclose(weight) for name, weight in start.items())

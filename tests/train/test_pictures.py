@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from roadtorch.base.signals import Stop
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import HeadWeights, PictureTraining, build_training
-from roadtorch.train.folder import RunFolder
-from roadtorch.train.loop import Batch, RoundStart
+from roadtorch.train.loop import Batch, TrainingInputs
 from roadtorch.train.pictures import (
     PictureRecipe,
     PictureSamples,
@@ -50,10 +49,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def samples_of(
-    files: list[Path], training: PictureTraining, number: int = 0, shows_ego: bool = False
+    files: list[Path], training: PictureTraining, shows_ego: bool = False
 ) -> PictureSamples:
     cars = {"drive": files[4:]} if shows_ego else {}
-    return PictureSamples(training, number, files, [], torch.ones(5), cars, {})
+    return PictureSamples(training, files, [], torch.ones(5), cars, {})
 
 
 # --- batches -------------------------------------------------------------------------------
@@ -70,14 +69,12 @@ def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
     assert all(batch.targets.shape[1:] == (sum(PLANES), 32, 40) for batch in batches)
 
 
-def test_rounds_and_epochs_draw_differently(files: list[Path]) -> None:
-    first, same, other_round, other_epoch = (
-        next(samples_of(files, training_of(), number).batches(epoch, 0)).inputs
-        for number, epoch in ((0, 0), (0, 0), (1, 0), (0, 1))
+def test_epochs_draw_differently(files: list[Path]) -> None:
+    first, same, other = (
+        next(samples_of(files, training_of()).batches(epoch, 0)).inputs for epoch in (0, 0, 1)
     )
     assert torch.equal(first, same)
-    assert not torch.equal(first, other_round)
-    assert not torch.equal(first, other_epoch)
+    assert not torch.equal(first, other)
 
 
 def targets_with(files: list[Path], share: float, shows_ego: bool = True) -> Targets:
@@ -131,7 +128,7 @@ def test_recordings_follow_from_names(evenness: float, share: float, tmp_path: P
     recipe = PictureRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
     recipe.survey([], folder, Stop(), True)
-    samples = recipe.samples(RoundStart(0, files, {}, None), RunFolder(tmp_path), Stop(), True)
+    samples = recipe.samples(TrainingInputs(files, {}, None, tmp_path), Stop(), True)
 
     assert samples.shares.tolist() == pytest.approx([share, share, share, 1, 1])
     assert samples.ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}

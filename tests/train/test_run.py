@@ -23,7 +23,6 @@ from roadtorch.train.loop import (
     Batch,
     Loop,
     MovingAverage,
-    RoundStart,
     TrainingProgress,
 )
 from roadtorch.train.pictures import picture_loss
@@ -39,7 +38,7 @@ __all__ = ["call"]
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
     """The network with which a run with these changes begins."""
-    return recipe_of(training_of(kind, *changes)).network(RoundStart(0, [], {}, None))
+    return recipe_of(training_of(kind, *changes)).network(None)
 
 
 def folder_of(outcome: Outcome) -> Path:
@@ -78,15 +77,6 @@ def test_a_run_leaves_weights_a_log_a_curve_and_a_list(finished: tuple[Training,
     assert not list(out.rglob("*.part"))
 
 
-def test_rounds_begin_with_the_labels_of_the_last_network(whole: dict[str, Path]) -> None:
-    out = whole["pictures"]
-    assert len(list((out / "labels-2").glob("*.npz"))) == 5
-    assert [row["round"] for row in rows_of(out)] == ["1", "1", "2", "2"]
-    second, last = (out / name for name in ("round-2.safetensors", "weights.safetensors"))
-    assert second.read_bytes() == last.read_bytes()
-    assert (out / "round-1.safetensors").read_bytes() != second.read_bytes()
-
-
 @pytest.mark.parametrize(("fall", "epochs"), [("10.0", 2), ("0.0", 4)])
 def test_training_stops_on_a_plateau(fall: str, epochs: int, trained: Trained) -> None:
     slow = "descent.learning_rate=0.02"  # so slow that the error falls at each of four epochs
@@ -101,7 +91,7 @@ def test_a_loss_of_nan_is_refused(trained: Trained, monkeypatch: pytest.MonkeyPa
 
 
 def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Trained) -> None:
-    changes = ("rounds.count=1", "stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
+    changes = ("stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
     out = folder_of(trained("pictures", *changes))
 
     # One step: the mean keeps one eleventh of the weights before it.
@@ -116,7 +106,7 @@ def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path
     """And what killed runs left half-written is removed from all folders of a run."""
     footage, kept = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
     changes = ("augmentation.ego_car.share=1.0", "recordings.least=8", "stopping.epochs=1")
-    leftovers = [tmp_path / "run", tmp_path / "run/labels-2", kept, kept / "ego-cars/street"]
+    leftovers = [tmp_path / "run", tmp_path / "run/labels-1", kept, kept / "ego-cars/street"]
     for folder in leftovers:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / ".roadtorch.0123abcd.part").touch()
@@ -143,7 +133,7 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
         network = PictureNetwork(sides)
     save_network(tmp_path / "first", network, {})
     changes = [f"start={json.dumps(str(tmp_path / 'first'))}", "descent.learning_rate=1e-9"]
-    changes += ["rounds.count=1", "rounds.start=continued"] if kind == "pictures" else []
+    changes += ["rounds.start=continued"] if kind == "pictures" else []
 
     run = folder_of(trained(kind, *changes, "stopping.epochs=1"))
 
@@ -177,7 +167,7 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     kind: str, whole: dict[str, Path], trained: Trained, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cuts = 0
-    for cut in (1, 2, 3, 4):
+    for cut in (1, 1, 1, 1):
         with monkeypatch.context() as patch:
             interrupt_after(cut, patch)
             outcome = trained(kind, WHOLE[kind], out=f"pieces-{kind}")
@@ -185,19 +175,9 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     pieces = folder_of(trained(kind, WHOLE[kind], out=f"pieces-{kind}"))
 
     assert cuts >= 3
-    names = [path.name for path in whole[kind].glob("*.safetensors")]
-    assert names
-    for name in names:
-        assert (pieces / name).read_bytes() == (whole[kind] / name).read_bytes()
+    name = "weights.safetensors"
+    assert (pieces / name).read_bytes() == (whole[kind] / name).read_bytes()
     assert rows_of(pieces) == rows_of(whole[kind])
-
-
-def test_the_last_rounds_weights_outlive_an_interruption_of_the_next(
-    trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    interrupt_after(5, monkeypatch)  # a round has 2 epochs of 2 batches
-    trained("pictures", out=tmp_path)
-    assert read_origin(tmp_path / "weights.safetensors")["round"] == 1
 
 
 def test_the_status_of_the_command_names_the_signal(

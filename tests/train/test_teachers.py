@@ -92,7 +92,7 @@ def test_only_certain_pixels_count() -> None:
     torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
 
 
-def test_in_later_rounds_only_agreement_counts() -> None:
+def test_only_agreement_with_the_network_to_start_from_counts() -> None:
     teacher = maps_of((0.9, 0.1, 0.0, 0.9), (0.9, 0.1, 0.0, 0.9), (0.1, 0.1, 0.8, 0.1))
     network = maps_of(
         (0.8, 0.2, 0.0, 0.8, 0.0), (0.0, 1.0, 0.0, 0.1, 0.0), (0.0, 0.0, 1.0, 0.9, 0.0)
@@ -104,13 +104,13 @@ def test_in_later_rounds_only_agreement_counts() -> None:
     torch.testing.assert_close(targets.layout, (teacher + network[:, :4])[:, :CLASSES] / 2)
 
 
-def test_the_last_network_alone_can_be_the_teacher() -> None:
+def test_the_teacher_alone_can_give_the_targets() -> None:
     teacher, network = maps_of((0.9, 0.1, 0.0, 0.9)), maps_of((0.0, 1.0, 0.0, 0.1, 0.0))
 
-    targets = targets_of(teacher, ego_of(0.5), network, Teacher(), Rounds(combine="network"))
+    targets = targets_of(teacher, ego_of(0.5), network, EVEN, Rounds(combine="teacher"))
 
-    torch.testing.assert_close(targets.layout, network[:, :CLASSES])
-    torch.testing.assert_close(targets.road, network[:, CLASSES : CLASSES + 1])
+    torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
+    torch.testing.assert_close(targets.road, teacher[:, CLASSES:])
     assert targets.layout_weight.item() == 1
 
 
@@ -128,7 +128,7 @@ GROUND = (0.0, 0.1, 0.9, 0.9)
         (1, None, 1, 0.0, 0),
         # Where nothing is known of it there is none at first,
         (0.5, None, 0, 0.9, 1),
-        # and from the second round on the network says it; what it half believes is none.
+        # and where there is a network it says it; what it half believes is none.
         (0.5, (0.9, 0.95), 1, 0.0, 0),
         (0.5, (0.9, 0.05), 0, 0.9, 1),
         (0.5, (0.9, 0.7), 0, 0.9, 1),
@@ -156,12 +156,12 @@ def test_the_ego_car(
 def test_the_teacher_gives_layout_and_road() -> None:
     image, teacher = scene(1, 60, 80).image, load_detector("labeller")
 
-    maps = teacher_maps(image, [teacher])
+    maps = teacher_maps(image, teacher)
 
     torch.testing.assert_close(maps[:CLASSES], teacher.detect(image).cues["layout"])
     torch.testing.assert_close(maps[CLASSES], teacher.detect(image).likelihood)
     with pytest.raises(ConfigError, match="prior:rows has no layout among its cues"):
-        teacher_maps(image, [load_detector("prior:rows")])
+        teacher_maps(image, load_detector("prior:rows"))
 
 
 def test_a_vote_with_the_mirror_image_has_no_side() -> None:
@@ -203,7 +203,7 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
     ego = bonnet(64, 96)
     image = torch.where(ego, torch.tensor(1.0), 0.5 * scene(1, 64, 96).image)
 
-    arrays = prepare_picture(image, ego, [teacher], small_training(views=views))
+    arrays = prepare_picture(image, ego, teacher, small_training(views=views))
 
     seen = teacher.analysis.seen
     assert isinstance(seen, list)
@@ -216,9 +216,9 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
 
 
 def test_a_prepared_image_has_the_networks_size(tmp_path: Path) -> None:
-    image, teachers = scene(1, 60, 80).image, [load_detector("labeller")]
+    image, teacher = scene(1, 60, 80).image, load_detector("labeller")
 
-    arrays = prepare_picture(image, None, teachers, small_training())
+    arrays = prepare_picture(image, None, teacher, small_training())
 
     sizes = {"image": (3, 32, 48), "maps": (4, 32, 48), "ego": (32, 48)}
     assert {name: tuple(value.shape) for name, value in arrays.items()} == sizes
