@@ -10,7 +10,6 @@ from typing import Any
 from unittest.mock import Mock
 
 import cv2
-import numpy as np
 import pytest
 import torch
 
@@ -20,12 +19,11 @@ from roadtorch.camera.camera import Camera, Ego
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.run.memo import file_digests, paths_in
 from roadtorch.testing.scenes import render_scene, write_picture
 from roadtorch.train.run import TrainingRun
 from tests.command import Call, bytes_in, files_in
 from tests.reference import bev
-from tests.streets import drive, write_camvid
+from tests.streets import drive
 from tests.train.runs import PICTURES
 
 SIZE = (48, 64)
@@ -43,20 +41,13 @@ SHAPE: dict[str, Any] = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
 def root(tmp_path: Path) -> Path:
     """All that any command reads, below one folder."""
     root = tmp_path / "in"
-    scenes = {
-        f"{drive}_{i}": render_scene(i, *SIZE) for i, drive in enumerate(("0001TP", "0006R0"))
-    }
-    write_camvid(root / "camvid", "train", scenes)
     for seed, name in enumerate(("um_000000", "umm_000003")):
         write_picture(root / "image_2" / f"{name}.png", render_scene(seed, 120, 160))
         (root / "calib").mkdir(exist_ok=True)
         rows = bev.made_up_rows(pitch=0.02)
         (root / "calib" / f"{name}.txt").write_text(bev.calibration_text(rows))
         write_picture(root / "streets" / f"street_{seed}.png", render_scene(seed, *SIZE))
-    for folder in ("maps", "drive"):
-        (root / folder).mkdir()
-    for name in scenes:
-        cv2.imwrite(str(root / f"maps/{name}.png"), np.eye(*SIZE, dtype=np.uint8) * 255)
+    (root / "drive").mkdir()
     write_mask(root / "ego.png", torch.arange(48)[:, None].expand(SIZE) > 40)
     camera = Camera(width=64, height=48, frames=10, horizon=0.4, seed_row=0.9, ego=Ego(bottom=0.2))
     camera.write(root / "camera.toml")
@@ -237,21 +228,3 @@ def test_the_page_shows_what_a_new_folder_would(root: Path, tmp_path: Path, name
 
     assert not torch.equal(before, after)
     assert torch.equal(after, odds("new"))
-
-
-# --- the one place -----------------------------------------------------------------------
-
-
-def test_files_are_digested_wherever_settings_name_them(tmp_path: Path) -> None:
-    file, folder = tmp_path / "a.png", tmp_path / "folder"
-    file.write_bytes(b"a")
-    folder.mkdir()
-    settings = {"a": str(file), "b": {"c": [file, "none"], "d": 3, "e": ""}, "f": str(folder)}
-
-    assert paths_in(settings) == [file, file, folder]
-    assert list(file_digests(settings)) == [str(file)]
-    [shipped] = paths_in({"weights": "backbone-free"})
-    assert shipped.name == "backbone-free.safetensors"
-    digests = file_digests(settings)
-    file.write_bytes(b"b")
-    assert file_digests(settings) != digests

@@ -8,7 +8,15 @@ import torch
 from roadtorch.base.errors import InputError
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run import memo
-from roadtorch.run.memo import cached_arrays, keep, kept, key_of, read_arrays
+from roadtorch.run.memo import (
+    cached_arrays,
+    file_digests,
+    keep,
+    kept,
+    key_of,
+    paths_in,
+    read_arrays,
+)
 
 ARRAYS = {"road": torch.rand(3, 4) > 0.5, "sums": torch.arange(6.0).view(2, 3)}
 
@@ -76,6 +84,10 @@ def test_a_key_changes_with_every_part(tmp_path: Path, monkeypatch: pytest.Monke
     keys.append(key_of("a", 1, file, folder))
     (folder / "below" / "x").rename(folder / "y")
     keys.append(key_of("a", 1, file, folder))
+    settings = {"a": str(file), "b": {"c": [file, "none"], "d": 3, "e": ""}, "f": str(folder)}
+    assert paths_in(settings) == [file, file, folder]
+    assert list(file_digests(settings)) == [str(file)]
+    assert [path.name for path in paths_in({"w": "cnn-7"})] == ["cnn-7.safetensors"]
     detector = load_detector("prior:rows")
     keys += [key_of(detector), key_of(load_detector("prior:rows", threshold=0.4))]
     changed = load_detector("layout:cnn-7")
