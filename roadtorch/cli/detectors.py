@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from roadtorch.cli.completion import suggest_detectors
+from roadtorch.cli.options import suggest_detectors
 
 if TYPE_CHECKING:
     from roadtorch.detectors.detector import Entry

@@ -6,8 +6,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.completion import suggest_candidates, suggest_datasets
-from roadtorch.cli.options import CAMERA, JOBS, PATH, SETTING, as_toml, command_line
+from roadtorch.cli.options import (
+    CAMERA,
+    JOBS,
+    PATH,
+    SETTING,
+    as_toml,
+    command_line,
+    suggest_candidates,
+    suggest_datasets,
+)
 
 if TYPE_CHECKING:
     from roadtorch.evaluation.methods import Contender

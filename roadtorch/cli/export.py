@@ -4,8 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.completion import suggest_detectors
-from roadtorch.cli.options import PATH, SETTING
+from roadtorch.cli.options import PATH, SETTING, suggest_detectors
 
 
 @click.command()

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
     PATH,
     DetectorOptions,
     Sectioned,
     as_toml,
+    suggest_files,
     with_detector,
     with_run,
     with_selection,

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.completion import suggest_files
 from roadtorch.cli.options import (
     CAMERA,
     PATH,
@@ -14,6 +13,7 @@ from roadtorch.cli.options import (
     Sectioned,
     as_toml,
     command_line,
+    suggest_files,
     with_computing,
     with_detector,
     with_selection,

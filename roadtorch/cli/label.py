@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.completion import suggest_files
-from roadtorch.cli.options import PATH, SETTING, as_toml, with_run
+from roadtorch.cli.options import PATH, SETTING, as_toml, suggest_files, with_run
 
 if TYPE_CHECKING:
     from roadtorch.run.plan import RunOptions

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.completion import suggest_files
-from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
+from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line, suggest_files
 
 
 @click.command()

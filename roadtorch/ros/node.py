@@ -3,10 +3,11 @@
 import math
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
-from threading import Thread
+from threading import Condition, Thread
 from typing import Any
 
 from pydantic import Field
@@ -20,8 +21,9 @@ from roadtorch.camera.ground_grid import GridSettings, ground_grid
 from roadtorch.camera.mounting import Mounting, Placing, placing_of
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
+from roadtorch.inputs.image_messages import image_of
+from roadtorch.inputs.item import Item, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.ros.inbox import Inbox
 from roadtorch.ros.messages import (
     diagnostics_message,
     grid_message,
@@ -37,6 +39,7 @@ NAME = "roadtorch"
 
 SECOND = 1.0  # between diagnostics
 ENDING = 0.5  # seconds for callbacks that are running at the end
+WAIT = 0.1  # after which a request to stop is looked for
 STALE = 2.0  # seconds without an image from which diagnostics warn
 
 
@@ -101,6 +104,51 @@ def declared(node: Any) -> NodeParameters:
         value = node.declare_parameter(name, default).value
         values[name] = tuple(filter(None, value)) if name == "settings" else value
     return build_settings(NodeParameters, values)
+
+
+class Inbox:
+    """The newest image message of a topic; ``put`` is called by the thread of the subscriptions.
+
+    dropped: how many were replaced before anybody looked. header: std_msgs/Header of the message
+    that was taken last. arrived: when that was, by the monotonic clock.
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self.header: Any = None
+        self.arrived = 0.0
+        self._newest: tuple[Any, float] | None = None
+        self._changed = Condition()
+
+    def put(self, message: Any) -> None:
+        """Take a message, in the place of one that nobody has taken."""
+        with self._changed:
+            self.dropped += self._newest is not None
+            self._newest = message, time.monotonic()
+            self._changed.notify()
+
+    def take(self) -> Any:
+        """The message, once there is one; None after ``WAIT``."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._newest, WAIT) or self._newest is None:
+                return None
+            (message, self.arrived), self._newest = self._newest, None
+            self.header = message.header
+            return message
+
+    def source(self, topic: str, stop: Stop) -> Source:
+        """The messages as a live source of frames, until somebody asks to stop."""
+
+        def frames() -> Iterator[Item]:
+            number = 0
+            while not stop.asked:
+                if (message := self.take()) is not None:
+                    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                    read = partial(image_of, message, topic)
+                    yield Item(f"{number:06d}", topic, read, number=number, stamp=stamp)
+                    number += 1
+
+        return Source("ros", topic, frames, live=True)
 
 
 class RoadNode:

@@ -1,1 +1,1 @@
-"""Training of layout networks on machine labels: ``python -m roadtorch.train``."""
+"""Training of layout networks on machine labels."""

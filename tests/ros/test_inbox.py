@@ -14,7 +14,7 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import Stop
 from roadtorch.cli.ros import ros
 from roadtorch.detectors.detection import Detection
-from roadtorch.ros.inbox import Inbox
+from roadtorch.ros.node import Inbox
 from roadtorch.run.writers.bag import pixels_of
 from tests.command import invoked
 

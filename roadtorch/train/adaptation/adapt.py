@@ -9,13 +9,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from signal import SIGTERM, Signals
 
 import torch
 
 from roadtorch.base.atomic import remove_leftovers, write_text
 from roadtorch.base.errors import InputError
+from roadtorch.base.signals import stop_on_signals
 from roadtorch.camera.footage import StillError, camera_of
+from roadtorch.imaging.motion import flow_picture
 from roadtorch.inputs.item import spread
+from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.picture_network import ROAD
 from roadtorch.layout.weights import (
     WholePictureNetwork,
@@ -24,8 +28,10 @@ from roadtorch.layout.weights import (
     save_network,
     weights_path,
 )
+from roadtorch.road.fusion import log_odds
+from roadtorch.road.steady import SteadySettings, smoothed
+from roadtorch.run.memo import keep, kept, read_arrays
 from roadtorch.train.adaptation.frames import HALVES, KeptFrames, keep_frames
-from roadtorch.train.adaptation.teacher import write_taught
 from roadtorch.train.adaptation.verdict import (
     Verdict,
     fitted_bias,
@@ -36,12 +42,17 @@ from roadtorch.train.adaptation.verdict import (
 from roadtorch.train.config import PictureTraining
 from roadtorch.train.corrections import card_of, corrections_behind
 from roadtorch.train.folder import WEIGHTS, RunFolder
+from roadtorch.train.pictures import PictureRecipe
+from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.recordings import MAX_FRAMES
-from roadtorch.train.run import Outcome, Request, train
+from roadtorch.train.run import Outcome, Request, made_ready, train
 
 CAMERA, FRAMES, LOOKS, PREPARED = "camera.toml", "frames", "looks", "prepared"
 CALIBRATED = "calibrated.safetensors"
 """Of each half: what it learned, as bold as the teacher."""
+
+MOTION = SteadySettings(miss=2.0, slack=0.1, contrast=0.1)
+"""Stricter than for video: a second apart, ways back close by chance, and places look alike."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +114,45 @@ def adapt(
                 judged.append(judged_half(pictures, weights, out / PREPARED, training, quiet))
             verdict = verdict_of(judged)
         return adapted(Outcome(out / WEIGHTS, None, skipped), verdict)
+
+
+def write_taught(
+    frames: KeptFrames, looks: Path, prepared: Path, training: PictureTraining, quiet: bool = False
+) -> Signals | None:
+    """Write what training needs of all frames into the folder ``prepared``.
+
+    The teacher's predictions waver from frame to frame, and a place that ten frames show is
+    predicted ten times, from near and from far. So log odds of road are carried there and back
+    along the motion of the picture (``road.steady``), and averaged. Frames that are not
+    consecutive keep their own predictions. Ours.
+
+    looks: the folder of the teacher's predictions; what is in either, of these frames and
+    settings, is kept. Returns the signal that cut it short. Memory is linear in the frames, 0.5 MB
+    each.
+    """
+    pictures = frames.pictures()
+    with stop_on_signals() as stop:
+        recipe = PictureRecipe(training)
+        made = made_ready(recipe, pictures, looks, stop, quiet)
+        if stop.asked:
+            return stop.signal or SIGTERM
+    files = {
+        item.file: picture
+        for picture, item in zip(pictures, made, strict=True)
+        if item.file is not None
+    }
+    taught = {look: prepared / look.relative_to(looks) for look in files}
+    keys = [recipe.key(picture) for picture in files.values()]
+    if all(kept(file, key) for file, key in zip(taught.values(), keys, strict=True)):
+        return None
+    greys = [flow_picture(picture.read(), MOTION.width) for picture in files.values()]
+    roads = (from_bytes(read_arrays(look, "maps")["maps"][CLASSES]) for look in files)
+    smooth = smoothed(greys, [log_odds(road) for road in roads], MOTION)
+    for (look, file), key, odds in zip(taught.items(), keys, smooth, strict=True):
+        arrays = read_arrays(look)
+        arrays["maps"][CLASSES] = to_bytes(odds.sigmoid())
+        keep(file, key, arrays)
+    return None
 
 
 def _write_mean(

@@ -1,6 +1,6 @@
 """The frames of footage that an adaptation learns from: at most so many, in two halves.
 
-Frames close to one another show the same places (``adapt.teacher``): what is too much goes in
+Frames close to one another show the same places (``write_taught``): what is too much goes in
 stretches.
 """
 

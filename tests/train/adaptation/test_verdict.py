@@ -16,9 +16,8 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.weights import weights_path
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.testing.scenes import render_scene
-from roadtorch.train.adaptation.adapt import write_shifted
+from roadtorch.train.adaptation.adapt import write_shifted, write_taught
 from roadtorch.train.adaptation.frames import keep_frames
-from roadtorch.train.adaptation.teacher import write_taught
 from roadtorch.train.adaptation.verdict import Judged, fitted_bias, judged_half, verdict_of
 from roadtorch.train.config import PictureTraining, build_training
 from roadtorch.train.prepared import from_bytes, name_of, to_bytes
