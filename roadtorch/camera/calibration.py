@@ -1,17 +1,18 @@
 """Lenses and poses from the files of others: ROS camera_info, and KITTI's calibration."""
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import AliasChoices, BeforeValidator, Field
 from torch import Tensor
 
-from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.bounded import reason
+from roadtorch.base.documents import ForeignDocument, read_document
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.base.settings import build_settings
 from roadtorch.camera.ground import COEFFICIENTS, GroundCamera, Lens, pose_of
@@ -25,27 +26,46 @@ MODEL_NAMES = {"fisheye": "equidistant", "": "pinhole", "none": "pinhole", "pinh
 """Names of models of distortion besides those of ``COEFFICIENTS``."""
 
 
+def _data(matrix: Any) -> Any:
+    """The numbers of a matrix as camera_calibration writes it; a list of them as it is."""
+    return matrix.get("data") if isinstance(matrix, Mapping) else matrix
+
+
+Numbers = Annotated[list[float], BeforeValidator(_data)]
+
+
+class _CameraInfo(ForeignDocument):
+    width: int = Field(validation_alias=AliasChoices("image_width", "width"))
+    height: int = Field(validation_alias=AliasChoices("image_height", "height"))
+    matrix: Numbers = Field(
+        min_length=9, max_length=9, validation_alias=AliasChoices("camera_matrix", "k", "K")
+    )
+    bent: Numbers = Field(
+        default=[], validation_alias=AliasChoices("distortion_coefficients", "d", "D")
+    )
+    distortion_model: str = ""
+
+
 def read_camera_info(path: str | os.PathLike[str]) -> Lens:
     """The lens in a YAML file: as camera_calibration writes it, or a printed CameraInfo message.
 
-    The pictures are taken as the camera gives them: K and D count, not R and P. Raises
-    ConfigError naming the file when it is not such a file, InputError when it cannot be read.
+    The pictures are taken as the camera gives them: K and D count, not R and P. Raises ConfigError
+    or DatasetError naming the file when it is not such a file, or cannot be read.
     """
     path = Path(path)
-    values = _first_document(path)
-    if not isinstance(values, Mapping):
-        raise ConfigError(path, "holds no camera_info", REMEDY)
-    matrix = _numbers(path, values, ("camera_matrix", "k", "K"))
-    if len(matrix) != 9 or matrix[0] <= 0:
-        raise ConfigError(path, "holds no calibrated camera matrix (K)", REMEDY)
-    bent = _numbers(path, values, ("distortion_coefficients", "d", "D"))
-    sides = []
-    for names in (("image_width", "width"), ("image_height", "height")):
-        sides.append(next((values[name] for name in names if name in values), None))
-        if not isinstance(sides[-1], int) or sides[-1] < 1:
-            raise ConfigError(path, f"{names[0]} is missing, or no number of pixels", REMEDY)
-    model = str(values.get("distortion_model", ""))
-    return lens_of_info(path, (sides[0], sides[1]), matrix, bent, model)
+    try:
+        import yaml
+    except ImportError:
+        remedy = "pip install 'roadtorch[grid]'"
+        raise ConfigError(path, "reading YAML needs PyYAML, which is missing", remedy) from None
+    with read_document(path, REMEDY) as text:
+        try:
+            first = next(yaml.safe_load_all(text.decode()), None)
+        except yaml.YAMLError as problem:
+            raise ConfigError(path, f"is not YAML: {reason(problem)}", REMEDY) from None
+        info = _CameraInfo.model_validate(first)
+    size = (info.width, info.height)
+    return lens_of_info(path, size, info.matrix, info.bent, info.distortion_model)
 
 
 def lens_of_info(
@@ -74,36 +94,6 @@ def lens_of_info(
         raise ConfigError(path, what, problem.remedy) from None
 
 
-def _first_document(path: Path) -> Any:
-    """The first document of a YAML file; ConfigError when it is not YAML."""
-    try:
-        import yaml
-    except ImportError:
-        remedy = "pip install 'roadtorch[grid]'"
-        raise ConfigError(path, "reading YAML needs PyYAML, which is missing", remedy) from None
-    try:
-        return next(yaml.safe_load_all(read_regular(path).decode()), None)
-    except OSError as problem:
-        raise InputError(path, f"cannot be read: {problem.strerror}", REMEDY) from None
-    except (yaml.YAMLError, RecursionError, ValueError) as problem:
-        mark = getattr(problem, "problem_mark", None)
-        line = f"line {mark.line + 1}: " if mark else ""
-        raise ConfigError(path, f"is not YAML: {line}{reason(problem)}", REMEDY) from None
-
-
-def _numbers(path: Path, values: Mapping[str, Any], names: tuple[str, ...]) -> list[float]:
-    """The numbers under the first of the names, as a list or in ``data`` of a matrix."""
-    entry = next((values[name] for name in names if values.get(name) is not None), [])
-    entry = entry.get("data", []) if isinstance(entry, Mapping) else entry
-    try:
-        numbers = [float(number) for number in entry]
-    except (TypeError, ValueError):
-        raise ConfigError(path, f"{names[0]} holds what is no number", REMEDY) from None
-    if not np.isfinite(numbers).all():
-        raise ConfigError(path, f"{names[0]} holds what is not finite", REMEDY)
-    return numbers
-
-
 # --- KITTI ------------------------------------------------------------------------------
 
 
@@ -123,44 +113,24 @@ class Calibration:
 def read_calibration(path: Path) -> Calibration:
     """Read P2, R0_rect and Tr_cam_to_road from a calibration file; other rows are not used.
 
-    Raises DatasetError, naming the file and the row, when the file is missing or no text,
-    a row is missing, has too few or too many values or one that is not a finite number,
-    and when the road plane cannot be seen (a singular matrix).
+    Raises DatasetError, naming the file and the row, when the file is missing or no text, a row
+    has not its count of finite numbers, and when the road plane cannot be seen (a singular matrix).
     """
-    try:
-        lines = read_regular(path).decode().splitlines()
-    except FileNotFoundError:
-        raise DatasetError(path, "is missing", "give the picture's calibration file") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise DatasetError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
-    split = (line.partition(":") for line in lines)
-    rows = {name.strip(): values.split() for name, _, values in split}
-    matrices = [_kitti_row(path, name, wanted, rows.get(name)) for name, wanted in ROWS.items()]
-    calibration = Calibration(*matrices)
+    with read_document(path, "give the picture's calibration file") as text:
+        split = (line.partition(":") for line in text.decode().splitlines())
+        words = {name.strip(): values.split() for name, _, values in split}
+        rows = {name: tuple(map(float, words.get(name, ()))) for name in ROWS}
+    for name, wanted in ROWS.items():
+        if len(rows[name]) != wanted or not np.isfinite(rows[name]).all():
+            what = f"{name} holds other than {wanted} finite numbers"
+            raise DatasetError(path, what, "replace the file")
+    calibration = Calibration(*rows.values())
     if torch.linalg.matrix_rank(_to_four(calibration.camera_to_road, 4)) < 4:
         raise DatasetError(path, "Tr_cam_to_road has no inverse", "replace the file")
     plane = road_to_image(calibration)
     if not plane.isfinite().all() or torch.linalg.matrix_rank(plane) < 3:
         raise DatasetError(path, "its matrices show the road as a line", "replace the file")
     return calibration
-
-
-def _kitti_row(path: Path, name: str, wanted: int, words: list[str] | None) -> tuple[float, ...]:
-    """The numbers of a row, all finite; DatasetError for anything else."""
-    remedy = f"a row {name}: with {wanted} numbers is needed"
-    if words is None:
-        raise DatasetError(path, f"has no row {name}", remedy)
-    if len(words) != wanted:
-        raise DatasetError(path, f"{name} has {len(words)} values", remedy)
-    numbers = []
-    for word in words:
-        try:
-            numbers.append(float(word))
-        except ValueError:
-            numbers.append(math.nan)
-        if not math.isfinite(numbers[-1]):
-            raise DatasetError(path, f"{name} holds {word!r}", remedy)
-    return tuple(numbers)
 
 
 def road_to_image(calibration: Calibration) -> Tensor:

@@ -132,7 +132,7 @@ def test_a_missing_calibration_costs_its_picture_only(kitti, tmp_path):
     write(tmp_path / "um_000000.txt", (kitti / "calib/um_000000.txt").read_bytes())
 
     assert view(first, values).shape == (800, 400)
-    with pytest.raises(DatasetError, match=r"um_000001\.txt: is missing"):
+    with pytest.raises(DatasetError, match=r"um_000001\.txt: cannot be read: No such file"):
         view(second, values)
 
 
