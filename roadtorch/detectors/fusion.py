@@ -312,10 +312,7 @@ class ScratchFusion(nn.Module):
             **cues,
         }
 
-    def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
-        """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
-        signs = signs_of(cues["likelihood"], mask, cues)
-        return judgement(signs, mask.flatten(-2).any(-1), self.settings.trust)
+    judge = Fusion.judge
 
 
 def seen_from(

@@ -1,9 +1,9 @@
 """One-class colour classification of pixels: every classifier on every representation (P3)."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache, partial
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from pydantic import Field, create_model
@@ -72,9 +72,6 @@ class OneClassSettings(WorkingSettings):
     are taken to be of 640×480 pixels, and larger ones are reduced to as many.
     """
 
-    taught: ClassVar[Classifier]
-    """The classifier that they are for; set by ``settings_of``."""
-
     threshold: Threshold = Field(
         default=0.5,
         description="road from this likelihood on; at 0.5, samples but for the rejected fraction",
@@ -85,15 +82,6 @@ class OneClassSettings(WorkingSettings):
     samples: SampleSettings = SampleSettings()
     classifier: ClassifierSettings = ClassifierSettings()
     random_seed: int = Field(default=0, ge=0, le=2**63 - 1, description="of restarts and of noise")
-
-    def __reduce__(self) -> tuple[Callable[..., "OneClassSettings"], tuple[str, dict[str, Any]]]:
-        """Pickled by the classifier's name: its model is made by a function, not a statement."""
-        return self.again, (self.taught.name, self.model_dump())
-
-    @staticmethod
-    def again(name: str, values: dict[str, Any]) -> "OneClassSettings":
-        """The settings of the classifier of that name with these values."""
-        return settings_of(CLASSIFIERS[name]).model_validate(values)
 
 
 @cache
@@ -109,7 +97,7 @@ def settings_of(classifier: Classifier) -> type[OneClassSettings]:
     fields: dict[str, Any] = {"classifier": (own, own()), "samples": (samples, samples())}
     name, doc = f"{classifier.name}_settings", own.__doc__
     made = create_model(name, __base__=OneClassSettings, __doc__=doc, __module__=__name__, **fields)
-    made.taught = classifier
+    globals()[name] = made  # where pickle looks for it
     return made
 
 

@@ -209,6 +209,4 @@ class BackboneNetwork(nn.Module):
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
         """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
-        settings = self.settings
-        size = (settings.height, settings.width)
-        return cues_of(self, image, size, settings.normalisation)
+        return cues_of(self, image, self.settings)

@@ -8,7 +8,7 @@ Networks", 2017). One head says sky, vertical, horizontal, the others road and e
 """
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
 
 import torch
 from pydantic import Field
@@ -96,19 +96,16 @@ class PictureNetwork(nn.Module):
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
         """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
-        settings = self.settings
-        size = (settings.height, settings.width)
-        return cues_of(self, image, size, settings.normalisation)
+        return cues_of(self, image, self.settings)
 
 
-def cues_of(
-    network: nn.Module, image: Tensor, size: tuple[int, int], normalisation: Normalisation
-) -> Mapping[str, Tensor]:
+def cues_of(network: nn.Module, image: Tensor, settings: Any) -> Mapping[str, Tensor]:
     """What a network that works at a size and gives scores says of an image, as its ``cues``.
 
-    Of a batch (N,3,H,W) in an exported graph.
+    settings: its height, width and normalisation. Of a batch (N,3,H,W) in an exported graph.
     """
-    pixels = normalise(resized(image, size).clamp(0, 1), normalisation).pixels
+    small = resized(image, (settings.height, settings.width)).clamp(0, 1)
+    pixels = normalise(small, settings.normalisation).pixels
     batch = pixels if pixels.ndim == 4 else pixels[None]
     potentials = potentials_of(network(batch.to(next(network.parameters()))).to(image))
     potentials = resized(potentials if pixels.ndim == 4 else potentials[0], size_of(image))

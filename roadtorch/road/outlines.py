@@ -100,7 +100,7 @@ def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     return likelihood
 
 
-SYMMETRIC = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
+SYMMETRIC = tuple(torch.triu_indices(3, 3))
 """Rows and columns of the upper triangle of a symmetric matrix (3,3)."""
 
 
