@@ -108,16 +108,3 @@ def test_no_border_at_all_is_nan_and_one_alone_is_0():
     assert all(math.isnan(f) for f in boundary.boundary_f(neither).tolist())
     assert boundary.boundary_f(only_true).tolist() == [0] * 2
     assert boundary.boundary_f(only_decided).tolist() == [0] * 2
-
-
-# --- properties -----------------------------------------------------------------------------------
-
-
-def test_a_mask_equal_to_the_truth_has_f_1_and_counts_add_up():
-    road, valid = half(5), everything()
-
-    one, two = (boundary.count_boundary(mask, road, valid) for mask in (road, half(9)))
-
-    assert boundary.boundary_f(one).tolist() == [1] * 2
-    assert boundary.boundary_f(one + two).tolist() == [0.5] * 2
-    assert boundary.boundary_f(torch.stack([one, two])).tolist() == [[1] * 2, [0] * 2]

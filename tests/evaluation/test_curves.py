@@ -7,7 +7,7 @@ from sklearn.calibration import calibration_curve
 from sklearn.metrics import brier_score_loss, roc_auc_score
 from sklearn.metrics import roc_curve as sklearn_roc
 
-from roadtorch.evaluation import curves, metrics
+from roadtorch.evaluation import curves
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.metrics import RoadCounts
 from tests.evaluation.conftest import count, random_map, stack
@@ -32,31 +32,6 @@ FIRST = ([0.9, 0.8, 0.7, 0.6, 0.4, 0.3, 0.2, 0.1], [1, 1, 0, 1, 1, 0, 0, 0])
 SECOND = ([0.7, 0.6, 0.6, 0.5, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05], [1, 0, 1, 1, 0, 1, 0, 0, 0, 0])
 
 
-@pytest.mark.parametrize(
-    ("counts", "area", "equal_error"),
-    [
-        (count(*FIRST), 0.875, 0.25),
-        (count(*SECOND), 0.833333, 0.30),
-        (count(*FIRST) + count(*SECOND), 0.85, 0.277778),
-    ],
-    ids=["first", "second", "pooled"],
-)
-def test_single_and_pooled_curves_of_the_worked_example(counts, area, equal_error):
-    curve = curves.roc(counts)
-
-    assert float(curves.area(curve)) == pytest.approx(area, abs=6e-7)
-    assert float(metrics.auc(counts)) == pytest.approx(area, abs=6e-7)
-    assert float(curves.equal_error_rate(curve)) == pytest.approx(equal_error, abs=6e-7)
-
-
-def test_equal_scores_make_one_slanted_piece():
-    curve = curves.roc(count(*SECOND))
-
-    third = pytest.approx(1 / 6)
-    assert points(curve)[:3] == [(0, 0), (0, 0.25), (third, 0.5)]
-    assert len(curve.x) == 9  # eight different scores and the beginning
-
-
 def test_vertical_average_of_the_worked_example():
     images = [count(*FIRST), count(*SECOND)]
 
@@ -73,9 +48,15 @@ def test_vertical_average_of_the_worked_example():
 # --- brute force and scikit-learn -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_curves_equal_counting_at_every_score_and_scikit_learn(seed):
-    scores, road = random_map(seed)
+ROAD = np.arange(12) < 5
+
+
+@pytest.mark.parametrize(
+    ("scores", "road"),
+    [*map(random_map, range(3)), (ROAD * 1.0, ROAD), (np.full(12, 0.3), ROAD)],
+    ids=["0", "1", "2", "perfect", "constant"],
+)
+def test_curves_equal_counting_at_every_score_and_scikit_learn(scores, road):
     flat = road.ravel(), scores.ravel()
 
     counts = count(scores, road)
@@ -147,25 +128,6 @@ def test_leading_dimensions_are_images():
         assert torch.equal(curves.expected_error(both)[index], curves.expected_error(single))
 
 
-def test_a_perfect_map_and_a_constant_map():
-    road = np.arange(12) < 5
-
-    perfect, constant = (curves.roc(count(s, road)) for s in (road * 1.0, np.full(12, 0.3)))
-
-    assert points(perfect) == [(0, 0), (0, 1), (1, 1)]
-    assert float(curves.equal_error_rate(perfect)) == 0
-    assert points(constant) == [(0, 0), (1, 1)]
-    assert float(curves.equal_error_rate(constant)) == 0.5
-
-
-def test_a_likelihood_on_an_edge_belongs_to_the_lower_bin():
-    curve = curves.reliability(count([0.0, 0.5, 0.5, 1.0], [0, 1, 0, 1], levels=3), bins=2)
-
-    assert curve.share.tolist() == [0.75, 0.25]
-    assert curve.predicted.tolist() == pytest.approx([1 / 3, 1])
-    assert curve.observed.tolist() == pytest.approx([1 / 3, 1])
-
-
 # --- what is not defined --------------------------------------------------------------------------
 
 
@@ -176,13 +138,6 @@ def test_curves_of_one_class_are_nan(road):
     assert bool(curves.vertical_sample(lacking, 5).isnan().all())
     assert bool(curves.equal_error_rate(curves.operating_points(lacking)).isnan())
     assert bool(curves.area(curves.roc(lacking)).isnan())
-
-
-def test_calibration_of_nothing_is_nan():
     nothing = RoadCounts(torch.zeros(256, dtype=torch.int64), torch.zeros(256, dtype=torch.int64))
-
     assert curves.brier(nothing).isnan()
     assert curves.expected_error(nothing).isnan()
-
-
-# --- files ----------------------------------------------------------------------------------------

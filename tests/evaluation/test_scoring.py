@@ -11,14 +11,11 @@ from roadtorch.evaluation.methods import Contender, contenders, named_detector
 from roadtorch.evaluation.scoring import score
 from tests.evaluation.conftest import counted, looking, summarised
 
-ROWS = [named_detector("prior:rows", {})]
-TRIANGLE = named_detector("prior:triangle", {})
-
 
 def test_results_keep_the_order_of_the_set_and_every_kth_spreads(dataset):
     chosen = every_kth(dataset, 3)
 
-    names = [result.item.name for result in score(chosen, ROWS)]
+    names = [result.item.name for result in score(chosen, [named_detector("prior:rows", {})])]
 
     assert names == [dataset.items[i].name for i in (0, 2, 4)]
 

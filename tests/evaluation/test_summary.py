@@ -79,12 +79,6 @@ def test_headline_is_the_mean_over_groups_of_pooled_counts(dataset, scenes):
     assert figures.pooled["images"] == 6
 
 
-def test_void_is_never_counted(dataset, scenes):
-    wrong_in_void = counted(dataset, looking(lambda n: scenes[n].road | scenes[n].void))
-
-    assert summarised(wrong_in_void).headline["iou"] == 1
-
-
 def test_an_image_without_road_is_skipped_in_the_mean_auc():
     total = Tally()
     total.add(item("a"), score({5: 3}, {2: 3}, seconds=0.1))

@@ -31,13 +31,6 @@ def normal(count: int, seed: int) -> Tensor:
     return torch.randn(count, generator=generator, dtype=torch.float64)
 
 
-def test_weights_draw_every_image_once_on_average():
-    drawn = weights(7, 4000)
-
-    assert (drawn.sum(1) == 7).all()
-    assert drawn.to(torch.float64).mean(0).tolist() == pytest.approx([1.0] * 7, abs=0.06)
-
-
 def test_interval_of_a_mean_is_the_textbook_one():
     values = normal(200, seed=1)
 

@@ -30,16 +30,6 @@ def height(points: Points, x: float) -> float:
     return low + (high - low) * (x - left) / (right - left)
 
 
-def threshold_average(maps: list[tuple[np.ndarray, np.ndarray]]) -> Points:
-    """Mean operating point at every score that any map has."""
-    found = sorted({value for scores, _ in maps for value in scores.ravel().tolist()})
-    points = [(0.0, 0.0)]
-    for threshold in reversed(found):
-        pairs = [rates(scores, road, threshold) for scores, road in maps]
-        points.append((sum(p[0] for p in pairs) / len(maps), sum(p[1] for p in pairs) / len(maps)))
-    return points
-
-
 def equal_error_rate(points: Points) -> float:
     """Walk along the curve until FPR is no longer below 1 - TPR; step back to the crossing."""
     for (f, t), (g, u) in pairwise(points):

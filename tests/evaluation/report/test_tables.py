@@ -38,20 +38,6 @@ def test_a_table_is_text_and_markdown() -> None:
     ]
 
 
-def test_the_columns_are_those_of_the_measures_that_ask_for_one() -> None:
-    road, trust, layout, pairs = (
-        re.split(" {2,}", text.splitlines()[0]) for text in texts(made_run()).values()
-    )
-
-    assert road == [
-        *("detector", *(f"MaxF {group}" for group in GROUPS), "F of mask", "IoU of mask", "MaxF"),
-        *("95 %", "pooled", "AUC", "AUC/image", "AP", "IoU", "EER", "Brier", "ms/image", "ECE"),
-    ]
-    assert trust[:2] == ["trust", "rank corr. of trust"]
-    assert layout[:6] == ["layout", "group", "sky", "vertical", "horizontal", "mean"]
-    assert pairs[:4] == ["minus fusion", "F of mask", "95 %", "MaxF"]
-
-
 def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
     worse = [f"oneclass:gaussian:{number}" for number in range(100)]
     evaluation = made_run(["fusion", *worse, "prior:rows", "prior:mean"])
