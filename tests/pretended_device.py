@@ -82,8 +82,10 @@ def _done(operation: Any, values: Sequence[Any], named: Mapping[str, Any]) -> An
     scalar = not isinstance(found, Tensor | tuple | list)
     if scalar or device == "cpu" or not (there or device == DEVICE.type):
         return found
-    if device is None:
-        _refuse_mixing(operation, given)
+    indexing = "index" in operation._schema.name or "copy_" in operation._schema.name
+    mixed = any(one.ndim > 0 and not isinstance(one, Pretended) for one in given)
+    if device is None and mixed and not indexing:
+        raise RuntimeError(f"{operation}: tensors on the pretended device and on the CPU")
     if operation._schema.name.endswith("_") and isinstance(values[0], Pretended):
         return values[0]
     return tree_map(lambda one: Pretended(one) if isinstance(one, Tensor) else one, found)
@@ -91,10 +93,3 @@ def _done(operation: Any, values: Sequence[Any], named: Mapping[str, Any]) -> An
 
 def _inner(value: Any) -> Any:
     return value.inner if isinstance(value, Pretended) else value
-
-
-def _refuse_mixing(operation: Any, given: Sequence[Tensor]) -> None:
-    if "index" in operation._schema.name or "copy_" in operation._schema.name:
-        return
-    if any(one.ndim > 0 and not isinstance(one, Pretended) for one in given):
-        raise RuntimeError(f"{operation}: tensors on the pretended device and on the CPU")

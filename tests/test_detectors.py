@@ -35,7 +35,6 @@ from roadtorch.detectors.detector import (
     Entry,
     WorkingSettings,
 )
-from roadtorch.detectors.fusion import Fusion
 from roadtorch.road.seed_area import SeedArea
 from roadtorch.testing import broken_promises, street
 from roadtorch.testing.scenes import render_scene
@@ -196,22 +195,6 @@ def test_lists_have_what_there_is_to_compare_a_grid_once_in_its_own_order() -> N
 )
 def test_wildcards_meet_a_grid_where_they_name_its_family(pattern: str, names: list[str]) -> None:
     assert list_detectors(pattern) == names
-
-
-def test_every_entry_has_a_summary_and_the_priors_alone_are_baselines() -> None:
-    entries = [entry for group in detector_groups().values() for entry in group]
-
-    assert all(entry.summary for entry in entries)
-    baselines = {entry.name for entry in entries if entry.baseline}
-    assert baselines == {"prior:rows", "prior:triangle", "prior:uniform"}
-
-
-def test_the_parts_of_a_detector_can_be_seen_and_their_weights_are_its_own() -> None:
-    detector = load_detector("fusion")
-
-    assert isinstance(detector.analysis, Fusion)
-    assert detector.analysis.network.settings.width == 256
-    assert all(name.startswith("analysis.network.") for name in detector.state_dict())
 
 
 # --- other packages -----------------------------------------------------------------------

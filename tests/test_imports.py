@@ -15,16 +15,10 @@ from roadtorch.testing.scenes import render_scene, write_picture
 HEAVY = ("torch", "cv2", "skimage", "sklearn", "matplotlib", "scipy", "PIL", "pydantic")
 
 
-def run_python(code: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    )
-    return done.stdout
-
-
 def imported_by(code: str) -> set[str]:
-    loaded = run_python(f"import sys\n{code}\nprint('\\n', *sys.modules)").splitlines()[-1].split()
-    return {name.partition(".")[0] for name in loaded}
+    words = [sys.executable, "-c", f"import sys\n{code}\nprint('\\n', *sys.modules)"]
+    printed = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout
+    return {name.partition(".")[0] for name in printed.splitlines()[-1].split()}
 
 
 def test_importing_the_package_is_light() -> None:

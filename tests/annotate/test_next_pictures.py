@@ -15,16 +15,10 @@ from roadtorch.annotate.next_pictures import (
     RULES,
     Candidates,
     PictureOrder,
-    new_scenes_first,
     view_features,
 )
 from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.data.events import Confirm
-
-
-def scenes_of(*places: float) -> torch.Tensor:
-    """Features (n,1) of pictures at places on a line."""
-    return torch.tensor(places, dtype=torch.float32)[:, None]
 
 
 def candidates(count: int, seed: int = 0) -> Candidates:
@@ -44,14 +38,6 @@ def test_a_batch_has_no_picture_twice_and_none_that_is_corrected(
     assert len(found) == min(count, pictures - len(corrected)) == len(set(found))
     assert not set(found) & corrected
     assert found == RULES[rule](candidates(pictures), corrected, count)
-
-
-def test_the_least_trusted_come_first_but_no_scene_twice() -> None:
-    features = scenes_of(0, 0.1, 5, 5.1, 10)
-    known = Candidates(torch.tensor([0.1, 0.2, 0.4, 0.3, torch.nan]), features)
-    assert RULES["least-trust"](known, [], 3) == [0, 3, 4]
-    assert RULES["least-trust"](known, [], 5) == [0, 3, 4, 1, 2]  # scenes ran out
-    assert RULES["least-trust"](known, [1], 2) == [3, 4]  # 0 is the scene of what is corrected
 
 
 def from_all_distances(known: Candidates, corrected: list[int], count: int) -> list[int]:
@@ -97,11 +83,6 @@ def test_memory_grows_with_images_not_with_their_pairs(rule: str, corrected: lis
     with Largest() as largest:
         assert len(RULES[rule](candidates(6000), corrected, 20)) == 20
     assert largest.elements < 6000**2 / 20
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_few_pictures_are_no_trouble(count: int) -> None:
-    assert new_scenes_first(list(range(count)), torch.zeros(count, 3), [], 5) == list(range(count))
 
 
 def test_features_tell_what_stands_where() -> None:

@@ -32,13 +32,9 @@ def three_strips() -> Segments:
     return measure_segments(image, Superpixels(pixels=64).cut(image))
 
 
-def strip_of(segments: Segments) -> torch.Tensor:
-    return (segments.column * 3).long()
-
-
 def test_one_click_mends_the_pavement_and_leaves_the_rest() -> None:
     segments = three_strips()
-    strip = strip_of(segments)
+    strip = (segments.column * 3).long()
     odds = torch.where(strip == 2, -2.0, 2.0)  # the machine takes the pavement for road
     said = torch.zeros(len(odds))
     said[(strip == 1).nonzero()[0, 0]] = -1

@@ -11,11 +11,9 @@ import torch
 
 from roadtorch.camera.birds_eye import (
     cell_pixels,
-    cell_to_road,
-    project,
     to_birds_eye,
 )
-from roadtorch.camera.calibration import Calibration, read_calibration, road_to_image
+from roadtorch.camera.calibration import Calibration, read_calibration
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160
@@ -25,10 +23,6 @@ SHARED = Path(__file__).resolve().parents[3] / "shared/reference/kitti_vectors.j
 def write(path: Path, text: str) -> Path:
     path.write_text(text)
     return path
-
-
-def numbers(*values: float) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.float64)
 
 
 def pattern(height: int, width: int) -> torch.Tensor:
@@ -111,37 +105,11 @@ def calibrations(vectors, tmp_path) -> dict[str, Calibration]:
     }
 
 
-def sizes(vectors: dict[str, Any], name: str) -> tuple[int, int]:
-    entry = vectors["calibration"][name]
-    return entry["image_height"], entry["image_width"]
-
-
-@pytest.mark.data
-def test_the_kits_cells(vectors, calibrations):
-    for name, entry in vectors["calibration"].items():
-        expected = torch.tensor(entry["homography_road_XZ1_to_image"], dtype=torch.float64)
-        assert torch.allclose(road_to_image(calibrations[name]), expected, rtol=1e-9, atol=1e-9)
-    for cell in vectors["bev_cell_to_image"]:
-        at = torch.tensor(cell["bev_row"]), torch.tensor(cell["bev_col"])
-        calibration = calibrations[cell["calib"]]
-        x, z = cell_to_road(*at)
-        u, v = project(road_to_image(calibration), x, z)
-        found = [float(value) for value in (x, z, u, v)]
-        assert found == pytest.approx([cell[key] for key in "XZuv"], abs=1e-3)
-
-        height, width = sizes(vectors, cell["calib"])
-        index, inside = cell_pixels(calibration, height, width)
-        assert bool(inside[at]) == cell["inside"]
-        assert int(to_birds_eye(pattern(height, width), calibration)[at]) == cell["value"]
-        if cell["inside"]:
-            pixel = divmod(int(index[at]), width)
-            assert pixel == (cell["img_row"], cell["img_col"])
-
-
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["um_000000", "uu_000093"])
 def test_the_kits_whole_maps_byte_by_byte(vectors, calibrations, name):
-    height, width = sizes(vectors, name)
+    entry = vectors["calibration"][name]
+    height, width = entry["image_height"], entry["image_width"]
     (forward,) = (case for case in vectors["warp_forward"] if case["calib"] == name)
 
     cells = to_birds_eye(pattern(height, width), calibrations[name])

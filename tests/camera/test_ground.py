@@ -194,19 +194,14 @@ def test_other_files_are_refused_by_name(tmp_path: Path, text: str, told: str) -
 # --- KITTI ------------------------------------------------------------------------------
 
 
-def centre(calibration: Calibration) -> np.ndarray:
-    """The colour camera in the road's frame: the point that the whole projection forgets."""
+def camera_centre(calibration: Calibration) -> np.ndarray:
+    """Return the colour camera in the road's frame: the null space of the whole projection."""
     rectify, pose = np.eye(4), np.eye(4)
     rectify[:3, :3] = np.reshape(calibration.rectification, (3, 3))
     pose[:3] = np.reshape(calibration.camera_to_road, (3, 4))
     whole = np.reshape(calibration.projection, (3, 4)) @ rectify @ np.linalg.inv(pose)
     null = np.linalg.svd(whole)[2][-1]
     return null[:3] / null[3]
-
-
-def in_the_robots_frame(calibration: Calibration, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-    foot = centre(calibration)
-    return np.stack([z - foot[2], foot[0] - x, np.zeros_like(x)], -1).reshape(-1, 3)
 
 
 def test_the_ground_points_are_those_of_the_birds_eye_view() -> None:
@@ -217,7 +212,9 @@ def test_the_ground_points_are_those_of_the_birds_eye_view() -> None:
     )
     u, v = project(road_to_image(calibration), x, z)
 
-    pixels, _ = camera.pixels_of(in_the_robots_frame(calibration, x.numpy(), z.numpy()))
+    foot = camera_centre(calibration)
+    points = torch.stack([z - foot[2], foot[0] - x, torch.zeros_like(x)], -1).reshape(-1, 3)
+    pixels, _ = camera.pixels_of(points.numpy())
 
     assert pixels == pytest.approx(torch.stack([u - 1, v - 1], -1).reshape(-1, 2).numpy(), abs=1e-6)
     assert camera.pose.position[:2] == (0, 0)

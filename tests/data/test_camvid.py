@@ -50,18 +50,6 @@ def test_camvid_test_is_read_where_it_is_and_is_no_part_of_dev(camvid):
     assert "Seq05V" not in open_dataset("camvid", camvid).groups()
 
 
-def test_camvid_truth_is_the_scenes_truth(camvid):
-    dataset, street = open_dataset("camvid", camvid), scene(0, 24, 32)
-
-    image, truth = dataset.read(dataset.items[0])
-
-    assert torch.allclose(image, street.image, atol=1e-6)
-    assert torch.equal(truth.road, street.road)
-    assert torch.equal(truth.valid, ~street.void)
-    assert truth.layout is not None
-    assert torch.equal(truth.layout, torch.where(street.void, 255, street.layout))
-
-
 # --- 32 colours ------------------------------------------------------------------------------
 
 

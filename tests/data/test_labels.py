@@ -34,9 +34,14 @@ def saved(path: Path, picture: np.ndarray | Image.Image) -> LabelledItem:
     return LabelledItem(path.stem, path, path)
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_what_the_numbers_mean(tmp_path, kind):
-    truth = NUMBERS.truth(saved(tmp_path / "a.png", np.array([[0, 1, 5, 7, 9]], kind)))
+ROW = np.array([[0, 1, 5, 7, 9]], np.uint8)
+PALETTE = Image.fromarray(ROW).convert("P")
+PALETTE.putpalette([200, 30, 10] * 256)
+
+
+@pytest.mark.parametrize("picture", [ROW, ROW.astype(np.uint16), PALETTE], ids=["8", "16", "P"])
+def test_what_the_numbers_mean(tmp_path, picture):
+    truth = NUMBERS.truth(saved(tmp_path / "a.png", picture))
 
     assert truth.road[0].tolist() == [False, True, True, False, False]
     assert truth.valid[0].tolist() == [True, True, True, True, False]
@@ -52,13 +57,6 @@ def test_grey_in_other_clothes(tmp_path, mode):
     assert truth.layout is None
 
 
-def test_palette_files_keep_their_numbers(tmp_path):
-    picture = Image.fromarray(np.array([[0, 1, 9]], np.uint8), mode="L").convert("P")
-    picture.putpalette([200, 30, 10] * 256)
-
-    assert NUMBERS.truth(saved(tmp_path / "a.png", picture)).road[0].tolist() == [0, 1, 0]
-
-
 def test_what_the_colours_mean(tmp_path):
     pixels = np.array([[[255, 0, 255], [1, 2, 3], [0, 0, 0]]], np.uint8)
     for picture in (Image.fromarray(pixels), Image.fromarray(pixels).quantize(3)):
@@ -66,18 +64,6 @@ def test_what_the_colours_mean(tmp_path):
 
         assert truth.road[0].tolist() == [True, False, False]
         assert truth.valid[0].tolist() == [True, False, True]
-
-
-def test_places_of_random_colours(tmp_path):
-    generator = np.random.default_rng(1)
-    known = np.unique(generator.integers(0, 256, (40, 3)), axis=0)
-    generator.shuffle(known)
-    places = generator.integers(0, len(known), (9, 7))
-    colours = tuple((int(r), int(g), int(b)) for r, g, b in known)
-
-    found = ColourLabels(colours, NUMBERS).places(known[places].astype(np.uint8), tmp_path)
-
-    assert (found == places).all()
 
 
 def test_pairs_in_the_order_of_their_names(tmp_path):

@@ -13,7 +13,7 @@ from PIL import Image
 import roadtorch.base.plugins
 import roadtorch.data.catalogue
 from roadtorch.base.errors import ConfigError, DatasetError
-from roadtorch.data.catalogue import dataset_kind, list_datasets, open_dataset
+from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, Kind, LabelledItem, Truth, leave_out
 from roadtorch.data.folder import with_conditions
 from tests.data.conftest import write
@@ -208,14 +208,6 @@ def test_the_documented_set(tmp_path):
 
 
 # --- the door to sets -------------------------------------------------------------------
-
-
-def test_the_sets_that_come_along():
-    assert list_datasets() == [
-        *("camvid", "camvid32", "camvid32:literal", "camvid32:literal-ignore"),
-        *("cityscapes", "corrections", "folder", "idd-lite", "kitti-road"),
-    ]
-    assert all(dataset_kind(name).splits for name in list_datasets())
 
 
 # --- other packages ------------------------------------------------------------------------------

@@ -8,14 +8,9 @@ from sklearn.metrics import brier_score_loss, roc_auc_score
 from sklearn.metrics import roc_curve as sklearn_roc
 
 from roadtorch.evaluation import curves
-from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.metrics import RoadCounts
 from tests.evaluation.conftest import count, random_map, stack
 from tests.reference import curves as slow
-
-
-def points(curve: Curve) -> list[tuple[float, float]]:
-    return list(zip(curve.x.tolist(), curve.y.tolist(), strict=True))
 
 
 def mean_sample(maps: list[RoadCounts], steps: int) -> torch.Tensor:
@@ -40,7 +35,7 @@ def test_vertical_average_of_the_worked_example():
 
     found = [float(at_twentieths[round(20 * x)]) for x in (0, 0.1, 0.25, 0.5)]
     assert found == pytest.approx([0.375, 0.45, 0.8125, 1.0], abs=1e-12)
-    assert points(curve)[:2] == [(0, 0), (0, 0.375)]
+    assert (curve.x[:2].tolist(), curve.y[:2].tolist()) == ([0, 0], [0, 0.375])
     assert float(curves.area(curve)) == pytest.approx(0.8552, abs=6e-5)
     assert float(curves.equal_error_rate(curve)) == pytest.approx(0.247664, abs=6e-7)
 

@@ -52,14 +52,6 @@ def check_answers(fitted: Fitted, pixels: Tensor) -> None:
     assert 0 < fitted.threshold < torch.inf
 
 
-def test_there_are_seventeen_in_the_order_of_table_3() -> None:
-    names = (
-        "nn hist64_s hist64_sn hist100_s hist100_sn gaussian robust_gaussian mog2 mog4 mog_opt "
-        "svdd pca mpm mst dlp kmeans kcentres"
-    )
-    assert list(CLASSIFIERS) == names.split()
-
-
 # --- what they find ---------------------------------------------------------------------
 
 
