@@ -8,6 +8,10 @@ import hypothesis
 import pytest
 import torch
 
+from tests.command import call, footage
+
+__all__ = ["call", "footage"]
+
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 hypothesis.settings.register_profile("settled", derandomize=True, deadline=None, database=None)

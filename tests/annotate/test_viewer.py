@@ -15,10 +15,8 @@ from PIL import Image
 from roadtorch import Detection
 from roadtorch.annotate.viewer import Viewer
 from roadtorch.inputs.item import Item
-from tests.command import Call, call
+from tests.command import Call
 from tests.videos import write_video
-
-__all__ = ["call"]
 
 
 def frame(number: int) -> Item:

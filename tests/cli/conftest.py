@@ -5,10 +5,7 @@ from pathlib import Path
 import pytest
 
 from roadtorch.base.image import write_colours
-from tests.command import call, footage
 from tests.streets import drive
-
-__all__ = ["call", "footage"]
 
 
 @pytest.fixture(scope="module")

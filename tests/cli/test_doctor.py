@@ -10,9 +10,7 @@ from roadtorch.cli import doctor
 from roadtorch.cli.doctor import Check
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout import weights
-from tests.command import Call, call
-
-__all__ = ["call"]
+from tests.command import Call
 
 
 def test_a_sound_installation_line_by_line(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,9 @@ import pytest
 
 from roadtorch.testing.scenes import render_scene, write_picture
 from scripts.figures import FIGURES, __main__, p1, p3_light, p3_table3
-from tests.command import Call, call
+from tests.command import Call
 from tests.data.test_kitti import add_frame, street
 from tests.streets import write_drives
-
-__all__ = ["call"]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/research/index.md"
 COMMANDS = re.findall(r"^\| (P\d, .*) \| `(.*)` \|$", PAGE.read_text("utf-8"), re.M)

@@ -21,14 +21,12 @@ from hypothesis import strategies as st
 
 from roadtorch.base.compute import forget_peak, peak_mebibytes
 from roadtorch.base.errors import InputError, RoadtorchError
-from tests.command import Call, call, files_in, save_picture
+from tests.command import Call, files_in, save_picture
 from tests.fuzz.footage import FOOTAGE
 from tests.fuzz.kinds import KINDS
 from tests.fuzz.pictures import scene
 from tests.fuzz.tampered import Draw, unhurried
 from tests.streets import write_drives
-
-__all__ = ["call"]
 
 Read = Callable[[Path], bool]
 

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import ROWS, Call, call, footage
-
-__all__ = ["call", "footage"]
+from tests.command import ROWS, Call
 
 
 @pytest.fixture

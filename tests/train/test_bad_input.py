@@ -19,10 +19,8 @@ from roadtorch.train.config import (
     build_training,
 )
 from roadtorch.train.run import Request, train
-from tests.command import Call, call
+from tests.command import Call
 from tests.train.runs import PATCHES, write_config, write_streets
-
-__all__ = ["call"]
 
 
 def test_broken_pictures_are_skipped_and_listed(call: Call, tmp_path: Path) -> None:

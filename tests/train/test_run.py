@@ -28,12 +28,10 @@ from roadtorch.train.loop import (
 from roadtorch.train.pictures import picture_loss
 from roadtorch.train.run import Outcome, Request, recipe_of, train
 from roadtorch.train.teachers import PLANES
-from tests.command import Call, call
+from tests.command import Call
 from tests.draws import seeded
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write_config
-
-__all__ = ["call"]
 
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
