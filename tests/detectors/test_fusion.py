@@ -1,8 +1,6 @@
 """The fused detector and the labeller as a detector: cues, awkward pictures, settings."""
 
-from collections.abc import Callable
 from functools import cache, partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,22 +130,9 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
     np.testing.assert_allclose(placed.likelihood, wanted, atol=1e-6, rtol=0.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "file", "what"),
-    [
-        ("fusion", lambda page: page, r"page\.safetensors: is damaged"),
-        ("fusion", lambda _: shipped_weights("cnn-7"), "a network for patches, not for pictures"),
-        ("layout:cnn-7", lambda _: "nowhere.safetensors", "is not a file"),
-    ],
-)
-def test_other_weights(
-    name: str, file: Callable[[Path], object], what: str, tmp_path: Path
-) -> None:
-    page = tmp_path / "page.safetensors"
-    page.write_text("<html>404</html>")
-
-    with pytest.raises(WeightsError, match=what):
-        load_detector(name, weights={"file": str(file(page))})
+def test_weights_for_patches_are_refused() -> None:
+    with pytest.raises(WeightsError, match="a network for patches, not for pictures"):
+        load_detector("fusion", weights={"file": "cnn-7"})
 
 
 def test_the_labeller_as_a_detector_answers_with_its_ground() -> None:

@@ -13,17 +13,16 @@ from roadtorch.base.urls import slug
 from roadtorch.inputs.find import camera_number, find_inputs, open_source
 from roadtorch.inputs.item import Item, Selection, Source, spread
 from roadtorch.inputs.pictures import find_pictures
-from tests.command import save_picture
 from tests.videos import write_video
 
 NAMES = ["b.jpg", "a.PNG", "c[1].jpg", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"]
-OWN = ["b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png"]
+OWN = ["b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png", "drive.overlay.mp4"]
 LINKS = {"loop.png": "loop.png", "sub/around": "around", "sub/up": ".."}
 
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Images, results of ours among them, links to themselves and an empty folder."""
+    """Images and videos, results of ours among them, links to themselves and an empty folder."""
     root = tmp_path_factory.mktemp("footage")
     (root / "bare").mkdir()
     for name in (*NAMES, *OWN):
@@ -31,6 +30,8 @@ def footage(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (root / name).touch()
     for name, target in LINKS.items():
         (root / name).symlink_to(target)
+    write_video(root / "drive.mp4")
+    write_video(root / "sub" / "late.avi", codec="mjpeg")
     return root
 
 
@@ -38,23 +39,29 @@ ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
 
 
 @pytest.mark.parametrize(
-    ("ends", "apart", "expected"),
+    ("ends", "apart", "pictures", "videos"),
     [
-        ([""], "loop.png", ALL),
-        (["[sx]*/d*/**"], "none", ["sub/deep/d"]),
-        ([""], "sub", ["a", "b", "c[1]", "loop"]),
-        (["*.PNG"], "none", ["a"]),
-        (["s*"], "none", ["sub/c", "sub/deep/d"]),
-        (["c[1].jpg"], "none", ["c[1]"]),  # no glob, as it exists
-        (["b.mask.png"], "none", ["b.mask"]),  # asked for by name
-        (["b.jpg", "b.jpg"], "none", ["b"]),
-        (["b.jpg", "none.jpg"], "none", ["b", "none"]),  # reading that one fails
+        ([""], "loop.png", ALL, ["drive", "sub/late"]),
+        (["[sx]*/d*/**"], "none", ["sub/deep/d"], []),
+        ([""], "sub", ["a", "b", "c[1]", "loop"], ["drive"]),
+        (["*.PNG"], "none", ["a"], []),
+        (["s*"], "none", ["sub/c", "sub/deep/d"], ["sub/late"]),
+        (["*.mp4"], "none", [], ["drive"]),
+        (["drive.mp4"], "none", [], ["drive"]),
+        (["c[1].jpg"], "none", ["c[1]"], []),  # no glob, as it exists
+        (["b.mask.png"], "none", ["b.mask"], []),  # asked for by name
+        (["b.jpg", "b.jpg"], "none", ["b"], []),
+        (["b.jpg", "none.jpg"], "none", ["b", "none"], []),  # reading that one fails
     ],
 )
-def test_folders_and_globs(footage: Path, ends: list[str], apart: str, expected: list[str]) -> None:
-    images = find_pictures([f"{footage}/{end}" for end in ends], apart=footage / apart)
+def test_folders_and_globs(
+    footage: Path, ends: list[str], apart: str, pictures: list[str], videos: list[str]
+) -> None:
+    inputs = find_inputs([f"{footage}/{end}" for end in ends], apart=footage / apart)
 
-    assert [image.name for image in images] == expected
+    assert [picture.name for picture in inputs.pictures] == pictures
+    assert [source.name for source in inputs.sources] == videos
+    assert {source.rate for source in inputs.sources if source.name == "drive"} <= {10}
 
 
 @pytest.mark.parametrize(
@@ -77,44 +84,13 @@ def test_pipes_are_listed_and_never_opened(tmp_path: Path) -> None:
         item.read()
 
 
-# --- videos, lists, addresses -------------------------------------------------------------
+# --- lists, addresses -------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a.jpg, drive.mp4, sub/late.avi, and an overlay of ours."""
-    root = tmp_path_factory.mktemp("mixed")
-    save_picture(root / "a.jpg")
-    write_video(root / "drive.mp4")
-    (root / "sub").mkdir()
-    write_video(root / "sub" / "late.avi", codec="mjpeg")
-    (root / "drive.overlay.mp4").symlink_to("drive.mp4")
-    return root
-
-
-@pytest.mark.parametrize(
-    ("end", "apart", "pictures", "videos"),
-    [
-        ("", None, ["a"], ["drive", "sub/late"]),
-        ("", "sub", ["a"], ["drive"]),
-        ("*.mp4", None, [], ["drive"]),
-        ("drive.mp4", None, [], ["drive"]),
-    ],
-)
-def test_folders_and_globs_are_searched_for_videos_too(
-    mixed: Path, end: str, apart: str | None, pictures: list[str], videos: list[str]
-) -> None:
-    inputs = find_inputs([str(mixed / end)], apart=mixed / apart if apart else None)
-
-    assert [picture.name for picture in inputs.pictures] == pictures
-    assert [source.name for source in inputs.sources] == videos
-    assert inputs.sources[0].rate == 10
-
-
-def test_names_come_from_standard_input_and_lists(mixed: Path, tmp_path: Path) -> None:
+def test_names_come_from_standard_input_and_lists(footage: Path, tmp_path: Path) -> None:
     listed = tmp_path / "list.txt"
     listed.write_text("b.png\n\nother.mp4\r\n")
-    given = ["-", f"@{listed}", str(mixed / "a.jpg")]
+    given = ["-", f"@{listed}", str(footage / "b.jpg")]
 
     pictures, sources = find_inputs(given, names=io.StringIO("0\na.jpg\n"))
 
@@ -153,13 +129,13 @@ def test_addresses_give_names_without_passwords() -> None:
     assert slug("http://host/") == "host"
 
 
-def test_one_source_of_an_input(mixed: Path) -> None:
-    assert open_source(str(mixed / "drive.mp4"), Selection()).rate == 10
-    pictures = open_source(str(mixed / "a.jpg"), Selection())
+def test_one_source_of_an_input(footage: Path) -> None:
+    assert open_source(str(footage / "drive.mp4"), Selection()).rate == 10
+    pictures = open_source(str(footage / "b.jpg"), Selection())
     assert (pictures.rate, pictures.count) == (None, 1)
-    assert [frame.name for frame in pictures.items()] == ["a"]
+    assert [frame.name for frame in pictures.items()] == ["b"]
     with pytest.raises(ConfigError, match="holds 2 videos and pictures"):
-        open_source(str(mixed), Selection())
+        open_source(str(footage), Selection())
 
 
 # --- items --------------------------------------------------------------------------------
