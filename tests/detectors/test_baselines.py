@@ -45,13 +45,10 @@ THINGS = (
 )
 
 
-@pytest.fixture(scope="module")
-def found() -> dict[str, Detection]:
+def test_most_things_without_road_have_no_mask_or_no_trust() -> None:
     detector = load_detector("fusion")
-    return {name: detector.detect(getattr(skimage.data, name)(), "rgb") for name in THINGS}
+    found = {name: detector.detect(getattr(skimage.data, name)(), "rgb") for name in THINGS}
 
-
-def test_most_things_without_road_have_no_mask_or_no_trust(found: dict[str, Detection]) -> None:
     believed = {
         name for name, each in found.items() if each.mask.any() and (each.trust or 0) >= 0.3
     }

@@ -86,11 +86,8 @@ def test_layout_paper_is_cnn_7_at_every_pixel() -> None:
     [
         (alvarez2014.robust_gaussian, {}, 0.995),
         (alvarez2014.mog2, {}, 0.995),
-        (
-            alvarez2014.mog4,
-            {"restarts": 20},
-            0.995,
-        ),  # of several summits both have to find the highest
+        # Of several summits both have to find the highest.
+        (alvarez2014.mog4, {"restarts": 20}, 0.995),
         (alvarez2014.mog_opt, {"restarts": 100}, 0.99),
         (alvarez2014.dlp, {}, 0.995),
         (alvarez2014.pca, {}, 0.995),

@@ -17,7 +17,6 @@ from roadtorch.imaging.resize import (
     WorkingSize,
     at_picture_size,
     at_work,
-    averaging,
     resized,
 )
 from roadtorch.layout.patch_network import Normalisation, normalise
@@ -97,10 +96,3 @@ def test_matrices_resize_as_torch_does(height: int, width: int, rows: int, colum
 
     expected = F.interpolate(maps, (rows, columns), mode="bilinear", antialias=True)
     assert torch.allclose(found, expected, atol=1e-5)
-
-
-def test_halving_a_row_weighs_four_pixels_and_fewer_at_its_ends() -> None:
-    matrix = averaging(6, 3)
-
-    assert torch.allclose(matrix[1], torch.tensor([0, 1, 3, 3, 1, 0]) / 8)
-    assert torch.allclose(matrix[0], torch.tensor([3, 3, 1, 0, 0, 0]) / 7)

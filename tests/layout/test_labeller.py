@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.evaluation.metrics import class_recalls, count_layout
-from roadtorch.imaging.segments import Segments, measure_segments
 from roadtorch.layout import labeller
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 from roadtorch.layout.labeller import (
@@ -25,7 +24,6 @@ from roadtorch.layout.labeller import (
     in_order,
     label_layout,
     place_prior,
-    sky_look,
 )
 from roadtorch.testing.scenes import RenderedScene
 from tests.draws import seeded
@@ -46,38 +44,6 @@ def test_the_place_prior_reads_sky_vertical_horizontal_down_the_middle() -> None
     assert best[0] == SKY or best[0] == VERTICAL
     assert (best.diff() >= 0).all()
     assert best[-1] == HORIZONTAL
-
-
-def test_a_lower_horizon_moves_sky_and_ground_down_on_both_sides_alike() -> None:
-    row, column = torch.rand(2, 400, generator=seeded(0))
-    high = place_prior(row, column, PlacePrior(horizon=0.4))
-    low = place_prior(row + 0.2, column, PlacePrior(horizon=0.6))
-    mirrored = place_prior(row, 1 - column, PlacePrior(horizon=0.4))
-    torch.testing.assert_close(high, low)
-    torch.testing.assert_close(high, mirrored)
-
-
-# --- the look of the sky -------------------------------------------------------------------
-
-
-@pytest.fixture
-def four_quarters() -> Segments:
-    """Four segments, measured: light, dark, light and rough, blue."""
-    image = torch.zeros(3, 40, 40)
-    image[:, :20, :20] = 0.9
-    image[:, :20, 20:] = 0.15
-    image[:, 20:, :20] = 0.9 - 0.5 * torch.rand(3, 20, 20, generator=seeded(0))
-    image[:, 20:, 20:] = torch.tensor([0.5, 0.7, 0.95])[:, None, None]
-    labels = torch.tensor([[0, 1], [2, 3]]).repeat_interleave(20, 0).repeat_interleave(20, 1)
-    return measure_segments(image, labels)
-
-
-def test_sky_is_light_even_and_at_times_blue(four_quarters: Segments) -> None:
-    light, dark, rough, blue = sky_look(four_quarters, SkyLook()).tolist()
-    assert blue > light > max(rough, dark, 0)
-    for name in ("light", "even", "blue"):  # each says at most its weight
-        alone = SkyLook()._replace(**{"light": 0, "even": 0, "blue": 0, name: 0.7})
-        assert 0.1 < sky_look(four_quarters, alone).abs().max() <= 0.7 + 1e-6
 
 
 def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,10 +151,7 @@ def truth(shown: RenderedScene) -> Tensor:
     return torch.where(shown.void, UNLABELLED, shown.layout.long())
 
 
-STREETS = [(0, 0.0), (1, 0.0), (2, 0.8)]
-
-
-@pytest.mark.parametrize(("seed", "dusk"), STREETS)
+@pytest.mark.parametrize(("seed", "dusk"), [(0, 0.0), (1, 0.0), (2, 0.8)])
 def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: float) -> None:
     shape, layout = scene(seed, dusk=dusk).road.shape, labelled(seed, dusk)
 

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import build_settings
@@ -141,22 +139,6 @@ def test_dense_equals_the_network_patch_by_patch(topology: Topology) -> None:
     # Of several pictures, and of one pixel.
     torch.testing.assert_close(network.dense(picture.expand(2, -1, -1, -1))[1], dense)
     assert network.dense(picture[:, :1, :1]).shape == (3, 1, 1)
-
-
-@settings(max_examples=20)
-@given(st.integers(1, 9), st.integers(1, 9))
-def test_the_frame_is_a_reflection_as_often_as_it_takes(height: int, width: int) -> None:
-    picture = torch.arange(height * width, dtype=torch.float32).reshape(1, height, width)
-
-    framed = reflected(picture, 32)
-
-    for row, column in [(0, 0), (height + 30, width + 30), (20, 3)]:
-        y, x = (
-            int(reference.bounce(place - 16, side))
-            for place, side in ((row, height), (column, width))
-        )
-        assert framed[0, row, column] == picture[0, y, x]
-    assert framed.shape == (1, height + 31, width + 31)
 
 
 # --- pictures --------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from roadtorch.layout.backbone_network import (
     SamePadded,
 )
 from roadtorch.layout.picture_network import (
-    OUTPUTS,
     PictureNetwork,
     PictureNetworkSettings,
     scaled,
@@ -51,16 +50,6 @@ def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: Backbo
 
 
 # --- ours ----------------------------------------------------------------------------------
-
-
-def test_pictures_of_a_batch_do_not_touch_each_other() -> None:
-    network, pixels = PictureNetwork(SMALL), torch.randn(3, 3, 48, 64, generator=seeded(1))
-
-    together = network(pixels)
-
-    assert together.shape == (3, OUTPUTS, 24, 32)
-    alone = torch.cat([network(picture[None]) for picture in pixels])
-    torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-4)
 
 
 def test_the_same_weights_see_pictures_of_another_size() -> None:

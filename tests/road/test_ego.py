@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -67,10 +66,6 @@ def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
 FULL = torch.ones(30, 40, dtype=torch.bool)
 
 
-def loaded(**values: Any) -> Callable[[Path], object]:
-    return lambda folder: load_detector("prior:rows", ego=values)
-
-
 @pytest.mark.parametrize(
     ("call", "what"),
     [
@@ -88,7 +83,10 @@ def loaded(**values: Any) -> Callable[[Path], object]:
             lambda _: ego_car(torch.zeros(3, 9, 9), Ego(bottom=0.85, outline=(0.0, 0.0, 1.0))),
             "image: is covered nearly everywhere",
         ),
-        (loaded(outline=(0.01, 0.05)), "ego.outline: .*leave at least 10% of the picture free"),
+        (
+            lambda _: load_detector("prior:rows", ego={"outline": (0.01, 0.05)}),
+            "ego.outline: .*leave at least 10% of the picture free",
+        ),
     ],
 )
 def test_nonsense_is_refused(call: Callable[[Path], object], what: str, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Naive Bayes over cues, and the road of whole pictures."""
 
-from collections.abc import Sequence
 from functools import cache
 
 import pytest
@@ -36,19 +35,12 @@ WEIGHTS = st.floats(0, 4)
 # --- naive Bayes --------------------------------------------------------------------------
 
 
-def naive_bayes(prior: Tensor, likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
-    return fused_log_odds([prior, *likelihoods], [1.0, *weights]).sigmoid()
-
-
-def as_map(value: float) -> Tensor:
-    return torch.full((2, 2), value, dtype=torch.float64)
-
-
 @given(LIKELIHOODS, st.lists(st.tuples(LIKELIHOODS, WEIGHTS), max_size=5))
 def test_naive_bayes_normalises_the_product(prior: float, cues: list[tuple[float, float]]) -> None:
     likelihoods, weights = [cue[0] for cue in cues], [cue[1] for cue in cues]
+    maps = [torch.full((2, 2), value, dtype=torch.float64) for value in (prior, *likelihoods)]
 
-    road = naive_bayes(as_map(prior), [as_map(value) for value in likelihoods], weights)
+    road = fused_log_odds(maps, [1.0, *weights]).sigmoid()
 
     wanted = reference.naive_bayes(prior, likelihoods, weights)
     assert road.flatten().tolist() == pytest.approx([wanted] * 4, abs=1e-9)
@@ -72,8 +64,8 @@ def test_equation_four_by_hand_and_odds_that_rank_pixels_the_other_way_round() -
 def test_extreme_cues_stay_finite_and_can_be_outvoted(dtype: torch.dtype, extreme: float) -> None:
     cue = torch.full((3, 3), extreme, dtype=dtype)
 
-    alone = naive_bayes(cue, [cue] * 40, [10.0] * 40)
-    outvoted = naive_bayes(torch.full_like(cue, 0.5), [cue, 1 - cue, 1 - cue], [1, 1, 1])
+    alone = fused_log_odds([cue] * 41, [1.0] + [10.0] * 40).sigmoid()
+    outvoted = fused_log_odds([cue, 1 - cue, 1 - cue], [1, 1, 1]).sigmoid()
 
     assert alone.isfinite().all()
     assert ((alone - extreme).abs() < 1e-3).all()

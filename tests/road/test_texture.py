@@ -17,7 +17,6 @@ from roadtorch.road.texture import (
     similarity,
     uniform_patterns,
     uniformity,
-    uniformity_likelihood,
     value_range,
 )
 from tests.draws import random
@@ -103,15 +102,6 @@ def test_uniformity_follows_equation_1(levels):
 
     expected = reference.uniformity_of_values(np.array(levels))
     assert uniformity(histogram).item() == pytest.approx(expected, abs=1e-6)
-
-
-def test_the_likelihood_of_uniformity_grows_and_is_one_half_at_the_given_value():
-    likelihood = uniformity_likelihood(torch.linspace(0, 1, 101), 0.3)
-
-    assert (likelihood.diff() > 0).all()
-    assert likelihood[0] == 0
-    assert likelihood[30].item() == pytest.approx(0.5)
-    assert likelihood[-1] <= 1
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from roadtorch.road.trust import (
     WEIGHTS,
     Signs,
     TrustSettings,
-    entropy,
     judgement,
     signs_of,
 )
@@ -46,10 +45,6 @@ def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
     assert signs(learned=ROAD.flip(-1)).seed == 0
     assert signs(likelihood=UNSURE_BELOW, ego=EGO) == signs(ego=EGO)  # the ego car is not asked
     assert all(0 <= sign <= 5 for sign in signs(0.6 - 0.2 * ROAD, NOWHERE))  # an empty mask
-
-
-def test_entropy_is_one_bit_at_one_half_and_nothing_at_the_ends() -> None:
-    assert entropy(torch.tensor([0.0, 0.5, 1.0])).tolist() == pytest.approx([0, 1, 0])
 
 
 def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
