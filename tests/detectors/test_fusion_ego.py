@@ -11,7 +11,7 @@ from torch import Tensor
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detection, Detector
 from roadtorch.imaging.resize import resized
-from roadtorch.road.ego import continued
+from roadtorch.road.ego import Ego, continued, ego_car
 from roadtorch.testing import flaws
 from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
@@ -33,23 +33,13 @@ def fusion(path: Path, **settings: Any) -> Detector:
     return load_detector("fusion:scratch", weights={"file": str(path)}, **given)
 
 
-@pytest.fixture(scope="module")
-def seeing(weights: Path) -> Detector:
-    return fusion(weights)
-
-
-@pytest.fixture(scope="module")
-def blind(weights: Path) -> Detector:
-    return fusion(write_ego_network(weights.with_name("blind.safetensors"), 0.0))
-
-
 def street() -> Tensor:
     return scene(3, 96, 128, shadows=0).image
 
 
 @pytest.fixture(scope="module")
-def detected(seeing: Detector) -> Detection:
-    return seeing.detect(street())
+def detected(weights: Path) -> Detection:
+    return fusion(weights).detect(street())
 
 
 def car(height: int, width: int) -> Tensor:
@@ -63,6 +53,17 @@ def test_the_ego_car_is_where_the_network_sees_it_below_road(detected: Detection
     assert torch.equal(detected.cues["ego"], car(96, 128))
     assert set(detected.cues) == CUES
     assert right.sum() > 0.7 * detected.mask.sum() > 0
+
+
+def test_an_ego_car_that_is_told_counts_beside_the_one_found(weights: Path) -> None:
+    left = Ego(outline=(0.0, 0.0, 1.0, 1.0))
+
+    detection = fusion(weights, ego=left.model_dump(), threshold=0.0).detect(street())
+
+    expected = car(96, 128) | ego_car(street(), left)
+    assert torch.equal(detection.cues["ego"], expected)
+    assert torch.equal(detection.mask, ~expected)
+    assert not detection.likelihood[expected].any()
 
 
 def test_the_ego_car_is_the_mean_of_all_looks(tmp_path: Path) -> None:
@@ -97,10 +98,10 @@ def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(weig
     assert torch.equal(dropped, kept)
 
 
-def test_above_the_ground_goes_on(seeing: Detector, blind: Detector, detected: Detection) -> None:
-    ground = continued(street(), car(96, 128))
+def test_above_the_ground_goes_on(weights: Path, detected: Detection) -> None:
+    blind = fusion(write_ego_network(weights.with_name("blind.safetensors"), 0.0))
 
-    without = blind.detect(ground)
+    without = blind.detect(continued(street(), car(96, 128)))
 
     above = ~car(96, 128)
     assert not without.cues["ego"].any()

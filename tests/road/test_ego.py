@@ -7,12 +7,11 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch import Tensor, nn
+from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import write_mask
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 from roadtorch.road.ego import MIN_FREE, SOLID, Ego, continued, ego_car, ego_found, outline_rows
 from tests.streets import bonnet, scene
 
@@ -152,34 +151,6 @@ def test_road_that_reaches_the_ego_car_is_not_isolated() -> None:
     detection = load_detector("fusion", ego=car).detect(scene(3).image)
 
     assert detection.mask[150:175, 120:200].float().mean() > 0.9
-
-
-class Finder(nn.Module):
-    """Everything is road, and the left half is the ego car."""
-
-    def __init__(self, settings: DetectorSettings) -> None:
-        super().__init__()
-
-    def forward(self, image: Tensor) -> dict[str, Tensor]:
-        car = torch.zeros(image.shape[1:], dtype=torch.bool)
-        car[:, : image.shape[2] // 2] = True
-        return {"likelihood": torch.ones(image.shape[1:]), "ego": car}
-
-
-FINDER = Entry("finder", "finds the ego car itself", DetectorSettings, Finder)
-
-
-def test_an_ego_car_that_the_detector_finds_counts_as_well() -> None:
-    detector = Detector(FINDER, DetectorSettings(ego=Ego(bottom=0.5)))
-
-    detection = detector.detect(torch.rand(3, 20, 20))
-
-    expected = torch.zeros(20, 20, dtype=torch.bool)
-    expected[:, :10] = expected[10:] = True
-    assert detection.cues["ego"].equal(expected)
-    assert detection.mask.equal(~expected)
-    assert detection.likelihood.equal((~expected).float())
-    assert list(detection.cues) == ["ego"]
 
 
 # --- found in the picture -------------------------------------------------------------------

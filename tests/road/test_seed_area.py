@@ -38,38 +38,31 @@ def test_the_seed_area_is_inside_not_empty_central_and_at_the_bottom(height, wid
     assert 0 <= right - left <= 1
 
 
-def mask_of(*rows: str) -> torch.Tensor:
-    return torch.tensor([[pixel == "#" for pixel in row] for row in rows])
-
-
-BOTTOM = mask_of("......", "......", "......", "..##..")
+def mask_of(rows: str) -> torch.Tensor:
+    return torch.tensor([[pixel == "#" for pixel in row] for row in rows.split()])
 
 
 @pytest.mark.parametrize(
     ("mask", "seed", "left"),
     [
         (
-            mask_of("##....", "....##", "..#..#", "..##.."),
-            BOTTOM,
-            mask_of("......", "......", "..#...", "..##.."),
+            "##.... ....## ..#..# ..##..",
+            "...... ...... ...... ..##..",
+            "...... ...... ..#... ..##..",
         ),
         # Regions that meet at a corner only are two.
-        (
-            mask_of("......", "......", ".#....", "..#..."),
-            BOTTOM,
-            mask_of("......", "......", "......", "..#..."),
-        ),
-        (mask_of("......", "..#.##"), mask_of("......", "######"), mask_of("......", "..#.##")),
+        ("...... .#.... ..#...", "...... ...... ..##..", "...... ...... ..#..."),
+        ("...... ..#.##", "...... ######", "...... ..#.##"),
         # Without a region at the seed area the mask stays as it is.
-        (mask_of("##", "..", "#."), mask_of("..", "..", ".#"), mask_of("##", "..", "#.")),
-        (mask_of("..", "..", ".."), mask_of("..", "..", ".#"), mask_of("..", "..", "..")),
+        ("## .. #.", ".. .. .#", "## .. #."),
+        (".. .. ..", ".. .. .#", ".. .. .."),
     ],
 )
 def test_only_regions_that_touch_the_seed_area_stay(mask, seed, left):
-    before = mask.clone()
+    given = mask_of(mask)
 
-    assert torch.equal(remove_isolated(mask, seed), left)
-    assert torch.equal(mask, before)  # what is handed in is not changed
+    assert torch.equal(remove_isolated(given, mask_of(seed)), mask_of(left))
+    assert torch.equal(given, mask_of(mask))  # what is handed in is not changed
 
 
 @pytest.mark.parametrize(
