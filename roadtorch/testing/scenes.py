@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.base.image import write_colours
 from roadtorch.layout import classes as layout
 
 SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
@@ -372,9 +373,7 @@ def render_scene(seed: int, height: int = 240, width: int = 320, **options: floa
 def write_picture(path: Path, scene: RenderedScene) -> None:
     """Write the scene's image as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    rgb = (scene.image * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
-    if not cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1])):
-        raise OSError(f"{path} cannot be written")
+    write_colours(path, scene.image)
 
 
 def write_scenes() -> None:
