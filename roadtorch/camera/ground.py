@@ -177,13 +177,6 @@ class GroundCamera:
         plane = undistorted(self.lens, pixels)
         return np.column_stack([plane, np.ones(len(plane))]) @ np.array(self.pose.axes)
 
-    def ground_of(self, pixels: np.ndarray) -> np.ndarray:
-        """Ground points (n,2), x and y in metres, of pixels (n,2); NaN at and above the horizon."""
-        rays = self.rays_of(pixels)
-        falls = rays[:, 2] < -MIN_DISTANCE
-        far = self.pose.position[2] / np.where(falls, -rays[:, 2], np.nan)
-        return np.array(self.pose.position[:2]) + far[:, None] * rays[:, :2]
-
 
 def distorted(lens: Lens, plane: np.ndarray) -> np.ndarray:
     """Pixels (n,2) of points (n,2) on the plane one metre ahead of the lens (OpenCV's models)."""

@@ -49,6 +49,13 @@ def bent(model: str) -> Lens:
     return build_settings(Lens, values)
 
 
+def ground_of(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
+    """Ground points (n,2), x and y in metres, of pixels (n,2); NaN at and above the horizon."""
+    rays = camera.rays_of(pixels)
+    far = camera.pose.position[2] / np.where(rays[:, 2] < -1e-6, -rays[:, 2], np.nan)
+    return np.array(camera.pose.position[:2]) + far[:, None] * rays[:, :2]
+
+
 def test_a_level_camera_by_hand() -> None:
     camera = GroundCamera(LENS, mounted(1.4, 0))
 
@@ -58,7 +65,7 @@ def test_a_level_camera_by_hand() -> None:
     assert pixels[1, 0] == pytest.approx(319.5 - LENS.focal_x * 0.2)  # left is left
     assert inside.tolist() == [True, True, False, False]
     sky = np.array([[300.0, 100.0], [300.0, 239.5]])
-    assert np.isnan(camera.ground_of(sky)).all()
+    assert np.isnan(ground_of(camera, sky)).all()
     # A lower right side lifts the horizon there.
     rolled = GroundCamera(LENS, mounted(1.4, 0, roll=10))
     right, left = rolled.rays_of(np.array([[600.0, 239.5], [40.0, 239.5]]))
@@ -71,7 +78,7 @@ def test_pixels_come_back_to_their_ground(pitch: float, roll: float, x: float, y
     pixels, inside = camera.pixels_of(ground((x, y)))
 
     if inside.all():
-        assert camera.ground_of(pixels)[0] == pytest.approx([x, y], abs=1e-6)
+        assert ground_of(camera, pixels)[0] == pytest.approx([x, y], abs=1e-6)
 
 
 @pytest.mark.parametrize("model", BENT)
@@ -84,7 +91,7 @@ def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> Non
 
     assert np.abs(distorted(camera.lens, undistorted(camera.lens, pixels)) - pixels).max() < 1e-3
     assert inside.all()
-    assert camera.ground_of(there) == pytest.approx(points[:, :2], abs=1e-4)
+    assert ground_of(camera, there) == pytest.approx(points[:, :2], abs=1e-4)
 
 
 def test_distortion_that_turns_back_shows_nothing() -> None:
@@ -236,7 +243,7 @@ SETTINGS = GridSettings(resolution=0.2, range=16, side=6)
 def picture_of(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor:
     """A mask bool (H,W): ground but what ``inside`` (of x and y, metres) says; no sky."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
-    ground = camera.ground_of(np.stack([columns.ravel(), rows.ravel()], 1).astype(float))
+    ground = ground_of(camera, np.stack([columns.ravel(), rows.ravel()], 1).astype(float))
     x, y = ground.T
     road = np.isfinite(x)
     if inside is not None:
