@@ -95,14 +95,6 @@ def test_a_log_without_a_first_line_stops_nobody(session: Session, torn: bytes) 
     assert reopened(session).state(NAME)["version"] == 1
 
 
-def test_an_image_deleted_meanwhile_keeps_its_corrections(session: Session) -> None:
-    session.add(NAME, superpixel("a", "road", 0))
-    (session.pictures.root / NAME).unlink()
-    with pytest.raises(InputError, match="is no picture of this folder"):
-        session.add(NAME, superpixel("b", "road", 1))
-    assert read_corrections(session.out)[0].clicks == 1
-
-
 def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
     session.add(NAME, superpixel("a", "road", 0))
     write_picture(session.pictures.root / NAME, scene(1, 40, 64))

@@ -3,7 +3,6 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,26 +12,16 @@ from roadtorch.camera.birds_eye import (
     cell_pixels,
     to_birds_eye,
 )
-from roadtorch.camera.calibration import Calibration, read_calibration
+from roadtorch.camera.calibration import read_calibration
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160
 SHARED = Path(__file__).resolve().parents[3] / "shared/reference/kitti_vectors.json"
 
 
-def write(path: Path, text: str) -> Path:
-    path.write_text(text)
-    return path
-
-
 def pattern(height: int, width: int) -> torch.Tensor:
     """The picture of the kit's vectors: (r + 2c) mod 256."""
     return ((torch.arange(height)[:, None] + 2 * torch.arange(width)) % 256).to(torch.uint8)
-
-
-@pytest.fixture
-def rows() -> dict[str, np.ndarray]:
-    return reference.made_up_rows()
 
 
 # --- maps --------------------------------------------------------------------------------
@@ -59,8 +48,8 @@ def test_every_cell_holds_the_pixel_its_centre_falls_on(size, pitch):
 
 
 @pytest.mark.parametrize("dtype", [torch.bool, torch.uint8, torch.float32, torch.float64])
-def test_any_type_and_any_leading_axes_and_zero_where_there_is_no_source(rows, dtype):
-    calibration = reference.calibration(rows)
+def test_any_type_and_any_leading_axes_and_zero_where_there_is_no_source(dtype):
+    calibration = reference.calibration(reference.made_up_rows())
     stack = torch.rand(2, 3, HEIGHT, WIDTH).mul(9).to(dtype)
     if dtype.is_floating_point:
         stack[0, 0] = torch.nan
@@ -78,8 +67,9 @@ def test_any_type_and_any_leading_axes_and_zero_where_there_is_no_source(rows, d
 # --- calibration files -------------------------------------------------------------------
 
 
-def test_a_file_is_read_whatever_else_it_holds(tmp_path, rows):
-    path = write(tmp_path / "um_000000.txt", reference.calibration_text(rows))
+def test_a_file_is_read_whatever_else_it_holds(tmp_path):
+    path, rows = tmp_path / "um_000000.txt", reference.made_up_rows()
+    path.write_text(reference.calibration_text(rows))
 
     found, wanted = read_calibration(path), reference.calibration(rows)
 
@@ -90,31 +80,21 @@ def test_a_file_is_read_whatever_else_it_holds(tmp_path, rows):
 # --- the kit's own numbers ---------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def vectors() -> dict[str, Any]:
-    if not SHARED.is_file():
-        pytest.skip("the benchmark's vectors are not beside the repository (../shared/reference)")
-    return json.loads(SHARED.read_text())
-
-
-@pytest.fixture
-def calibrations(vectors, tmp_path) -> dict[str, Calibration]:
-    return {
-        name: read_calibration(write(tmp_path / f"{name}.txt", entry["file_text"]))
-        for name, entry in vectors["calibration"].items()
-    }
-
-
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["um_000000", "uu_000093"])
-def test_the_kits_whole_maps_byte_by_byte(vectors, calibrations, name):
+def test_the_kits_whole_maps_byte_by_byte(tmp_path, name):
+    if not SHARED.is_file():
+        pytest.skip("the benchmark's vectors are not beside the repository (../shared/reference)")
+    vectors = json.loads(SHARED.read_text())
     entry = vectors["calibration"][name]
+    (tmp_path / "kit.txt").write_text(entry["file_text"])
+    calibration = read_calibration(tmp_path / "kit.txt")
     height, width = entry["image_height"], entry["image_width"]
     (forward,) = (case for case in vectors["warp_forward"] if case["calib"] == name)
 
-    cells = to_birds_eye(pattern(height, width), calibrations[name])
+    cells = to_birds_eye(pattern(height, width), calibration)
 
-    _, inside = cell_pixels(calibrations[name], height, width)
+    _, inside = cell_pixels(calibration, height, width)
     assert int(inside.sum()) == forward["cells_inside"]
     digest = hashlib.sha256(cells.contiguous().numpy().tobytes()).hexdigest()
     assert digest == forward["sha256_rowmajor_uint8_800x400"]

@@ -7,7 +7,7 @@ from sklearn.calibration import calibration_curve
 from sklearn.metrics import brier_score_loss, roc_auc_score
 from sklearn.metrics import roc_curve as sklearn_roc
 
-from roadtorch.evaluation import curves
+from roadtorch.evaluation import curves, metrics
 from roadtorch.evaluation.metrics import RoadCounts
 from tests.evaluation.conftest import count, random_map, stack
 from tests.reference import curves as slow
@@ -102,25 +102,21 @@ def test_calibration_equals_scikit_learn(bins):
     assert float(curves.brier(counts)) == pytest.approx(brier_score_loss(road, scores), abs=1e-12)
 
 
-# --- properties -----------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "figure",
+    [
+        *(metrics.auc, metrics.average_precision, curves.brier, curves.expected_error),
+        lambda counts: metrics.max_f(counts)[0],
+        lambda counts: curves.operating_points(counts).x,
+        lambda counts: curves.area(curves.operating_points(counts)),
+        lambda counts: curves.equal_error_rate(curves.operating_points(counts)),
+        lambda counts: curves.vertical_sample(counts, 10),
+    ],
+)
+def test_leading_dimensions_are_images(figure):
+    images = [count(*random_map(seed), 16) for seed in (1, 2)]
 
-
-def test_leading_dimensions_are_images():
-    one, two = (count(*random_map(seed), 16) for seed in (1, 2))
-    both = stack(one, two)
-
-    every = curves.operating_points(both)
-
-    for index, single in enumerate((one, two)):
-        alone = curves.operating_points(single)
-        assert torch.equal(every.x[index], alone.x)
-        assert torch.equal(curves.area(every)[index], curves.area(alone))
-        assert torch.equal(curves.equal_error_rate(every)[index], curves.equal_error_rate(alone))
-        assert torch.equal(
-            curves.vertical_sample(both, 10)[index], curves.vertical_sample(single, 10)
-        )
-        assert torch.equal(curves.brier(both)[index], curves.brier(single))
-        assert torch.equal(curves.expected_error(both)[index], curves.expected_error(single))
+    assert torch.equal(figure(stack(*images)), torch.stack([figure(image) for image in images]))
 
 
 # --- what is not defined --------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from sklearn.metrics import confusion_matrix, jaccard_score, roc_auc_score
 from roadtorch.base.errors import InputError
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from tests.evaluation.conftest import count, random_map, stack
+from tests.evaluation.conftest import count, random_map
 from tests.reference import metrics as slow
 
 # --- brute force ----------------------------------------------------------------------------------
@@ -174,13 +174,6 @@ def test_counts_of_the_development_kit_at_single_thresholds(name):
     assert found == KITTI_COUNTED[name]
 
 
-def test_figures_of_many_counts_at_once_are_those_of_each():
-    cases = [kitti_cases()[name] for name in ("first", "binary", "constant")]
-
-    for figure in (metrics.auc, metrics.average_precision, lambda counts: metrics.max_f(counts)[0]):
-        assert figure(stack(*cases)).tolist() == [float(figure(case)) for case in cases]
-
-
 def test_8_bit_maps_score_the_same_at_16_bits():
     scores, road, valid = kitti_frame(0)
     fine, coarse = kitti_counts(scores, road, valid, metrics.LEVELS), kitti_cases()["first"]
@@ -212,17 +205,18 @@ def test_what_is_not_defined_is_nan():
     assert math.isnan(metrics.false_positive_rate(metrics.decisions_at(no_background, 0.5)))
 
 
-@pytest.mark.parametrize("wrong", [math.nan, 1.5, -0.1])
-def test_values_that_are_no_likelihood_are_refused(wrong):
-    with pytest.raises(InputError, match="likelihood"):
-        count([0.5, wrong], [0, 1])
+@pytest.mark.parametrize(
+    ("scores", "what"),
+    [
+        *((torch.tensor([[0.5, wrong]]), "likelihood") for wrong in (math.nan, 1.5, -0.1)),
+        (torch.zeros(2, 1), r"\(2, 1\).*\(1, 2\)"),
+    ],
+)
+def test_values_that_are_no_likelihood_and_other_sizes_are_refused(scores, what):
+    road = torch.tensor([[False, True]])
 
-
-def test_a_map_of_another_size_is_refused():
-    road = torch.zeros(4, 5, dtype=torch.bool)
-
-    with pytest.raises(InputError, match=r"\(5, 4\).*\(4, 5\)"):
-        metrics.count_levels(torch.zeros(5, 4), road, ~road)
+    with pytest.raises(InputError, match=what):
+        metrics.count_levels(scores, road, torch.ones_like(road))
 
 
 # --- layout ---------------------------------------------------------------------------------------
