@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import reduce, wraps
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, cast, overload, runtime_checkable
+from typing import Annotated, Any, Literal, NamedTuple, cast, overload
 
 import numpy as np
 import torch
@@ -71,13 +71,9 @@ class WorkingSettings(DetectorSettings):
     outlines: Outlines = "smooth"
 
 
-@runtime_checkable
-class Judge(Protocol):
-    """An analysis that says how far a mask made of its likelihood can be trusted."""
-
-    def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
-        """mask: bool (H,W), at the size of the cues, of which ``ego`` is one."""
-        ...
+Judge = Callable[[Tensor, Mapping[str, Tensor]], Judgement]
+"""What an analysis may have as ``judge``: a mask bool (H,W) made of its likelihood, and its cues of
+that size, of which ``ego`` is one → how far the mask can be trusted."""
 
 
 class Evidence(NamedTuple):
@@ -325,11 +321,12 @@ class Detector(nn.Module):
             seed = at_picture_size(seed, size_of(likelihood))
         mask = decide(likelihood, self.settings, seed, ego)
         trust, doubt, cues = None, "", evidence.cues
-        if isinstance(self.analysis, Judge):
+        judge: Judge | None = getattr(self.analysis, "judge", None)
+        if judge is not None:
             size = size_of(analysed["likelihood"])
             hidden = torch.zeros_like(mask) if ego is None else ego
             small = {**analysed, "ego": at_picture_size(hidden, size)}
-            trust, doubt = self.analysis.judge(at_picture_size(mask, size), small)
+            trust, doubt = judge(at_picture_size(mask, size), small)
         if ego is not None:
             cues = Cues({**cues.maps, "ego": ego}, cues.size)
         return Detection(likelihood, mask, cues, trust, doubt, image=evidence.image)

@@ -240,25 +240,15 @@ def seen_closer(
     network: WholePictureNetwork, image: Tensor, cuts: Sequence[float]
 ) -> Mapping[str, Tensor]:
     """``cues`` of an image (…,3,H,W), and of what is left of it below each cut; their mean."""
-    first, height = network.cues(image), image.shape[-2]
-    if not cuts:
-        return first
-    looks = [first]
+    total, height = network.cues(image), image.shape[-2]
+    looks = image.new_ones(height, 1)
     for cut in cuts:
         rows = whole(side(height) * (1 - cut), 1)
         lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
-        looks.append(network.cues(lower))
-    return {name: mean_of_looks(*(look[name] for look in looks)) for name in first}
-
-
-def mean_of_looks(whole: Tensor, *lower: Tensor) -> Tensor:
-    """The mean of maps (…,H,W) of a picture and those (…,h,W) of its lowest h rows, row by row."""
-    total, looks = whole, whole.new_ones(whole.shape[-2], 1)
-    for maps in lower:
-        above = (0, 0, whole.shape[-2] - maps.shape[-2], 0)
-        total = total + functional.pad(maps, above)
-        looks = looks + functional.pad(maps.new_ones(maps.shape[-2], 1), above)
-    return total / looks
+        above, maps = (0, 0, height - rows, 0), network.cues(lower)
+        total = {name: total[name] + functional.pad(maps[name], above) for name in total}
+        looks = looks + functional.pad(looks.new_ones(rows, 1), above)
+    return {name: maps / looks for name, maps in total.items()} if cuts else total
 
 
 def calibrated(odds: Tensor, calibration: RoadCalibration) -> Tensor:

@@ -5,7 +5,6 @@ maps are resized by whole matrix products, not by the operator for it: ONNX Runt
 torch does, OpenVINO's reads the same file and does not (up to 0.45 off in a trial).
 """
 
-from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -173,11 +172,3 @@ def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
     for places, axis in steps if size[0] < cue.shape[-2] else reversed(steps):
         pixels = pixels.take(places, axis)
     return torch.from_numpy(pixels).to(cue.device)
-
-
-def at_working_size(
-    analyse: Callable[[Tensor], Mapping[str, Tensor]], image: Tensor, working: WorkingSize
-) -> dict[str, Tensor]:
-    """What ``analyse`` finds in an image (3,H,W) at its working size, brought back to full size."""
-    found, size = analyse(at_work(image, working)), size_of(image)
-    return {name: at_picture_size(map, size) for name, map in found.items()}

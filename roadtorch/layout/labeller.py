@@ -18,7 +18,7 @@ from torch import Tensor
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.color import Exposure, brightened
-from roadtorch.imaging.resize import WorkingSize, at_working_size
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
 from roadtorch.imaging.segments import (
     Bandwidths,
     Segments,
@@ -156,12 +156,9 @@ def label_layout(
     maps have the image's size.
     """
     settings, superpixels = settings or LabellerSettings(), superpixels or Superpixels()
-    cues = at_working_size(
-        lambda small: label_whole(small, settings, superpixels, settings.lead)._asdict(),
-        image,
-        working or WorkingSize(),
-    )
-    return LayoutLabels(cues["potentials"], cues["labels"])
+    small = at_work(image, working or WorkingSize())
+    found = label_whole(small, settings, superpixels, settings.lead)
+    return LayoutLabels(*(at_picture_size(map, size_of(image)) for map in found))
 
 
 def label_whole(

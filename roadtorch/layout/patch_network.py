@@ -7,7 +7,6 @@ the family that P2 selects, and the default here.
 """
 
 import math
-from collections.abc import Mapping
 from typing import ClassVar, Literal, NamedTuple
 
 import torch
@@ -18,7 +17,7 @@ from torch.nn import functional as F
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.color import Exposure, brightened, plane
-from roadtorch.imaging.resize import WorkingSize, at_working_size
+from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import CLASSES
 
 MIN_KERNEL, MAX_KERNEL = 5, 13
@@ -155,7 +154,7 @@ class PatchNetworkSettings(Settings):
 class PatchNetwork(nn.Module):
     """CNN-7 and its family. P2, section 3 and Fig. 2.
 
-    ``forward`` takes patches, ``dense`` whole pictures, both normalised; ``cues`` takes an
+    ``forward`` takes patches, ``dense`` whole pictures, both normalised; ``potentials`` takes an
     image as it was read.
     """
 
@@ -200,12 +199,6 @@ class PatchNetwork(nn.Module):
             maps = _pooled_everywhere(maps, 2, shape.pooling)
         maps = F.conv2d(maps, self.last.weight, self.last.bias, dilation=shape.stride)
         return self._squashed(maps)
-
-    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
-        """``layout``: potentials (3,H,W) of an image (3,H,W) in [0,1], found at working size."""
-        return at_working_size(
-            lambda small: {"layout": self.potentials(small)}, image, self.settings.working
-        )
 
     @torch.no_grad()
     def potentials(self, image: Tensor) -> Tensor:

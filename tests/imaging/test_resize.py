@@ -6,7 +6,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.imaging.motion import dense_flow, flow_picture, forward_backward_error, warp
@@ -14,7 +13,6 @@ from roadtorch.imaging.resize import (
     SHORTEST,
     WorkingSize,
     at_picture_size,
-    at_working_size,
     resized,
     working_size,
 )
@@ -60,24 +58,6 @@ def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) ->
     assert torch.equal(mask, result > 64)
     for row, column in ((0, 0), (size[0] - 1, size[1] - 1), (size[0] // 2, 1)):
         assert result[row, column] == labels[row * 10 // size[0], column * 13 // size[1]]
-
-
-def test_an_analysis_at_working_size_sees_a_small_picture_and_answers_at_full_size() -> None:
-    seen = []
-
-    def analyse(image: Tensor) -> dict[str, Tensor]:
-        seen.append(image)
-        return {"likelihood": image[0], "segments": (image[0] > 0.5).long(), "mask": image[1] > 0.5}
-
-    image = torch.rand(3, 100, 200, generator=torch.Generator().manual_seed(0)).round()
-    cues = at_working_size(analyse, image, WorkingSize(pixels=20 * 40))
-
-    assert seen[0].shape == (3, 20, 40)
-    assert 0 <= seen[0].min() <= seen[0].max() <= 1
-    assert {name: tuple(cue.shape) for name, cue in cues.items()} == dict.fromkeys(
-        ("likelihood", "segments", "mask"), (100, 200)
-    )
-    assert (cues["likelihood"].dtype, cues["mask"].dtype) == (torch.float32, torch.bool)
 
 
 # --- motion -------------------------------------------------------------------------------

@@ -84,7 +84,9 @@ def test_it_comes_back_from_half_precision(backbone: BackboneNetwork, tmp_path: 
     assert path.stat().st_size < 2.2 * sum(value.numel() for value in backbone.parameters())
 
     image = torch.rand(3, 64, 96, generator=seeded(0))
-    before, after = (network.cues(image)["road"] for network in (backbone, load_network(path)))
+    loaded = load_network(path)
+    assert isinstance(loaded, BackboneNetwork)
+    before, after = (network.cues(image)["road"] for network in (backbone, loaded))
     torch.testing.assert_close(after, before, rtol=0, atol=0.01)
 
 
