@@ -1,12 +1,9 @@
-"""Files of labelled sets as tests write them, and a small CamVid of rendered streets."""
+"""Files of labelled sets as tests write them."""
 
 from pathlib import Path
 
 import numpy as np
-import pytest
 from PIL import Image
-
-from tests.streets import scene, write_camvid
 
 Content = str | bytes | np.ndarray | Image.Image
 
@@ -23,11 +20,3 @@ def write(path: Path, content: Content) -> Path:
     else:
         path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
-
-
-@pytest.fixture
-def camvid(tmp_path: Path) -> Path:
-    scenes = {f"{drive}_{i}": scene(i, 24, 32) for i, drive in enumerate(("0001TP", "0006R0"))}
-    write_camvid(tmp_path, "train", scenes)
-    write_camvid(tmp_path, "val", {"0016E5_7": scene(7, 24, 32)})
-    return tmp_path

@@ -64,13 +64,10 @@ def fitted(
     return fit(classifier, samples, PLANES[samples.shape[1]], settings)
 
 
-def ranks(values: Tensor) -> Tensor:
-    return values.argsort().argsort().double()
-
-
 def rank_correlation(left: Tensor, right: Tensor) -> float:
     """Spearman's, of values that are all different."""
-    return float(torch.corrcoef(torch.stack([ranks(left), ranks(right)]))[0, 1])
+    ranks = [values.argsort().argsort().double() for values in (left, right)]
+    return float(torch.corrcoef(torch.stack(ranks))[0, 1])
 
 
 def doubles(values: Tensor) -> np.ndarray:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
+from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 from roadtorch.oneclass.density import (
     GaussianSettings,
     RobustSettings,
@@ -147,11 +147,6 @@ def memberships(samples: Tensor, number: int) -> Tensor:
     return spread_starts(samples, weights, torch.tensor([number]), seeded())
 
 
-def components(fitted: Fitted) -> int:
-    """How many a mixture in two planes scores with: each takes six numbers a pixel."""
-    return fitted.learned.floats // 6
-
-
 def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shares (N,), means (N,d) and covariances (N,d,d) of the only mixture."""
     covariances = torch.linalg.inv(mixtures.whitening.mT @ mixtures.whitening)
@@ -218,4 +213,6 @@ def test_every_round_is_the_textbooks() -> None:
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
 def test_the_criterion_finds_the_heaps(number: int) -> None:
-    assert components(fit(BEST, clusters(number), AXES)) == number
+    floats = fit(BEST, clusters(number), AXES).learned.floats
+
+    assert floats == 6 * number  # in two planes each component takes six numbers a pixel

@@ -30,10 +30,6 @@ def eight_bit(levels: int = 12) -> Tensor:
     return (steps * (255 // levels)).to(torch.float32).div_(255)
 
 
-def street() -> Tensor:
-    return scene(3, 240, 320).image
-
-
 # --- the area ---------------------------------------------------------------------------------
 
 
@@ -78,7 +74,7 @@ def test_a_representation_is_its_planes(names: tuple[str, ...]) -> None:
 
 
 def test_a_sample_is_the_median_of_one_of_about_ninety_superpixels() -> None:
-    image, settings = street(), SampleSettings()
+    image, settings = scene(3, 240, 320).image, SampleSettings()
     rows, columns = sample_area((240, 320))
 
     found = road_samples(image, ("S", "O2"), settings)
