@@ -10,13 +10,7 @@ from scipy.sparse import csr_matrix
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from roadtorch.annotate.machine import PictureView
-from roadtorch.annotate.next_pictures import (
-    APART,
-    RULES,
-    Candidates,
-    PictureOrder,
-    view_features,
-)
+from roadtorch.annotate.next_pictures import APART, RULES, Candidates, PictureOrder, view_features
 from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.data.events import Confirm
 

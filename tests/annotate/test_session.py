@@ -13,12 +13,7 @@ from roadtorch.annotate.server import Address, bound_socket, keep_address, last_
 from roadtorch.annotate.session import Session, look_at_all, opened_session
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.data.corrections import read_corrections
-from roadtorch.data.events import (
-    Confirm,
-    Redo,
-    SuperpixelStroke,
-    Undo,
-)
+from roadtorch.data.events import Confirm, Redo, SuperpixelStroke, Undo
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.testing.scenes import write_picture
 from tests.streets import scene

@@ -11,14 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.base import atomic as files
-from roadtorch.base.atomic import (
-    atomic,
-    csv_text,
-    locked,
-    remove_leftovers,
-    shared,
-    write_text,
-)
+from roadtorch.base.atomic import atomic, csv_text, locked, remove_leftovers, shared, write_text
 from roadtorch.base.bounded import printable, read_regular
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import write_npy

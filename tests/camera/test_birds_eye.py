@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.camera.birds_eye import (
-    cell_pixels,
-    to_birds_eye,
-)
+from roadtorch.camera.birds_eye import cell_pixels, to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from tests.reference import bev as reference
 

@@ -85,16 +85,6 @@ def test_each_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
         contenders(dataset, ["x=mine/a=b.toml", "x=mine/weights.safetensors"], {})
 
 
-def test_wildcards_leave_the_one_class_grid_out_and_its_family_brings_it_in():
-    everything, grid, row = (
-        [one.name for one in candidates(text)] for text in ("*", "oneclass:*:*", "oneclass:nn:*")
-    )
-
-    assert {"cpf", "fusion", "prior:rows"} <= set(everything)
-    assert not any(name.startswith("oneclass:") for name in everything)
-    assert (len(grid), len(row)) == (310, 19)
-
-
 # --- the baseline that data sets teach -----------------------------------------------------------
 
 

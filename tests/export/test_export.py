@@ -19,13 +19,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image, to_pixels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
-from roadtorch.export.export import (
-    BOUND,
-    Exported,
-    export_detector,
-    exportable,
-    parity,
-)
+from roadtorch.export.export import BOUND, Exported, export_detector, exportable, parity
 from roadtorch.export.files import Graph, open_onnx, write_onnx
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street

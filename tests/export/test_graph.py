@@ -13,12 +13,7 @@ from torch.nn import functional as F
 
 from roadtorch.imaging.color import Exposure, brightened
 from roadtorch.imaging.levels import above, at_least
-from roadtorch.imaging.resize import (
-    WorkingSize,
-    at_picture_size,
-    at_work,
-    resized,
-)
+from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, resized
 from roadtorch.layout.patch_network import Normalisation, normalise
 from roadtorch.road.ego import continued, ego_found
 from roadtorch.road.fusion import log_odds

@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from torch.nn import functional as F
 
 from roadtorch.imaging.motion import dense_flow, flow_picture, forward_backward_error, warp
-from roadtorch.imaging.resize import (
-    SHORTEST,
-    WorkingSize,
-    at_picture_size,
-    resized,
-    working_size,
-)
+from roadtorch.imaging.resize import SHORTEST, WorkingSize, at_picture_size, resized, working_size
 from roadtorch.testing.scenes import render_scene
 
 SIDES = st.integers(16, 4000)

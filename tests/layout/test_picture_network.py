@@ -6,16 +6,8 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from roadtorch.layout.backbone_network import (
-    BackboneNetwork,
-    BackboneNetworkSettings,
-    SamePadded,
-)
-from roadtorch.layout.picture_network import (
-    PictureNetwork,
-    PictureNetworkSettings,
-    scaled,
-)
+from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, SamePadded
+from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings, scaled
 from roadtorch.layout.weights import (
     WholePictureNetwork,
     load_network,

@@ -8,11 +8,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.oneclass import base
-from roadtorch.oneclass.axes import (
-    axes_of,
-    mean_hues,
-    unrolled,
-)
+from roadtorch.oneclass.axes import axes_of, mean_hues, unrolled
 from roadtorch.oneclass.base import (
     Classifier,
     ClassifierSettings,

@@ -7,12 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.oneclass.reconstruction import (
-    ComponentSettings,
-    farthest_first,
-    k_centres,
-    k_means,
-)
+from roadtorch.oneclass.reconstruction import ComponentSettings, farthest_first, k_centres, k_means
 from tests.draws import random, seeded
 from tests.oneclass.cases import fitted
 from tests.reference import oneclass_density as reference

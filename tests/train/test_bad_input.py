@@ -11,13 +11,7 @@ from roadtorch.base.atomic import locked
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
-from roadtorch.train.config import (
-    Descent,
-    PatchTraining,
-    Training,
-    as_values,
-    build_training,
-)
+from roadtorch.train.config import Descent, PatchTraining, Training, as_values, build_training
 from roadtorch.train.run import Request, train
 from tests.command import Call
 from tests.train.runs import PATCHES, write_config, write_streets

@@ -16,11 +16,7 @@ from roadtorch.inputs.pictures import find_pictures
 from roadtorch.run.memo import Arrays, key_of, read_arrays, write_arrays
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings
-from roadtorch.train.prepared import (
-    Preparation,
-    PreparedPicture,
-    prepare,
-)
+from roadtorch.train.prepared import Preparation, PreparedPicture, prepare
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of, shape_of
 from tests.train.runs import bonnet, write_bonnets, write_streets
 

@@ -18,13 +18,7 @@ from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, s
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import Descent, PictureTraining, Stopping, Training
 from roadtorch.train.folder import RunFolder
-from roadtorch.train.loop import (
-    WARM_UP_STEPS,
-    Batch,
-    Loop,
-    MovingAverage,
-    TrainingProgress,
-)
+from roadtorch.train.loop import WARM_UP_STEPS, Batch, Loop, MovingAverage, TrainingProgress
 from roadtorch.train.pictures import picture_loss
 from roadtorch.train.run import Outcome, Request, recipe_of, train
 from roadtorch.train.teachers import PLANES
