@@ -19,18 +19,8 @@ from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segmen
 from tests.streets import lost_highlights
 
 CUES = {
-    "layout",
-    "layout_labels",
-    "learned_road",
-    "texture",
-    "uniformity",
-    "fused_plane",
-    "saturated",
-    "distance",
-    "place",
-    "segments",
-    "seed_area",
-    "ego",
+    *("layout", "layout_labels", "learned_road", "texture", "uniformity", "fused_plane"),
+    *("saturated", "distance", "place", "segments", "seed_area", "ego"),
 }
 
 

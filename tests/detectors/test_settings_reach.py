@@ -15,8 +15,6 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.base.image import write_mask
 from roadtorch.base.settings import Settings, build_settings, group_at, merge
 from roadtorch.detectors.catalogue import detector_entry, load_detector
-from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.oneclass import CLASSIFIERS
 from tests.networks import write_random_network
 from tests.representatives import ways_of_working
@@ -29,18 +27,6 @@ def street() -> Tensor:
 
 
 FILES = TemporaryDirectory()
-
-
-def other_weights(kind: type[PatchNetwork] | type[PictureNetwork]) -> str:
-    """A file with weights that nobody trained."""
-    return str(write_random_network(Path(FILES.name) / f"{kind.kind}.safetensors", 0, kind))
-
-
-def ego_mask_file() -> str:
-    """A file with an ego car in the lower half of the street."""
-    path = Path(FILES.name) / "ego.png"
-    write_mask(path, (torch.arange(96) >= 48)[:, None].expand(96, 128))
-    return str(path)
 
 
 GRID = "oneclass"
@@ -115,9 +101,11 @@ def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
     """Values for a setting, by its type, its bounds and its default; some are not allowed."""
     field = group_at(detector_entry(name).settings, path[:-1]).model_fields[path[-1]]
     if path == ("weights", "file"):
-        yield other_weights(type(load_detector(name).analysis.network))  # type: ignore[arg-type]
-    elif path == ("ego", "mask"):
-        yield ego_mask_file()
+        kind: Any = type(load_detector(name).analysis.network)
+        yield str(write_random_network(Path(FILES.name) / f"{kind.kind}.safetensors", 0, kind))
+    elif path == ("ego", "mask"):  # in the lower half of the street
+        write_mask(Path(FILES.name) / "ego.png", (torch.arange(96) >= 48)[:, None].expand(96, 128))
+        yield f"{FILES.name}/ego.png"
     elif path in KNOWN:
         yield KNOWN[path]
     elif isinstance(default, tuple):

@@ -62,8 +62,6 @@ def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
 
 # --- what is refused ------------------------------------------------------------------------
 
-FULL = torch.ones(30, 40, dtype=torch.bool)
-
 
 @pytest.mark.parametrize(
     ("call", "what"),
@@ -75,7 +73,9 @@ FULL = torch.ones(30, 40, dtype=torch.bool)
             r"image: is 80×60 pixels, the ego mask .*ego.png 40×30",
         ),
         (
-            lambda folder: load_detector("prior:rows", ego={"mask": mask_file(folder, FULL)}),
+            lambda folder: load_detector(
+                "prior:rows", ego={"mask": mask_file(folder, torch.ones(30, 40) > 0)}
+            ),
             r"ego\.png: covers nearly everything",
         ),
         (

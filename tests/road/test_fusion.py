@@ -1,16 +1,13 @@
 """Naive Bayes over cues, and the road of whole pictures."""
 
-from functools import cache
-
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import count_levels, count_mask, f_measure, max_f
-from roadtorch.imaging.segments import Segments, likeness, measure_segments
+from roadtorch.imaging.segments import likeness, measure_segments
 from roadtorch.imaging.slic import slic
 from roadtorch.road.fusion import (
     PRIORS,
@@ -110,49 +107,31 @@ def test_the_distance_adds_up_along_the_way_even_to_what_looks_the_same() -> Non
 # --- the road among segments --------------------------------------------------------------
 
 
-@cache
-def noisy() -> Segments:
-    image = random(3, 48, 64, dtype=torch.float32) * 0.6
-    return measure_segments(image, slic(image, 25))
-
-
-def cues(count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Likelihoods (n,) by layout, distance and texture."""
-    layout, distance, texture = random(3, count, seed=1, dtype=torch.float32)
-    return layout, distance, texture
-
-
-def known_scores(segments: Segments, found: tuple[Tensor, ...], chosen: RoadRules) -> list[float]:
-    """Log odds before anything is learned, by the formula."""
-    place = road_place(segments.row, segments.column, chosen.place)
-    weights = chosen.exponents
-    trusted = (chosen.place.weight, weights.layout, weights.distance, weights.texture)
-    return [
-        chosen.bias
-        + sum(
-            weight * reference.log_odds(float(cue[number]))
-            for weight, cue in zip(trusted, (place, *found), strict=True)
-        )
-        for number in range(len(segments.size))
-    ]
-
-
 @pytest.mark.parametrize("rounds", [0, 1, 3])
 def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
-    segments = noisy()
+    image = random(3, 48, 64, dtype=torch.float32) * 0.6
+    segments = measure_segments(image, slic(image, 25))
     trusted = Exponents(look=0.7, neighbours=1.3)
     chosen = RoadRules(rounds=rounds, exponents=trusted, temperature=2.0)
-    found = cues(len(segments.size))
+    layout, distance, texture = random(3, len(segments.size), seed=1, dtype=torch.float32)
 
-    road = segment_road(segments, *found, rules=chosen)
+    road = segment_road(segments, layout, distance, texture, rules=chosen)
 
+    known = torch.full((len(road),), chosen.bias, dtype=torch.float64)  # before it learns
+    for weight, cue in (
+        (chosen.place.weight, road_place(segments.row, segments.column, chosen.place)),
+        (trusted.layout, layout),
+        (trusted.distance, distance),
+        (trusted.texture, texture),
+    ):
+        known += weight * torch.tensor([reference.log_odds(value) for value in cue.tolist()])
     scores = reference.learned_scores(
-        known_scores(segments, found, chosen),
+        known.tolist(),
         likeness(segments, chosen.bandwidths).tolist(),
         segments.size.tolist(),
         reference.neighbours([(one, two) for one, two in segments.pairs.T.tolist()], len(road)),
-        (chosen.exponents.look, STRONGEST_LOOK),
-        chosen.exponents.neighbours,
+        (trusted.look, STRONGEST_LOOK),
+        trusted.neighbours,
         rounds,
     )
     wanted = (torch.tensor(scores) / 2).sigmoid()

@@ -1,7 +1,6 @@
 """A talker of ROS 2: publishes images of every encoding, and tells what the node made of them.
 
     python talker.py SECONDS [--rate HZ] [--size WIDTHxHEIGHT] [--encodings rgb8,mono8]
-        [--picture FILE]
 
 One line of JSON: by encoding the stamps and frames that came back, the shapes of masks and
 confidences, and the ages of the answers in milliseconds; labels, grids and diagnostics.
@@ -59,13 +58,9 @@ def main():
     parser.add_argument("--rate", type=float, default=10)
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--encodings", default=",".join(ENCODINGS))
-    parser.add_argument("--picture", help="instead of noise")
     given = parser.parse_args()
     width, height = map(int, given.size.split("x"))
     pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
-    if given.picture:
-        pixels = np.asarray(cv2.imread(given.picture))[..., ::-1]
-        pixels = cv2.resize(np.ascontiguousarray(pixels), (width, height))
     rclpy.init()
     node, sent, told = rclpy.create_node("talker"), {}, defaultdict[str, Any](list)
     late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
