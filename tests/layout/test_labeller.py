@@ -20,7 +20,6 @@ from roadtorch.layout.labeller import (
     PlacePrior,
     SkyLook,
     column_samples,
-    decide_layout,
     in_order,
     label_layout,
     place_prior,
@@ -101,14 +100,6 @@ def test_segments_get_the_mean_of_their_samples_or_their_own_score(step: int) ->
     assert_like_every_path(scores, labels, ColumnOrder(step=step))
 
 
-def test_ground_above_sky_is_talked_out_of_it() -> None:
-    doubtful = torch.tensor([[2.0, 0, 0], [0.9, 0, 1.0], [2.0, 0, 0], [0, 2.0, 0], [0, 0, 2.0]])
-
-    belief = in_order(doubtful, np.arange(5)[:, None], ColumnOrder(step=1))
-
-    assert belief.argmax(1).tolist() == [SKY, SKY, SKY, VERTICAL, HORIZONTAL]
-
-
 def test_long_columns_do_not_underflow() -> None:
     scores = torch.tensor([[50.0, 0, -50], [-50.0, 0, 50]]).repeat(500, 1)
 
@@ -116,26 +107,6 @@ def test_long_columns_do_not_underflow() -> None:
 
     assert belief.isfinite().all()
     torch.testing.assert_close(belief.sum(1), torch.ones(1000))
-
-
-# --- decision -----------------------------------------------------------------------------
-
-
-potentials = st.lists(st.tuples(*[st.floats(0.0625, 1, width=32)] * 3), min_size=1, max_size=8).map(
-    lambda rows: torch.tensor(rows) / torch.tensor(rows).sum(1, keepdim=True)
-)
-
-
-@given(potentials, st.floats(0, 1))
-def test_the_largest_potential_decides_beyond_the_margin(values: Tensor, margin: float) -> None:
-    labels = decide_layout(values, margin)
-
-    for row, label in zip(values.tolist(), labels.tolist(), strict=True):
-        *_, second, best = sorted(row)
-        if np.float32(best) - np.float32(second) >= margin:
-            assert row[label] == best
-        else:
-            assert label == UNLABELLED
 
 
 # --- pictures -----------------------------------------------------------------------------
