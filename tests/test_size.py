@@ -18,7 +18,7 @@ LINES = {
     "roadtorch/annotate": 2_450,
     "roadtorch/base": 1_800,
     "roadtorch/camera": 1_650,
-    "roadtorch/cli": 1_900,
+    "roadtorch/cli": 1_820,
     "roadtorch/data": 2_150,
     "roadtorch/detectors": 1_900,
     "roadtorch/evaluation": 3_800,
@@ -29,7 +29,7 @@ LINES = {
     "roadtorch/oneclass": 1_800,
     "roadtorch/road": 1_360,
     "roadtorch/ros": 400,
-    "roadtorch/run": 3_200,
+    "roadtorch/run": 2_700,
     "roadtorch/testing": 650,
     "roadtorch/train": 3_350,
     "roadtorch/ufl": 1_400,
@@ -41,7 +41,7 @@ LINES = {
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 117
+OPTIONS = 114
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

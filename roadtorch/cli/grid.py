@@ -7,11 +7,11 @@ import click
 
 from roadtorch.cli.options import (
     CAMERA,
+    INPUTS,
     PATH,
     DetectorOptions,
     Sectioned,
     as_toml,
-    suggest_files,
     with_detector,
     with_run,
     with_selection,
@@ -38,7 +38,7 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 
 
 @click.command(cls=Sectioned)
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
+@INPUTS
 @click.option("--out", type=PATH, required=True, help="Folder for the grids.")
 @click.option("--height", type=float, help="Height of the camera above the ground, in metres.")
 @click.option(

@@ -8,12 +8,12 @@ import click
 
 from roadtorch.cli.options import (
     CAMERA,
+    INPUTS,
     PATH,
     DetectorOptions,
     Sectioned,
     as_toml,
     command_line,
-    suggest_files,
     with_computing,
     with_detector,
     with_selection,
@@ -59,7 +59,7 @@ def opened_viewer() -> "Viewer":
 
 
 @click.command(cls=Sectioned)
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
+@INPUTS
 @with_detector
 @click.option("--out", type=PATH, default="roads", help="Folder for results.")
 @click.option(

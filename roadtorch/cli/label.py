@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.options import PATH, SETTING, as_toml, suggest_files, with_run
+from roadtorch.cli.options import INPUTS, PATH, SETTING, as_toml, with_run
 
 if TYPE_CHECKING:
     from roadtorch.run.plan import RunOptions
 
 
 @click.command()
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, shell_complete=suggest_files)
+@INPUTS
 @click.option("--out", type=PATH, required=True, help="Folder for the labels.")
 @SETTING
 @click.option("--overlay", is_flag=True, help="Also write NAME.overlay.jpg.")

@@ -81,11 +81,6 @@ def as_toml(detector: str, settings: "Settings") -> str:
 # Each function is a ``shell_complete`` of click, which knows of no detectors, data sets and files.
 
 
-def suggest_files(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Files and folders: the shell knows them."""
-    return [CompletionItem(incomplete, type="file")]
-
-
 def suggest_detectors(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
     """Detectors; those of a grid of hundreds are left to ``roadtorch detectors``."""
     from roadtorch.detectors.catalogue import list_detectors
@@ -98,7 +93,7 @@ def suggest_candidates(
 ) -> list[str] | list[CompletionItem]:
     """Detectors, or else weight files, configs and folders of maps."""
     detectors = suggest_detectors(context, parameter, incomplete)
-    return detectors or suggest_files(context, parameter, incomplete)
+    return detectors or [CompletionItem(incomplete, type="file")]
 
 
 def suggest_datasets(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
@@ -120,10 +115,8 @@ SECTIONS = {
 """The section of ``--help`` in which an option stands."""
 
 
-class ConfigFile(click.ParamType):
+class ConfigFile(click.Path):
     """A TOML file, or the name of a config that is shipped."""
-
-    name = "path"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The file; ConfigError for a name that is neither."""
@@ -139,8 +132,9 @@ SETTING = click.option(
     metavar="KEY=VALUE",
     help="One setting.",
 )
+INPUTS = click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path())
 FOOTAGE = click.argument(
-    "footage", metavar="FOOTAGE...", nargs=-1, required=True, shell_complete=suggest_files
+    "footage", metavar="FOOTAGE...", nargs=-1, required=True, type=click.Path()
 )
 CAMERA = click.option(
     "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the pictures."
@@ -205,7 +199,6 @@ with_detector = _gathered(
     click.option(
         "--config",
         type=ConfigFile(),
-        shell_complete=suggest_files,
         help="TOML file with the detector and its settings, or a shipped one's name.",
     ),
 )

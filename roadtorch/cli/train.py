@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line, suggest_files
+from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
 
 
 @click.command()
@@ -12,14 +12,10 @@ from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line, sugge
     "--config",
     type=ConfigFile(),
     required=True,
-    shell_complete=suggest_files,
     help="What is trained, and how: a TOML file, or a shipped one's name, such as adapt.",
 )
 @click.option(
-    "--images",
-    required=True,
-    shell_complete=suggest_files,
-    help="Folder, file or quoted glob of pictures.",
+    "--images", type=click.Path(), required=True, help="Folder, file or quoted glob of pictures."
 )
 @click.option(
     "--out", type=PATH, required=True, help="Folder of this run; a second run resumes it."
