@@ -29,10 +29,6 @@ from roadtorch.data.events import (
 SIZE = (20, 30)
 
 
-def number(name: str) -> int:
-    return LABELS.index(name)
-
-
 def box(identity: str, saying: str, left: int, top: int, right: int, bottom: int) -> PolygonStroke:
     corners = ((left, top), (right, top), (right, bottom), (left, bottom))
     points = tuple((float(x), float(y)) for x, y in corners)
@@ -100,8 +96,8 @@ def test_a_brush_is_round_and_stays_in_the_picture() -> None:
 def test_undo_and_redo_are_events_of_their_own_and_each_counts_once() -> None:
     first, second = box("a", "road", 0, 0, 9, 9), box("b", "not_road", 5, 0, 9, 9)
     both = replay([first, second], SIZE)
-    assert both[0, 4] == number("road")
-    assert both[0, 5] == number("not_road")
+    assert both[0, 4] == LABELS.index("road")
+    assert both[0, 5] == LABELS.index("not_road")
     assert (replay([first, second, first], SIZE) == both).all()  # sent twice
     undone = [first, second, Undo(kind="undo", id="c", of="b")]
     assert (replay(undone, SIZE) == replay([first], SIZE)).all()

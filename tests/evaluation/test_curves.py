@@ -12,15 +12,6 @@ from roadtorch.evaluation.metrics import RoadCounts
 from tests.evaluation.conftest import count, random_map, stack
 from tests.reference import curves as slow
 
-
-def mean_sample(maps: list[RoadCounts], steps: int) -> torch.Tensor:
-    """Summed map by map, as a pass over a data set does it."""
-    total = torch.zeros(steps + 1, dtype=torch.float64)
-    for one in maps:
-        total += curves.vertical_sample(one, steps)
-    return total / len(maps)
-
-
 # --- the worked example: two small images, numbers from reference/protocols.md 1.4 ----------------
 
 FIRST = ([0.9, 0.8, 0.7, 0.6, 0.4, 0.3, 0.2, 0.1], [1, 1, 0, 1, 1, 0, 0, 0])
@@ -28,10 +19,10 @@ SECOND = ([0.7, 0.6, 0.6, 0.5, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05], [1, 0, 1, 1, 0, 1
 
 
 def test_vertical_average_of_the_worked_example():
-    images = [count(*FIRST), count(*SECOND)]
+    images = stack(count(*FIRST), count(*SECOND))
 
-    at_twentieths = mean_sample(images, 20)
-    curve = curves.vertical_average(mean_sample(images, 100))
+    at_twentieths = curves.vertical_sample(images, 20).mean(0)
+    curve = curves.vertical_average(curves.vertical_sample(images, 100).mean(0))
 
     found = [float(at_twentieths[round(20 * x)]) for x in (0, 0.1, 0.25, 0.5)]
     assert found == pytest.approx([0.375, 0.45, 0.8125, 1.0], abs=1e-12)

@@ -20,7 +20,6 @@ from roadtorch.oneclass.boundary import (
     SvddSettings,
 )
 from roadtorch.oneclass.neighbours import MST, NN, squared_distances
-from tests.draws import seeded
 from tests.oneclass.cases import DIMENSIONS, doubles, fitted, rank_correlation, road, some
 from tests.reference import oneclass_boundary as reference
 
@@ -186,17 +185,6 @@ def test_near_pixels_keep_their_digits_far_from_the_origin():
 def test_threshold_leaves_each_sample_out(values, half):
     learned = fitted(NN, torch.tensor(values)[:, None], ClassifierSettings(rejected=0.5))
     assert float(learned.threshold) == pytest.approx(half)
-
-
-@settings(max_examples=20)
-@given(st.integers(1, 3), st.integers(1, 20), st.integers(0, 1000))
-def test_order_and_twins_of_samples_change_no_distance(dimensions, number, seed):
-    samples, pixels = some(number, dimensions, seed), some(30, dimensions, seed + 1)
-    order = torch.randperm(number, generator=seeded(seed))
-    mixed = torch.cat([samples[order], samples[: number // 2]])
-    for classifier in (NN, MST):
-        plain, other = fitted(classifier, samples), fitted(classifier, mixed)
-        assert torch.equal(plain.distance(pixels), other.distance(pixels))
 
 
 # --- minimum spanning tree --------------------------------------------------------------
