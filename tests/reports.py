@@ -46,7 +46,7 @@ def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Ev
         for name, score in quality.items()
     }
     changes = {name: score - quality[names[0]] for name, score in quality.items()}
-    keys = ("f_mask", "maxf", "auc_pooled", "iou")
+    keys = ["f_mask", "maxf", "auc_pooled", "iou"]
     differences = {
         name: dict.fromkeys(keys, Difference(change, Interval(change - 0.03, change + 0.03)))
         for name, change in changes.items()
