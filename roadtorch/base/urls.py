@@ -66,8 +66,10 @@ def answer(url: str) -> Iterator[Any]:
 def url_bytes(url: str) -> bytes:
     """Fetch the body of an answer, at most 1 GiB.
 
-    Raises InputError as ``answer``, for more, and for one that is cut.
+    Raises InputError as ``answer``, for more, for one that is cut, and for what is not of the web.
     """
+    if scheme_of(url) not in WEB:
+        raise InputError(url, "is not of the web", "give http:// or https://, or a file")
     data = bytearray()
     with answer(url) as response:
         while chunk := response.read(CHUNK):
