@@ -45,37 +45,24 @@ def test_ufl_paper_is_the_text_of_zhang_et_al() -> None:
     assert torch.equal(found, literal)
 
 
-def test_fusion_paper_is_equation_4_of_alvarez_et_al() -> None:
+@pytest.mark.parametrize(("name", "seed"), [("fusion:paper", 0), ("layout:paper", 1)])
+def test_equation_4_and_cnn_7_of_alvarez_et_al_at_single_pixels(name: str, seed: int) -> None:
     image = picture("motorway", 96, 72)
-    detector = load_detector("fusion:paper")
+    detector = load_detector(name)
     network = detector.analysis.get_submodule("network")
     assert isinstance(network, PatchNetwork)
     weights = {name: one.double().numpy() for name, one in network.state_dict().items()}
-    pixels = normalise(image, network.settings.normalisation).pixels.numpy()
-    places = np.random.default_rng(0).integers((0, 0), (72, 96), (40, 2))
+    places = np.random.default_rng(seed).integers((0, 0), (72, 96), (40, 2))
 
     found = detector.detect(image.float())
 
-    literal = alvarez2012.road(
-        image.numpy(), pixels, weights, found.cues["segments"].numpy(), places
-    )
-    at_places = found.likelihood[tuple(places.T)].double().numpy()
-    assert literal == pytest.approx(at_places, abs=1e-4)
-    assert np.ptp(literal) > 0.3
-
-
-def test_layout_paper_is_cnn_7_at_every_pixel() -> None:
-    image = picture("motorway", 96, 72)
-    detector = load_detector("layout:paper")
-    network = detector.analysis.get_submodule("network")
-    assert isinstance(network, PatchNetwork)
-    weights = {name: one.double().numpy() for name, one in network.state_dict().items()}
-    pixels = ((image - 0.5) * 4).numpy()  # (level - ½)·4, which P2 leaves open
-    places = np.random.default_rng(1).integers((0, 0), (72, 96), (40, 2))
-
-    found = detector.detect(image.float())
-
-    literal = [alvarez2012.ground(pixels, weights, *place) for place in places.tolist()]
+    if name == "fusion:paper":
+        pixels = normalise(image, network.settings.normalisation).pixels.numpy()
+        segments = found.cues["segments"].numpy()
+        literal = alvarez2012.road(image.numpy(), pixels, weights, segments, places)
+    else:
+        pixels = ((image - 0.5) * 4).numpy()  # (level - ½)·4, which P2 leaves open
+        literal = [alvarez2012.ground(pixels, weights, *place) for place in places.tolist()]
     at_places = found.likelihood[tuple(places.T)].double().numpy()
     assert literal == pytest.approx(at_places, abs=1e-4)
     assert np.ptp(literal) > 0.3

@@ -193,11 +193,8 @@ def test_pictures_have_no_time_and_values_are_spread() -> None:
     assert [*spread(range(2), 3)] == [0, 1]
 
 
-def test_time_stamps_and_files() -> None:
+def test_times_and_what_is_elsewhere() -> None:
     assert item(3).nanoseconds == 3_000_000_000
     assert item(3, 0.5).nanoseconds == 500_000_000
-    assert Item("a", "a", torch.rand, seconds=0.5, stamp=7).nanoseconds == 7
-    assert Item("sub/a", "in/sub/a.png", torch.rand, suffix=".png").row_name == "sub/a.png"
-    assert Item("a", "a", torch.rand, file=Path("a.png")).path == Path("a.png")
     with pytest.raises(InputError, match=r"s3://b/a: is not on this machine \(give files"):
         assert Item("a", "s3://b/a", torch.rand).path

@@ -105,15 +105,13 @@ def test_a_cut_video_is_read_to_its_end(suffix: str, codec: str, tmp_path: Path)
     assert len(list(islice(video_frames(path, "drive"), 5))) == 5  # who stops before is not told
 
 
-@pytest.mark.parametrize(
-    ("suffix", "codec", "is_told"), [(".mp4", "libx264", True), (".avi", "mpeg4", False)]
-)
-def test_damage_in_the_middle(suffix: str, codec: str, is_told: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("suffix", "is_told"), [(".mp4", True), (".avi", False)])
+def test_damage_in_the_middle(suffix: str, is_told: bool, tmp_path: Path) -> None:
+    codec = "libx264" if is_told else "mpeg4"
     path = write_video(tmp_path / f"drive{suffix}", FORTY, codec=codec, ticks=10)
-    data = bytearray(path.read_bytes())
-    place = slice(len(data) * 45 // 100, len(data) * 55 // 100)
-    data[place] = bytes(len(data[place]))
-    path.write_bytes(data)
+    data = path.read_bytes()
+    start, end = len(data) * 45 // 100, len(data) * 55 // 100
+    path.write_bytes(data[:start] + bytes(end - start) + data[end:])
 
     frames, problem = read_until_problem(path)
 

@@ -11,38 +11,21 @@ from torch import Tensor
 
 from roadtorch.evaluation.metrics import class_recalls, count_layout
 from roadtorch.layout import labeller
-from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
+from roadtorch.layout.classes import SKY, UNLABELLED
 from roadtorch.layout.labeller import (
     RULES,
     ColumnOrder,
     LabellerSettings,
     LayoutLabels,
-    PlacePrior,
     SkyLook,
     column_samples,
     in_order,
     label_layout,
-    place_prior,
 )
 from roadtorch.testing.scenes import RenderedScene
 from tests.draws import seeded
 from tests.reference import layout as reference
 from tests.streets import scene
-
-# --- place --------------------------------------------------------------------------------
-
-
-def test_the_place_prior_reads_sky_vertical_horizontal_down_the_middle() -> None:
-    row = torch.linspace(0, 1, 50)
-    prior = place_prior(row, torch.full_like(row, 0.5), PlacePrior())
-
-    torch.testing.assert_close(prior.sum(1), torch.ones(50))
-    assert (prior[:, SKY].diff() <= 0).all()
-    assert (prior[:, HORIZONTAL].diff() >= 0).all()
-    best = prior.argmax(1)
-    assert best[0] == SKY or best[0] == VERTICAL
-    assert (best.diff() >= 0).all()
-    assert best[-1] == HORIZONTAL
 
 
 def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,6 @@ from torch.nn import functional as F
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, SamePadded
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings, scaled
 from roadtorch.layout.weights import (
-    WholePictureNetwork,
     load_network,
     network_at,
     save_network,
@@ -27,18 +26,14 @@ def backbone() -> BackboneNetwork:
     return BackboneNetwork(settings).eval()
 
 
-def assert_potentials(network: WholePictureNetwork, size: tuple[int, int]) -> None:
-    cues = network.cues(torch.rand(3, *size, generator=seeded(0)))
-    assert cues["layout"].shape == (3, *size)
-    assert cues["road"].shape == cues["ego"].shape == size
-    assert all(0 <= float(maps.min()) <= float(maps.max()) <= 1 for maps in cues.values())
-    torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
-
-
 @pytest.mark.parametrize("size", [(16, 16), (50, 61), (100, 333)])
 def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: BackboneNetwork) -> None:
-    assert_potentials(backbone, size)
-    assert_potentials(PictureNetwork(SMALL), size)
+    for network in (backbone, PictureNetwork(SMALL)):
+        cues = network.cues(torch.rand(3, *size, generator=seeded(0)))
+        assert cues["layout"].shape == (3, *size)
+        assert cues["road"].shape == cues["ego"].shape == size
+        assert all(0 <= float(maps.min()) <= float(maps.max()) <= 1 for maps in cues.values())
+        torch.testing.assert_close(cues["layout"].sum(0), torch.ones(size))
 
 
 # --- ours ----------------------------------------------------------------------------------
