@@ -110,12 +110,10 @@ def test_segments_that_are_mostly_saturated_have_no_uniformity_and_are_not_road(
     assert not found.mask[62:70, 24:40].any()
 
 
-DULL = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0)) * 0.5 + 0.2
-
-
 def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:
     labels = (torch.arange(32) >= 16).long().expand(32, 32)
-    spoilt, settings = DULL.clone(), TextureSettings()
+    settings, generator = TextureSettings(), torch.Generator().manual_seed(0)
+    spoilt = torch.rand(3, 32, 32, generator=generator) * 0.5 + 0.2
     spoilt[:, :8, :16] = 1.0  # a quarter of the first segment
 
     fused, values, clipped = unsaturated_uniformity(

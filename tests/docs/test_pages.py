@@ -83,7 +83,7 @@ def test_the_detector_of_contributing_keeps_the_contract(monkeypatch: pytest.Mon
 # --- claims -----------------------------------------------------------------------------
 
 
-RESEARCH = Path(__file__).resolve().parents[2] / "docs" / "research"
+RESEARCH = ROOT / "docs" / "research"
 COMBINATIONS = ("RGB", "nrng", "O1O2", "Lab", "HSV", "HS")
 
 Cells = Mapping[tuple[str, str], float]
@@ -110,13 +110,14 @@ def apart(cells: Cells, names: tuple[str, ...], combinations: bool | None = None
 def claims() -> Iterator[str]:
     """Sentences of the page with the figures that the tables give."""
     ours, printed = tables()
-    both = (ours, printed)
     for names, combinations, claim in (
         (("svdd", "dlp"), None, "SVDD and dLP are one classifier: within {} in every column ({})"),
         (("svdd", "mpm"), False, "MPM is within {} of SVDD in single planes ({})"),
         (("kmeans", "kcentres", "mst"), True, "tree are alike in combinations: within {} ({})"),
     ):
-        yield claim.format(*(f"{apart(table, names, combinations):.1f}" for table in both))
+        yield claim.format(
+            *(f"{apart(table, names, combinations):.1f}" for table in (ours, printed))
+        )
 
     robust = "robust_gaussian:paper"
     own = max(abs(ours["gaussian", one] - ours[robust, one]) for one in COMBINATIONS)
@@ -124,8 +125,8 @@ def claims() -> Iterator[str]:
         one: abs(printed["gaussian", one] - printed["robust_gaussian", one]) for one in COMBINATIONS
     }
     hsv = theirs.pop("HSV")
-    others = max(theirs.values())
-    yield f"within {own:.1f} in combinations ({others:.1f} but for HSV, where they are {hsv:.1f}"
+    words = f"({max(theirs.values()):.1f} but for HSV, where they are {hsv:.1f}"
+    yield f"within {own:.1f} in combinations {words}"
 
     cells = [key for key in printed if not key[0].endswith(":paper")]
     letter = {key: ours.get((f"{key[0]}:paper", key[1]), ours[key]) for key in cells}
@@ -173,12 +174,7 @@ def test_a_page_without_a_list_is_listed(tmp_path: Path, monkeypatch: pytest.Mon
     assert parts.contents(["optional?", "none?"]).splitlines()[3:] == ["/optional", "```"]
 
 
-# --- pictures ---------------------------------------------------------------------------
-
-
-PICTURES = Path(__file__).resolve().parents[2] / "docs" / "pictures"
-
-
 def test_the_pictures_were_made_with_the_weights_and_settings_that_ship() -> None:
     """Else: python scripts/readme_pictures.py DATA."""
-    assert json.loads((PICTURES / "made.json").read_text(encoding="utf-8")) == made_with()
+    made = ROOT / "docs" / "pictures" / "made.json"
+    assert json.loads(made.read_text(encoding="utf-8")) == made_with()
