@@ -23,11 +23,8 @@ from roadtorch.annotate.session import Session
 from roadtorch.data.corrections import log_path, read_log
 
 TOKEN = "t" * 32
-
 HERE = "http://127.0.0.1:8765"
-
 NAME = "street_0.png"
-
 WHICH = f"name={NAME}"
 
 

@@ -81,17 +81,14 @@ def test_headline_is_the_mean_over_groups_of_pooled_counts(dataset, scenes):
 
 def test_an_image_without_road_is_skipped_in_the_mean_auc():
     total = Tally()
-    total.add(item("a"), score({5: 3}, {2: 3}, seconds=0.1))
-    total.add(item("b"), score({}, {2: 3}, seconds=0.3))
+    item = LabelledItem("a", Path("a"), Path("a"), "x")
+    total.add(item, score({5: 3}, {2: 3}, seconds=0.1))
+    total.add(replace(item, name="b"), score({}, {2: 3}, seconds=0.3))
 
     figures = summarised(total)
 
     assert figures.headline["auc_mean"] == 1
     assert figures.headline["ms_per_image"] == pytest.approx(200)
-
-
-def item(name: str) -> LabelledItem:
-    return LabelledItem(name, Path(name), Path(name), "x")
 
 
 def score(road: dict[int, int], other: dict[int, int], seconds: float) -> Score:

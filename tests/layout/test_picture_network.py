@@ -8,12 +8,7 @@ from torch.nn import functional as F
 
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, SamePadded
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings, scaled
-from roadtorch.layout.weights import (
-    load_network,
-    network_at,
-    save_network,
-    shipped_weights,
-)
+from roadtorch.layout.weights import load_network, network_at, save_network, shipped_weights
 from tests.draws import seeded
 
 SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)
