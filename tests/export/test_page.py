@@ -1,9 +1,9 @@
 """The page for browsers, in a real one: headless Chromium, a plain server of a folder."""
 
-import os
 import shutil
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,9 @@ from PIL import Image
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.image import read_image, to_pixels, write_pixels
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.detector import Detector
 from roadtorch.export import page as page_module
+from roadtorch.export.export import Exported
 from roadtorch.export.page import RUNTIME_VERSION, export_page
 from roadtorch.testing import street
 from scripts.browser import CHROMIUM, PATIENCE, looked_at, served, wait_for_status
@@ -29,7 +31,7 @@ BROWSER = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, fusion: Exported) -> Path:
     """The page, with the runtime as npm gives it."""
     if shutil.which("npm") is None:
         pytest.skip("npm, which brings onnxruntime-web, is not installed")
@@ -38,12 +40,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     installed = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
     if installed.returncode:
         pytest.skip(f"npm does not bring onnxruntime-web: {installed.stderr[-200:]}")
-    before = Path.cwd()
-    os.chdir(root)
-    try:
+
+    def exported(_: Detector, out: Path) -> Exported:
+        out.parent.mkdir()
+        return replace(fusion, files=(shutil.copy(fusion.files[0], out),))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page_module, "export_detector", exported)
+        patch.chdir(root)
         export_page(load_detector("fusion"), root / "page")
-    finally:
-        os.chdir(before)
     return root / "page"
 
 

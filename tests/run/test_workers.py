@@ -107,6 +107,17 @@ def test_closing_ends_the_workers_at_once() -> None:
             os.kill(process, 0)
 
 
+def test_a_worker_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "PATIENCE", 0.1)
+    results = Workers(2).map(time.sleep, [0, 600, 600], lambda _: None)
+    next(results)
+    start = time.monotonic()
+
+    results.close()
+
+    assert time.monotonic() - start < 60
+
+
 @pytest.mark.parametrize("problem", [BlockingIOError(11, "try again"), RuntimeError("try again")])
 def test_no_process_is_one_line(monkeypatch: pytest.MonkeyPatch, problem: Exception) -> None:
     def refuse(*_: object) -> None:
