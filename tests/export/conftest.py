@@ -1,11 +1,14 @@
-"""The exported file of fusion, made once: tracing it takes half a minute."""
+"""The exported file of a detector with two networks and a closer look: tracing it takes long."""
 
 import pytest
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.export.export import Exported, export_detector
 
+NAME = "fusion:large"
+
 
 @pytest.fixture(scope="session")
 def fusion(tmp_path_factory: pytest.TempPathFactory) -> Exported:
-    return export_detector(load_detector("fusion"), tmp_path_factory.mktemp("fusion") / "road.onnx")
+    """Checked for parity, as it is exported."""
+    return export_detector(load_detector(NAME), tmp_path_factory.mktemp("fusion") / "road.onnx")

@@ -18,11 +18,11 @@ from roadtorch.base.atomic import digest_of
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image, to_pixels
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detector
-from roadtorch.export.export import BOUND, Exported, export_detector, exportable, parity
+from roadtorch.export.export import BOUND, Exported, export_detector, exportable, notes_of, parity
 from roadtorch.export.files import Graph, open_onnx, write_onnx
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
+from tests.export.conftest import NAME
 from tests.networks import write_random_network
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
@@ -43,20 +43,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def own(folder: Path) -> Detector:
-    """Two networks that nobody trained, and a closer look."""
-    files = [write_random_network(folder / f"{seed}.safetensors", seed) for seed in (0, 1)]
-    first, second = ({"file": str(file)} for file in files)
-    # Networks that know nothing say one half, around which masks flip.
-    return load_detector("fusion", weights=first, second=second, cuts=(0.3,), threshold=0.9)
-
-
-@pytest.fixture(scope="module")
-def exported(own: Detector, folder: Path) -> Exported:
-    return export_detector(own, folder / "own.onnx")  # which checks parity
-
-
-@pytest.fixture(scope="module")
 def cnn7(folder: Path) -> Exported:
     return export_detector(load_detector("layout:cnn-7"), folder / "cnn7.onnx")
 
@@ -65,7 +51,7 @@ def cnn7(folder: Path) -> Exported:
 
 
 def test_a_file_says_what_the_network_says_at_any_size_and_batch(fusion: Exported) -> None:
-    steps = exportable(load_detector("fusion")).steps
+    steps = exportable(load_detector(NAME)).steps
     batches = [pictures(*size, count=2) for size in SIZES]
 
     apart = parity(open_onnx(fusion.files[0], 1), steps, batches)
@@ -87,12 +73,17 @@ def test_a_file_of_cnn7_says_what_the_detector_says(cnn7: Exported) -> None:
             assert np.abs(maps[name][0] - values.numpy()).max() < BOUND
 
 
-def test_both_networks_and_closer_looks_are_inside(exported: Exported, folder: Path) -> None:
-    digests = [digest_of(folder / name) for name in ("0.safetensors", "1.safetensors")]
-    assert exported.notes["weights"] == "0.safetensors, 1.safetensors"
-    assert exported.notes["weights_sha256"] == ", ".join(digests)
-    assert exported.notes["threshold"] == "0.9"
-    assert exported.notes["terms"].startswith("those of whoever trained them")
+def test_a_file_names_the_weights_of_ones_own(tmp_path: Path) -> None:
+    paths = [write_random_network(tmp_path / f"{seed}.safetensors", seed) for seed in (0, 1)]
+    first, second = ({"file": str(path)} for path in paths)
+    detector = load_detector("fusion", weights=first, second=second, threshold=0.9)
+
+    notes = notes_of(detector, exportable(detector))
+
+    assert notes["weights"] == "0.safetensors, 1.safetensors"
+    assert notes["weights_sha256"] == ", ".join(map(digest_of, paths))
+    assert notes["threshold"] == "0.9"
+    assert notes["terms"].startswith("those of whoever trained them")
 
 
 def test_one_detector_gives_one_file(cnn7: Exported, tmp_path: Path) -> None:
@@ -108,15 +99,16 @@ def test_one_detector_gives_one_file(cnn7: Exported, tmp_path: Path) -> None:
 
 
 def test_files_state_what_they_take_and_their_origin(fusion: Exported, cnn7: Exported) -> None:
-    for exported, name in ((fusion, "backbone-free"), (cnn7, "cnn-7")):
+    for exported, names in ((fusion, ("backbone-free", "rendered-free")), (cnn7, ("cnn-7",))):
         model, notes = onnx.load(exported.files[0]), exported.notes
         onnx.checker.check_model(model, full_check=True)
         assert {entry.key: entry.value for entry in model.metadata_props} == notes
         assert notes["colour_order"] == "RGB"
         assert notes["range"] == "0 to 255"
         assert notes["input"] == "image: uint8 (N, H, W, 3)"
-        assert notes["weights_sha256"] == digest_of(shipped_weights(name))
-        assert f"{name}.md" in notes["terms"]
+        digests = [digest_of(shipped_weights(name)) for name in names]
+        assert notes["weights_sha256"] == ", ".join(digests)
+        assert all(f"{name}.md" in notes["terms"] for name in names)
 
 
 def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Exported) -> None:
@@ -161,10 +153,10 @@ def test_what_cannot_be_exported_is_told_before_any_work(
 
 
 def test_a_file_that_says_something_else_is_not_written(
-    exported: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fusion: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def write(module: object, notes: object, path: Path) -> None:
-        shutil.copyfile(exported.files[0], path)
+        shutil.copyfile(fusion.files[0], path)
 
     monkeypatch.setattr(export_module, "write_onnx", write)
 
@@ -215,7 +207,7 @@ def test_the_example_needs_neither_torch_nor_roadtorch(fusion: Exported, tmp_pat
 
     for name in ("a.jpg", "b.png"):
         image = read_image(source / name)
-        expected = exportable(load_detector("fusion")).steps(image)["likelihood"]
+        expected = exportable(load_detector(NAME)).steps(image)["likelihood"]
         likelihood = read_image((tmp_path / "maps" / "sub" / name).with_suffix(".png"))[0]
         assert torch.allclose(likelihood, expected, atol=1 / 255)
 

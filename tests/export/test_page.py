@@ -19,6 +19,7 @@ from roadtorch.export.export import Exported
 from roadtorch.export.page import RUNTIME_VERSION, export_page
 from roadtorch.testing import street
 from scripts.browser import CHROMIUM, PATIENCE, looked_at, served, wait_for_status
+from tests.export.conftest import NAME
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -48,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, fusion: Exported) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page_module, "export_detector", exported)
         patch.chdir(root)
-        export_page(load_detector("fusion"), root / "page")
+        export_page(load_detector(NAME), root / "page")
     return root / "page"
 
 
@@ -76,7 +77,7 @@ def page(browser: "Browser", folder: Path) -> Iterator["Page"]:
 
 @BROWSER
 def test_masks_and_trust_are_those_of_python(page: "Page", tmp_path: Path) -> None:
-    detector = load_detector("fusion")
+    detector = load_detector(NAME)
     for name, size in (("a.png", (240, 320)), ("b.png", (333, 500)), ("wide.png", (120, 400))):
         write_pixels(tmp_path / name, to_pixels(street(*size, len(name))))
         state = looked_at(page, tmp_path / name)
