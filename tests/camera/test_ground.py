@@ -160,12 +160,6 @@ k: [500.0, 0.0, 320.5, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0]
 """
 
 
-def info(folder: Path, text: str) -> Path:
-    path = folder / "info.yaml"
-    path.write_text(text)
-    return path
-
-
 @pytest.mark.parametrize(
     ("text", "model", "coefficients"),
     [
@@ -176,7 +170,10 @@ def info(folder: Path, text: str) -> Path:
     ],
 )
 def test_info_files(text: str, model: str, coefficients: tuple[float, ...], tmp_path: Path) -> None:
-    lens = read_camera_info(info(tmp_path, text))
+    path = tmp_path / "info.yaml"
+    path.write_text(text)
+
+    lens = read_camera_info(path)
 
     assert (lens.width, lens.height, lens.focal_x, lens.focal_y) == (640, 480, 500, 510)
     assert (lens.centre_x, lens.centre_y) == (320.5, 240)
@@ -197,8 +194,10 @@ def test_info_files(text: str, model: str, coefficients: tuple[float, ...], tmp_
     ],
 )
 def test_other_files_are_refused_by_name(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "info.yaml").write_text(text)
+
     with pytest.raises(RoadtorchError, match=r"info\.yaml: ") as problem:
-        read_camera_info(info(tmp_path, text))
+        read_camera_info(tmp_path / "info.yaml")
     assert told in str(problem.value)
 
 

@@ -202,9 +202,6 @@ def test_the_documented_set(tmp_path):
     assert truth.valid[0].tolist() == [True, True, True, False]
 
 
-# --- the door to sets -------------------------------------------------------------------
-
-
 # --- other packages ------------------------------------------------------------------------------
 
 

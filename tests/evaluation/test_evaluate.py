@@ -123,8 +123,6 @@ def test_maps_may_lie_as_the_pictures_do_in_the_set(plain, tmp_path):
 # --- what is refused -----------------------------------------------------------------------------
 
 FIGURES = f'{{"detectors": {{"{ORACLE}": {{"maxf_threshold": %s}}}}}}'
-
-
 OUT_OF_RANGE = [FIGURES % value for value in ("1e308", "-0.1", "NaN", "Infinity", "[]")]
 
 

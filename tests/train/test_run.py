@@ -186,9 +186,6 @@ def test_the_status_of_the_command_names_the_signal(
     assert read_origin(out / "weights.safetensors")["finished"] is False
 
 
-# --- steps ------------------------------------------------------------------------------
-
-
 # --- a step --------------------------------------------------------------------------------
 
 
