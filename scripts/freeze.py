@@ -94,12 +94,12 @@ HASHES = "hashes.csv"
 
 
 def detectors() -> list[str]:
-    """All names of the catalogue, and ten cells of its grid of one-class detectors."""
+    """List all names of the catalogue, and ten cells of its grid of one-class detectors."""
     return [*(name for name in list_detectors() if "<" not in name), *CELLS]
 
 
 def spread(data: Path) -> list[Path]:
-    """Ten pictures of five sets, evenly spread over each."""
+    """Choose ten images of five sets, evenly spread over each."""
     pictures = []
     for pattern, count in PICTURES:
         files = sorted(data.glob(pattern))
@@ -108,7 +108,7 @@ def spread(data: Path) -> list[Path]:
 
 
 def make_inputs(data: Path, folder: Path) -> None:
-    """Two folders of pictures, a video, bags of ROS 1 and 2, and four pictures of KITTI."""
+    """Write two folders of images, a video, bags of ROS 1 and 2, and four images of KITTI."""
     free = sorted((data / "unlabelled_free").rglob("*.jpg"))
     copies = {f"pictures/{file.name}": file for file in spread(data)[::3]}
     copies |= {f"footage/{file.name}": file for file in free[::5]}
@@ -124,7 +124,7 @@ def make_inputs(data: Path, folder: Path) -> None:
 
 
 def write_bags(folder: Path, part: slice) -> None:
-    """Frames of clip.mp4 and their lens: ``drive`` of ROS 2, ``drive.bag`` of ROS 1."""
+    """Write frames of clip.mp4 and their lens: ``drive`` of ROS 2, ``drive.bag`` of ROS 1."""
     with av.open(str(folder / "clip.mp4")) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)][part]
     height, width = frames[0].shape[:2]
@@ -153,7 +153,7 @@ def write_bags(folder: Path, part: slice) -> None:
 
 
 def detections(data: Path) -> Iterator[tuple[str, bytes]]:
-    """``NAME/PICTURE/WHAT`` and its content, for likelihood, mask, cues and trust."""
+    """Yield ``NAME/PICTURE/WHAT`` and its content, for likelihood, mask, cues and trust."""
     torch.set_num_threads(1)
     images = {picture.name: read_image(picture) for picture in spread(data)}
     for name in detectors():
@@ -168,7 +168,7 @@ def detections(data: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:
-    """The files of the part's command lines, made in ``out``; ``OUTPUT.txt`` is what one says."""
+    """Yield the files that a part's command lines make; ``OUTPUT.txt`` is what one prints."""
     env = {**os.environ, "PYTHONPATH": str(Path.cwd()), "COLUMNS": "100"}
     env |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS")}
     every = " ".join(f"--detector {name}" for name in detectors())
@@ -188,7 +188,7 @@ def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def record(data: Path, out: Path, parts: Sequence[str]) -> None:
-    """The parts into a folder, where they replace what is there of them already."""
+    """Record parts in a folder, in place of what is there of them already."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "data").unlink(missing_ok=True)
     (out / "data").symlink_to(data.resolve())  # so that no absolute path is in what is written
@@ -205,7 +205,7 @@ def record(data: Path, out: Path, parts: Sequence[str]) -> None:
 
 
 def hashes(out: Path) -> dict[tuple[str, str], str]:
-    """By part and name the hash of everything that is recorded there."""
+    """Read the hash of everything that is recorded, by part and name."""
     with (out / HASHES).open(newline="") as file:
         return {(part, name): value for part, name, value in csv.reader(file)}
 
@@ -230,7 +230,7 @@ UNSETTLED = (
 
 
 def settled(file: Path) -> bytes:
-    """A file's content without versions, dates and times."""
+    """Return a file's content without versions, dates and times."""
     content, binary = file.read_bytes(), b""
     if file.suffix == ".safetensors":  # behind eight bytes that tell its length, its head is JSON
         end = 8 + int.from_bytes(content[:8], "little")
@@ -249,7 +249,7 @@ def settled(file: Path) -> bytes:
 
 
 def differences(before: Path, after: Path) -> Iterator[str]:
-    """What differs, by output and file; last, how many are equal."""
+    """Yield what differs, by output and file; last, how many are equal."""
     old, new = hashes(before), hashes(after)
     parts, others = ({part for part, _ in table} for table in (old, new))
     keys = sorted(key for key in old.keys() | new.keys() if key[0] in parts & others)
@@ -267,7 +267,7 @@ def differences(before: Path, after: Path) -> Iterator[str]:
 
 
 def changes(before: Path, after: Path) -> list[str]:
-    """The lines of a text that differ; of an array, how many numbers do and by how much."""
+    """Return the lines of a text that differ; of an array, how many numbers and by how much."""
     if before.suffix == ".npy":
         old, new = np.load(before).astype(float), np.load(after).astype(float)
         if old.shape != new.shape:
@@ -281,7 +281,7 @@ def changes(before: Path, after: Path) -> list[str]:
 
 
 def thumbnails(names: Iterable[str]) -> dict[str, list[list[int]]]:
-    """By detector its likelihoods in two rendered streets, 6×8 means of each, in 255ths."""
+    """Return likelihoods in two rendered streets, 6×8 means of each, in 255ths, by detector."""
     scenes = ({"seed": 3}, {"seed": 5, "dusk": 0.6})
     images = [render_scene(height=96, width=128, **options).image for options in scenes]
     rows: dict[str, list[list[int]]] = {}

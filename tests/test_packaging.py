@@ -19,7 +19,7 @@ pytest.importorskip("setuptools")  # torch brings it
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of what is built from, in a folder called as the package is."""
+    """Copy what is built from, in a folder called as the package is."""
     copy = tmp_path_factory.mktemp("above") / "roadtorch"
     ignore = shutil.ignore_patterns("__pycache__")
     for name in ("roadtorch", "configs"):
@@ -30,7 +30,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(code: str, folder: Path, *words: str, **environment: str) -> list[str]:
-    """The lines that a program prints that is run in a folder."""
+    """Run a program in a folder and return the lines that it prints."""
     done = subprocess.run(
         [sys.executable, *words, "-c", code],
         cwd=folder,
@@ -45,7 +45,7 @@ def run(code: str, folder: Path, *words: str, **environment: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def built(checkout: Path) -> dict[str, Path]:
-    """What setuptools builds: ``wheel``, ``sdist`` and ``editable``."""
+    """Build ``wheel``, ``sdist`` and ``editable`` with setuptools."""
     code = "from setuptools import build_meta as b\n"
     made = {}
     for kind in ("wheel", "sdist", "editable"):
