@@ -11,8 +11,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.inputs.bags import bag_source
 from roadtorch.inputs.item import Selection, Source
 from roadtorch.inputs.video import video_source
-from tests.fuzz.pictures import scene
-from tests.fuzz.tampered import Draw, one_of, tampered, written
+from tests.fuzz.tampered import Draw, one_of, scene, tampered, written
 from tests.inputs.bags import FIRST, ROS1, ROS2, STEP, raw_image, write_bag
 from tests.videos import write_video
 

@@ -39,16 +39,18 @@ from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining, as_values, build_training
 from roadtorch.train.folder import CHECKPOINT, FORMAT, RUN, RunFolder
 from tests.data.conftest import write
-from tests.fuzz.pictures import OF_PICTURES, read_picture, whole_picture
 from tests.fuzz.tampered import (
     OF_BYTES,
+    OF_PICTURES,
     OF_TEXT,
     PIECES,
     Draw,
     one_of,
+    read_picture,
     tampered,
     tampered_json,
     tampered_safetensors,
+    whole_picture,
     written,
 )
 

@@ -24,8 +24,7 @@ from roadtorch.base.errors import InputError, RoadtorchError
 from tests.command import Call, files_in, save_picture
 from tests.fuzz.footage import FOOTAGE
 from tests.fuzz.kinds import KINDS
-from tests.fuzz.pictures import scene
-from tests.fuzz.tampered import Draw, unhurried
+from tests.fuzz.tampered import Draw, scene, unhurried
 from tests.streets import write_drives
 
 Read = Callable[[Path], bool]

@@ -1,14 +1,31 @@
-"""The networks for whole pictures: ours, and that on a backbone's features with its weights."""
+"""The networks for whole images, and files of weights."""
 
+import json
+import math
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 from torch.nn import functional as F
 
+from roadtorch.base.atomic import digest_of
+from roadtorch.base.errors import WeightsError
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, SamePadded
+from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings, scaled
-from roadtorch.layout.weights import load_network, network_at, save_network, shipped_weights
+from roadtorch.layout.weights import (
+    LayoutNetwork,
+    card_of,
+    list_shipped_weights,
+    load_network,
+    network_at,
+    read_origin,
+    save_network,
+    shipped_weights,
+    terms_of,
+    weights_path,
+)
 from tests.draws import seeded
 
 SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)
@@ -90,3 +107,123 @@ def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
 )
 def test_multiples_of_32_pixels(size: tuple[int, int], scale: float, seen: tuple[int, int]) -> None:
     assert scaled(*size, scale) == seen
+
+
+# --- weight files -----------------------------------------------------------------------
+
+
+NETWORKS = [
+    PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
+    PictureNetwork(PictureNetworkSettings(height=40, width=48, narrow=8, wide=8)),
+]
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    path = tmp_path / "weights.safetensors"
+    save_network(path, NETWORKS[0], {"config_sha256": "abc"})
+    return path
+
+
+@pytest.mark.parametrize("network", NETWORKS, ids=lambda network: network.kind)
+def test_a_network_comes_back_from_the_same_bytes(network: LayoutNetwork, tmp_path: Path) -> None:
+    path, again = tmp_path / "weights.safetensors", tmp_path / "again"
+    save_network(path, network, {"config": {"seed": 3}})
+    save_network(again, network, {"config": {"seed": 3}})
+    loaded = load_network(path)
+
+    assert path.read_bytes() == again.read_bytes()
+    assert loaded.settings == network.settings
+    assert not loaded.training
+    assert read_origin(path) == {"config": {"seed": 3}}
+    weights = network.state_dict()
+    assert all(torch.equal(value, weights[name]) for name, value in loaded.state_dict().items())
+
+
+# --- other files ---------------------------------------------------------------------------
+
+
+def assert_refused(path: Path, message: str) -> None:
+    with pytest.raises(WeightsError, match=message) as caught:
+        load_network(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def change_header(path: Path, tensors: dict[str, torch.Tensor], **changes: object) -> None:
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["roadtorch"])
+    save_file(tensors, path, {"roadtorch": json.dumps({**header, **changes})})
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_weights_that_are_not_finite_are_refused(weights: Path, value: float) -> None:
+    tensors = NETWORKS[0].state_dict() | {"last.bias": torch.tensor([0.0, value, 0.0])}
+    change_header(weights, tensors, sha256=None)  # as files of earlier versions
+
+    assert_refused(weights, r"holds weights in last\.bias that are not finite")
+
+
+def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
+    data = weights.read_bytes()
+    for share in (0.001, 0.3, 0.99):
+        weights.write_bytes(data[: int(len(data) * share)])
+        assert_refused(weights, "damaged")
+    start = 8 + int.from_bytes(data[:8], "little")
+    for place in range(start, len(data), (len(data) - start) // 20):
+        weights.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
+        assert_refused(weights, "not those that its header states")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": 2}, "has the format 2; this roadtorch reads up to 1"),
+        ({"kind": "transformer"}, "no header of roadtorch's"),
+        ({"settings": {"topology": {"k9": 1}}}, "made for other settings"),
+        ({"settings": {"topology": {"k1": 4}}}, "holds another network: size mismatch for first"),
+    ],
+)
+def test_other_headers_are_refused(changes: dict[str, object], message: str, weights: Path) -> None:
+    change_header(weights, NETWORKS[0].state_dict(), **changes)
+    assert_refused(weights, message)
+
+
+# --- cards ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", list_shipped_weights())
+def test_shipped_weights_are_what_their_cards_state(name: str) -> None:
+    path = shipped_weights(name)
+
+    load_network(path)
+
+    assert f"| sha256 | `{digest_of(path)}` |" in card_of(path)
+
+
+def test_the_cards_of_shipped_weights_say_what_they_may_be_used_for() -> None:
+    terms = {name: terms_of(shipped_weights(name)) for name in list_shipped_weights()}
+    assert [name for name in terms if not terms[name].startswith("anything: Apache-2.0")] == []
+    assert terms.keys() == {
+        *("backbone-free", "cnn-7", "cnn-7-paper", "layout-free", "rendered-free")
+    }
+
+
+def test_the_free_weights_began_with_nothing_else() -> None:
+    origin = read_origin(shipped_weights("layout-free"))
+    config = origin["config"]
+    assert config["start"] == config["teacher"]["weights"] == "runs/free-3/weights.safetensors"
+    assert origin["pictures"] == 640 + 390 + 49
+
+
+def test_weights_without_a_card_state_no_terms(weights: Path) -> None:
+    assert terms_of(weights) == ""
+    weights.with_suffix(".md").write_text("# Mine\n\n| terms | anything |\n| sha256 | later |\n")
+    assert terms_of(weights) == "anything"
+
+
+def test_weights_are_named_by_their_file_or_by_the_name_of_shipped_ones(tmp_path: Path) -> None:
+    assert weights_path("layout-free") == shipped_weights("layout-free")
+    for name in ("./layout", "no-such-weights", str(tmp_path / "mine.safetensors")):
+        assert weights_path(name) == Path(name)
