@@ -4,15 +4,17 @@
     python -m train.worlds 0 48 --out WORLDS --sheet sheet.jpg      (what is there, truth drawn in)
 
 writes WORLDS/images/NUMBER_KIND_HOUR.jpg and WORLDS/truth/….png (0 sky, 1 vertical, 2 horizontal
-without road, 3 road, 4 ego car, 255 void). What is there is kept; a number gives the same picture.
-Several at a time: ``--every 2 --from 1`` takes every second number. Numbers from 10000 on are
-towns, from 12000 on roads with shoulders and ramps, from 14000 on trails in woods, from 20000 on
-places without any road.
+without road, 3 road, 4 ego car, 255 void), and WORLDS/lenses/….toml of fisheyes. What is there is
+kept; a number gives the same image. Several at a time: ``--every 2 --from 1`` takes every second
+number. Numbers from 10000 on are towns, from 12000 on roads with shoulders and ramps, from 14000 on
+trails in woods, from 20000 on places without any road, from 30000 on all of them and people, lenses
+and mounts by turns (train.worlds.plans), of which those from 39000 on teach no network.
 
     python -m train.worlds 5000 5012 --out DRIVES --frames 60
 
 drives through each world, a metre a frame: DRIVES/NUMBER_KIND_HOUR/images/FRAME.jpg and
-masks/FRAME.png (255 road, 0 not, 128 uncertain), a set that ``roadtorch evaluate folder`` scores.
+masks/FRAME.png (255 road, 0 not, 128 uncertain), a set that ``roadtorch evaluate folder`` scores;
+a fisheye's lens is in lens.toml.
 """
 
 import argparse
@@ -24,37 +26,34 @@ from typing import Any
 
 os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"  # before cv2
 
-import bpy
 import cv2
 import numpy as np
 
+from train.worlds.blender import bpy
 from train.worlds.camera import build_camera, drive_on
-from train.worlds.light import build_light, draw_hour, draw_weather
+from train.worlds.course import BEHIND, START
+from train.worlds.furniture import furnish_town
+from train.worlds.lens import image_circle, write_lens
+from train.worlds.light import build_light, sample_hour, sample_weather
 from train.worlds.materials import Nodes
 from train.worlds.nowhere import build_nowhere
-from train.worlds.roads import KINDS, Road, build_road
+from train.worlds.plans import FISHEYES, NOWHERE, plan_world
+from train.worlds.roads import Road, build_road
 from train.worlds.sensor import Look, develop
-from train.worlds.stage import COLOURS, EGO, HORIZONTAL, ROAD, SKY, VOID, Stage
+from train.worlds.stage import Stage
 from train.worlds.surroundings import build_surroundings
-from train.worlds.towns import build_town, furnish_town
+from train.worlds.towns import build_town
+from train.worlds.truth import COLOURS, EGO, HORIZONTAL, ROAD, SKY, VOID, settle_truth
 from train.worlds.vehicles import build_traffic
 
 SEASONS = {"green": 6, "dry": 3, "earth": 2, "litter": 3, "snow": 2}
-"""Of the land, and how often each is drawn."""
+"""Of the land, and how often each is sampled."""
 
-NOWHERE = 20000
-"""Worlds from this number on are places without road."""
+SAMPLES = {"sun": 4, "overcast": 4, "dusk": 5, "night": 6}
+"""Paths a pixel by time of day; the rest is the denoiser's."""
 
-RANGES = {
-    0: {name: kind.often for name, kind in KINDS.items()},
-    10000: {"town": 1},
-    12000: {"ramp": 3, "motorway": 2, "rural": 2},
-    14000: {"litter": 1},
-}
-"""Kinds of road from a number on, and how often each is drawn."""
-
-SAMPLES = 6
-"""Paths a pixel; the rest is the denoiser's."""
+FINE = 3
+"""Paths through each pixel of the truth, across and down."""
 
 TONES = {SKY: (255, 160, 60), ROAD: (0, 255, 0), EGO: (0, 0, 255), HORIZONTAL: (0, 200, 255)}
 TONES[VOID] = (255, 0, 255)
@@ -62,46 +61,48 @@ TONES[VOID] = (255, 0, 255)
 
 
 def build_world(number: int) -> tuple[Stage, Road | None, str]:
-    """The scene of a number, its road, and its name."""
-    at = Random(number)
+    """Build the scene of a number; return it, its road, and its name."""
+    plan, at = plan_world(number), Random(number)
     stage = Stage(at)
-    hour = draw_hour(stage)
-    if number >= NOWHERE:
+    stage.around = plan.mount in FISHEYES
+    stage.station = START + BEHIND * stage.around
+    hour = sample_hour(stage, plan.hours)
+    if NOWHERE in plan.kinds:
         build_light(stage, hour)
         return stage, None, f"{number:05d}_{build_nowhere(stage)}_{hour}"
-    kinds = RANGES[max(first for first in RANGES if first <= number)]
-    kind = at.choices(list(kinds), list(kinds.values()))[0]
+    kind = at.choices(list(plan.kinds), list(plan.kinds.values()))[0]
     season = at.choices(list(SEASONS), list(SEASONS.values()))[0]
-    if kind == "town":
-        draw_weather(stage)
+    if kind == "town" or plan.wet is not None:
+        sample_weather(stage, plan.wet)
     build_light(stage, hour)
     if kind == "town":
         road, street = build_town(stage, season)
-        furnish_town(stage, road, street)
+        furnish_town(stage, road, street, plan.crowd)
     else:
         road = build_road(stage, kind, season)
-        build_surroundings(stage, road)
+        build_surroundings(stage, road, plan.crowd)
         build_traffic(stage, road)
-    build_camera(stage, road)
-    return stage, road, f"{number:05d}_{kind}_{hour}"
+    build_camera(stage, road, plan.mount)
+    return stage, road, f"{number:05d}_{plan.name or kind}_{hour}"
 
 
 def render(stage: Stage, number: int, place: Path) -> np.ndarray:
-    """Linear light float32 (288,384,3) BGR."""
+    """Render linear light float32 (288,384,3) BGR."""
     scene, cycles = stage.scene, stage.scene.cycles
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
-    cycles.samples, cycles.seed, cycles.max_bounces = SAMPLES, number, 3
+    cycles.samples, cycles.seed, cycles.max_bounces = SAMPLES[stage.hour], number, 3
     cycles.diffuse_bounces, cycles.glossy_bounces = 1, 2
     cycles.use_light_tree = stage.night  # many lamps; by day it costs a third
     cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
+    cycles.denoising_prefilter = "FAST"  # a fifth of the time less
     cycles.sample_clamp_indirect = 10.0
     scene.render.image_settings.file_format = "OPEN_EXR"
     return _written(scene, place / f"light{os.getpid()}.exr")
 
 
 def render_truth(stage: Stage, place: Path) -> np.ndarray:
-    """What each pixel is, uint8 (288,384): flat colours, one path through each pixel's middle.
+    """Render what each pixel is, uint8 (288,384): flat colours, several paths through each pixel.
 
     The scene has no light any more afterwards.
     """
@@ -111,16 +112,18 @@ def render_truth(stage: Stage, place: Path) -> np.ndarray:
     light = nodes.add("ShaderNodeEmission", {"Color": colour})
     nodes.add("ShaderNodeOutputMaterial", {"Surface": light})
     scene.view_layers[0].material_override = nodes.owner
-    for lamp in [thing for thing in scene.objects if thing.type == "LIGHT"]:
-        lamp.hide_render = True
+    for thing in scene.objects:
+        thing.hide_render = thing.type == "LIGHT"  # what only the truth shows was hidden before
     scene.world = None
+    scene.render.resolution_percentage = 100 * FINE
     cycles.samples, cycles.use_denoising, cycles.max_bounces = 1, False, 0
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
     shown = _written(scene, place / f"truth{os.getpid()}.exr")[..., ::-1] > 0.5
-    truth = np.zeros(shown.shape[:2], np.uint8)
-    for what, colour in COLOURS.items():
-        truth[(shown == np.array(colour, bool)).all(2)] = what
-    return truth
+    scene.render.resolution_percentage = 100
+    codes = np.zeros(shown.shape[:2], np.uint8)
+    for code, colour in COLOURS.items():
+        codes[(shown == np.array(colour, bool)).all(2)] = code
+    return settle_truth(codes, FINE)
 
 
 def _written(scene: Any, file: Path) -> np.ndarray:
@@ -132,30 +135,38 @@ def _written(scene: Any, file: Path) -> np.ndarray:
 
 
 def develop_world(stage: Stage, number: int, light: np.ndarray, place: Path, file: Path) -> Look:
-    """Render the truth to some light, and write the picture that the camera makes of it."""
+    """Render the truth to some light, and write the image that the camera makes of it."""
     at = np.random.default_rng([35, number])
-    look = develop(light, render_truth(stage, place), stage.night, at, stage.falling)
+    circle = image_circle(stage.lens) if stage.lens else None
+    truth = render_truth(stage, place)
+    look = develop(light, truth, stage.hour, at, stage.falling, circle)
     cv2.imwrite(str(file), look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality])
     return look
 
 
 def make(number: int, out: Path) -> str:
-    """Render one world; its name."""
+    """Render one world; return its name."""
     stage, _, name = build_world(number)
     light = render(stage, number, out)
-    look = develop_world(stage, number, light, out, out / "images" / f"{name}.jpg")
+    part = out / f"part{os.getpid()}.jpg"
+    look = develop_world(stage, number, light, out, part)
     cv2.imwrite(str(out / "truth" / f"{name}.png"), look.truth)
+    if stage.lens:
+        (out / "lenses" / f"{name}.toml").write_text(write_lens(stage.lens, stage.mount))
+    part.rename(out / "images" / f"{name}.jpg")  # last, so that an image has its truth
     return name
 
 
 def make_drive(number: int, out: Path, frames: int) -> str:
-    """Render frames of a drive through one world, those that are not there yet; its name."""
+    """Render frames of a drive through a world, those that are not there yet; return its name."""
     stage, road, name = build_world(number)
     images, masks = (out / name / kind for kind in ("images", "masks"))
     images.mkdir(parents=True, exist_ok=True)
     masks.mkdir(exist_ok=True)
     if road is None:
         raise SystemExit(f"{number}: there is no road to drive on")
+    if stage.lens:
+        (out / name / "lens.toml").write_text(write_lens(stage.lens, stage.mount))
     steps = drive_on(stage, road, frames)
     files = {frame: images / f"{frame:03d}.jpg" for frame in range(frames)}
     lights = {}
@@ -171,7 +182,7 @@ def make_drive(number: int, out: Path, frames: int) -> str:
 
 
 def sheet(out: Path, first: int, last: int, columns: int = 8) -> np.ndarray:
-    """Pictures side by side, road green and ego car red in a copy beside each."""
+    """Return images side by side, road green and ego car red in a copy beside each."""
     tiles = []
     for file in sorted((out / "images").glob("*.jpg")):
         if first <= int(file.name[:5]) < last:
@@ -188,16 +199,6 @@ def sheet(out: Path, first: int, last: int, columns: int = 8) -> np.ndarray:
     return np.concatenate(rows, 0)
 
 
-def stay_on_one_processor(number: int) -> None:
-    """Where the system can: a world is one thread's work, and others of Blender's would spin.
-
-    Six towns took 30.6 seconds of processors so, 58 without, and the same time by the clock.
-    """
-    if hasattr(os, "sched_setaffinity"):
-        mine = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {mine[number % len(mine)]})
-
-
 def main() -> None:
     """Render numbers, or draw a sheet of them."""
     parser = argparse.ArgumentParser(description="Render path-traced worlds with their truth.")
@@ -212,9 +213,8 @@ def main() -> None:
     if given.sheet:
         cv2.imwrite(str(given.sheet), sheet(given.out, given.first, given.last))
         return
-    stay_on_one_processor(given.offset)
     if not given.frames:
-        for name in ("images", "truth"):
+        for name in ("images", "truth", "lenses"):
             (given.out / name).mkdir(parents=True, exist_ok=True)
     for number in range(given.first + given.offset, given.last, given.every):
         if given.frames:

@@ -1,5 +1,6 @@
 """Weather and hour: sun, clouds, dusk, night, and the air between."""
 
+from collections.abc import Mapping
 from math import pi, radians
 from typing import Any
 
@@ -8,18 +9,15 @@ import bpy
 from train.worlds.materials import Nodes
 from train.worlds.stage import Haze, Stage
 
-HOURS = {"sun": 9, "overcast": 7, "dusk": 2, "night": 3}
-"""Kinds of light, and how often each is drawn."""
-
 FOG = 130
 """Metres: air that reaches less far hides the sky's lower part as well."""
 
 
-def draw_hour(stage: Stage) -> str:
-    """The kind of light; sets the air and whether lamps burn. Comes before all materials."""
+def sample_hour(stage: Stage, hours: Mapping[str, int]) -> str:
+    """Sample a time of day; set the air and whether lamps burn. Comes before all materials."""
     at = stage.at
-    hour = at.choices(list(HOURS), list(HOURS.values()))[0]
-    stage.night = hour == "night"
+    hour = at.choices(list(hours), list(hours.values()))[0]
+    stage.hour = hour
     reach = at.choice([8000, 3000, 1200, 400] if hour != "overcast" else [4000, 1500, 600, 180])
     if stage.night:
         stage.haze = Haze(reach * 2, (0.002, 0.002, 0.003))
@@ -30,12 +28,15 @@ def draw_hour(stage: Stage) -> str:
     return hour
 
 
-def draw_weather(stage: Stage) -> None:
-    """Fog that hides what is some tens of metres away, and rain or snow that falls; of towns."""
-    at = stage.at
-    if stage.chance(0.18):
+def sample_weather(stage: Stage, wet: bool | None) -> None:
+    """Sample fog that hides what is some tens of metres away, and rain or snow that falls.
+
+    wet: whether it rains on a wet road; None leaves both to chance.
+    """
+    at, stage.wet = stage.at, wet
+    if stage.chance(0.35 if wet else 0.18):
         stage.haze = stage.haze._replace(reach=at.uniform(FOG / 5, FOG))
-    if stage.chance(0.2):
+    if stage.chance(0.2 if wet is None else 0.8 * wet):
         stage.falling = at.uniform(0.1, 1)
 
 

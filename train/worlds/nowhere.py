@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
-from train.worlds.camera import draw_lens
+from train.worlds.camera import sample_lens
 from train.worlds.materials import (
     Colour,
     Nodes,
@@ -25,9 +25,11 @@ from train.worlds.materials import (
     plain,
     slabs,
 )
+from train.worlds.people import person
 from train.worlds.roads import EARTHS, GREENS, LITTER, PAVINGS, SNOW
-from train.worlds.stage import HORIZONTAL, VERTICAL, Material, Point, Stage, box, loose, turned
-from train.worlds.surroundings import WALLS, crown, person
+from train.worlds.stage import Material, Point, Stage, box, loose, turned
+from train.worlds.surroundings import WALLS, crown
+from train.worlds.truth import HORIZONTAL, VERTICAL
 
 PLACES = ("room", "things", "wall", "field", "water")
 
@@ -39,7 +41,7 @@ def build_nowhere(stage: Stage) -> str:
     kind = stage.at.choice(PLACES)
     data: Any = bpy.data.cameras.new("camera")
     data.sensor_fit, data.clip_start, data.clip_end = "VERTICAL", 0.02, 2000
-    data.angle_y = 2 * atan(draw_lens(stage).half_up)
+    data.angle_y = 2 * atan(sample_lens(stage).half_up)
     builders = {"room": _room, "things": _things, "wall": _wall, "field": _field, "water": _water}
     where, target = builders[kind](stage)
     camera = stage.add("camera", data, where)

@@ -1,7 +1,6 @@
 """The road: its course over hills, its surface, what bounds it, the land beside it.
 
-A cross-section is given as (across, up) in metres from the road's middle and swept along the
-course; the land is swept as well, so that everything follows the hills.
+The land is swept along the course as well, so that everything follows the hills.
 """
 
 from collections.abc import Sequence
@@ -9,34 +8,21 @@ from itertools import pairwise
 from math import cos, pi, sin
 from typing import NamedTuple
 
-from mathutils import Vector, noise
+from mathutils import Vector
 
+from train.worlds.course import END, FAR, SPACING, START, Course, Section, swept
 from train.worlds.materials import Colour, drawn, ground, palette, paved, plain, trodden
-from train.worlds.stage import HORIZONTAL, ROAD, VERTICAL, VOID, Material, Stage
-
-SPACING = 1.5
-"""Metres between the course's points."""
-
-START = 10
-"""The point at which the camera stands."""
-
-FAR = 85
-"""From this point on (112 metres ahead) the road is void: people's labels end somewhere there."""
-
-END = 130
-"""Points of a course."""
-
-Section = Sequence[tuple[float, float]]
+from train.worlds.stage import Material, Stage
+from train.worlds.truth import HORIZONTAL, ROAD, VERTICAL, VOID
 
 
 class Kind(NamedTuple):
-    """A kind of road, and how often it is drawn.
+    """A kind of road.
 
     half: half its width in metres, from … to. bend, steepest: of its course. ragged: metres by
     which its edges wander. trees: from … to. vehicles: how many drive there, each as likely.
     """
 
-    often: int
     half: tuple[float, float]
     bend: float = 1.0
     steepest: float = 0.07
@@ -46,18 +32,18 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "street": Kind(5, (2.8, 6.5)),
-    "rural": Kind(4, (2.2, 3.8), ragged=0.07, trees=(0, 40)),
-    "motorway": Kind(2, (5.5, 9), bend=0.3),
-    "track": Kind(5, (1.2, 2.3), ragged=0.3, trees=(0, 40), vehicles=(0, 0, 0, 1)),
-    "trail": Kind(3, (1.2, 2.6), 1.0, 0.14, 0.3, (30, 70), (0, 0, 0, 1)),
-    "overgrown": Kind(10, (1.3, 3.0), 1.0, 0.25, 0.3, (0, 70), (0, 0, 0, 1)),
-    "yard": Kind(2, (7, 20), bend=0.0, steepest=0.0, vehicles=(2, 6, 12)),
-    "bazaar": Kind(3, (2.5, 6), ragged=0.3),
-    "ramp": Kind(0, (2.8, 5.5), bend=1.6, vehicles=(0, 1, 3)),  # by number
-    "litter": Kind(0, (1.1, 2.0), 1.0, 0.1, 0.25, (15, 70), (0, 0, 0, 1)),  # by number
-    "lane": Kind(2, (1.6, 2.6), ragged=0.1, trees=(4, 40), vehicles=(0, 0, 1)),
-    "town": Kind(0, (2.75, 14), bend=1.3, steepest=0.05),  # by number; train.worlds.towns
+    "street": Kind((2.8, 6.5)),
+    "rural": Kind((2.2, 3.8), ragged=0.07, trees=(0, 40)),
+    "motorway": Kind((5.5, 9), bend=0.3),
+    "track": Kind((1.2, 2.3), ragged=0.3, trees=(0, 40), vehicles=(0, 0, 0, 1)),
+    "trail": Kind((1.2, 2.6), 1.0, 0.14, 0.3, (30, 70), (0, 0, 0, 1)),
+    "overgrown": Kind((1.3, 3.0), 1.0, 0.25, 0.3, (0, 70), (0, 0, 0, 1)),
+    "yard": Kind((7, 20), bend=0.0, steepest=0.0, vehicles=(2, 6, 12)),
+    "bazaar": Kind((2.5, 6), ragged=0.3),
+    "ramp": Kind((2.8, 5.5), bend=1.6, vehicles=(0, 1, 3)),  # by number
+    "litter": Kind((1.1, 2.0), 1.0, 0.1, 0.25, (15, 70), (0, 0, 0, 1)),  # by number
+    "lane": Kind((1.6, 2.6), ragged=0.1, trees=(4, 40), vehicles=(0, 0, 1)),
+    "town": Kind((2.75, 14), bend=1.1, steepest=0.05),  # by number; train.worlds.towns
 }
 
 UNPAVED = ("track", "trail", "overgrown", "litter")
@@ -73,19 +59,6 @@ LITTER = palette("20 13 7, 28 20 12, 15 12 8, 35 30 25")
 SNOW = palette("75 78 84, 60 62 66")
 CONCRETE = palette("45 44 42, 30 29 27, 55 52 46")
 PAVINGS = palette("40 38 35, 28 28 28, 40 30 24, 18 18 18, 50 49 46")
-
-
-class Course(NamedTuple):
-    """The middle of the road: points (x, y, z), headings in radians, half its width in metres."""
-
-    points: list[Vector]
-    headings: list[float]
-    half: float
-
-    def at(self, index: int, across: float, up: float = 0.0) -> tuple[float, float, float]:
-        """Where a point beside the course is."""
-        heading, middle = self.headings[index], self.points[index]
-        return (middle.x + across * cos(heading), middle.y - across * sin(heading), middle.z + up)
 
 
 class Road(NamedTuple):
@@ -137,40 +110,6 @@ def drawn_course(stage: Stage, kind: Kind) -> Course:
         x, y = x + sin(heading) * length, y + cos(heading) * length
         heading += (first + change * max(index - START, 0)) * length * (index > START)
     return Course(points, headings, at.uniform(*kind.half))
-
-
-def swept(
-    stage: Stage,
-    course: Course,
-    section: Section,
-    material: Material,
-    truth: int,
-    ragged: float = 0.0,
-    span: tuple[int, int] = (0, END),
-    bumps: float = 0.0,
-) -> None:
-    """Sweep a cross-section along a part of the course.
-
-    ragged: metres by which its ends wander; bumps: metres by which it goes up and down.
-    """
-    points, uvs = [], []
-    count, seed = len(section), stage.at.uniform(0, 1000)
-    for index in range(span[0], min(span[1], END)):
-        for k, (across, up) in enumerate(section):
-            if ragged and k in (0, count - 1):
-                spot = Vector((index * 0.4, seed + 9 * k, 0))
-                across += ragged * (1.6 * noise.noise(spot) + stage.at.uniform(-0.4, 0.4))
-            if bumps:
-                up += bumps * noise.noise(Vector((index * 0.8, across * 1.3, seed)))
-            points.append(course.at(index, across, up))
-            uvs.append((across, index * SPACING))
-    corners = [k for k in range(len(points) - count) if (k + 1) % count]
-    faces = [(a, a + 1, a + count + 1, a + count) for a in corners]
-    if faces:
-        mesh = stage.mesh([((points, faces), material)])
-        layer = mesh.uv_layers.new(name="UV")
-        layer.data.foreach_set("uv", [value for face in faces for k in face for value in uvs[k]])
-        stage.put(mesh, truth)
 
 
 def swept_between(

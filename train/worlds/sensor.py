@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from train.worlds.stage import VOID
+from train.worlds.truth import VOID
 
 Random = np.random.Generator
 
@@ -18,22 +18,41 @@ class Look(NamedTuple):
     quality: int
 
 
-def develop(
-    light: np.ndarray, truth: np.ndarray, night: bool, at: Random, falling: float = 0.0
-) -> Look:
-    """Linear light float32 (H,W,3) BGR as a camera shows it, truth bent as the lens bends.
+AIMS = {"night": (0.003, 0.06), "dusk": (0.012, 0.12), "day": (0.06, 0.26)}
+"""Grey in linear light that an exposure aims at, from … to, by time of day."""
 
-    falling: rain or snow in the air, 0 to 1.
+UNDEREXPOSED = 0.05
+"""Fraction of images by day that are several times too dark."""
+
+
+def develop(
+    light: np.ndarray,
+    truth: np.ndarray,
+    hour: str,
+    at: Random,
+    falling: float = 0.0,
+    circle: np.ndarray | None = None,
+) -> Look:
+    """Develop linear light float32 (H,W,3) BGR as a camera shows it, truth bent as the lens bends.
+
+    falling: rain or snow in the air, 0 to 1. circle: what a fisheye sees (H,W); the rest is black
+    and void.
     """
-    light = np.nan_to_num(light, posinf=1e4).clip(0, 1e4)
+    night, light = hour == "night", np.nan_to_num(light, posinf=1e4).clip(0, 1e4)
     if falling:
         light = through_rain(light, falling, at)
-    if at.random() < 0.3:
+    if circle is not None:
+        light = light * circle[..., None]
+        truth = np.where(circle, truth, np.uint8(VOID))
+    elif at.random() < 0.3:
         light, truth = bent(light, truth, at.uniform(-0.05, 0.28))
+    seen = np.ones(truth.shape, bool) if circle is None else circle
     light = with_glare(light, night, at)
-    light = light * exposure(light, night, at) * vignette(light.shape, at)
-    if at.random() < 0.22:
+    light = light * exposure(light, seen, hour, at) * vignette(light.shape, at)
+    if at.random() < (0.4 if falling else 0.22):
         light = behind_glass(light, at)
+    if circle is not None:
+        light = light * cv2.GaussianBlur(circle.astype(np.float32), (0, 0), 0.8)[..., None]
     tone = toned(light * np.exp(at.normal(0, 0.05, 3)).astype(np.float32), at)
     return Look(stored(tone, night, at), truth, int(at.integers(45, 96)))
 
@@ -61,13 +80,14 @@ def with_glare(light: np.ndarray, night: bool, at: Random) -> np.ndarray:
     )
 
 
-def exposure(light: np.ndarray, night: bool, at: Random) -> float:
-    """What an automatic exposure multiplies with, often a little off."""
-    height = len(light)
-    part = light[int(height * at.uniform(0, 0.5)) :]
-    grey = np.exp(np.log(part.mean(2) + 1e-5).mean())
-    aim = at.uniform(0.02, 0.09) if night else at.uniform(0.11, 0.26)
-    return float(aim / grey * np.exp(at.normal(0, 0.25)))
+def exposure(light: np.ndarray, seen: np.ndarray, hour: str, at: Random) -> float:
+    """Return the gain of an automatic exposure, often a little off, by the seen pixels (H,W)."""
+    first = int(len(light) * at.uniform(0, 0.5))
+    grey = np.exp(np.log(light[first:].mean(2)[seen[first:]] + 1e-5).mean())
+    aim = np.exp(at.uniform(*np.log(AIMS.get(hour, AIMS["day"]))))
+    if hour not in AIMS and at.random() < UNDEREXPOSED:
+        aim *= at.uniform(0.03, 0.2)
+    return float(aim / grey)
 
 
 def vignette(shape: tuple[int, ...], at: Random) -> np.ndarray:

@@ -11,12 +11,10 @@ from typing import Any, NamedTuple
 
 import bpy
 
-SKY, VERTICAL, HORIZONTAL, ROAD, EGO, VOID = 0, 1, 2, 3, 4, 255
-"""What a pixel of the truth says: layout without road, road, the carrying car, uncertain."""
+from train.worlds.truth import COLOURS
 
-COLOURS = {SKY: (0, 0, 0), VERTICAL: (0, 0, 1), HORIZONTAL: (0, 1, 0)}
-COLOURS |= {ROAD: (1, 1, 0), EGO: (1, 0, 0), VOID: (1, 1, 1)}
-"""Of the truth, for its pass."""
+WIDTH, HEIGHT = 384, 288
+"""Of the images: what other shapes are squeezed to, as the networks do."""
 
 Point = tuple[float, float, float]
 Material = Any
@@ -40,8 +38,19 @@ class Stage:
         self.scene: Any = bpy.context.scene
         self.at = at
         self.haze = Haze(4000, (0.7, 0.75, 0.8))
-        self.night = False
+        self.hour = "sun"
         self.falling = 0.0  # rain or snow in the air, 0 to 1
+        self.wet: bool | None = None  # whether the road is wet; None leaves it to chance
+        self.hand = 0  # 1 where traffic keeps right, -1 left, 0 not known
+        self.station = 0  # the point of the road's course at which the camera stands
+        self.around = False  # whether the camera sees sideways and behind
+        self.lens: Any = None  # train.worlds.lens.Fisheye, where it is one
+        self.mount: dict[str, float] = {}  # how that is mounted: height, and degrees
+
+    @property
+    def night(self) -> bool:
+        """Whether lamps burn."""
+        return self.hour == "night"
 
     def chance(self, share: float) -> bool:
         """Whether something happens that happens in a share of the worlds."""

@@ -6,38 +6,18 @@ from typing import Any
 import bpy
 from mathutils import Vector, noise
 
+from train.worlds.course import START, swept
 from train.worlds.materials import drawn, facade, ground, lamp, palette, plain
-from train.worlds.roads import (
-    EARTHS,
-    GREENS,
-    KINDS,
-    LITTER,
-    MOTORWAYS,
-    SNOW,
-    START,
-    UNPAVED,
-    Road,
-    swept,
-)
-from train.worlds.stage import (
-    HORIZONTAL,
-    ROAD,
-    VERTICAL,
-    Parts,
-    Point,
-    Shape,
-    Stage,
-    box,
-    loose,
-    moved,
-    turned,
-)
+from train.worlds.obstacles import put_obstacles, put_people
+from train.worlds.roads import EARTHS, GREENS, KINDS, LITTER, MOTORWAYS, SNOW, UNPAVED, Road
+from train.worlds.stage import Parts, Point, Shape, Stage, box, loose, turned
+from train.worlds.truth import HORIZONTAL, ROAD, VERTICAL
 
 WALLS = palette("55 47 38, 40 18 12, 55 55 54, 25 25 27, 65 60 45, 50 35 25")
 
 
-def build_surroundings(stage: Stage, road: Road) -> None:
-    """Everything that stands, as the road's kind has it."""
+def build_surroundings(stage: Stage, road: Road, crowd: bool) -> None:
+    """Put up everything that stands, as the road's kind has it; crowd: more people."""
     at = stage.at
     town = road.kind in ("street", "bazaar", "yard")
     wild = road.kind in (*UNPAVED, "rural", "lane")
@@ -54,8 +34,9 @@ def build_surroundings(stage: Stage, road: Road) -> None:
     if stage.chance(0.4 if town else 0.25):
         _fence(stage, road)
     build_posts(stage, road, at.choice([0, 0, 3] if road.kind in UNPAVED else [0, 4, 9]))
-    if town:
-        _people(stage, road, at.choice([0, 2, 6]) if road.kind != "bazaar" else at.randint(3, 16))
+    count = at.randint(3, 16) if road.kind == "bazaar" else at.choice([0, 2, 6]) * town
+    put_people(stage, road.course, (road.course.half, road.land), 0.05, count + 8 * crowd)
+    put_obstacles(stage, road.course, 0.05, at.randint(2, 10) * crowd)
     if road.kind in (*MOTORWAYS, "street", "rural") and stage.chance(0.16):
         build_bridge(stage, road)
     if road.kind == "yard":
@@ -238,14 +219,14 @@ def _fence(stage: Stage, road: Road) -> None:
         swept(stage, road.course, section, look, VERTICAL, span=span, bumps=bumps)
 
 
-def build_posts(stage: Stage, road: Road, count: int) -> None:
-    """Lamp posts that shine at night, poles, signs, bins."""
+def build_posts(stage: Stage, road: Road, count: int, lit: int | None = None) -> None:
+    """Put lamp posts that shine at night, and signs; lit: the one side that has lamps."""
     at = stage.at
     grey = plain(stage, drawn(stage, palette("30 30 30, 15 12 9, 50 50 50")), 0.6)
     tall, spacing, beyond = at.uniform(4, 9), at.randint(9, 18), at.uniform(-0.2, 1.0)
     warm = at.choice(palette("100 60 25, 100 85 65, 80 90 100"))
     for number in range(count):
-        side = at.choice((-1, 1))
+        side = at.choice((-1, 1)) if lit is None else lit
         index = START + 4 + number * spacing
         if index > 115:
             break
@@ -269,27 +250,6 @@ def build_posts(stage: Stage, road: Road, count: int) -> None:
         sign: Parts = [(turned([(0.04, 0), (0.04, 2.5)], 6), grey)]
         sign.append((box(middle, size), plain(stage, colour, 0.5)))
         stage.put(stage.mesh(sign), VERTICAL, road.spot(index, 0.4, side), at.uniform(-0.3, 0.3))
-
-
-def person(stage: Stage) -> Parts:
-    """Somebody on foot: legs, body, head."""
-    at = stage.at
-    cloth = [plain(stage, [at.uniform(0.02, 0.6) for _ in range(3)], 0.9) for _ in range(2)]
-    skin = plain(stage, drawn(stage, palette("40 25 18, 20 10 6")), 0.7)
-    leg = turned([(0.07, 0), (0.1, 0.85)], 7)
-    body = turned([(0.13, 0.8), (0.24, 1.1), (0.22, 1.4), (0.07, 1.5)], 8)
-    head = turned([(0.05, 1.48), (0.11, 1.6), (0.08, 1.75), (0.01, 1.78)], 8)
-    legs = [(moved(leg, by), cloth[0]) for by in ((-0.1, 0.1, 0), (0.1, -0.1, 0))]
-    return [*legs, (body, cloth[1]), (head, skin)]
-
-
-def _people(stage: Stage, road: Road, count: int) -> None:
-    at = stage.at
-    for _ in range(count):
-        index = at.randint(START + 4, 50)
-        across = at.uniform(-1, 1) * (road.land if stage.chance(0.6) else road.course.half)
-        where = road.course.at(index, across, 0.05)
-        stage.put(stage.mesh(person(stage)), VERTICAL, where, at.uniform(0, 6))
 
 
 def build_bridge(stage: Stage, road: Road) -> None:

@@ -2,10 +2,12 @@
 
 from typing import Any, NamedTuple
 
+from train.worlds.course import START
 from train.worlds.materials import drawn, lamp, palette, plain
-from train.worlds.roads import KINDS, START, Road
-from train.worlds.stage import VERTICAL, Material, Parts, Stage, box, extruded, moved, turned, wheel
-from train.worlds.surroundings import person
+from train.worlds.people import limb, rider
+from train.worlds.roads import KINDS, Road
+from train.worlds.stage import Material, Parts, Stage, box, extruded, moved, turned, wheel
+from train.worlds.truth import VERTICAL
 
 PAINTS = palette("50 2 2, 70 70 70, 1.5 1.5 1.5, 4 8 35, 25 25 26, 85 85 83, 35 30 20, 60 40 2")
 
@@ -112,7 +114,7 @@ def car(stage: Stage, tall: float = 0.0) -> Parts:
         (extruded(cabin, [half * 0.95, half * 0.76, half * 0.76, half * 0.95]), looks.glass),
         (extruded(roof, [half * 0.77, half * 0.73, half * 0.73, half * 0.77]), looks.paint),
         (box((0, -a - 0.01, 0.62), (0.5, 0.03, 0.13)), plain(stage, (0.75, 0.75, 0.7), 0.5)),
-        (box((0, 0, 0.32), (half * 1.9, 2 * a, 0.16)), looks.rubber),
+        (box((0, 0, 0.27), (half * 1.9, 2 * a - 0.3, 0.22)), looks.rubber),
     ]
     parts += _wheels(looks.rubber, half, (-a + 0.75, a - 0.85), 0.32)
     return parts + _lights(looks, half, -a, a, belt - 0.15)
@@ -145,8 +147,10 @@ def motorbike(stage: Stage) -> Parts:
     parts.append((box((0, 0, 0.62), (0.28, 1.1, 0.32)), looks.paint))
     parts.append((box((0, 0.5, 0.98), (0.7, 0.06, 0.06)), looks.rubber))
     parts.append((box((0, -0.72, 0.72), (0.16, 0.06, 0.1)), looks.tail))
-    for seat in (-0.1, -0.5)[: stage.at.choice([1, 1, 2])]:
-        parts += [(moved(shape, (0, seat, 0.1)), look) for shape, look in person(stage)]
+    parts.append((limb((0, 0.42, 0.95), (0, 0.65, 0.29), 0.04, 0.04), looks.rubber))
+    for seat in (0.1, -0.3)[: stage.at.choice([1, 1, 2])]:
+        people = rider(stage, 0.82, (0.3, 0.45, 1.0), 0.25)
+        parts += [(moved(shape, (0, seat, 0)), look) for shape, look in people]
     return parts
 
 
@@ -165,3 +169,23 @@ def _rickshaw(stage: Stage) -> Parts:
         (wheel(0, 1.0, 0.25, 0.12), looks.rubber),
     ]
     return parts + [(box((x, -1.27, 0.8), (0.15, 0.05, 0.12)), looks.tail) for x in (0.45, -0.45)]
+
+
+def tram(stage: Stage) -> Parts:
+    """Return two or three cars of a tram."""
+    at, half = stage.at, 1.2
+    body = plain(stage, drawn(stage, palette("60 55 40, 60 3 3, 4 20 45, 65 65 65")), 0.3)
+    glass, dark = (
+        plain(stage, (0.02, 0.02, 0.025), 0.06, vary=0),
+        plain(stage, (0.02, 0.02, 0.02), 0.9),
+    )
+    light = lamp((1, 0.95, 0.8), 20 if stage.night else 2)
+    parts: Parts = []
+    for number in range(at.choice([2, 3])):
+        y = number * 10.5
+        parts.append((box((0, y, 1.85), (2 * half, 10, 3.0)), body))
+        parts.append((box((0, y, 2.3), (2 * half + 0.06, 9.4, 1.1)), glass))
+        parts.append((box((0, y, 0.25), (2 * half - 0.3, 9, 0.4)), dark))
+        parts.append((box((0, y, 1.9), (2 * half - 0.2, 10.6, 2.7)), dark))
+    parts.append((box((0, -5.03, 2.3), (2 * half - 0.3, 0.06, 1.2)), glass))
+    return parts + [(box((x, -5.04, 0.9), (0.3, 0.06, 0.2)), light) for x in (-0.8, 0.8)]

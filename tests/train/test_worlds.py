@@ -1,0 +1,90 @@
+"""Rendered worlds, as far as they need no Blender: plans, lenses, truth of thin things, framing."""
+
+import tomllib
+from collections import Counter
+from random import Random
+
+import numpy as np
+import pytest
+
+from roadtorch.camera.ground import Lens, distorted
+from train.worlds.framing import measure_framing
+from train.worlds.lens import (
+    SENSOR,
+    angle_polynomial,
+    bend,
+    image_circle,
+    sample_fisheye,
+    write_lens,
+)
+from train.worlds.plans import HELD_OUT, SCHEDULE, SCHEDULED, plan_world
+from train.worlds.sensor import develop
+from train.worlds.truth import HORIZONTAL, ROAD, VERTICAL, VOID, settle_truth
+
+
+@pytest.mark.parametrize("first", [SCHEDULED, SCHEDULED + 17, HELD_OUT + 5])
+def test_any_stretch_of_numbers_is_balanced(first: int) -> None:
+    plans = [plan_world(number) for number in range(first, first + len(SCHEDULE))]
+    names = Counter(plan.name for plan in plans)
+    towns = [plan for plan in plans if plan.kinds == {"town": 1}]
+    assert names["fisheyefront"] == names["fisheyerear"] == 1
+    assert names["fisheyeside"] == 2
+    assert names["people"] == 4
+    assert len(towns) == 12
+    assert sum(plan.hours == {"night": 1} for plan in towns) == 4
+    assert sum(plan.wet is True for plan in towns) == 4
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_sampled_fisheye_is_the_lens_that_is_written(seed: int) -> None:
+    fisheye = sample_fisheye(Random(seed), 384, 288)
+    table = tomllib.loads(write_lens(fisheye, {"pitch": 30.0}))
+    mount = table.pop("mount")
+    lens = Lens(**{**table, "coefficients": tuple(table["coefficients"])})
+    angles = np.linspace(0.05, np.radians(min(fisheye.view / 2, 85)), 7)
+    radii = bend(angles, fisheye.coefficients)
+
+    pixels = distorted(lens, np.stack([np.tan(angles), np.zeros(7)], 1))
+    assert pixels[:, 0] == pytest.approx(fisheye.centre_x + fisheye.focal_x * radii, abs=0.01)
+    assert mount["view"] == pytest.approx(fisheye.view, abs=0.01)
+
+    millimetres = radii * fisheye.focal_x / fisheye.width * SENSOR
+    weights = angle_polynomial(fisheye)
+    fitted = sum(weight * millimetres**k for k, weight in enumerate(weights))
+    assert np.abs(fitted - angles).max() * fisheye.focal_x < 0.3  # pixels
+
+
+def test_beyond_the_circle_of_a_fisheye_the_image_is_black_and_void() -> None:
+    fisheye = sample_fisheye(Random(3), 96, 72)._replace(focal_x=20.0, focal_y=20.0)
+    circle = image_circle(fisheye)
+    light = np.ones((72, 96, 3), np.float32)
+    look = develop(
+        light, np.full((72, 96), ROAD, np.uint8), "sun", np.random.default_rng(0), circle=circle
+    )
+    assert (look.truth == np.where(circle, ROAD, VOID)).all()
+    assert look.picture[:4, :4].max() < 60 < look.picture[30:40, 40:50].min()
+
+
+def test_a_pixel_is_vertical_from_a_third_on() -> None:
+    codes = np.full((3, 9), ROAD, np.uint8)
+    codes[:, 1] = VERTICAL  # a post of a third of a pixel
+    codes[:2, 4] = VERTICAL  # less
+    codes[:, 6:8] = HORIZONTAL
+    assert settle_truth(codes, 3).tolist() == [[VERTICAL, ROAD, HORIZONTAL]]
+
+
+def test_framing_tells_where_the_road_leaves_the_image() -> None:
+    road, valid = np.zeros((10, 50), bool), np.ones((10, 50), bool)
+    road[4:, :30] = True
+    road[8:] = True
+    framing = measure_framing(road, valid)
+    assert framing is not None
+    assert framing.asymmetry == pytest.approx((150 - 70) / 220)
+    assert framing.left_only == pytest.approx(4 / 6)
+    assert framing.right_only == 0
+
+    valid[:, 0] = False  # a border column that nobody labelled
+    beside = measure_framing(road, valid)
+    assert beside is not None
+    assert beside.left_only == framing.left_only
+    assert measure_framing(road & False, valid) is None

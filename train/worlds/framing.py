@@ -1,0 +1,93 @@
+"""Print how the road lies in images: how unlike its halves are, and where it leaves the image.
+
+    python -m train.worlds.framing FOLDER… [--kind town]
+
+A folder holds truth/*.png of ``train.worlds``, or road/*.png (1 road, 255 void). Needs no Blender.
+"""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from train.worlds.truth import ROAD, VOID
+
+CODES = {"truth": ROAD, "road": 1}
+"""Of road, in the files of each folder."""
+
+BALANCED = 0.1
+"""Asymmetry below which both halves of the road count as alike."""
+
+MARGIN = 0.04
+"""Fraction of the width within which the outermost known pixel of a row stands for its border."""
+
+
+class Framing(NamedTuple):
+    """Where the road of one image is.
+
+    asymmetry: (left - right) / (left + right) of its pixels in both halves of the image.
+    left_only, right_only: fractions of its rows in which it leaves the image on that side alone.
+    """
+
+    asymmetry: float
+    left_only: float
+    right_only: float
+
+
+def measure_framing(road: np.ndarray, valid: np.ndarray) -> Framing | None:
+    """Measure the framing of a road mask (H,W); None without enough road.
+
+    Rows that are void at either border do not count.
+    """
+    road = road & valid
+    if road.sum() < 0.01 * road.size:
+        return None
+    half = road.shape[1] // 2
+    left, right = int(road[:, :half].sum()), int(road[:, -half:].sum())
+    margin = int(MARGIN * road.shape[1])
+    first, last = valid.argmax(1), valid[:, ::-1].argmax(1)
+    rows = road.any(1) & (first <= margin) & (last <= margin)
+    index = np.arange(len(road))
+    cut_left, cut_right = (road[index, first] & rows), (road[index, -1 - last] & rows)
+    count = max(1, int(rows.sum()))
+    return Framing(
+        (left - right) / (left + right),
+        float((cut_left & ~cut_right).sum()) / count,
+        float((cut_right & ~cut_left).sum()) / count,
+    )
+
+
+def read_framings(folder: Path, kind: str) -> Iterator[Framing]:
+    """Yield the framings of a folder's images, of worlds those whose name holds the kind."""
+    place = "truth" if (folder / "truth").is_dir() else "road"
+    for file in sorted((folder / place).glob("*.png")):
+        if place == "road" or kind in file.stem.split("_")[1]:
+            code = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+            framing = measure_framing(code == CODES[place], code != VOID)
+            if framing is not None:
+                yield framing
+
+
+def main() -> None:
+    """Print a row for each folder."""
+    parser = argparse.ArgumentParser(description="Print how the road lies in images.")
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--kind", default="", help="of worlds, e.g. town")
+    options = parser.parse_args()
+    print("folder images (L-R)/(L+R) |…| balanced left-only right-only one-side-only")
+    for folder in options.folders:
+        table = np.array(list(read_framings(folder, options.kind)))
+        if len(table):
+            size = np.abs(table[:, 0])
+            left, right = table[:, 1:].mean(0)
+            print(
+                f"{folder.name} {len(table)} {np.median(table[:, 0]):+.2f} {np.median(size):.2f} "
+                f"{(size < BALANCED).mean():.2f} {left:.2f} {right:.2f} {left + right:.2f}"
+            )
+
+
+if __name__ == "__main__":
+    main()

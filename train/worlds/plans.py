@@ -1,0 +1,92 @@
+"""What a world's number stands for: kind of road, time of day, weather, people, camera mount."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+KINDS: Mapping[str, int] = {
+    "street": 5,
+    "rural": 4,
+    "motorway": 2,
+    "track": 5,
+    "trail": 3,
+    "overgrown": 10,
+    "yard": 2,
+    "bazaar": 3,
+    "lane": 2,
+}
+"""Kinds of road in worlds of all kinds, and how often each is sampled."""
+
+NOWHERE = "nowhere"
+"""The kind of a place without road."""
+
+FISHEYES = ("front", "rear", "left", "right")
+"""Mounts of fisheyes on a car; others are car, truck and robot."""
+
+HOURS = {"sun": 9, "overcast": 7, "dusk": 2, "night": 3}
+"""Times of day, and how often each is sampled."""
+
+DARKER = {"sun": 6, "overcast": 6, "dusk": 4, "night": 5}
+DAY = {"sun": 5, "overcast": 4, "dusk": 3}
+NIGHT = {"night": 1}
+RAINY = {"overcast": 6, "dusk": 3, "night": 2}
+
+
+class Plan(NamedTuple):
+    """What a world is sampled from.
+
+    name: in the file's name; "" stands for the kind of road. kinds, hours: and how often each is
+    sampled. wet: whether it rains on a wet road; None leaves it to chance. crowd: whether many
+    people, cyclists and small obstacles are near and on the road. mount: of the camera.
+    """
+
+    name: str
+    kinds: Mapping[str, int]
+    hours: Mapping[str, int] = HOURS
+    wet: bool | None = None
+    crowd: bool = False
+    mount: str = "car"
+
+
+TOWN = {"town": 1}
+DRY_TOWN = Plan("town", TOWN, DAY, wet=False)
+DARK_TOWN = Plan("town", TOWN, NIGHT)
+WET_TOWN = Plan("townrain", TOWN, RAINY, wet=True)
+PEOPLE = Plan("people", {"town": 4, "street": 1, "bazaar": 1}, DARKER, crowd=True)
+SURROUND = {"town": 6, "street": 2, "yard": 3, "rural": 1, "lane": 1, "track": 1}
+FRONT, REAR, LEFT, RIGHT = (
+    Plan(f"fisheye{name}", SURROUND, DARKER, mount=mount)
+    for name, mount in (("front", "front"), ("rear", "rear"), ("side", "left"), ("side", "right"))
+)
+TRUCK = Plan("truck", {"town": 4, "motorway": 2, "rural": 2, "yard": 1}, DARKER, mount="truck")
+ROBOT = Plan("robot", {"town": 4, "yard": 1, "lane": 1, "trail": 1}, DARKER, mount="robot")
+ROADS = {"ramp": 3, "motorway": 2, "rural": 2}
+LITTER = {"litter": 1}
+MIXED = Plan("", KINDS, DARKER)
+
+SCHEDULE = (
+    *(DRY_TOWN, DARK_TOWN, FRONT, WET_TOWN, PEOPLE, Plan("", LITTER, DARKER)),
+    *(DARK_TOWN, LEFT, DRY_TOWN, MIXED, WET_TOWN, PEOPLE),
+    *(REAR, DARK_TOWN, TRUCK, WET_TOWN, MIXED, DRY_TOWN),
+    *(PEOPLE, RIGHT, DARK_TOWN, Plan("", ROADS, DARKER), WET_TOWN, ROBOT),
+    *(DRY_TOWN, PEOPLE, MIXED, Plan("", {NOWHERE: 1}, DARKER)),
+)
+"""Plans by turns, so that any stretch of numbers is a balanced set."""
+
+SCHEDULED, HELD_OUT = 30000, 39000
+"""The first numbers of worlds planned by turns, and of those that teach no network."""
+
+RANGES = {
+    0: Plan("", KINDS),
+    10000: Plan("", TOWN),
+    12000: Plan("", ROADS),
+    14000: Plan("", LITTER),
+    20000: Plan("", {NOWHERE: 1}),
+}
+"""Plans of all numbers from one on, below those planned by turns."""
+
+
+def plan_world(number: int) -> Plan:
+    """Return the plan of a world's number."""
+    if number >= SCHEDULED:
+        return SCHEDULE[(number - SCHEDULED) % len(SCHEDULE)]
+    return RANGES[max(first for first in RANGES if first <= number)]
