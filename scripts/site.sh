@@ -7,7 +7,7 @@ source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
 prepare_venv docs
 
 if command -v npm >/dev/null; then
-  version=$("$PYTHON" -c "from roadtorch.export.page import RUNTIME_VERSION as v; print(v)")
+  version=$("$PYTHON" -c "from roadtorch.export.folders import RUNTIME_VERSION as v; print(v)")
   mkdir -p out/browser
   (
     cd out/browser

@@ -33,8 +33,7 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
     from roadtorch.base.settings import parse_assignments
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import BOUND, export_detector
-    from roadtorch.export.hub import export_folder
-    from roadtorch.export.page import export_page
+    from roadtorch.export.folders import export_folder, export_page
     from roadtorch.run.folder import output_lock
 
     detector = load_detector(name, **parse_assignments(assignments))

@@ -1,16 +1,20 @@
 """Detectors as files that run without Python."""
 
+import logging
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from roadtorch.base.atomic import atomic, digest_of, make_folder
 from roadtorch.base.errors import ConfigError, InputError
@@ -20,7 +24,6 @@ from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.detector import MIN_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
-from roadtorch.export.files import Graph, Run, Steps, open_onnx, write_onnx
 from roadtorch.imaging.resize import at_picture_size, at_work, resized, size_of
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.weights import FOR_PICTURES, terms_of, weights_path
@@ -35,6 +38,9 @@ CAN = ("fusion", "layout:cnn-7")
 ISOLATED = "dropping of isolated road"
 
 OWN_TERMS = "those of whoever trained them"
+
+Steps = Callable[[Tensor], Mapping[str, Tensor]]
+"""An image (3,H,W) in [0,1] → maps by name, of any of which a graph may be traced."""
 
 OUTPUTS: Mapping[str, str] = {
     "likelihood": "float32 (N, H, W): how road-like each pixel is, 0 to 1",
@@ -166,6 +172,9 @@ def terms_with_card(weights: Path) -> str:
 # --- whether a file says what Python says -----------------------------------------------
 
 
+Run = Callable[[np.ndarray], Mapping[str, np.ndarray]]
+"""Pictures uint8 (N,H,W,3) RGB → maps by name, by a runtime that has read a file."""
+
 BOUND = 1e-4
 """How far a file may be off. Ours: a fortieth of the step between two grey levels."""
 
@@ -217,6 +226,83 @@ def parity(run: Run, steps: Steps, batches: Iterable[np.ndarray]) -> Parity:
 
 
 # --- writing it -------------------------------------------------------------------------
+
+
+OPSET = 18
+
+EXAMPLE = (2, 240, 320, 3)
+"""The shape of the pictures that the graph is traced with; no number of it stays but the 3."""
+
+
+class Graph(nn.Module):
+    """Steps as a module of the exporter: pictures uint8 (N,H,W,3) RGB → the outputs, in order.
+
+    analysis: what has their weights.
+    """
+
+    def __init__(self, analysis: nn.Module, steps: Steps, outputs: Sequence[str]) -> None:
+        super().__init__()
+        self.analysis = analysis
+        self.steps = steps
+        self.outputs = outputs
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """The outputs of a batch."""
+        maps = self.steps(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
+        return tuple(maps[name] for name in self.outputs)
+
+
+def write_onnx(module: Graph, notes: Mapping[str, str], path: Path) -> None:
+    """Write a graph with notes about it; needs onnx and onnxscript.
+
+    The same module and notes give the same bytes, wherever they are made.
+    """
+    with quiet_exporter(), torch.no_grad():
+        program = torch.onnx.export(
+            module,
+            (torch.zeros(EXAMPLE, dtype=torch.uint8),),
+            input_names=["image"],
+            output_names=list(module.outputs),
+            dynamic_shapes=({0: "N", 1: "H", 2: "W"},),
+            opset_version=OPSET,
+            dynamo=True,
+            verbose=False,
+        )
+    assert program is not None
+    program.model.producer_name, program.model.producer_version = "roadtorch", __version__
+    program.model.metadata_props.update(notes)
+    for node in program.model.graph.all_nodes():
+        node.metadata_props.clear()  # where in the sources on this machine it came from
+    program.save(str(path))
+
+
+def open_onnx(path: Path, threads: int) -> Run:
+    """What runs an ONNX file on so many threads, by ONNX Runtime."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # errors
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    names = [output.name for output in session.get_outputs()]
+
+    def run(pictures: np.ndarray) -> dict[str, np.ndarray]:
+        maps: list[Any] = list(session.run(names, {"image": pictures}))
+        return dict(zip(names, maps, strict=True))
+
+    return run
+
+
+@contextmanager
+def quiet_exporter() -> Iterator[None]:
+    """torch's exporter without its remarks on itself."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    finally:
+        logging.disable(before)
 
 
 NEEDS = ("onnx", "onnxscript", "onnxruntime")

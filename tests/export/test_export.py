@@ -18,8 +18,17 @@ from roadtorch.base.atomic import digest_of
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image, to_pixels
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.export.export import BOUND, Exported, export_detector, exportable, notes_of, parity
-from roadtorch.export.files import Graph, open_onnx, write_onnx
+from roadtorch.export.export import (
+    BOUND,
+    Exported,
+    Graph,
+    export_detector,
+    exportable,
+    notes_of,
+    open_onnx,
+    parity,
+    write_onnx,
+)
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
 from tests.export.conftest import NAME

@@ -8,7 +8,7 @@ import torch
 
 from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.export.hub import export_folder
+from roadtorch.export.folders import export_folder
 from roadtorch.layout.weights import terms_of
 from roadtorch.testing import street
 from tests.networks import write_ego_network

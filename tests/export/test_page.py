@@ -14,9 +14,9 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.base.image import read_image, to_pixels, write_pixels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
-from roadtorch.export import page as page_module
+from roadtorch.export import folders as page_module
 from roadtorch.export.export import Exported
-from roadtorch.export.page import RUNTIME_VERSION, export_page
+from roadtorch.export.folders import RUNTIME_VERSION, export_page
 from roadtorch.testing import street
 from scripts.browser import CHROMIUM, PATIENCE, looked_at, served, wait_for_status
 from tests.export.conftest import NAME
