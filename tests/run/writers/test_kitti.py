@@ -77,7 +77,7 @@ def test_broken_images_are_mended_by_a_second_run(call: Call, kitti: Path, out: 
 
     assert result.exit_code == 1
     assert "um_000000.png: cannot be decoded" in result.stderr
-    assert "calib/uu_000012.txt: is missing" in result.stderr
+    assert "calib/uu_000012.txt: cannot be read" in result.stderr
     assert result.stderr.splitlines()[-1].endswith(
         "submission.zip not written, as maps are missing"
     )
