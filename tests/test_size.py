@@ -34,8 +34,8 @@ LINES = {
     "roadtorch/train": 3_350,
     "roadtorch/ufl": 1_400,
     "scripts": 3_400,
-    "tests": 24_200,
-    "train": 3_700,
+    "tests": 24_300,
+    "train": 4_700,
 }
 """The lines of source code that each folder may have."""
 
