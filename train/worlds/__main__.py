@@ -60,10 +60,13 @@ TONES[VOID] = (255, 0, 255)
 """Of the truth on a sheet, BGR."""
 
 
-def build_world(number: int) -> tuple[Stage, Road | None, str]:
-    """Build the scene of a number; return it, its road, and its name."""
+def build_world(number: int, photographs: Path | None = None) -> tuple[Stage, Road | None, str]:
+    """Build the scene of a number; return it, its road, and its name.
+
+    photographs: a folder of them for its materials.
+    """
     plan, at = plan_world(number), Random(number)
-    stage = Stage(at)
+    stage = Stage(at, photographs)
     stage.around = plan.mount in FISHEYES
     stage.station = START + BEHIND * stage.around
     hour = sample_hour(stage, plan.hours)
@@ -144,9 +147,9 @@ def develop_world(stage: Stage, number: int, light: np.ndarray, place: Path, fil
     return look
 
 
-def make(number: int, out: Path) -> str:
+def make(number: int, out: Path, photographs: Path | None = None) -> str:
     """Render one world; return its name."""
-    stage, _, name = build_world(number)
+    stage, _, name = build_world(number, photographs)
     light = render(stage, number, out)
     part = out / f"part{os.getpid()}.jpg"
     look = develop_world(stage, number, light, out, part)
@@ -209,6 +212,7 @@ def main() -> None:
     parser.add_argument("--from", type=int, default=0, dest="offset")
     parser.add_argument("--frames", type=int, help="of a drive through each world")
     parser.add_argument("--sheet", type=Path)
+    parser.add_argument("--photographs", type=Path, help="a folder of them for materials")
     given = parser.parse_args()
     if given.sheet:
         cv2.imwrite(str(given.sheet), sheet(given.out, given.first, given.last))
@@ -221,7 +225,11 @@ def main() -> None:
             print(make_drive(number, given.out, given.frames), flush=True)
         elif not any((given.out / "images").glob(f"{number:05d}_*.jpg")):
             begun = time.monotonic()
-            print(make(number, given.out), f"{time.monotonic() - begun:.1f} s", flush=True)
+            print(
+                make(number, given.out, given.photographs),
+                f"{time.monotonic() - begun:.1f} s",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -141,7 +141,7 @@ def _put_traffic(stage: Stage, road: Road, street: Street) -> None:
 
     for across, direction in street.lanes:
         gap = at.choice([0, 0, 30, 15, 6] if direction > 0 else [0, 0, 0, 40, 25, 12])
-        index = START + (at.randint(5, 14) if abs(across - own) < 1 else at.randint(-2, 12))
+        index = START + (at.randint(6, 18) if abs(across - own) < 1 else at.randint(-2, 12))
         while gap and index < 100:
             big = stage.chance(0.1)
             stand(

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from train.worlds.materials import Nodes
+from train.worlds.photographs import lay_sky
 from train.worlds.stage import Haze, Stage
 
 FOG = 130
@@ -68,6 +69,7 @@ def build_light(stage: Stage, hour: str) -> None:
             white = at.uniform(1.5, 6) * (0.15 if hour == "dusk" else 1)
             share = nodes.math("MULTIPLY", _clouds(stage, nodes), at.uniform(0.4, 1))
             look = nodes.mix(share, look, (white, white, white * 1.03))
+    look, strength = lay_sky(stage, nodes) or (look, strength)
     given = {"Color": (*look, 1) if isinstance(look, tuple) else look, "Strength": strength}
     background = nodes.add("ShaderNodeBackground", given)
     if stage.haze.reach < FOG:

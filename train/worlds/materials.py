@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 
+from train.worlds.photographs import lay_photograph
 from train.worlds.stage import Material, Stage
 
 Colour = Sequence[float]
@@ -126,10 +127,14 @@ def ground(
     grain: float,
     contrast: float = 0.25,
     bump: float = 0.3,
+    photo: tuple[str, str] = ("", ""),
 ) -> Material:
-    """Grass, earth, leaves, snow: a colour that goes over into another in patches."""
+    """Make grass, earth, leaves, snow: a colour that goes over into another in patches.
+
+    photo: kinds of photographs of both.
+    """
     nodes = new_surface()
-    look, fine = _patches(stage, nodes, (colour, other), grain, contrast)
+    look, fine = _patches(stage, nodes, (colour, other), grain, contrast, photo)
     return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, bump, 0.05)})
 
 
@@ -140,27 +145,37 @@ def trodden(
     contrast: float,
     bare: Colour,
     wear: tuple[float, float],
+    photo: tuple[str, str] = ("", ""),
 ) -> Material:
     """The ground beside (its two colours, grain and contrast) where wheels have laid it bare.
 
     wear: shares of ``bare`` over its whole width, and in the two wheel tracks.
     """
     at, nodes = stage.at, new_surface()
-    look, fine = _patches(stage, nodes, colours, grain, contrast)
+    look, fine = _patches(stage, nodes, colours, grain, contrast, photo)
     share = nodes.math("MULTIPLY", _wheel_tracks(stage, nodes, _across(nodes)), wear[1])
     share = nodes.math("ADD", share, wear[0])
     share = nodes.math("MULTIPLY", share, nodes.step(nodes.noise(at.uniform(0.4, 2)), 0.2, 0.7))
-    look = nodes.mix(share, look, tuple(bare))
+    look = nodes.mix(share, look, lay_photograph(stage, nodes, photo[0] and "earth", tuple(bare)))
     return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, 0.3, 0.05)})
 
 
 def _patches(
-    stage: Stage, nodes: Nodes, colours: tuple[Colour, Colour], grain: float, contrast: float
+    stage: Stage,
+    nodes: Nodes,
+    colours: tuple[Colour, Colour],
+    grain: float,
+    contrast: float,
+    photo: tuple[str, str],
 ) -> tuple[Any, Any]:
-    """A colour that goes over into another, with its grain; the look and the grain's height."""
+    """Return a colour that goes over into another, with its grain; and the grain's height."""
     fine = nodes.noise(grain, 4)
     wide = nodes.step(nodes.noise(stage.at.uniform(0.05, 0.6)), 0.1, 0.9)
-    look = nodes.mix(wide, tuple(colours[0]), tuple(colours[1]))
+    looks = [
+        lay_photograph(stage, nodes, kind, tuple(colour), tuple(colour))
+        for kind, colour in zip(photo, colours, strict=True)
+    ]
+    look = nodes.mix(wide, *looks)
     return nodes.mix(nodes.step(fine, 0.3, 0.7), nodes.mix(contrast, look, BLACK), look), fine
 
 
@@ -186,23 +201,26 @@ def paved(
     slush: Colour | None = None,
     ruts: float = 0.0,
     edge: Colour | None = None,
+    photo: str = "",
 ) -> Material:
     """A road: grain, patches, cracks, wheel tracks, frayed edges; wet, of stones, under slush.
 
     half: its half width in metres, the scale of the first UV. wet: share of it under water.
-    stones: their size in metres. ruts: how dark or light wheel tracks are.
+    stones: their size in metres. ruts: how dark or light wheel tracks are. photo: the kind of
+    photographs of it; cobbles where there are stones, else asphalt.
     """
     at, nodes = stage.at, new_surface()
     across = _across(nodes)
     fine, wide = nodes.noise(at.uniform(15, 60)), nodes.noise(at.uniform(0.1, 0.5))
     dark = tuple(c * at.uniform(0.75, 1) for c in colour)
     look: Any = nodes.mix(nodes.step(wide, 0.3, 0.7), dark, tuple(colour))
-    grain = nodes.mix(at.uniform(0.1, 0.45), look, BLACK)
+    flat, grain = look, nodes.mix(at.uniform(0.1, 0.45), look, BLACK)
     look = nodes.mix(nodes.step(fine, 0.3, 0.75), grain, look)
     if stones:
         joints = nodes.step(nodes.cells(stones), 0.12, 0.02)
         look = nodes.mix(joints, look, nodes.mix(at.uniform(0.3, 0.75), look, BLACK))
-    elif stage.chance(0.3):
+    look = lay_photograph(stage, nodes, photo or ("cobbles" if stones else "asphalt"), flat, look)
+    if not stones and stage.chance(0.3):
         look = _cracked(nodes, look, at.uniform(0.15, 0.6), at.uniform(0.004, 0.012))
     track = _wheel_tracks(stage, nodes, across)
     if ruts:
@@ -240,6 +258,7 @@ def slabs(
     given |= {"Row Height": size * at.choice([0.5, 1.0]), "Bias": at.uniform(-0.6, 0.6)}
     given |= {"Color1": (*light, 1), "Color2": (*dark, 1), "Mortar": (*joint, 1)}
     look = nodes.add("ShaderNodeTexBrick", given, "Color", offset=at.choice([0.0, 0.5]))
+    look = lay_photograph(stage, nodes, "slabs", tuple(colour), look)
     stain = nodes.step(nodes.noise(at.uniform(0.3, 2)), 0.35, 0.65)
     look = nodes.mix(nodes.math("MULTIPLY", stain, at.uniform(0, 0.4)), look, BLACK)
     if slush:
@@ -281,6 +300,7 @@ def facade(stage: Stage, colour: Colour) -> Material:
         inside.append(nodes.step(nodes.math("ABSOLUTE", off), half, half - 0.03))
     pane = nodes.math("MULTIPLY", *inside)
     wall = nodes.mix(nodes.noise(at.uniform(0.3, 8)), tuple(c * 0.7 for c in colour), tuple(colour))
+    wall = lay_photograph(stage, nodes, "wall", wall)
     look = nodes.mix(pane, wall, (0.03, 0.035, 0.05))
     rough = nodes.math("SUBTRACT", 0.9, nodes.math("MULTIPLY", pane, 0.8))
     if not stage.night:

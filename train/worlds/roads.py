@@ -185,8 +185,10 @@ def _wood(stage: Stage, season: str) -> tuple[Material, Material]:
     grain, contrast = at.uniform(3, 30), at.uniform(0.2, 0.65)
     bare = drawn(stage, EARTHS + LITTER, 0.35)
     wear = (at.choice([0.0, at.uniform(0, 0.5)]), at.uniform(0.25, 0.9))
-    beside = ground(stage, *colours, grain, contrast)
-    return trodden(stage, colours, grain, contrast, bare, wear), beside
+    photo, state = ("litter", "litter"), stage.pick.getstate()
+    beside = ground(stage, *colours, grain, contrast, photo=photo)
+    stage.pick.setstate(state)  # of the same photographs
+    return trodden(stage, colours, grain, contrast, bare, wear, photo), beside
 
 
 def _surface(stage: Stage, road: Road) -> Material:
@@ -201,7 +203,8 @@ def _surface(stage: Stage, road: Road) -> Material:
         colour = drawn(stage, EARTHS if road.kind == "track" else LITTER + EARTHS, 0.35)
         ruts = at.uniform(-0.25, 0.4)
         edge = drawn(stage, GREENS + LITTER) if stage.chance(0.5) else None
-        return paved(stage, colour, half, wet, at.choice([0.0, 0.0, 0.06]), slush, ruts, edge)
+        stones = at.choice([0.0, 0.0, 0.06])
+        return paved(stage, colour, half, wet, stones, slush, ruts, edge, "earth")
     tone = at.uniform(0.04, 0.34)
     colour = tuple(tone * at.uniform(0.96, 1.04) for _ in range(3))
     stones = at.uniform(0.1, 0.25) if road.kind in ("street", "lane") and stage.chance(0.2) else 0.0
@@ -215,7 +218,10 @@ def soil_of(stage: Stage, season: str) -> Material:
     mine: Sequence[Colour] = colours.get(season, GREENS)
     second = mine if stage.chance(0.6) or season == "snow" else EARTHS + LITTER
     grain = at.uniform(1, 12)
-    return ground(stage, drawn(stage, mine), drawn(stage, second), grain, at.uniform(0.15, 0.6))
+    kind = {"snow": "snow", "earth": "earth", "litter": "litter"}.get(season, "grass")
+    photo = (kind, kind if second is mine else "earth")
+    looks = (drawn(stage, mine), drawn(stage, second))
+    return ground(stage, *looks, grain, at.uniform(0.15, 0.6), photo=photo)
 
 
 def _bound(stage: Stage, road: Road, surface: Material) -> float:

@@ -6,6 +6,7 @@ Metres; x to the right, y ahead, z up. A part has one truth, written as a colour
 
 from collections.abc import Iterable, Sequence
 from math import cos, pi, sin
+from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
@@ -33,7 +34,7 @@ class Haze(NamedTuple):
 class Stage:
     """One world: its scene, its random numbers, its air."""
 
-    def __init__(self, at: Random) -> None:
+    def __init__(self, at: Random, photographs: Path | None = None) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self.scene: Any = bpy.context.scene
         self.at = at
@@ -45,6 +46,8 @@ class Stage:
         self.station = 0  # the point of the road's course at which the camera stands
         self.around = False  # whether the camera sees sideways and behind
         self.lens: Any = None  # train.worlds.lens.Fisheye, where it is one
+        self.photographs = photographs  # a folder of them for materials
+        self.pick = Random(str(at.getstate()[1][:8]))  # of photographs alone
         self.mount: dict[str, float] = {}  # how that is mounted: height, and degrees
 
     @property

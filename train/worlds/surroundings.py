@@ -96,6 +96,7 @@ def build_trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
     fir = stage.mesh([(_fir(stage), leaf)])
     trunk = stage.mesh([(turned([(0.5, 0), (0.35, 1)], 7), bark)])
     near, firs = at.uniform(0.4, 5 if wood else 3), at.choice([0.0, 0.2, 1.0])
+    firs *= road.kind != "town"
     for _ in range(count):
         side, index = at.choice((-1, 1)), at.randint(START + 1, 110)
         if not road.open(index):
