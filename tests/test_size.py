@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/ufl": 1_400,
     "scripts": 3_400,
     "tests": 24_300,
-    "train": 4_700,
+    "train": 4_850,
 }
 """The lines of source code that each folder may have."""
 
