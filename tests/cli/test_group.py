@@ -1,7 +1,6 @@
 """The group of commands: help, faults, signals, and completion in shells."""
 
 import os
-import re
 import signal
 import sys
 from types import ModuleType
@@ -109,15 +108,6 @@ def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) 
 
     assert result.exit_code == 1
     assert result.stderr == ""
-
-
-def test_the_options_of_infer_stand_in_sections(call: Call) -> None:
-    parts = re.split(r"\n(?=\w+:\n)", call("infer", "--help").stdout)[1:]
-
-    assert [part.split(":")[0] for part in parts] == ["Options", "Detector", "Footage", "Computing"]
-    for part, option in zip(parts, ("--out", "--set", "--every", "--jobs"), strict=True):
-        assert f"  {option} " in part
-    assert max(part.count("\n  --") for part in parts) <= 10
 
 
 # --- completion -------------------------------------------------------------------------

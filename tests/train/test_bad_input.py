@@ -110,26 +110,21 @@ def test_settings_survive_the_way_to_nested_values_and_back(kind: str) -> None:
     assert build_training(as_values(training)) == training
 
 
+BACKBONE = {"kind": "pictures", "network": {"heads": 1}}
+EGO_CARS = {"kind": "pictures", "augmentation": {"ego_car": {"share": 0.5}}}
+
+
 @pytest.mark.parametrize(
     ("values", "told"),
     [
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
         ({"kind": "pictures", "mix": 3}, "mix: unknown setting"),
         ({"kind": "pictures", "rounds": {"count": 2}}, "rounds.count: 2 was given"),
-        (
-            {"augmentation": {"min_scale": 2.0}},
-            "augmentation.min_scale: 2 was given, and augmentation.max_scale is 1.4",
-        ),
+        ({"augmentation": {"min_scale": 2.0}}, "min_scale: 2 was given, and .*max_scale is 1.4"),
         ({"network": {"topology": {"size1": 9}}}, "topology: .* cannot halve"),
-        (
-            {"kind": "pictures", "network": {"heads": 1, "width": 80}},
-            r"network.width: 80 was given .*multiple of 32",
-        ),
-        (
-            {"kind": "pictures", "augmentation": {"ego_car": {"share": 0.5}}},
-            r"augmentation.ego_car.share: is 0.5, .*recordings.separator",
-        ),
-        ({"kind": "pictures", "network": {"heads": 1}}, "start: is empty, and a backbone"),
+        (BACKBONE | {"network": {"heads": 1, "width": 80}}, "network.width: .* multiple of 32"),
+        (BACKBONE, "start: is empty, and a backbone"),
+        (EGO_CARS, r"augmentation.ego_car.share: is 0.5, .*recordings.separator"),
     ],
 )
 def test_mistakes_are_told_with_their_key(values: dict[str, object], told: str) -> None:

@@ -34,14 +34,6 @@ def test_they_are_gathered_by_recording(manifest: Path, capsys: pytest.CaptureFi
     assert found == {"one_0001.jpg": b"a", "one_0002.jpg": b"b", "two_0001.jpg": b"d"}
 
 
-def test_they_are_dealt_one_of_each_recording_in_turn() -> None:
-    rows = {name: [{"file": f"{name}{n}"} for n in range(3)] for name in ("b", "a", "c")}
-
-    hand = [row["file"] for _, row in dealt(rows, 5, {"c"})]
-
-    assert hand == ["a0", "b0", "a1", "b1", "a2"]
-
-
 def test_the_weights_to_the_letter_saw_as_many_as_the_paper_has() -> None:
     chosen = list(dealt(recordings(), 500, {"vineyard_it", "dnit_br", "comma10k"}))
 

@@ -132,16 +132,8 @@ def test_a_verdict_needs_a_change_on_held_out_frames(halves: list[Half], word: s
     assert verdict_of([judged(half) for half in halves]).word == word
 
 
-@pytest.mark.parametrize(
-    ("half", "sentence"),
-    [
-        (([50] * 24, [60] * 24, [60] * 24), "adopt: on 24 held-out frames the mask agrees better "
-         "with the teacher: F 0.667 to 0.750, +0.083 (+0.083 to +0.083)"),
-        (([60] * 24, [50] * 24, [70] * 24), "cannot tell: on 24 held-out frames the mask may or "
-         "may not agree better with the teacher: F 0.750 to 0.667, -0.083 "
-         "(-0.083 to -0.083); averaged network 0.824"),
-        (([10] * 15, [90] * 15, [90] * 15), "cannot tell: 15 frames are too few to judge by"),
-    ],
-)  # fmt: skip
-def test_a_verdict_is_a_sentence_with_its_figures(half: Half, sentence: str) -> None:
-    assert str(verdict_of([judged(half)])) == sentence
+def test_a_verdict_is_a_sentence_with_its_figures() -> None:
+    assert str(verdict_of([judged(([60] * 24, [50] * 24, [70] * 24))])) == (
+        "cannot tell: on 24 held-out frames the mask may or may not agree better with the teacher: "
+        "F 0.750 to 0.667, -0.083 (-0.083 to -0.083); averaged network 0.824"
+    )
