@@ -15,33 +15,33 @@ from roadtorch.cli.group import COMMANDS, main
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
-    "roadtorch/annotate": 2_450,
+    "roadtorch/annotate": 2_430,
     "roadtorch/base": 1_810,
-    "roadtorch/camera": 1_650,
+    "roadtorch/camera": 1_640,
     "roadtorch/cli": 1_820,
-    "roadtorch/data": 2_150,
-    "roadtorch/detectors": 1_800,
-    "roadtorch/evaluation": 3_800,
+    "roadtorch/data": 2_130,
+    "roadtorch/detectors": 1_780,
+    "roadtorch/evaluation": 3_730,
     "roadtorch/export": 850,
-    "roadtorch/imaging": 1_200,
-    "roadtorch/inputs": 1_330,
+    "roadtorch/imaging": 1_190,
+    "roadtorch/inputs": 1_320,
     "roadtorch/layout": 1_230,
     "roadtorch/oneclass": 1_800,
     "roadtorch/road": 1_360,
-    "roadtorch/ros": 400,
-    "roadtorch/run": 2_700,
-    "roadtorch/testing": 650,
-    "roadtorch/train": 3_350,
-    "roadtorch/ufl": 1_400,
+    "roadtorch/ros": 370,
+    "roadtorch/run": 2_670,
+    "roadtorch/testing": 630,
+    "roadtorch/train": 3_310,
+    "roadtorch/ufl": 1_370,
     "scripts": 3_400,
-    "tests": 24_300,
-    "train": 4_850,
+    "tests": 24_130,
+    "train": 4_820,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 114
+OPTIONS = 112
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"
