@@ -174,18 +174,18 @@ ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96
         (
             f"{TRAIN} --set teacher.detector=fusion --set teacher.weights=@weights.safetensors",
             "weights.safetensors",
-            "holds a run with other settings",
+            "run with other settings",
         ),
         (
             f"{TRAIN} --set start=@weights.safetensors",
             "weights.safetensors",
-            "holds a run with other settings",
+            "run with other settings",
         ),
         (f"{ADAPT} --set teacher.detector=labeller", "drive/00.png", "holds frames of other"),
         (
             f"{ADAPT} --set teacher.detector=fusion --set teacher.weights=@weights.safetensors",
             "weights.safetensors",
-            "holds a run with other settings",
+            "run with other settings",
         ),
     ],
 )

@@ -30,11 +30,7 @@ pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="git is not 
         ({"roadtorch/base/version.py": '__version__ = "1.2"\n'}, (), "'1.2' is no version"),
         ({"CITATION.cff": "version: 1.2.2\n"}, (), "CITATION.cff: states another version than"),
         ({"CHANGELOG.md": "## Unreleased\n## 1.2.3\n"}, (), "has no entries under 1.2.3"),
-        (
-            {"CHANGELOG.md": "## Unreleased\n- a\n## 1.2.3\n- b\n"},
-            (),
-            "has 1 lines under Unreleased",
-        ),
+        ({"CHANGELOG.md": "## Unreleased\n- a\n## 1.2.3\n- b\n"}, (), "has 1 lines under Unr"),
         ({"CHANGELOG.md": "## Unreleased\n- a\n## 1.2.3\n- b\n"}, ("--dry-run",), BUILD),
         ({"tagged": ""}, (), "v1.2.3: is a tag already"),
         ({"new.py": ""}, ("--dry-run",), ".: has changes that no commit has"),
