@@ -35,13 +35,6 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
     assert "--debug" in result.stdout
 
 
-def test_without_a_command_the_help_is_shown(call: Call) -> None:
-    result = call()
-
-    assert result.exit_code == 2
-    assert "Commands:" in result.stderr
-
-
 def install(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) -> None:
     """Another command of ours, in a module of its own."""
     module = ModuleType(f"{name}_command")

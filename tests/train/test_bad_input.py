@@ -11,7 +11,7 @@ from roadtorch.base.atomic import locked
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
-from roadtorch.train.config import Descent, PatchTraining, Training, as_values, build_training
+from roadtorch.train.config import Descent, PatchTraining, Training, build_training
 from roadtorch.train.run import Request, train
 from tests.command import Call
 from tests.train.runs import PATCHES, write_config, write_streets
@@ -101,13 +101,6 @@ def test_the_defaults_are_p2s() -> None:
     assert training.centres.around == 4
     assert training.descent.method == "sgd"
     assert (training.stopping.rule, training.stopping.min_delta) == ("plateau", 0.001)
-
-
-@pytest.mark.parametrize("kind", ["patches", "pictures"])
-def test_settings_survive_the_way_to_nested_values_and_back(kind: str) -> None:
-    training = build_training({"kind": kind, "random_seed": 5})
-
-    assert build_training(as_values(training)) == training
 
 
 BACKBONE = {"kind": "pictures", "network": {"heads": 1}}
