@@ -107,7 +107,7 @@ def evaluate(
     from roadtorch.evaluation.evaluate import evaluate as score
     from roadtorch.evaluation.methods import reference
     from roadtorch.evaluation.report.tables import screen
-    from roadtorch.evaluation.tuning import choice_table, choose_thresholds
+    from roadtorch.evaluation.tuning import choice_table, tune_thresholds
     from roadtorch.run.folder import output_lock
     from roadtorch.run.workers import settle
 
@@ -139,7 +139,7 @@ def evaluate(
         quiet=False,
     )
     click.echo(screen(evaluation))
-    choices = choose_thresholds(evaluation) if tune else []
+    choices = tune_thresholds(evaluation) if tune else []
     if choices:
         click.echo(f"\n{choice_table(choices).text()}")
     print_cautions(evaluation)

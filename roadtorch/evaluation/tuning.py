@@ -33,16 +33,16 @@ class ThresholdChoice:
     held_out: Figures
 
 
-def choose_thresholds(evaluation: Evaluation) -> list[ThresholdChoice]:
+def tune_thresholds(evaluation: Evaluation) -> list[ThresholdChoice]:
     """Choose the threshold of every detector of the catalogue but the baselines."""
     return [
-        choose_threshold(evaluation, name)
+        tune_threshold(evaluation, name)
         for name, figures in evaluation.detectors.items()
         if figures.contender.detector and not figures.is_baseline
     ]
 
 
-def choose_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
+def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
     """Choose the threshold with the highest F, averaged over groups, to three digits.
 
     Raises DatasetError when no image shows road.
