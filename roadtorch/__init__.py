@@ -1,4 +1,4 @@
-"""roadtorch: find the road in a single picture, on a CPU, without labels.
+"""roadtorch: find the road in a single image, on a CPU, without labels.
 
 The names in ``__all__`` are what most programs need; what else they may rely on is in the modules
 that the reference documents. Each is loaded when it is first used, so that ``import roadtorch``

@@ -62,7 +62,7 @@ from PIL import Image
 import roadtorch
 from roadtorch.base.image import write_labels, write_mask
 from roadtorch.cli import main
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from roadtorch.train import loop
 from scripts.freeze import settled
 from tests.videos import write_video
@@ -197,7 +197,7 @@ def content_of(path: Path) -> str | bytes:
 # --- commands -----------------------------------------------------------------------------
 
 TRAINING = """
-kind = "pictures"
+kind = "images"
 network = { height = 32, width = 40, narrow = 8, wide = 8 }
 teacher = { detector = "labeller", working = { pixels = 4800 } }
 recordings = { separator = "_", least = 2 }
@@ -269,8 +269,8 @@ def prepare(work: Path, count: int) -> None:
     for seed in range(count):
         scene, name = render_scene(seed, 60, 80), f"street_{seed:06}.png"
         nested = f"below/{name}" if seed % 3 == 0 else name
-        write_picture(work / "images_flat" / name, scene)
-        write_picture(work / "images" / nested, scene)
+        write_image(work / "images_flat" / name, scene)
+        write_image(work / "images" / nested, scene)
         write_mask(work / "masks" / nested, scene.road)
         write_labels(work / "labels" / name, torch.where(scene.road, 1, 2).to(torch.uint8))
     (work / "training.toml").write_text(TRAINING)
@@ -328,8 +328,8 @@ def read(case: Case) -> Iterator[str]:
                     json.loads(path.read_bytes())
             except FileNotFoundError:
                 pass  # a part of a checkpoint, or of progress: removed meanwhile
-            except Exception as problem:
-                broken.add(f"{path.name} was not whole: {problem}")
+            except Exception as error:
+                broken.add(f"{path.name} was not whole: {error}")
     yield from broken
     yield from case.finish(child, {0})
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Finds the road in the given pictures, or in rendered scenes when none are given.
+# Finds the road in the given images, or in rendered scenes when none are given.
 set -euo pipefail
 start=$PWD
 source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
@@ -13,7 +13,7 @@ if [ $# -eq 0 ]; then
 fi
 
 python=$PWD/$PYTHON
-cd "$start" # the pictures' names are meant from where the user is
+cd "$start" # the images' names are meant from where the user is
 status=0
 # Overwriting: a demonstration shows what this version does, not what an older one did.
 "$python" -m roadtorch infer "$@" --out "$out" --overwrite || status=$?

@@ -5,7 +5,7 @@
     python scripts/freeze.py compare frozen/before frozen/after
     python scripts/freeze.py thumbnails tests/frozen.json  # what tests/test_detectors.py holds to
 
-Recorded are hashes of every detection (all detectors of the catalogue, ten pictures) and of every
+Recorded are hashes of every detection (all detectors of the catalogue, ten images) and of every
 file that the command lines of OUTPUTS leave, with what they print and their exit status. The files
 stay in the folder, to look at what differs; ``--only PART`` records parts anew. Bytes depend on the
 machine: record both sides on one. What may differ from run to run is taken out by `settled`.
@@ -57,9 +57,9 @@ OUTPUTS = {
     "footage/ros2": f"infer drive --save {FOOTAGE}",
     "footage/ros1": f"infer drive.bag --save {FOOTAGE}",
     "footage/mixed": "infer pictures clip.mp4 drive.bag --detector labeller --limit 3",
-    "grid/pictures": "grid pictures --height 1.5 --fov 60 --likelihood --picture",
+    "grid/pictures": "grid pictures --height 1.5 --fov 60 --likelihood --image",
     "grid/pitched": "grid pictures --height 1.5 --fov 60 --pitch 3 --likelihood",
-    "grid/video": "grid clip.mp4 --height 1.5 --fov 60 --limit 8 --picture",
+    "grid/video": "grid clip.mp4 --height 1.5 --fov 60 --limit 8 --image",
     "grid/ros2": "grid drive --height 1.5",
     "grid/ros1": "grid drive.bag --height 1.5 --pitch 3",
     "label/margin": "label pictures --overlay",

@@ -285,7 +285,7 @@ HIDDEN = (
 UNITS = (
     *("ms", "s", "seconds?", "minutes?", "hours?", "[KMG]i?B", "bytes", "Hz", "fps"),
     *("cm", "m", "degrees", "times", "pixels", "images", "frames", "worlds", "weights"),
-    r"(?:(?:real|rendered|free) )?(?:pictures|streets)",
+    r"(?:(?:real|rendered|free) )?(?:images|streets)",
 )
 MEASURED = re.compile(
     r"(?<![\w.,/-])"
@@ -357,7 +357,7 @@ def main(words: Sequence[str] | None = None) -> int:
         if options.data is None:
             parser.error("evaluate DATA: give the folder of the data")
         evaluate(options.data.resolve(), options.out.resolve(), options.only, options.jobs)
-    values, problems = records(), 0
+    values, errors = records(), 0
     for path in documents():
         before = path.read_text(encoding="utf-8")
         after = rewrite(before, values)
@@ -368,8 +368,8 @@ def main(words: Sequence[str] | None = None) -> int:
             path.write_text(after, encoding="utf-8")
         if numbers := unbound_numbers(after):
             print(f"{path}: of no record and no study: {', '.join(numbers)}")
-        problems += bool(numbers) + (after != before)
-    return 1 if options.task == "check" and problems else 0
+        errors += bool(numbers) + (after != before)
+    return 1 if options.task == "check" and errors else 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Make the pictures of README: what `fusion` makes of free images and of a free drive.
+"""Make the images of README: what `fusion` makes of free images and of a free drive.
 
     python scripts/readme_pictures.py DATA    # docs/pictures: steps.jpg, drive.gif, made.json
 
@@ -20,7 +20,7 @@ from roadtorch import detect_stream, load_detector, read_image
 from roadtorch.base.atomic import digest_of
 from roadtorch.base.image import to_pixels
 from roadtorch.evaluation.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
-from roadtorch.layout.weights import FOR_PICTURES, shipped_weights
+from roadtorch.layout.weights import FOR_IMAGES, shipped_weights
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
@@ -69,13 +69,13 @@ def made_with() -> dict[str, str]:
     """Return hashes of the weights and settings of `fusion`."""
     settings = load_detector("fusion").settings.model_dump_json()
     return {
-        "weights": digest_of(shipped_weights(FOR_PICTURES)),
+        "weights": digest_of(shipped_weights(FOR_IMAGES)),
         "settings": sha256(settings.encode()).hexdigest(),
     }
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="The pictures of README.")
+    parser = argparse.ArgumentParser(description="The images of README.")
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
     write_steps(data / "unlabelled_free", OUT / "steps.jpg")

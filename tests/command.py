@@ -1,4 +1,4 @@
-"""The command line called in this process, on real pictures, and what it left."""
+"""The command line called in this process, on real images, and what it left."""
 
 import csv
 from collections.abc import Callable
@@ -36,8 +36,8 @@ def invoked(command: Command, *arguments: object) -> Result:
     return result
 
 
-def save_picture(path: Path, seed: int = 0, size: tuple[int, int] = (64, 48)) -> Path:
-    """A noisy picture; its suffix says the format."""
+def save_image(path: Path, seed: int = 0, size: tuple[int, int] = (64, 48)) -> Path:
+    """A noisy image; its suffix says the format."""
     width, height = size
     pixels = np.random.default_rng(seed).integers(60, 200, (height, width, 3), np.uint8)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -50,7 +50,7 @@ def footage(tmp_path: Path) -> Path:
     """A folder with a.jpg, b.png and sub/c.png."""
     root = tmp_path / "footage"
     for seed, name in enumerate(("a.jpg", "b.png", "sub/c.png")):
-        save_picture(root / name, seed)
+        save_image(root / name, seed)
     return root
 
 

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.layout.picture_network import EGO, PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.image_network import EGO, ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, save_network
 
 CRISP = 40.0
 """Log odds by which the potential of the ego car rises from row to row where it begins."""
 
 
-SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=8)
+SMALL = ImageNetworkSettings(height=48, width=64, narrow=8, wide=8)
 
 
 def write_random_network(
-    path: Path, seed: int, make: Callable[[], LayoutNetwork] = lambda: PictureNetwork(SMALL)
+    path: Path, seed: int, make: Callable[[], LayoutNetwork] = lambda: ImageNetwork(SMALL)
 ) -> Path:
     """Weights of a network that nobody trained."""
     with torch.random.fork_rng(devices=[]):
@@ -30,9 +30,9 @@ def write_ego_network(path: Path, bottom: float) -> Path:
     """Weights of a network that calls a share of the height, at the bottom, the ego car.
 
     ``bottom`` is below 0.45; 0 is no ego car. It sees nothing else: every class of the layout is
-    as likely, and road as likely as not, whatever the picture.
+    as likely, and road as likely as not, whatever the image.
     """
-    network = PictureNetwork(SMALL)
+    network = ImageNetwork(SMALL)
     for name, values in network.named_parameters():
         if values.ndim == 4 or name.endswith("bias"):  # the normalisation stays
             values.zero_()

@@ -51,7 +51,7 @@ def know_oracle() -> None:
 
 
 def write_set(root: Path) -> Path:
-    """The scenes as CamVid: two pictures of each of three groups."""
+    """The scenes as CamVid: two images of each of three groups."""
     write_camvid(root, "train", dict(list(SCENES.items())[:3]))
     write_camvid(root, "val", dict(list(SCENES.items())[3:]))
     return root

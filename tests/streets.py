@@ -7,7 +7,7 @@ import cv2
 import torch
 from torch import Tensor
 
-from roadtorch.testing.scenes import RenderedScene, render_scene, write_picture
+from roadtorch.testing.scenes import RenderedScene, render_scene, write_image
 
 scene = cache(render_scene)
 """A rendered street with its truth: ``scene(seed, height, width, dusk=…)``, each made once.
@@ -33,12 +33,12 @@ def write_camvid(root: Path, split: str, scenes: dict[str, RenderedScene]) -> No
     """Write scenes by name in CamVid's layout: ROOT/SPLIT/NAME.png, ROOT/SPLITannot/NAME.png."""
     (root / f"{split}annot").mkdir(parents=True, exist_ok=True)
     for name, scene in scenes.items():
-        write_picture(root / split / f"{name}.png", scene)
+        write_image(root / split / f"{name}.png", scene)
         cv2.imwrite(str(root / f"{split}annot" / f"{name}.png"), scene.classes.numpy())
 
 
 def write_drives(root: Path) -> None:
-    """CamVid's three development drives, one small picture each, into ``root/camvid``."""
+    """CamVid's three development drives, one small image each, into ``root/camvid``."""
     names = ("0001TP_0", "0006R0_1")
     scenes = {name: render_scene(seed, 48, 64) for seed, name in enumerate(names)}
     write_camvid(root / "camvid", "train", scenes)

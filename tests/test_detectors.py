@@ -59,7 +59,7 @@ def with_value(value: float) -> Tensor:
 
 
 @pytest.mark.parametrize(
-    ("image", "what"),
+    ("image", "problem"),
     [
         (with_value(float("nan")), "has values from nan to nan"),
         (with_value(1.5), "has values from 0"),
@@ -67,16 +67,16 @@ def with_value(value: float) -> Tensor:
         (street(32, 32)[None], "has the shape (1, 3, 32, 32)"),
         (street(15, 15), "is 15×15 pixels"),
         (torch.zeros(3, 32, 32, dtype=torch.int32), "is torch.int32"),
-        ([[0.5]], "is a list, not one picture"),
+        ([[0.5]], "is a list, not one image"),
     ],
     ids="nan bright grey batch small int list".split(),  # noqa: SIM905
 )
-def test_what_is_no_image_is_refused_with_the_reason(image: Any, what: str) -> None:
+def test_what_is_no_image_is_refused_with_the_reason(image: Any, problem: str) -> None:
     with pytest.raises(InputError) as caught:
         load_detector("prior:rows").detect(image)
 
     assert caught.value.where == "image"
-    assert caught.value.what.startswith(what)
+    assert caught.value.problem.startswith(problem)
 
 
 # --- the door -----------------------------------------------------------------------------
@@ -145,7 +145,7 @@ def registered(name: str, kind: Any, build: Callable[[Any], Any]) -> None:
 
 @pytest.mark.usefixtures("with_grid")
 @pytest.mark.parametrize(
-    ("call", "what"),
+    ("call", "problem"),
     [
         (lambda: registered("bright", Simple, Brightness), "bright: is the name of another d"),
         (lambda: registered("other", Settings, Brightness), "other: has settings .Settings. that"),
@@ -156,8 +156,8 @@ def registered(name: str, kind: Any, build: Callable[[Any], Any]) -> None:
         (lambda: load_detector("0"), "known: bright, many:<gain>:<kind>, zebra"),
     ],
 )
-def test_what_is_no_detector_is_refused(call: Callable[[], object], what: str) -> None:
-    with pytest.raises(ConfigError, match=what):
+def test_what_is_no_detector_is_refused(call: Callable[[], object], problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
         call()
 
 
@@ -252,7 +252,7 @@ def test_likelihoods_not_finite_are_refused(value: float, settings: type[Detecto
         detector.forward(street(32, 32)[None])
 
 
-# --- one picture is one thread's work -----------------------------------------------------
+# --- one image is one thread's work -----------------------------------------------------
 
 
 @pytest.fixture
@@ -336,10 +336,10 @@ def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
 
 
 @pytest.mark.parametrize(
-    ("device", "what"), [("gpu", "is no device of torch"), ("meta", "cannot be used")]
+    ("device", "problem"), [("gpu", "is no device of torch"), ("meta", "cannot be used")]
 )
-def test_a_missing_device_is_refused_when_the_detector_is_made(device: str, what: str) -> None:
-    with pytest.raises(ConfigError, match=rf"^device: {what}"):
+def test_a_missing_device_is_refused_when_the_detector_is_made(device: str, problem: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^device: {problem}"):
         load_detector("fusion", device=device)
 
 
@@ -364,7 +364,7 @@ print(json.dumps(peaks))
 """
 
 
-def test_the_memory_of_a_large_picture_stays_below_24_bytes_a_pixel() -> None:
+def test_the_memory_of_a_large_image_stays_below_24_bytes_a_pixel() -> None:
     """Of the image itself 12, of likelihood and mask 5: the rest is made on the way."""
     (few, small), (many, large) = json.loads(
         subprocess.check_output([sys.executable, "-c", DETECT])

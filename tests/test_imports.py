@@ -10,7 +10,7 @@ import pytest
 
 import roadtorch
 from roadtorch.detectors.detector import Detector
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 
 HEAVY = ("torch", "cv2", "skimage", "sklearn", "matplotlib", "scipy", "PIL", "pydantic")
 
@@ -59,7 +59,7 @@ def test_the_public_names_are_eight_and_an_unknown_one_is_an_attribute_error() -
 
 @pytest.mark.parametrize("name", ["Detector", *dir(roadtorch)])
 def test_docstrings_are_true(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_picture(tmp_path / "street.jpg", render_scene(1, 240, 320))
+    write_image(tmp_path / "street.jpg", render_scene(1, 240, 320))
     monkeypatch.chdir(tmp_path)
 
     member = Detector if name == "Detector" else getattr(roadtorch, name)

@@ -17,7 +17,7 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_430,
     "roadtorch/base": 1_810,
-    "roadtorch/camera": 1_640,
+    "roadtorch/camera": 1_650,
     "roadtorch/cli": 1_820,
     "roadtorch/data": 2_130,
     "roadtorch/detectors": 1_780,
@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_310,
     "roadtorch/ufl": 1_370,
     "scripts": 3_400,
-    "tests": 24_130,
+    "tests": 24_260,
     "train": 4_820,
 }
 """The lines of source code that each folder may have."""

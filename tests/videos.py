@@ -49,7 +49,7 @@ def write_video(
 
 
 def write_sound(path: Path) -> Path:
-    """A file with a second of silence and no pictures."""
+    """A file with a second of silence and no images."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("aac", rate=8000)
         frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.float32), "fltp", "mono")

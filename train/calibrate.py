@@ -64,8 +64,8 @@ LEVELS = np.arange(-40, 40.01, 0.25)
 """Of log odds, between which pixels are counted."""
 
 
-def pictures(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
-    """Camera, detection and truth of every picture of many/ and every fourth of CamVid."""
+def images(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
+    """Camera, detection and truth of every image of many/ and every fourth of CamVid."""
     many, camvid = open_dataset("folder", root / "many"), open_dataset("camvid", root / "camvid")
     items = [(many, item) for item in many.items if item.group not in TOO_FEW]
     items += [(camvid, item) for item in camvid.items[::EVERY]]
@@ -90,7 +90,7 @@ def choose_calibration(root: Path, name: str, settings: dict[str, Any]) -> None:
     """Print the centre and temperature, and F of each camera at the centre the others choose."""
     plain = {"centre": 0.0, "temperature": 1.0}
     seen: dict[str, np.ndarray] = {}
-    for camera, found, truth in pictures(root, load_detector(name, calibration=plain, **settings)):
+    for camera, found, truth in images(root, load_detector(name, calibration=plain, **settings)):
         seen[camera] = seen.get(camera, 0) + counts_by_odds(found, truth)
     counts = np.array(list(seen.values()))  # camera, 2, level
     table = f_by_level(counts)
@@ -150,7 +150,7 @@ def temperature_of(counts: np.ndarray, centre: float) -> float:
 def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
     """Print the threshold with the best mean F over the cameras, and what it is worth."""
     seen: dict[str, RoadCounts] = {}
-    for camera, found, truth in pictures(root, load_detector(name, **settings)):
+    for camera, found, truth in images(root, load_detector(name, **settings)):
         counts = count_levels(found.likelihood, truth.road, truth.valid)
         seen[camera] = seen[camera] + counts if camera in seen else counts
     levels = np.arange(0.02, 1, 0.01)
@@ -168,7 +168,7 @@ def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
 
 
 class Judged(NamedTuple):
-    """n pictures: signs (n,k), F of their masks (n,), cameras (n,)."""
+    """n images: signs (n,k), F of their masks (n,), cameras (n,)."""
 
     signs: np.ndarray
     f: np.ndarray
@@ -178,10 +178,10 @@ class Judged(NamedTuple):
 def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path | None) -> None:
     """Print the weights of the signs of trust, and their worth on cameras left out.
 
-    A picture without a mask says so itself, and has no part.
+    An image without a mask says so itself, and has no part.
     """
     rows, detector = [], load_detector(name, **settings)
-    sources = [pictures(root, detector)] + ([rendered(worlds, detector)] if worlds else [])
+    sources = [images(root, detector)] + ([rendered(worlds, detector)] if worlds else [])
     for camera, found, truth in chain(*sources):
         f = float(torch.nan_to_num(f_measure(count_mask(found.mask, truth.road, truth.valid))))
         if found.mask.any():
@@ -199,7 +199,7 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
     held_out, f = torch.from_numpy(expected[many]), torch.from_numpy(judged.f[many])
     within = correlation_within(Trusted(held_out, f, judged.camera[many].tolist()))
     error = float((held_out.clamp(0, 1) - f).abs().mean())
-    print("on cameras left out, over the pictures of many:")
+    print("on cameras left out, over the images of many:")
     print(f"rank correlation {rank_correlation(held_out, f):.3f}, within cameras {within:.3f},")
     print(f"ROC of F < {BAD} {failure_auc(held_out, f):.3f}, mean error {error:.3f}")
     print(f"no road: {none.sum()} masks, trust below .3 of {(expected[none] < 0.3).sum()}")
@@ -222,14 +222,14 @@ NONE_WEIGHS = 3.0
 
 
 def road_there(judged: Judged, none: np.ndarray, chosen: np.ndarray) -> LogisticRegression:
-    """Whether there is a road, by the signs of the chosen pictures."""
+    """Whether there is a road, by the signs of the chosen images."""
     weight = weights_of(judged.camera[chosen]) * np.where(none[chosen], NONE_WEIGHS, 1)
     signs = judged.signs[chosen][:, THERE]
     return LogisticRegression(C=10.0).fit(signs, ~none[chosen], sample_weight=weight)
 
 
 def fitted(judged: Judged, chosen: np.ndarray) -> Ridge:
-    """F by the signs of the chosen pictures."""
+    """F by the signs of the chosen images."""
     weight = weights_of(judged.camera[chosen])
     signs = judged.signs[chosen][:, EXPECTED]
     return Ridge(alpha=0.05).fit(signs, judged.f[chosen], sample_weight=weight)
@@ -253,10 +253,10 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(1)
     settings = {"weights": {"file": given.weights}} if given.weights else {}
-    if given.what == "trust":
+    if given.problem == "trust":
         choose_trust(given.data, given.detector, settings, given.worlds)
     else:
-        CHOICES[given.what](given.data, given.detector, settings)
+        CHOICES[given.problem](given.data, given.detector, settings)
 
 
 if __name__ == "__main__":

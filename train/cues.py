@@ -1,11 +1,11 @@
-"""What each cue of the single picture brings beside the network of `fusion`, and what it costs.
+"""What each cue of the single image brings beside the network of `fusion`, and what it costs.
 
     python -m train.cues DATA/many [--weights FILE]
 
 The network alone at several sizes, and naive Bayes of it with layout, texture, distance, place,
 look and neighbours, as `fusion:scratch` has them, one cue left out at a time. F of the mask on
 each camera at the centre that the other cameras choose, at the working size; the difference to
-the network alone with 95 % over pictures drawn anew within cameras; the median milliseconds.
+the network alone with 95 % over images drawn anew within cameras; the median milliseconds.
 """
 
 import argparse
@@ -26,14 +26,14 @@ from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
 from roadtorch.imaging.segments import measure_segments, paint, segment_mean
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, pooled
+from roadtorch.layout.image_network import scaled
 from roadtorch.layout.labeller import EXPOSURE, segment_layout
-from roadtorch.layout.picture_network import scaled
 from roadtorch.layout.weights import (
-    FOR_PICTURES,
+    FOR_IMAGES,
     WeightsFile,
-    WholePictureNetwork,
+    WholeImageNetwork,
+    image_network_of,
     network_at,
-    picture_network_of,
 )
 from roadtorch.road.ego import continued, ego_found
 from roadtorch.road.fusion import RULES, log_odds, seed_log_odds, segment_road
@@ -67,7 +67,7 @@ VARIANTS = {"all cues": Variant()} | {
 
 
 def odds_of(
-    image: Tensor, networks: Mapping[float, WholePictureNetwork]
+    image: Tensor, networks: Mapping[float, WholeImageNetwork]
 ) -> Iterator[tuple[str, Tensor, float]]:
     """Name, log odds (h,w) and seconds of each way to find the road of an image (3,h,w).
 
@@ -119,7 +119,7 @@ def hidden(cues: Mapping[str, Tensor]) -> Tensor:
 
 
 class Counted(NamedTuple):
-    """Pixels of n pictures by log odds (n,2,levels + 1), their seconds (n,)."""
+    """Pixels of n images by log odds (n,2,levels + 1), their seconds (n,)."""
 
     counts: np.ndarray
     seconds: np.ndarray
@@ -127,8 +127,8 @@ class Counted(NamedTuple):
 
 @torch.no_grad()
 def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
-    """Pixels of road and not, by log odds of each way; the cameras of the pictures (n,)."""
-    network = picture_network_of(WeightsFile(file=weights), FOR_PICTURES)
+    """Pixels of road and not, by log odds of each way; the cameras of the images (n,)."""
+    network = image_network_of(WeightsFile(file=weights), FOR_IMAGES)
     size = (network.settings.height, network.settings.width)
     networks = {scale: network_at(network, *scaled(*size, scale)) for scale in SCALES}
     dataset, rows, cameras = open_dataset("folder", many), {}, []
@@ -149,13 +149,13 @@ def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
 
 
 def table_of(counts: np.ndarray, cameras: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """F by camera and level; each picture counts so many times, weights (n,)."""
+    """F by camera and level; each image counts so many times, weights (n,)."""
     weighed = counts * weights[:, None, None]
     return f_by_level(np.array([weighed[cameras == each].sum(0) for each in np.unique(cameras)]))
 
 
 def drawn_anew(cameras: np.ndarray, at: np.random.Generator) -> np.ndarray:
-    """How often each picture is drawn (n,), with replacement within its camera."""
+    """How often each image is drawn (n,), with replacement within its camera."""
     weights = np.zeros(len(cameras))
     for camera in np.unique(cameras):
         mine = np.flatnonzero(cameras == camera)

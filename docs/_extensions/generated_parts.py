@@ -108,10 +108,10 @@ def classifiers(_: Sequence[str]) -> str:
 
 def training(_: Sequence[str]) -> str:
     """The settings of both kinds of training."""
-    from roadtorch.train.config import PatchTraining, PictureTraining
+    from roadtorch.train.config import ImageTraining, PatchTraining
 
     lines: list[str] = []
-    for title, kind in (("pictures", PictureTraining), ("patches", PatchTraining)):
+    for title, kind in (("images", ImageTraining), ("patches", PatchTraining)):
         lines += [f'## `kind = "{title}"`', "", *settings_list(kind)]
     return "\n".join(lines)
 
@@ -229,7 +229,7 @@ def linked(text: str, folder: Path) -> str:
     """Text whose relative links, seen from a folder, lead to pages of the site."""
 
     def changed(match: re.Match[str]) -> str:
-        picture, words, target, anchor = match.groups(default="")
+        image, words, target, anchor = match.groups(default="")
         path = (folder / target).resolve()
         inside = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else ""
         if words.endswith(".md") and target.endswith(words.rpartition("/")[2]):
@@ -237,7 +237,7 @@ def linked(text: str, folder: Path) -> str:
         if inside in PAGES:
             return f"[{words}]({PAGES[inside]}.md{anchor})"
         if inside.startswith("docs/"):
-            return f"{picture}[{words}](/{inside.removeprefix('docs/')}{anchor})"
+            return f"{image}[{words}](/{inside.removeprefix('docs/')}{anchor})"
         return f"{words} (`{inside}`)" if path.exists() and inside else match[0]
 
     return outside_fences(text, lambda part: LINK.sub(changed, part))

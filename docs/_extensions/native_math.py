@@ -19,8 +19,8 @@ def mathml(node: nodes.Element, display: bool) -> str:
     """The equation of a node as MathML; what cannot be converted is a warning of the build."""
     try:
         return latex2mathml.tex2mathml(node.astext(), as_block=display)
-    except MathError as problem:
-        LOGGER.warning("equation: %s", problem, location=node)
+    except MathError as error:
+        LOGGER.warning("equation: %s", error, location=node)
         return "<code></code>"
 
 

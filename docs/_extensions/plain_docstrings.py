@@ -51,14 +51,14 @@ def plain(text: str) -> str:
 
 
 def process_docstring(
-    app: Sphinx, what: str, name: str, found: Any, options: Any, lines: list[str]
+    app: Sphinx, problem: str, name: str, found: Any, options: Any, lines: list[str]
 ) -> None:
     """Sphinx's event: change the lines of a docstring in place."""
     lines[:] = as_restructured(lines)
 
 
 def process_signature(
-    app: Sphinx, what: str, name: str, found: Any, options: Any, signature: str, returns: str
+    app: Sphinx, problem: str, name: str, found: Any, options: Any, signature: str, returns: str
 ) -> tuple[str, None] | None:
     """Sphinx's event: no signature for settings."""
     of_settings = inspect.isclass(found) and issubclass(found, Settings)

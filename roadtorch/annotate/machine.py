@@ -1,4 +1,4 @@
-"""What the machine says about one picture before anybody corrects it, and after."""
+"""What the machine says about one image before anybody corrects it, and after."""
 
 import threading
 from collections import OrderedDict
@@ -30,7 +30,7 @@ from roadtorch.data.events import (
     road_layer,
 )
 from roadtorch.detectors.detector import Detector
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, resized, size_of, working_size
+from roadtorch.imaging.resize import WorkingSize, at_image_size, resized, size_of, working_size
 from roadtorch.imaging.segments import measure_segments, segment_mean, segment_size
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import CLASSES, UNLABELLED
@@ -47,7 +47,7 @@ HELD = 12  # views in memory; each has some megabytes
 
 
 class AnnotationSettings(Settings):
-    """What the page works with: a picture's working size, its superpixels, and the inference."""
+    """What the page works with: an image's working size, its superpixels, and the inference."""
 
     working: WorkingSize = WorkingSize(pixels=640 * 480)
     superpixels: Superpixels = Superpixels(pixels=64)
@@ -58,10 +58,10 @@ class AnnotationSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class PictureView:
-    """One picture as the machine sees it, at the page's working size (h,w).
+class ImageView:
+    """One image as the machine sees it, at the page's working size (h,w).
 
-    size: (H,W) of the picture. odds: float32 (h,w), log odds of road, 0 at the threshold. labels:
+    size: (H,W) of the image. odds: float32 (h,w), log odds of road, 0 at the threshold. labels:
     int64 (h,w), the superpixels. segment_odds: (n,). graph: of the n superpixels. layout: (n,3),
     log odds of the classes, (n,0) where the machine has none. trust: the expected F, if known.
     """
@@ -80,7 +80,7 @@ class PictureView:
         return self.labels.shape[0], self.labels.shape[1]
 
 
-def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSettings) -> PictureView:
+def look_at_image(image: Tensor, detector: Detector, settings: AnnotationSettings) -> ImageView:
     """What a detector sees in an image (3,H,W), and the superpixels that a person clicks."""
     size = size_of(image)
     with image_cache():
@@ -91,7 +91,7 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
         segments = measure_segments(small, labels)
     threshold = torch.tensor(detector.settings.threshold)
     odds = log_odds(resized(detection.likelihood, shape)) - log_odds(threshold)
-    left_out = (odds >= 0) & ~at_picture_size(detection.mask, shape)
+    left_out = (odds >= 0) & ~at_image_size(detection.mask, shape)
     odds = torch.where(left_out, -BARELY, odds)  # positive where the mask is road
     layout = torch.zeros(len(segments.size), 0)
     if (potentials := detection.cues.get("layout")) is not None and len(potentials) == CLASSES:
@@ -99,10 +99,10 @@ def look_at_picture(image: Tensor, detector: Detector, settings: AnnotationSetti
         layout = log_odds(mean.T)
     mean = segment_mean(odds[None], labels, segments.pixels)[0]
     graph = segment_graph(segments, settings.propagation)
-    return PictureView(size, odds, labels, mean, graph, layout, detection.trust)
+    return ImageView(size, odds, labels, mean, graph, layout, detection.trust)
 
 
-def mended_odds(view: PictureView, said: Tensor, settings: PropagationSettings) -> Tensor:
+def mended_odds(view: ImageView, said: Tensor, settings: PropagationSettings) -> Tensor:
     """Log odds (h,w) of road after the rest was inferred from what was said.
 
     said: (n,), 1 road, -1 not road, 0 nothing, for each superpixel.
@@ -111,9 +111,7 @@ def mended_odds(view: PictureView, said: Tensor, settings: PropagationSettings) 
     return view.odds + moved[view.labels]
 
 
-def mended_layout(
-    view: PictureView, labels: np.ndarray, settings: AnnotationSettings
-) -> np.ndarray:
+def mended_layout(view: ImageView, labels: np.ndarray, settings: AnnotationSettings) -> np.ndarray:
     """The layout uint8 (h,w), 255 where the machine has none, inferred from labels (H,W)."""
     if not view.layout.shape[1]:
         return np.full(view.labels.shape, UNLABELLED, np.uint8)
@@ -125,15 +123,13 @@ def mended_layout(
     return torch.stack(odds).argmax(0)[view.labels].numpy().astype(np.uint8)
 
 
-def said_of_segments(labels: np.ndarray, view: PictureView, settings: AnnotationSettings) -> Tensor:
+def said_of_segments(labels: np.ndarray, view: ImageView, settings: AnnotationSettings) -> Tensor:
     """What people's labels uint8 (H,W) say of each superpixel: (n,), 1 road, -1 not, 0 nothing."""
     road = road_layer(at_size(labels, view.shape))
     return _said(road == ROAD_SAID, road == NOT_ROAD, view, settings)
 
 
-def _said(
-    yes: np.ndarray, no: np.ndarray, view: PictureView, settings: AnnotationSettings
-) -> Tensor:
+def _said(yes: np.ndarray, no: np.ndarray, view: ImageView, settings: AnnotationSettings) -> Tensor:
     """(n,): 1 or -1 where enough of a superpixel is in the masks (h,w), by which has more."""
     index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
     size = np.bincount(index, minlength=count)
@@ -146,7 +142,7 @@ def _said(
 
 def at_size(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Labels (H,W) at another size, pixel by pixel."""
-    return at_picture_size(torch.from_numpy(labels), size).numpy()
+    return at_image_size(torch.from_numpy(labels), size).numpy()
 
 
 def shown_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -161,7 +157,7 @@ def shown_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.nd
 
 @dataclass
 class ViewStore:
-    """Views by the name of the picture, kept in ``folder`` while picture and settings are the same.
+    """Views by the name of the image, kept in ``folder`` while image and settings are the same.
 
     detector: the one that looks.
     """
@@ -169,22 +165,20 @@ class ViewStore:
     folder: Path
     detector: Detector
     settings: AnnotationSettings
-    _held: OrderedDict[str, tuple[str, PictureView]] = field(
-        default_factory=OrderedDict, repr=False
-    )
+    _held: OrderedDict[str, tuple[str, ImageView]] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _looking: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
-    def view(self, name: str, picture: Path) -> PictureView:
-        """The view of a picture, looked at now if it has to be; InputError if it cannot be."""
-        key = self._key(picture)
+    def view(self, name: str, image: Path) -> ImageView:
+        """The view of an image, looked at now if it has to be; InputError if it cannot be."""
+        key = self._key(image)
         with self._lock:
             held = self._held.get(name)
         if held is None or held[0] != key:
             with self._looking:  # one at a time: a look takes all cores
                 view = read_view(path := view_path(self.folder, name), key)
                 if view is None:
-                    view = look_at_picture(read_image(picture), self.detector, self.settings)
+                    view = look_at_image(read_image(image), self.detector, self.settings)
                     write_view(path, view, key)
                 held = key, view
         with self._lock:
@@ -194,8 +188,8 @@ class ViewStore:
                 self._held.popitem(last=False)
         return held[1]
 
-    def _key(self, picture: Path) -> str:
-        return key_of(self._detector_key, self.settings, picture)
+    def _key(self, image: Path) -> str:
+        return key_of(self._detector_key, self.settings, image)
 
     @cached_property
     def _detector_key(self) -> str:
@@ -204,11 +198,11 @@ class ViewStore:
 
 
 def view_path(folder: Path, name: str) -> Path:
-    """The file of a picture's view in the folder of all views."""
+    """The file of an image's view in the folder of all views."""
     return folder / f"{name}.npz"
 
 
-def write_view(path: Path, view: PictureView, key: str) -> None:
+def write_view(path: Path, view: ImageView, key: str) -> None:
     """Keep a view on disk under the key of what it was made of."""
     arrays = {
         "size": torch.tensor(view.size),
@@ -223,7 +217,7 @@ def write_view(path: Path, view: PictureView, key: str) -> None:
     keep(path, key, arrays)
 
 
-def read_view(path: Path, key: str | None = None) -> PictureView | None:
+def read_view(path: Path, key: str | None = None) -> ImageView | None:
     """The view that was kept, under this key if one is given; None where there is none."""
     arrays = kept(path, key)
     if arrays is None:
@@ -236,4 +230,4 @@ def read_view(path: Path, key: str | None = None) -> PictureView | None:
     mean = segment_mean(odds[None], labels, segment_size(labels, count))[0]
     graph = sparse.csr_matrix(parts, shape=(count, count))
     known = None if np.isnan(trust) else trust
-    return PictureView((height, width), odds, labels, mean, graph, layout, known)
+    return ImageView((height, width), odds, labels, mean, graph, layout, known)

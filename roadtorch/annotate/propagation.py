@@ -1,4 +1,4 @@
-"""What a correction says about the rest of the picture: inference with the corrections held fixed.
+"""What a correction says about the rest of the image: inference with the corrections held fixed.
 
 The machine's log odds of each superpixel are moved by a field that is fixed where a person spoke
 and fades elsewhere: a random walker with priors (Grady, "Multilabel random walker image

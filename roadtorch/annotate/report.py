@@ -1,4 +1,4 @@
-"""What the time of people bought: pictures, pixels, clicks, and how wrong the machine was."""
+"""What the time of people bought: images, pixels, clicks, and how wrong the machine was."""
 
 import statistics
 from collections.abc import Sequence
@@ -16,11 +16,11 @@ from roadtorch.imaging.resize import resized
 TEN_MINUTES = 600.0  # seconds
 
 
-def corrections_report(out: Path, pictures: Path | None = None) -> str:
+def corrections_report(out: Path, images: Path | None = None) -> str:
     """The report of a folder of corrections, as lines; DatasetError where there are none."""
-    corrections = read_corrections(out, pictures)
+    corrections = read_corrections(out, images)
     figures = [machine_f(each, out) if each.confirmed else None for each in corrections]
-    rows = [["picture", "clicks", "seconds", "said", "machine's F"]]
+    rows = [["image", "clicks", "seconds", "said", "machine's F"]]
     for correction, figure in zip(corrections, figures, strict=True):
         clicks, seconds = str(correction.clicks), f"{correction.seconds:.0f}"
         spoken = f"{100 * float((correction.labels > 0).mean()):.1f} %"
@@ -32,7 +32,7 @@ def corrections_report(out: Path, pictures: Path | None = None) -> str:
 
 
 def machine_f(correction: Correction, out: Path) -> float | None:
-    """F of the machine's first mask on a confirmed picture; None where its view is gone."""
+    """F of the machine's first mask on a confirmed image; None where its view is gone."""
     view = read_view(view_path(out / VIEWS, correction.name))
     if view is None:
         return None
@@ -48,18 +48,18 @@ def _totals(corrections: Sequence[Correction], figures: Sequence[float]) -> list
     pixels = sum(int((correction.labels > 0).sum()) for correction in corrections)
     clicks = sum(correction.clicks for correction in corrections)
     lines = [
-        f"{len(corrections)} pictures, {confirmed} confirmed; {clicks} clicks, "
+        f"{len(corrections)} images, {confirmed} confirmed; {clicks} clicks, "
         f"{seconds / 60:.1f} minutes, {pixels:,} pixels said",
-        f"a picture: {statistics.median(each.clicks for each in corrections):g} clicks, "
+        f"an image: {statistics.median(each.clicks for each in corrections):g} clicks, "
         f"{statistics.median(each.seconds for each in corrections):.0f} s (medians)",
     ]
     if figures:
         mean = statistics.mean(figures)
-        lines.append(f"the machine's masks of {len(figures)} confirmed pictures: mean F {mean:.3f}")
+        lines.append(f"the machine's masks of {len(figures)} confirmed images: mean F {mean:.3f}")
     if seconds:
         share = TEN_MINUTES / seconds
         lines.append(
-            f"ten minutes buy {share * confirmed:.1f} confirmed pictures, {share * clicks:.0f} "
+            f"ten minutes buy {share * confirmed:.1f} confirmed images, {share * clicks:.0f} "
             f"clicks, {share * pixels:,.0f} pixels"
         )
     return lines

@@ -61,7 +61,7 @@ PAGE = {
 """The page's files."""
 
 SHOWN = WorkingSize(pixels=1600 * 1200)
-"""What is sent of a picture at most; strokes are in pixels of the whole one."""
+"""What is sent of an image at most; strokes are in pixels of the whole one."""
 
 THUMBNAIL = WorkingSize(pixels=112 * 84)
 
@@ -70,12 +70,12 @@ MAX_BODY = 2 * 2**20  # bytes of one event; ours: a long stroke has some ten tho
 MAX_DRAINED = 64 * 2**20  # bytes of a refused body that are read, so that the refusal arrives
 
 LEARN = (
-    "roadtorch train --config corrections --images {pictures} --corrections {out} "
+    "roadtorch train --config corrections --images {images} --corrections {out} "
     "--out runs/corrected"
 )
-"""What learns from the corrections, once all pictures are right."""
+"""What learns from the corrections, once all images are right."""
 
-DECODED = 2  # pictures at a time: each takes some ten times its bytes
+DECODED = 2  # images at a time: each takes some ten times its bytes
 
 PATIENCE = 20.0  # seconds after which a client that sends or reads nothing whole is closed
 
@@ -95,9 +95,9 @@ HEADERS = {
 # --- who may speak ----------------------------------------------------------------------
 
 
-def refusal(status: int, where: str, what: str, remedy: str) -> JSONResponse:
+def refusal(status: int, where: str, problem: str, hint: str) -> JSONResponse:
     """What is wrong, as the page shows it."""
-    return JSONResponse({"error": f"{where}: {what} ({remedy})"}, status)
+    return JSONResponse({"error": f"{where}: {problem} ({hint})"}, status)
 
 
 class Guard:
@@ -143,8 +143,8 @@ class Guard:
         token = request.headers.get("x-token") or request.query_params.get("token", "")
         if secrets.compare_digest(token.encode(), self._token.encode()):
             return None
-        remedy = "open the address that roadtorch printed"
-        return refusal(403, "token", "is missing or wrong", remedy)
+        hint = "open the address that roadtorch printed"
+        return refusal(403, "token", "is missing or wrong", hint)
 
 
 class Impatient(H11Protocol):
@@ -186,8 +186,8 @@ def annotation_app(session: Session, token: str, port: int) -> Starlette:
     routes = [
         Route("/", lambda _: Response(PAGE["annotate.html"], media_type=TYPES[".html"])),
         Route("/static/{name}", static_file),
-        Route("/api/pictures", page.pictures),
-        Route("/api/picture", partial(page.jpeg, shown_jpeg)),
+        Route("/api/images", page.images),
+        Route("/api/image", partial(page.jpeg, shown_jpeg)),
         Route("/api/thumbnail", partial(page.jpeg, thumbnail_jpeg)),
         Route("/api/superpixels", page.superpixels),
         Route("/api/state", page.state),
@@ -208,26 +208,26 @@ def static_file(request: Request) -> Response:
 
 
 class Page:
-    """What the page asks for, of a session; pictures by ``name``."""
+    """What the page asks for, of a session; images by ``name``."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
         self._few = asyncio.Semaphore(DECODED)
 
-    def pictures(self, request: Request) -> Response:
+    def images(self, request: Request) -> Response:
         """The list; 204 for who has this very list already."""
         listing = self._session.listing()
-        learn = LEARN.format(pictures=self._session.pictures.root, out=self._session.out)
+        learn = LEARN.format(images=self._session.images.root, out=self._session.out)
         stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
-        return JSONResponse({"stamp": stamp, "pictures": listing, "learn": learn})
+        return JSONResponse({"stamp": stamp, "images": listing, "learn": learn})
 
     async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
-        """A picture as JPEG; ``encode`` makes it of the file, which was changed at a time."""
+        """An image as JPEG; ``encode`` makes it of the file, which was changed at a time."""
 
         def encoded() -> bytes:
-            path = self._session.pictures.path(_given(request, "name"))
+            path = self._session.images.path(_given(request, "name"))
             return encode(path, path.stat().st_mtime_ns)
 
         async with self._few:  # who waits here takes no thread from those who draw
@@ -240,11 +240,11 @@ class Page:
         return Response(data, media_type="application/octet-stream")
 
     def state(self, request: Request) -> Response:
-        """Return a picture as it stands."""
+        """Return an image as it stands."""
         return _state(self._session.state(_given(request, "name")))
 
     async def event(self, request: Request) -> Response:
-        """Take what a person did, and tell how the picture stands then."""
+        """Take what a person did, and tell how the image stands then."""
         body = await bounded_body(request)
         if body is None:
             message = f"has more than {MAX_BODY:,} bytes"
@@ -262,7 +262,7 @@ def _state(state: dict[str, Any]) -> Response:
 
 
 def shown_jpeg(path: Path, changed: int, most: WorkingSize = SHOWN, quality: int = 90) -> bytes:
-    """A picture at a size of at most so many pixels as JPEG; InputError if it cannot be read."""
+    """An image at a size of at most so many pixels as JPEG; InputError if it cannot be read."""
     image = read_image(path)
     small = resized(image, working_size(*size_of(image), most)).clamp(0, 1)
     pixels = np.ascontiguousarray(to_pixels(small)[..., ::-1])
@@ -277,13 +277,13 @@ STATUSES = {RoadtorchError: 400, UnwritableError: 507}
 """HTTP status by kind of error; the page keeps what was refused with 500 and more."""
 
 
-async def _refuse(status: int, _: Request, problem: RoadtorchError) -> Response:
-    return refusal(status, problem.where, problem.what, problem.remedy)
+async def _refuse(status: int, _: Request, error: RoadtorchError) -> Response:
+    return refusal(status, error.where, error.problem, error.hint)
 
 
-async def _disk(_: Request, problem: OSError) -> Response:
-    where = str(problem.filename or "disk")
-    return refusal(507, where, problem.strerror or str(problem), "look at the disk")
+async def _disk(_: Request, error: OSError) -> Response:
+    where = str(error.filename or "disk")
+    return refusal(507, where, error.strerror or str(error), "look at the disk")
 
 
 # --- its life ---------------------------------------------------------------------------
@@ -347,7 +347,7 @@ class PageServer:
     _listening: socket.socket
 
     def run(self) -> None:
-        """Serve, and look at the pictures meanwhile, until interrupted or told to stop."""
+        """Serve, and look at the images meanwhile, until interrupted or told to stop."""
         stop = threading.Event()
         looking = threading.Thread(target=look_at_all, args=(self.session, stop), daemon=True)
         looking.start()

@@ -1,4 +1,4 @@
-"""A session of corrections: a folder of pictures, the machine's views, and the work on them."""
+"""A session of corrections: a folder of images, the machine's views, and the work on them."""
 
 import hashlib
 import os
@@ -13,7 +13,7 @@ import numpy as np
 from roadtorch.annotate.machine import (
     VIEWS,
     AnnotationSettings,
-    PictureView,
+    ImageView,
     ViewStore,
     at_size,
     mended_layout,
@@ -21,7 +21,7 @@ from roadtorch.annotate.machine import (
     said_of_segments,
     shown_road,
 )
-from roadtorch.annotate.next_pictures import PictureOrder
+from roadtorch.annotate.next_images import ImageOrder
 from roadtorch.base.atomic import remove_leftovers
 from roadtorch.base.bounded import printable
 from roadtorch.base.errors import InputError
@@ -30,8 +30,8 @@ from roadtorch.data.corrections import (
     ENDING,
     EventLog,
     LogHead,
+    image_size,
     log_path,
-    picture_size,
     read_log,
     read_logs,
 )
@@ -46,7 +46,7 @@ from roadtorch.data.events import (
     runs_of,
 )
 from roadtorch.detectors.detector import Detector
-from roadtorch.inputs.pictures import find_pictures
+from roadtorch.inputs.images import find_images
 
 HELD = 8  # logs in memory, with their labels
 
@@ -56,8 +56,8 @@ FRESH = 2.0  # seconds for which a listing holds
 
 
 @dataclass
-class PictureFolder:
-    """The pictures below ``root``, by their relative name with ending; ``apart`` is left out."""
+class ImageFolder:
+    """The images below ``root``, by their relative name with ending; ``apart`` is left out."""
 
     root: Path
     apart: Path
@@ -73,7 +73,7 @@ class PictureFolder:
         with self._lock:
             if time.monotonic() - self._listed >= FRESH:
                 try:
-                    paths = [picture.path for picture in find_pictures([self.root], self.apart)]
+                    paths = [image.path for image in find_images([self.root], self.apart)]
                 except InputError:  # emptied while the page is open
                     paths = []
                 inside = [path for path in paths if path.resolve().is_relative_to(self.root)]
@@ -91,19 +91,19 @@ class PictureFolder:
         path = self.root / name
         if name in self.names() and path.is_file() and path.resolve().is_relative_to(self.root):
             return path
-        raise InputError(name[:200], "is no picture of this folder", "choose one of the list")
+        raise InputError(name[:200], "is no image of this folder", "choose one of the list")
 
 
-def open_work(pictures: PictureFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:
-    """Open the log for a picture of (height, width), or begin one.
+def open_work(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:
+    """Open the log for an image of (height, width), or begin one.
 
-    Raises DatasetError for a log that cannot be read or does not fit its picture.
+    Raises DatasetError for a log that cannot be read or does not fit its image.
     """
     path = log_path(out, name)
     log = read_log(path) if path.exists() else None
     if log is None:
-        picture = os.path.relpath(pictures.root / name, pictures.apart)
-        log = EventLog(path, LogHead(picture=picture, height=size[0], width=size[1]))
+        image = os.path.relpath(images.root / name, images.apart)
+        log = EventLog(path, LogHead(image=image, height=size[0], width=size[1]))
     log.labels  # noqa: B018  # refused now where an event does not fit
     return log
 
@@ -113,15 +113,15 @@ def open_work(pictures: PictureFolder, out: Path, name: str, size: tuple[int, in
 
 @dataclass
 class Session:
-    """What the page asks for. pictures: their folder; views: the machine's; out: the logs.
+    """What the page asks for. images: their folder; views: the machine's; out: the logs.
 
-    order: in which pictures are offered.
+    order: in which images are offered.
     """
 
-    pictures: PictureFolder
+    images: ImageFolder
     views: ViewStore
     out: Path
-    order: PictureOrder
+    order: ImageOrder
     trusts: dict[str, float] = field(default_factory=dict)
     _works: dict[str, EventLog] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
@@ -132,8 +132,8 @@ class Session:
     # --- what there is ------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
-        """List every picture: its name, trust and turn if known, its events and verdict."""
-        work, names = self._work_by_picture(), self.pictures.names()
+        """List every image: its name, trust and turn if known, its events and verdict."""
+        work, names = self._work_by_image(), self.images.names()
         untouched = {"events": 0, "confirmed": False, "version": 0}
         turns = self.order.turns(names, self.trusts, work)
         return [
@@ -150,8 +150,8 @@ class Session:
         trust = self.trusts.get(name)
         return None if trust is None or np.isnan(trust) else round(trust, 3)
 
-    def _work_by_picture(self) -> dict[str, dict[str, Any]]:
-        """Summarise the work on each picture; a log is read again when its length changed."""
+    def _work_by_image(self) -> dict[str, dict[str, Any]]:
+        """Summarise the work on each image; a log is read again when its length changed."""
         work: dict[str, dict[str, Any]] = {}
         for path in sorted(self.out.rglob(f"*{ENDING}")):
             name = path.relative_to(self.out).as_posix().removesuffix(ENDING)
@@ -170,11 +170,11 @@ class Session:
                 work[name] = summary
         return work
 
-    # --- one picture --------------------------------------------------------------------
+    # --- one image --------------------------------------------------------------------
 
-    def view(self, name: str) -> PictureView:
+    def view(self, name: str) -> ImageView:
         """Return the machine's view of an image; InputError where it is none of the folder."""
-        view = self.views.view(name, self.pictures.path(name))
+        view = self.views.view(name, self.images.path(name))
         self.trusts[name] = np.nan if view.trust is None else view.trust
         return view
 
@@ -192,21 +192,21 @@ class Session:
             work.add(self._completed(event, work, view))
             return self._shown(name, work, view)
 
-    def _work(self, name: str, view: PictureView) -> EventLog:
+    def _work(self, name: str, view: ImageView) -> EventLog:
         """Return the log of an image, read anew unless it is among the last ``HELD``."""
         work = self._works.pop(name, None)
         if work is None:
-            work = open_work(self.pictures, self.out, name, view.size)
+            work = open_work(self.images, self.out, name, view.size)
         if work.size != view.size:
             message = f"was corrected at {work.head.width} by {work.head.height} pixels"
-            remedy = f"it has another size now; move {work.path.name} away"
-            raise InputError(name, message, remedy)
+            hint = f"it has another size now; move {work.path.name} away"
+            raise InputError(name, message, hint)
         self._works[name] = work
         if len(self._works) > HELD:
             del self._works[next(iter(self._works))]
         return work
 
-    def _completed(self, event: AnyEvent, work: EventLog, view: PictureView) -> AnyEvent:
+    def _completed(self, event: AnyEvent, work: EventLog, view: ImageView) -> AnyEvent:
         """The event with its time and with the pixels that it is about."""
         changes: dict[str, Any] = {"time": round(time.time(), 3)}
         if isinstance(event, SuperpixelStroke):
@@ -220,12 +220,12 @@ class Session:
             changes["runs"] = runs_of(shown_road(self._odds(work, view), work.labels, view.size))
         return event.model_copy(update=changes)
 
-    def _odds(self, work: EventLog, view: PictureView) -> Any:
+    def _odds(self, work: EventLog, view: ImageView) -> Any:
         settings = self.views.settings
         said = said_of_segments(work.labels, view, settings)
         return mended_odds(view, said, settings.propagation)
 
-    def _shown(self, name: str, work: EventLog, view: PictureView) -> dict[str, Any]:
+    def _shown(self, name: str, work: EventLog, view: ImageView) -> dict[str, Any]:
         road = shown_road(self._odds(work, view), work.labels, view.shape)
         layout = np.minimum(mended_layout(view, work.labels, self.views.settings), 3)
         layers = at_size(work.labels, view.shape) | road.astype(np.uint8) << 3 | layout << 4
@@ -245,16 +245,16 @@ class Session:
 
 
 def look_at_all(session: Session, stop: threading.Event) -> None:
-    """Look at every picture, one after the other, until told to stop; new ones as they come."""
+    """Look at every image, one after the other, until told to stop; new ones as they come."""
     failed: set[str] = set()
     while not stop.is_set():
-        for name in session.pictures.names():
+        for name in session.images.names():
             if stop.is_set():
                 return
             if name in session.trusts or name in failed:
                 continue
             try:
-                path = session.pictures.path(name)
+                path = session.images.path(name)
                 session.order.learn(name, path, session.view(name))
             except (InputError, OSError):
                 failed.add(name)
@@ -265,7 +265,7 @@ def opened_session(
     folder: Path,
     out: Path,
     detector: Detector,
-    order: PictureOrder | None = None,
+    order: ImageOrder | None = None,
 ) -> Session:
     """A session for a folder; DatasetError where a log in ``out`` cannot be read.
 
@@ -274,26 +274,26 @@ def opened_session(
     read_logs(out)
     remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS))
     views = ViewStore(out / VIEWS, detector, AnnotationSettings())
-    order = order or PictureOrder("least-trust")
-    return Session(PictureFolder(folder, out), views, out, order)
+    order = order or ImageOrder("least-trust")
+    return Session(ImageFolder(folder, out), views, out, order)
 
 
 # --- labels of other programs -----------------------------------------------------------
 
 
 def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
-    """Add the labels of a format in ``origin`` to the logs; return how many pictures had some.
+    """Add the labels of a format in ``origin`` to the logs; return how many images had some.
 
     Raises DatasetError for what cannot be read; then nothing was added.
     """
-    pictures = PictureFolder(folder, out)
-    sizes = {picture: picture_size(pictures.path(picture)) for picture in pictures.names()}
-    by_picture = FORMATS[name].read(origin, sizes)
-    for picture, labels in by_picture.items():
-        work = open_work(pictures, out, picture, sizes[picture])
+    images = ImageFolder(folder, out)
+    sizes = {image: image_size(images.path(image)) for image in images.names()}
+    by_image = FORMATS[name].read(origin, sizes)
+    for image, labels in by_image.items():
+        work = open_work(images, out, image, sizes[image])
         if not work.events or (work.labels != labels).any():  # else they were brought in before
             work.add(import_event(labels, len(work.events)))
-    return len(by_picture)
+    return len(by_image)
 
 
 def import_event(labels: np.ndarray, number: int = 0) -> Import:

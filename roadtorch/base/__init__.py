@@ -1,1 +1,1 @@
-"""Files in and out: bounded reads, atomic writes, pictures."""
+"""Files in and out: bounded reads, atomic writes, images."""

@@ -20,7 +20,7 @@ LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """The names of temporary files, those of earlier versions among them."""
 
 LAST_BREATH = 1.0
-"""Seconds after which the workers of a killed run are gone; ours: they end within one picture."""
+"""Seconds after which the workers of a killed run are gone; ours: they end within one image."""
 
 REMEDIES = {
     errno.ENAMETOOLONG: "give it a shorter name",
@@ -60,13 +60,13 @@ def digest_of_folder(path: Path) -> str:
 # --- out --------------------------------------------------------------------------------
 
 
-def make_folder(path: Path, remedy: str = "give another folder") -> None:
+def make_folder(path: Path, hint: str = "give another folder") -> None:
     """Make a folder and those above it; UnwritableError with the remedy when it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        what = f"cannot be made a folder: {problem.strerror}"
-        raise UnwritableError(path, what, remedy) from None
+    except OSError as error:
+        problem = f"cannot be made a folder: {error.strerror}"
+        raise UnwritableError(path, problem, hint) from None
 
 
 @contextmanager
@@ -82,18 +82,18 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield temporary
         os.replace(temporary, path)
-    except OSError as problem:
-        raise unwritable(path, problem) from None
+    except OSError as error:
+        raise unwritable(path, error) from None
     finally:
         # Where even looking for the file fails there is none to remove.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
-def unwritable(path: Path, problem: OSError, what: str = "cannot be written") -> UnwritableError:
+def unwritable(path: Path, error: OSError, problem: str = "cannot be written") -> UnwritableError:
     """Return the error for a file that cannot be written, with what helps."""
-    remedy = REMEDIES.get(problem.errno, "choose a folder that you may write to")
-    return UnwritableError(path, f"{what}: {problem.strerror or problem}", remedy)
+    hint = REMEDIES.get(error.errno, "choose a folder that you may write to")
+    return UnwritableError(path, f"{problem}: {error.strerror or error}", hint)
 
 
 def remove_leftovers(folders: Iterable[Path]) -> None:
@@ -106,7 +106,7 @@ def remove_leftovers(folders: Iterable[Path]) -> None:
 
 
 @contextmanager
-def locked(folder: Path, remedy: str = "wait for it, or give another folder") -> Iterator[None]:
+def locked(folder: Path, hint: str = "wait for it, or give another folder") -> Iterator[None]:
     """Keep other runs out of a folder during the block; InputError where one is in it already.
 
     The lock is on the folder itself (flock): no file is made for it, and it ends with the
@@ -120,7 +120,7 @@ def locked(folder: Path, remedy: str = "wait for it, or give another folder") ->
                 lock(alone=True)
             except BlockingIOError:
                 if monotonic() > end:
-                    raise InputError(folder, "another run is writing here", remedy) from None
+                    raise InputError(folder, "another run is writing here", hint) from None
                 sleep(LAST_BREATH / 50)
                 continue
             except OSError:

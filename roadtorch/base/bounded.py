@@ -5,7 +5,7 @@ import stat
 from pathlib import Path
 
 MAX_BYTES = 2**30
-"""Of one file; ours: a picture of 100 megapixels, 16 bits, uncompressed, has 800 million."""
+"""Of one file; ours: an image of 100 megapixels, 16 bits, uncompressed, has 800 million."""
 
 
 def read_regular(path: str | os.PathLike[str], most: int = MAX_BYTES) -> bytes:
@@ -41,13 +41,13 @@ def _too_large(most: int) -> OSError:
     return OSError(0, f"it has more than {most:,} bytes")
 
 
-def reason(problem: Exception) -> str:
+def reason(error: Exception) -> str:
     """Why something could not be read, on one line.
 
     Foreign bytes make decoders raise anything: IndexError, struct.error, cv2.error, …
     """
-    words = problem.strerror if isinstance(problem, OSError) else None
-    lines = (words or str(problem)).strip().splitlines()
+    words = error.strerror if isinstance(error, OSError) else None
+    lines = (words or str(error)).strip().splitlines()
     return lines[0] if lines else "it is damaged"
 
 

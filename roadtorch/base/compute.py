@@ -139,7 +139,7 @@ def check_device(device: str, where: str) -> None:
         raise ConfigError(where, "is no device of torch", "give cpu, cuda or cuda:1") from None
     try:
         torch.zeros(1, device=device).cpu()
-    except (RuntimeError, AssertionError, NotImplementedError) as problem:
-        what = f"cannot be used: {str(problem).splitlines()[0].rstrip('.')}"
-        remedy = "leave it out" if kind == "cuda" else "give cpu, cuda or cuda:1"
-        raise ConfigError(where, what, remedy) from None
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        problem = f"cannot be used: {str(error).splitlines()[0].rstrip('.')}"
+        hint = "leave it out" if kind == "cuda" else "give cpu, cuda or cuda:1"
+        raise ConfigError(where, problem, hint) from None

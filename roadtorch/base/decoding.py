@@ -46,20 +46,20 @@ def decode(data: bytes) -> np.ndarray:
     OpenCV decodes what has 16 bits, Pillow the rest. Raises TooLargeError before anything is
     decoded, and whatever the decoders raise for bytes that are no image.
     """
-    picture = open_picture(data)
-    if picture.format == "PNG":
-        picture.verify()  # checks every chunk, and closes the image
-        picture = open_picture(data)
+    image = open_image(data)
+    if image.format == "PNG":
+        image.verify()  # checks every chunk, and closes the image
+        image = open_image(data)
         if data[PNG_DEPTH] == 16:
-            return _turn_upright(_opencv(data), picture)
-    if picture.format == "TIFF" and _is_deep_tiff(picture):
+            return _turn_upright(_opencv(data), image)
+    if image.format == "TIFF" and _is_deep_tiff(image):
         pixels = _opencv(data)  # which turns TIFFs upright itself
-        has_alpha = _tiff_tag(picture, EXTRA_SAMPLES)[0] == ALPHA
+        has_alpha = _tiff_tag(image, EXTRA_SAMPLES)[0] == ALPHA
         return pixels if pixels.ndim == 2 or has_alpha else pixels[..., :3]
-    return pillow_pixels(picture)
+    return pillow_pixels(image)
 
 
-def open_picture(data: bytes) -> Image.Image:
+def open_image(data: bytes) -> Image.Image:
     """Open an image with Pillow, without decoding it.
 
     Raises TooLargeError for more pixels than allowed, ValueError for more than ``MAX_SIDE`` in
@@ -67,25 +67,25 @@ def open_picture(data: bytes) -> Image.Image:
     """
     try:
         with without_warnings():
-            picture = Image.open(io.BytesIO(data), formats=FORMATS)
+            image = Image.open(io.BytesIO(data), formats=FORMATS)
     except Image.DecompressionBombError:
         most = min(PILLOWS_MEGAPIXELS, most_megapixels())
         raise TooLargeError(f"has more than {most:g} megapixels") from None
-    check_pixels(*picture.size)
-    if max(picture.size) > MAX_SIDE:
-        raise ValueError(f"a side of {max(picture.size)} pixels, more than {MAX_SIDE}")
-    return picture
+    check_pixels(*image.size)
+    if max(image.size) > MAX_SIDE:
+        raise ValueError(f"a side of {max(image.size)} pixels, more than {MAX_SIDE}")
+    return image
 
 
 def check_pixels(width: int, height: int) -> None:
-    """Raises TooLargeError for more pixels than are allowed, in a picture of any source."""
+    """Raises TooLargeError for more pixels than are allowed, in an image of any source."""
     if width * height > most_megapixels() * 1e6:
-        what = f"has {width} by {height} pixels"
-        raise TooLargeError(f"{what}, more than {most_megapixels():g} megapixels")
+        problem = f"has {width} by {height} pixels"
+        raise TooLargeError(f"{problem}, more than {most_megapixels():g} megapixels")
 
 
 def most_megapixels() -> float:
-    """The bound on a picture's pixels: 100 megapixels, or what the environment says.
+    """The bound on an image's pixels: 100 megapixels, or what the environment says.
 
     Raises ValueError for what is not a number above 0.
     """
@@ -122,17 +122,17 @@ def quiet_opencv() -> Iterator[None]:
 # --- pixels -----------------------------------------------------------------------------
 
 
-def pillow_pixels(picture: Image.Image) -> np.ndarray:
+def pillow_pixels(image: Image.Image) -> np.ndarray:
     """Return the pixels of an image of Pillow's, upright: uint8 RGB or RGBA, or uint16 (H,W).
 
     Raises ValueError for 32 bits, whose white nobody has agreed on, and what Pillow raises.
     """
-    picture.load()
+    image.load()
     with without_warnings():
         try:
-            upright = ImageOps.exif_transpose(picture)
+            upright = ImageOps.exif_transpose(image)
         except Exception:
-            upright = picture  # a damaged note about the image is no damage of the image
+            upright = image  # a damaged note about the image is no damage of the image
         if upright.mode in ("I", "F"):
             raise ValueError(f"Pillow's mode {upright.mode} has no agreed white")
         if upright.mode.startswith("I;16"):
@@ -151,11 +151,11 @@ def _opencv(data: bytes) -> np.ndarray:
     return pixels
 
 
-def _turn_upright(pixels: np.ndarray, picture: Image.Image) -> np.ndarray:
+def _turn_upright(pixels: np.ndarray, image: Image.Image) -> np.ndarray:
     """Turn pixels (H,W[,C]) as the EXIF of their PNG says; EXIF 2.3, tag 274."""
     with without_warnings():
         try:
-            orientation = picture.getexif().get(ExifTag.Orientation, 1)
+            orientation = image.getexif().get(ExifTag.Orientation, 1)
         except Exception:
             return pixels
     if orientation in (5, 6, 7, 8):
@@ -167,22 +167,22 @@ def _turn_upright(pixels: np.ndarray, picture: Image.Image) -> np.ndarray:
     return pixels
 
 
-def _is_deep_tiff(picture: Image.Image) -> bool:
+def _is_deep_tiff(image: Image.Image) -> bool:
     """Return whether a TIFF has 16 bits a sample; ValueError for layouts that are misread."""
-    bits, colours = set(_tiff_tag(picture, BITS_PER_SAMPLE)), _tiff_tag(picture, PHOTOMETRIC)[0]
+    bits, colours = set(_tiff_tag(image, BITS_PER_SAMPLE)), _tiff_tag(image, PHOTOMETRIC)[0]
     is_deep, is_grey = max(bits) > 8, colours == BLACK_IS_ZERO
-    is_one_plane = _tiff_tag(picture, PLANES)[0] == 1 or _tiff_tag(picture, SAMPLES)[0] == 1
-    is_read = set(_tiff_tag(picture, SAMPLE_FORMAT)) == {UNSIGNED}
+    is_one_plane = _tiff_tag(image, PLANES)[0] == 1 or _tiff_tag(image, SAMPLES)[0] == 1
+    is_read = set(_tiff_tag(image, SAMPLE_FORMAT)) == {UNSIGNED}
     if is_deep:
-        is_grey = is_grey and _tiff_tag(picture, SAMPLES)[0] == 1
+        is_grey = is_grey and _tiff_tag(image, SAMPLES)[0] == 1
         is_read = is_read and bits == {16} and is_one_plane and (is_grey or colours == RGB)
     if not is_read or not (is_one_plane or colours == RGB):
         raise ValueError("TIFF is read in one plane of 8 or 16 bits without sign, grey or RGB")
     return is_deep
 
 
-def _tiff_tag(picture: Image.Image, tag: int) -> tuple[int, ...]:
+def _tiff_tag(image: Image.Image, tag: int) -> tuple[int, ...]:
     """Return the values of a TIFF tag, one a sample; (1,) when it is absent, as TIFF 6.0 has it."""
-    tags: dict[int, tuple[int, ...] | int | None] = getattr(picture, "tag_v2", {})
+    tags: dict[int, tuple[int, ...] | int | None] = getattr(image, "tag_v2", {})
     value = tags.get(tag)
     return value if isinstance(value, tuple) else (1 if value is None else value,)

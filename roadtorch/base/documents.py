@@ -30,21 +30,21 @@ class ForeignDocument(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
 
-def first_mistake(problem: pydantic.ValidationError) -> str:
+def first_mistake(error: pydantic.ValidationError) -> str:
     """Describe the first mistake: where in the document, what should be there, what is there."""
-    error = problem.errors(include_url=False)[0]
-    if error["type"] == "json_invalid":
-        return f"it is not JSON: {error['msg'].removeprefix('Invalid JSON: ')}"
-    place = ".".join(str(part) for part in error["loc"]) or "it"
-    if error["type"] == "missing":
+    mistake = error.errors(include_url=False)[0]
+    if mistake["type"] == "json_invalid":
+        return f"it is not JSON: {mistake['msg'].removeprefix('Invalid JSON: ')}"
+    place = ".".join(str(part) for part in mistake["loc"]) or "it"
+    if mistake["type"] == "missing":
         return f"{place} is missing"
-    message = error["msg"].removeprefix("Value error, ")
-    value = shortened(repr(error["input"]), SHOWN)
+    message = mistake["msg"].removeprefix("Value error, ")
+    value = shortened(repr(mistake["input"]), SHOWN)
     return f"{place}: {message[0].lower()}{message[1:]}, {value} was given"
 
 
 @contextmanager
-def read_document(path: Path, remedy: str) -> Iterator[bytes]:
+def read_document(path: Path, hint: str) -> Iterator[bytes]:
     """Yield the bytes of a file to a block that reads a document from them.
 
     What goes wrong in the block with files, numbers and memory becomes a DatasetError that names
@@ -54,9 +54,9 @@ def read_document(path: Path, remedy: str) -> Iterator[bytes]:
         yield read_regular(path, MAX_DOCUMENT_BYTES)
     except RoadtorchError:
         raise
-    except pydantic.ValidationError as problem:
-        raise DatasetError(path, f"cannot be read: {first_mistake(problem)}", remedy) from None
+    except pydantic.ValidationError as error:
+        raise DatasetError(path, f"cannot be read: {first_mistake(error)}", hint) from None
     except MemoryError:
-        raise DatasetError(path, "is more than there is memory for", remedy) from None
-    except (OSError, ValueError, LookupError, ArithmeticError, RecursionError) as problem:
-        raise DatasetError(path, f"cannot be read: {reason(problem)}", remedy) from None
+        raise DatasetError(path, "is more than there is memory for", hint) from None
+    except (OSError, ValueError, LookupError, ArithmeticError, RecursionError) as error:
+        raise DatasetError(path, f"cannot be read: {reason(error)}", hint) from None

@@ -1,7 +1,7 @@
 """The errors that users see.
 
 RoadtorchError
-├── InputError      a picture, map or folder that cannot be used
+├── InputError      an image, map or folder that cannot be used
 │   └── UnwritableError  a file or folder that cannot be written
 ├── ConfigError     a setting, a name or an option that is wrong
 ├── DatasetError    a data set that is incomplete or not what it says
@@ -30,29 +30,29 @@ class ExitCode(IntEnum):
 class RoadtorchError(Exception):
     """A mistake that the user can mend: where it is, what is wrong, what to do.
 
-    The text reads ``where: what (remedy)``; the command line prints it behind
-    ``roadtorch: error:`` and nothing else. Where and what lose their middle when they are
+    The text reads ``where: problem (hint)``; the command line prints it behind
+    ``roadtorch: error:`` and nothing else. Where and problem lose their middle when they are
     longer than ``MAX_LETTERS``; paths are told whole.
 
         >>> from roadtorch import RoadtorchError, load_detector
         >>> try:
         ...     load_detector("prior:rows", threshold=2)
         ... except RoadtorchError as error:
-        ...     print(error.where, "|", error.what)
+        ...     print(error.where, "|", error.problem)
         threshold | 2 was given
     """
 
     exit_code = ExitCode.WRONG_USAGE
 
-    def __init__(self, where: object, what: str, remedy: str) -> None:
+    def __init__(self, where: object, problem: str, hint: str) -> None:
         self.where = str(where) if isinstance(where, os.PathLike) else shortened(str(where))
-        self.what = shortened(what)
-        self.remedy = remedy
-        super().__init__(f"{self.where}: {self.what} ({remedy})")
+        self.problem = shortened(problem)
+        self.hint = hint
+        super().__init__(f"{self.where}: {self.problem} ({hint})")
 
     def __reduce__(self) -> tuple[type["RoadtorchError"], tuple[str, str, str]]:
         """Three arguments again, so that the error survives a process boundary."""
-        return type(self), (self.where, self.what, self.remedy)
+        return type(self), (self.where, self.problem, self.hint)
 
 
 def shortened(text: str, most: int = MAX_LETTERS) -> str:
@@ -62,7 +62,7 @@ def shortened(text: str, most: int = MAX_LETTERS) -> str:
 
 
 class InputError(RoadtorchError):
-    """A picture, map or folder that cannot be used."""
+    """An image, map or folder that cannot be used."""
 
 
 class UnwritableError(InputError):
@@ -87,7 +87,7 @@ class WeightsError(RoadtorchError):
     """A weight file that is damaged or foreign."""
 
 
-def lacks_memory(problem: Exception) -> bool:
+def lacks_memory(error: Exception) -> bool:
     """Whether it is of memory that was not there: Python's, NumPy's, torch's, OpenCV's words.
 
     The last are the linker's, where a library finds no room.
@@ -100,22 +100,22 @@ def lacks_memory(problem: Exception) -> bool:
         "bad allocation",
         "failed to map segment",
     )
-    return isinstance(problem, MemoryError) or any(word in str(problem) for word in words)
+    return isinstance(error, MemoryError) or any(word in str(error) for word in words)
 
 
-def fault(where: object, problem: Exception) -> InputError:
-    """What went wrong at a picture or frame, for messages that name it.
+def fault(where: object, error: Exception) -> InputError:
+    """What went wrong at an image or frame, for messages that name it.
 
     Detectors cannot know the file and speak of ``image``. What nobody foresaw is more memory than
     there is, or a fault of ours.
     """
-    if isinstance(problem, RoadtorchError):
-        known = where if problem.where == "image" else problem.where
-        return InputError(known, problem.what, problem.remedy)
-    if lacks_memory(problem):
-        what = "needs more memory than there is"
-        return InputError(where, what, "give smaller pictures, or fewer --jobs")
-    return InputError(where, f"{type(problem).__name__}: {problem}", "report it")
+    if isinstance(error, RoadtorchError):
+        known = where if error.where == "image" else error.where
+        return InputError(known, error.problem, error.hint)
+    if lacks_memory(error):
+        problem = "needs more memory than there is"
+        return InputError(where, problem, "give smaller images, or fewer --jobs")
+    return InputError(where, f"{type(error).__name__}: {error}", "report it")
 
 
 def unknown_name(
@@ -128,5 +128,5 @@ def unknown_name(
     known = sorted(known)
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     every = known if groups is None else sorted(groups)
-    remedy = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(every)}"
-    return ConfigError(name, f"unknown {kind}", remedy)
+    hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(every)}"
+    return ConfigError(name, f"unknown {kind}", hint)

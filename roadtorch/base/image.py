@@ -1,4 +1,4 @@
-"""Pictures in and out: decoding to RGB tensors, encoding maps, masks and overlays."""
+"""Images in and out: decoding to RGB tensors, encoding maps, masks and overlays."""
 
 import io
 import os
@@ -41,7 +41,7 @@ TINTED = cv2.addWeighted(LEVELS, 1 - TINT, np.full_like(LEVELS, SKY_BLUE), TINT,
 
 OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
 
-LETTERS = 14  # pixels that a caption's letters have at least; ours: legible in a picture of 320
+LETTERS = 14  # pixels that a caption's letters have at least; ours: legible in an image of 320
 
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 
@@ -52,13 +52,13 @@ Order = Literal["rgb", "bgr"]
 """The order of colours in an array: OpenCV's is ``bgr``, nearly everybody else's ``rgb``."""
 
 ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str] | bytes | IO[bytes]
-"""What programs have of a picture, see ``as_image``."""
+"""What programs have of an image, see ``as_image``."""
 
 # --- in ---------------------------------------------------------------------------------
 
 
 def read_image(path: str | os.PathLike[str]) -> Tensor:
-    """Read a picture as float32 RGB (3,H,W) in [0,1], sRGB, upright.
+    """Read an image as float32 RGB (3,H,W) in [0,1], sRGB, upright.
 
     path: of a file, or, as text, an address of the web (``https://…``).
     JPEG, PNG, TIFF, WebP and BMP; 8 or 16 bits (65535 becomes 1), grey, palette. EXIF
@@ -68,7 +68,7 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     papers' sets have none.
 
     Raises InputError when the file is missing, a folder, a pipe, empty, truncated, damaged
-    where the decoder can tell, no picture, or has more than 1 GiB or 100 megapixels (the
+    where the decoder can tell, no image, or has more than 1 GiB or 100 megapixels (the
     environment's ROADTORCH_MAX_MEGAPIXELS says otherwise, up to Pillow's own 178).
 
         >>> from roadtorch import read_image
@@ -83,14 +83,14 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     except FileNotFoundError:
         raise InputError(path, "does not exist", "check the name") from None
     except IsADirectoryError:
-        raise InputError(path, "is a folder", "give a picture file") from None
-    except OSError as problem:
-        raise InputError(path, f"cannot be read: {problem.strerror}", "check the file") from None
+        raise InputError(path, "is a folder", "give an image file") from None
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror}", "check the file") from None
     return decode_image(data, path)
 
 
 def decode_image(data: bytes, origin: object) -> Tensor:
-    """The bytes of a picture as float32 RGB (3,H,W) in [0,1]: all that ``read_image`` reads.
+    """The bytes of an image as float32 RGB (3,H,W) in [0,1]: all that ``read_image`` reads.
 
     origin: what messages call it. Raises InputError as ``read_image`` does.
     """
@@ -102,19 +102,19 @@ def decode_image(data: bytes, origin: object) -> Tensor:
 
 @contextmanager
 def undecodable(origin: object) -> Iterator[None]:
-    """What goes wrong as a picture is decoded in the block, as InputError with that origin."""
+    """What goes wrong as an image is decoded in the block, as InputError with that origin."""
     try:
         yield
     except UnidentifiedImageError:
-        raise InputError(origin, "is not a picture", f"give {READABLE}") from None
-    except TooLargeError as problem:
-        remedy = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
-        raise InputError(origin, str(problem), remedy) from None
-    except Exception as problem:
-        if lacks_memory(problem):
-            raise fault(origin, problem) from None
-        what = f"cannot be decoded: {reason(problem)}"
-        raise InputError(origin, what, "replace it, or convert it to PNG") from None
+        raise InputError(origin, "is not an image", f"give {READABLE}") from None
+    except TooLargeError as error:
+        hint = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
+        raise InputError(origin, str(error), hint) from None
+    except Exception as error:
+        if lacks_memory(error):
+            raise fault(origin, error) from None
+        problem = f"cannot be decoded: {reason(error)}"
+        raise InputError(origin, problem, "replace it, or convert it to PNG") from None
 
 
 def from_pixels(pixels: np.ndarray) -> Tensor:
@@ -130,8 +130,8 @@ def from_pixels(pixels: np.ndarray) -> Tensor:
     return image if len(planes) == 3 else image.mul_(planes[3].to(torch.float32).div_(levels))
 
 
-def as_image(picture: ImageLike, order: Order | None = None) -> Tensor:
-    """What a program has of a picture, as image (3,H,W) in [0,1].
+def as_image(image: ImageLike, order: Order | None = None) -> Tensor:
+    """What a program has of an image, as image (3,H,W) in [0,1].
 
     A tensor (3,H,W) is RGB: floating point stays as it is, uint8 is divided by 255. A NumPy array
     is (H,W) grey, or (H,W,3) or (H,W,4) in the ``order`` of colours that is told, not guessed;
@@ -144,37 +144,37 @@ def as_image(picture: ImageLike, order: Order | None = None) -> Tensor:
     """
     if order is not None:
         checked_order(order)
-    if isinstance(picture, np.ndarray):
-        return from_pixels(_as_rgb(picture, order))
-    if isinstance(picture, Tensor):
-        return picture.to(torch.float32).div_(255) if picture.dtype == torch.uint8 else picture
-    if isinstance(picture, Image.Image):
+    if isinstance(image, np.ndarray):
+        return from_pixels(_as_rgb(image, order))
+    if isinstance(image, Tensor):
+        return image.to(torch.float32).div_(255) if image.dtype == torch.uint8 else image
+    if isinstance(image, Image.Image):
         try:
-            return from_pixels(pillow_pixels(picture))
-        except Exception as problem:
-            what = f"cannot be decoded: {reason(problem)}"
-            raise InputError("image", what, "give another one") from None
-    if isinstance(picture, str | os.PathLike):
-        return read_image(picture)
-    if isinstance(picture, bytes):
-        return decode_image(picture, "image")
-    if hasattr(picture, "read"):
-        return decode_image(_read_bytes(picture), "image")
-    if picture is None:
+            return from_pixels(pillow_pixels(image))
+        except Exception as error:
+            problem = f"cannot be decoded: {reason(error)}"
+            raise InputError("image", problem, "give another one") from None
+    if isinstance(image, str | os.PathLike):
+        return read_image(image)
+    if isinstance(image, bytes):
+        return decode_image(image, "image")
+    if hasattr(image, "read"):
+        return decode_image(_read_bytes(image), "image")
+    if image is None:
         raise InputError("image", "is None", "check its path: cv2.imread gives that for a bad one")
-    if isinstance(picture, Iterable):
-        what = f"is a {type(picture).__name__}, not one picture"
-        raise InputError("image", what, "give one, or all of them to detect_many")
-    remedy = "give a path, a NumPy array, a Pillow image or a tensor"
-    raise InputError("image", f"is {type(picture).__name__}", remedy)
+    if isinstance(image, Iterable):
+        problem = f"is a {type(image).__name__}, not one image"
+        raise InputError("image", problem, "give one, or all of them to detect_many")
+    hint = "give a path, a NumPy array, a Pillow image or a tensor"
+    raise InputError("image", f"is {type(image).__name__}", hint)
 
 
 def _read_bytes(file: IO[bytes]) -> bytes:
     """All that is left of an open file; InputError where it gives no bytes."""
     try:
         data = file.read()
-    except OSError as problem:
-        raise InputError("image", f"cannot be read: {reason(problem)}", "open it again") from None
+    except OSError as error:
+        raise InputError("image", f"cannot be read: {reason(error)}", "open it again") from None
     if not isinstance(data, bytes):
         raise InputError("image", "is a file of text", 'open it with "rb"')
     return data
@@ -190,23 +190,23 @@ def checked_order(order: Order) -> Order:
 def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
     """Pixels (H,W) or (H,W,C), C being 1, 3 or 4, as grey, RGB or RGBA; else InputError."""
     if pixels.dtype not in (np.uint8, np.uint16) and pixels.dtype.kind != "f":
-        remedy = "give uint8 from 0 to 255, or floating point from 0 to 1"
-        raise InputError("image", f"is an array of {pixels.dtype}", remedy)
+        hint = "give uint8 from 0 to 255, or floating point from 0 to 1"
+        raise InputError("image", f"is an array of {pixels.dtype}", hint)
     if pixels.ndim == 2:
         return pixels
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4):
-        what = f"is an array of the shape {pixels.shape}"
+        problem = f"is an array of the shape {pixels.shape}"
         stack = pixels.ndim == 4
-        remedy = "give (height, width, 3), or (height, width) if it is grey"
-        raise InputError("image", what, "give all of them to detect_many" if stack else remedy)
+        hint = "give (height, width, 3), or (height, width) if it is grey"
+        raise InputError("image", problem, "give all of them to detect_many" if stack else hint)
     if pixels.shape[2] == 1:
         return pixels[..., 0]
     if order is None:
-        what = "is an array whose order of colours is not told"
-        remedy = (
+        problem = "is an array whose order of colours is not told"
+        hint = (
             'give order="rgb", or order="bgr" if it is from OpenCV; once: load_detector(…, order=…)'
         )
-        raise InputError("image", what, remedy)
+        raise InputError("image", problem, hint)
     if order == "rgb":
         return pixels
     return pixels[..., ::-1] if pixels.shape[2] == 3 else pixels[..., [2, 1, 0, 3]]
@@ -294,7 +294,7 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
     width = max(1, round(min(mask.shape) * OUTLINE))
     inside = mask.astype(np.uint8)
     brush = np.ones((3, 3), np.uint8)
-    # A replicated border keeps the outline off the picture's own edge.
+    # A replicated border keeps the outline off the image's own edge.
     wide = cv2.erode(inside, brush, iterations=2 * width, borderType=cv2.BORDER_REPLICATE)
     thin = cv2.erode(inside, brush, iterations=width, borderType=cv2.BORDER_REPLICATE)
     tinted = cv2.LUT(pixels, TINTED)
@@ -306,7 +306,7 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def with_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
-    """Pixels uint8 (H,W,3) with a line of white text on a dark rim, sized with the picture."""
+    """Pixels uint8 (H,W,3) with a line of white text on a dark rim, sized with the image."""
     if not caption:
         return pixels
     size = max(LETTERS, round(min(pixels.shape[:2]) / 22))

@@ -44,28 +44,28 @@ def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySet
     """
     try:
         return kind.model_validate(dict(values))
-    except pydantic.ValidationError as problem:
-        raise _first_mistake(kind, problem) from None
+    except pydantic.ValidationError as error:
+        raise _first_mistake(kind, error) from None
 
 
-def _first_mistake(kind: type[Settings], problem: pydantic.ValidationError) -> ConfigError:
-    error = problem.errors()[0]
-    path = [str(part) for part in error["loc"]]
+def _first_mistake(kind: type[Settings], error: pydantic.ValidationError) -> ConfigError:
+    mistake = error.errors()[0]
+    path = [str(part) for part in mistake["loc"]]
     key = ".".join(path)
-    if error["type"] == "extra_forbidden":
+    if mistake["type"] == "extra_forbidden":
         known = group_at(kind, path[:-1]).model_fields
         return unknown_name("setting", key, [".".join([*path[:-1], name]) for name in known])
-    if error["type"] == "missing":
+    if mistake["type"] == "missing":
         return ConfigError(key, "is missing", "give it a value")
-    given = f"{shortened(repr(error['input']), SHOWN)} was given"
-    if error["type"] == "model_type":
+    given = f"{shortened(repr(mistake['input']), SHOWN)} was given"
+    if mistake["type"] == "model_type":
         known = ", ".join(group_at(kind, path).model_fields)
         return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
-    reasons = getattr(error.get("ctx", {}).get("error"), "args", ())
+    reasons = getattr(mistake.get("ctx", {}).get("error"), "args", ())
     if reasons and isinstance(reasons[0], ConfigError):  # a validator's own words
-        what = f"{reasons[0].what} {shortened(repr(error['input']), SHOWN)}"
-        return ConfigError(key, what, reasons[0].remedy)
-    message = error["msg"].removeprefix("Value error, ")
+        problem = f"{reasons[0].problem} {shortened(repr(mistake['input']), SHOWN)}"
+        return ConfigError(key, problem, reasons[0].hint)
+    message = mistake["msg"].removeprefix("Value error, ")
     return ConfigError(key, given, message[0].lower() + message[1:])
 
 
@@ -132,13 +132,13 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     """
     try:
         return _found_beside(path, tomllib.loads(read_regular(path).decode()))
-    except OSError as problem:
-        what = f"cannot be read: {problem.strerror}"
-        raise InputError(path, what, "give a TOML file") from None
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror}"
+        raise InputError(path, problem, "give a TOML file") from None
     except UnicodeDecodeError:
         raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
-    except (ValueError, RecursionError) as problem:
-        raise ConfigError(path, f"is not TOML: {problem}", "mend that line") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(path, f"is not TOML: {error}", "mend that line") from None
 
 
 def _found_beside(path: Path, values: dict[str, Any]) -> dict[str, Any]:

@@ -52,15 +52,15 @@ def answer(url: str) -> Iterator[Any]:
     try:
         with closing(urlopen(Request(address, headers=headers), timeout=ANSWER)) as response:
             yield response
-    except HTTPError as problem:
-        problem.close()
-        what = f"is answered with {problem.code} {problem.reason}"
-        raise InputError(address, what, "check the address") from None
-    except (OSError, HTTPException, ValueError) as problem:
-        cause = getattr(problem, "reason", problem)
+    except HTTPError as error:
+        error.close()
+        problem = f"is answered with {error.code} {error.reason}"
+        raise InputError(address, problem, "check the address") from None
+    except (OSError, HTTPException, ValueError) as error:
+        cause = getattr(error, "reason", error)
         late = isinstance(cause, TimeoutError)
-        what = f"{ANSWER:g} seconds without an answer" if late else str(cause) or "no answer"
-        raise InputError(address, f"cannot be fetched: {what}", "check the address") from None
+        problem = f"{ANSWER:g} seconds without an answer" if late else str(cause) or "no answer"
+        raise InputError(address, f"cannot be fetched: {problem}", "check the address") from None
 
 
 def url_bytes(url: str) -> bytes:
@@ -75,8 +75,8 @@ def url_bytes(url: str) -> bytes:
         while chunk := response.read(CHUNK):
             data += chunk
             if len(data) > MAX_BYTES:
-                what = f"has more than {MAX_BYTES:,} bytes"
-                raise InputError(without_password(url), what, "make it smaller")
+                problem = f"has more than {MAX_BYTES:,} bytes"
+                raise InputError(without_password(url), problem, "make it smaller")
         length = response.headers.get("Content-Length", "")
         if length.isdigit() and len(data) < int(length):
             raise ValueError(f"it is cut after {len(data):,} of {int(length):,} bytes")

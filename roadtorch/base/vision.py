@@ -23,10 +23,10 @@ def import_torchvision() -> ModuleType:
     issues 9077 and 9085). Declaring these two first is enough: what is plain torch works. Raises
     RoadtorchError where torchvision is missing or made for another torch altogether.
     """
-    remedy = "pip install the torchvision that belongs to it, see docs/installation.md"
+    hint = "pip install the torchvision that belongs to it, see docs/installation.md"
     package = find_spec("torchvision")
     if package is None or package.origin is None:
-        raise RoadtorchError("torchvision", "is not installed", remedy)
+        raise RoadtorchError("torchvision", "is not installed", hint)
     for library in Path(package.origin).parent.glob("_C.*"):
         with suppress(OSError):  # the very misfit
             torch.ops.load_library(library)
@@ -35,8 +35,8 @@ def import_torchvision() -> ModuleType:
             torch.library.define(f"torchvision::{name}", SIGNATURE)
     try:
         import torchvision.transforms.v2
-    except Exception as problem:  # another build fails in many ways
-        reason = (str(problem).splitlines() or [""])[0]
-        what = f"cannot be imported beside torch {torch.__version__}: {reason}"
-        raise RoadtorchError("torchvision", what, remedy) from problem
+    except Exception as error:  # another build fails in many ways
+        reason = (str(error).splitlines() or [""])[0]
+        problem = f"cannot be imported beside torch {torch.__version__}: {reason}"
+        raise RoadtorchError("torchvision", problem, hint) from error
     return torchvision

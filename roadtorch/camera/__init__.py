@@ -1,1 +1,1 @@
-"""What belongs to a camera: how its picture lies on the ground."""
+"""What belongs to a camera: how its image lies on the ground."""

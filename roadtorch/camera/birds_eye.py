@@ -1,4 +1,4 @@
-"""KITTI's bird's-eye view: maps of a picture on the road plane, 800×400 cells of 5 cm.
+"""KITTI's bird's-eye view: maps of an image on the road plane, 800×400 cells of 5 cm.
 
 Fritsch, Kuehnl, Geiger, "A New Performance Measure and Evaluation Benchmark for Road
 Detection Algorithms" (ITSC 2013), and what the benchmark's development kit of 2015 does
@@ -48,9 +48,9 @@ def cell_to_road(row: Tensor, column: Tensor) -> Pair:
 # --- maps -------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=4)  # 3 MB each; the maps of one picture come one after the other
+@lru_cache(maxsize=4)  # 3 MB each; the maps of one image come one after the other
 def cell_pixels(calibration: Calibration, height: int, width: int) -> Pair:
-    """The picture's pixel of each cell: flat index int64 (800,400), and whether there is one, bool.
+    """The image's pixel of each cell: flat index int64 (800,400), and whether there is one, bool.
 
     What is submitted and scored. A cell has a pixel where 1 ≤ u ≤ width and 1 ≤ v ≤ height: the
     nearest lower one, counted from one by the kit. Sampling takes single pixels, so thresholds and
@@ -64,7 +64,7 @@ def cell_pixels(calibration: Calibration, height: int, width: int) -> Pair:
 
 
 def to_birds_eye(values: Tensor, calibration: Calibration) -> Tensor:
-    """Values (…,H,W) of a picture as (…,800,400), type kept; 0 where no pixel shows the cell."""
+    """Values (…,H,W) of an image as (…,800,400), type kept; 0 where no pixel shows the cell."""
     height, width = values.shape[-2:]
     index, inside = (part.to(values.device) for part in cell_pixels(calibration, height, width))
     taken = values.flatten(-2).index_select(-1, index.flatten())

@@ -17,7 +17,7 @@ from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.base.settings import build_settings
 from roadtorch.camera.ground import COEFFICIENTS, GroundCamera, Lens, pose_of
 
-REMEDY = "give what camera_calibration writes, or ros2 topic echo --once of the camera_info topic"
+HINT = "give what camera_calibration writes, or ros2 topic echo --once of the camera_info topic"
 
 ROWS = {"P2": 12, "R0_rect": 9, "Tr_cam_to_road": 12}
 """Rows of KITTI's files that are read, as ``Calibration`` has them, and how many numbers each."""
@@ -49,20 +49,20 @@ class _CameraInfo(ForeignDocument):
 def read_camera_info(path: str | os.PathLike[str]) -> Lens:
     """The lens in a YAML file: as camera_calibration writes it, or a printed CameraInfo message.
 
-    The pictures are taken as the camera gives them: K and D count, not R and P. Raises ConfigError
+    The images are taken as the camera gives them: K and D count, not R and P. Raises ConfigError
     or DatasetError naming the file when it is not such a file, or cannot be read.
     """
     path = Path(path)
     try:
         import yaml
     except ImportError:
-        remedy = "pip install 'roadtorch[grid]'"
-        raise ConfigError(path, "reading YAML needs PyYAML, which is missing", remedy) from None
-    with read_document(path, REMEDY) as text:
+        hint = "pip install 'roadtorch[grid]'"
+        raise ConfigError(path, "reading YAML needs PyYAML, which is missing", hint) from None
+    with read_document(path, HINT) as text:
         try:
             first = next(yaml.safe_load_all(text.decode()), None)
-        except yaml.YAMLError as problem:
-            raise ConfigError(path, f"is not YAML: {reason(problem)}", REMEDY) from None
+        except yaml.YAMLError as error:
+            raise ConfigError(path, f"is not YAML: {reason(error)}", HINT) from None
         info = _CameraInfo.model_validate(first)
     size = (info.width, info.height)
     return lens_of_info(path, size, info.matrix, info.bent, info.distortion_model)
@@ -89,9 +89,9 @@ def lens_of_info(
     bend = {} if straight else {"model": model, "coefficients": tuple(bent)}
     try:
         return build_settings(Lens, {**values, **bend})
-    except ConfigError as problem:
-        what = f"is no lens: {problem.where}: {problem.what}"
-        raise ConfigError(path, what, problem.remedy) from None
+    except ConfigError as error:
+        problem = f"is no lens: {error.where}: {error.problem}"
+        raise ConfigError(path, problem, error.hint) from None
 
 
 # --- KITTI ------------------------------------------------------------------------------
@@ -116,14 +116,14 @@ def read_calibration(path: Path) -> Calibration:
     Raises DatasetError, naming the file and the row, when the file is missing or no text, a row
     has not its count of finite numbers, and when the road plane cannot be seen (a singular matrix).
     """
-    with read_document(path, "give the picture's calibration file") as text:
+    with read_document(path, "give the image's calibration file") as text:
         split = (line.partition(":") for line in text.decode().splitlines())
         words = {name.strip(): values.split() for name, _, values in split}
         rows = {name: tuple(map(float, words.get(name, ()))) for name in ROWS}
     for name, wanted in ROWS.items():
         if len(rows[name]) != wanted or not np.isfinite(rows[name]).all():
-            what = f"{name} holds other than {wanted} finite numbers"
-            raise DatasetError(path, what, "replace the file")
+            problem = f"{name} holds other than {wanted} finite numbers"
+            raise DatasetError(path, problem, "replace the file")
     calibration = Calibration(*rows.values())
     if torch.linalg.matrix_rank(_to_four(calibration.camera_to_road, 4)) < 4:
         raise DatasetError(path, "Tr_cam_to_road has no inverse", "replace the file")
@@ -154,18 +154,18 @@ def _to_four(values: tuple[float, ...], columns: int) -> Tensor:
 def kitti_ground_camera(
     calibration: Calibration, width: int, height: int, mount: tuple[float, float] = (0.0, 0.0)
 ) -> GroundCamera:
-    """The left colour camera of a KITTI calibration over its road plane, for pictures of a size.
+    """The left colour camera of a KITTI calibration over its road plane, for images of a size.
 
     The robot's frame begins below that camera, or such that it stands at ``mount``; KITTI's road
     has x to the right, y down and z ahead, and counts pixels from one. Raises InputError where
-    the optical axis misses the picture: it is not of that camera, or cropped.
+    the optical axis misses the image: it is not of that camera, or cropped.
     """
     projection = np.array(calibration.projection).reshape(3, 4)
     inner = projection[:, :3]
     across, down = float(inner[0, 2]), float(inner[1, 2])  # where the optical axis is, from one
     if not (1 <= across <= width and 1 <= down <= height):
-        what = f"is {width}×{height} pixels, the calibration's middle {across:.0f}, {down:.0f}"
-        raise InputError("image", what, "give pictures of that camera at their own size")
+        problem = f"is {width}×{height} pixels, the calibration's middle {across:.0f}, {down:.0f}"
+        raise InputError("image", problem, "give images of that camera at their own size")
     camera_to_road = np.array(calibration.camera_to_road).reshape(3, 4)
     rectification = np.array(calibration.rectification).reshape(3, 3)
     turned = camera_to_road[:, :3] @ np.linalg.inv(rectification)  # rectified camera to road

@@ -1,4 +1,4 @@
-"""What stays the same in all pictures of one camera, as a file: ego car, horizon, seed row."""
+"""What stays the same in all images of one camera, as a file: ego car, horizon, seed row."""
 
 import os
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from roadtorch.road.ego import Ego, ego_car, is_given
 
 
 POINTS = 160  # points of a look: enough for a sure answer, few enough for a file that people read
-EDGE_ROWS = 2  # rows above the ego car that its edge is spread over, of a picture 320 pixels wide
-SHIFT = 1  # pixels by which a picture may be displaced, as rounding does when pictures are scaled
+EDGE_ROWS = 2  # rows above the ego car that its edge is spread over, of an image 320 pixels wide
+SHIFT = 1  # pixels by which an image may be displaced, as rounding does when images are scaled
 
 MAX_LIKENESS, MIN_LIKENESS = 0.5, 0.2
 """The likeness that is asked for lies between: other cameras have about .1, and .5 hardly ever."""
@@ -38,7 +38,7 @@ class EgoLook(Settings):
     """Softened gradients of the ego car at some points; no points where there is no ego car."""
 
     least: float = Field(
-        default=MIN_LIKENESS, ge=-1, le=1, description="likeness of its own pictures"
+        default=MIN_LIKENESS, ge=-1, le=1, description="likeness of its own images"
     )
     rows: Shares = Field(default=(), strict=False, description="points, shares of the height")
     columns: Shares = Field(default=(), strict=False, description="shares of the width")
@@ -53,7 +53,7 @@ class EgoLook(Settings):
 
 
 def ego_look(still: Stillness, rows: Tensor) -> EgoLook:
-    """The look of the ego car that begins at rows (w,) int64 in pictures (h,w): the surest points.
+    """The look of the ego car that begins at rows (w,) int64 in images (h,w): the surest points.
 
     Points lie apart (each the best of 3×3 pixels), so that one long edge is not all there is.
     """
@@ -79,12 +79,12 @@ def rounded(values: Tensor, digits: int) -> tuple[float, ...]:
 
 
 def likenesses(look: EgoLook, gradients: Sequence[Tensor]) -> Tensor:
-    """The likeness (n,) of each of the gradients (2,h,w) of n small pictures."""
+    """The likeness (n,) of each of the gradients (2,h,w) of n small images."""
     return torch.tensor([gradient_likeness(look, gradient) for gradient in gradients])
 
 
 def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
-    """How alike the gradient (2,h,w) of a small grey picture is to a look, from -1 to 1.
+    """How alike the gradient (2,h,w) of a small grey image is to a look, from -1 to 1.
 
     A cosine, the best of shifts; .1 for other cameras.
     """
@@ -103,9 +103,9 @@ def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
 # --- the camera ------------------------------------------------------------------------
 
 SAME_SHAPE = 1.06
-"""Ratio of two aspect ratios up to which pictures may come from one camera: crops, rounding."""
+"""Ratio of two aspect ratios up to which images may come from one camera: crops, rounding."""
 
-REMEDY = "give pictures of the camera that the file was made for, or make one for theirs"
+HINT = "give images of the camera that the file was made for, or make one for theirs"
 
 
 class Camera(Settings):
@@ -119,14 +119,14 @@ class Camera(Settings):
     """
 
     width: int = Field(ge=1, description="of the footage, in pixels")
-    height: int = Field(ge=1, description="likewise; pictures may be scaled")
+    height: int = Field(ge=1, description="likewise; images may be scaled")
     frames: int = Field(ge=1, description="how many were seen")
     horizon: float = Field(ge=0, le=1, description="row of the vanishing point")
     seed_row: float = Field(
         ge=0, le=1, description="the lowest ground in the middle: where the ego car begins, or 1"
     )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
-    look: EgoLook = Field(default=EgoLook(), description="how pictures of another camera are told")
+    look: EgoLook = Field(default=EgoLook(), description="how images of another camera are told")
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Camera":
@@ -134,9 +134,9 @@ class Camera(Settings):
         values = read_settings_file(Path(path))
         try:
             return build_settings(cls, values)
-        except ConfigError as problem:
-            what = f"is no file of a camera: {problem.where}: {problem.what}"
-            raise ConfigError(path, what, "make one with roadtorch camera") from None
+        except ConfigError as error:
+            problem = f"is no file of a camera: {error.where}: {error.problem}"
+            raise ConfigError(path, problem, "make one with roadtorch camera") from None
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the file that ``read`` reads."""
@@ -150,12 +150,12 @@ class Camera(Settings):
         height, width = image.shape[-2:]
         ratio = width / height / (self.width / self.height)
         if not 1 / SAME_SHAPE <= ratio <= SAME_SHAPE:
-            what = f"is {width}×{height} pixels, the camera's footage {self.width}×{self.height}"
-            raise InputError("image", what, REMEDY)
+            problem = f"is {width}×{height} pixels, the camera's footage {self.width}×{self.height}"
+            raise InputError("image", problem, HINT)
         if self.look.rows:
             gradient = gradient_of(small_grey(image, small_size([image])))
             if gradient_likeness(self.look, gradient) < self.look.least:
-                raise InputError("image", "does not show this camera's ego car", REMEDY)
+                raise InputError("image", "does not show this camera's ego car", HINT)
 
     def settings_for(self, kind: type[Settings]) -> dict[str, Any]:
         """Values for a detector's settings of that kind, nested: what of the camera it can use.
@@ -171,14 +171,14 @@ class Camera(Settings):
         return values
 
 
-# --- the picture beside the file ------------------------------------------------------
+# --- the image beside the file ------------------------------------------------------
 
 
 CHECK_WIDTH = 640  # pixels of each half
 SEED_SIDES = (3 / 8, 5 / 8)  # shares of the width between which the seed row is drawn
 
 
-def check_picture(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
+def check_image(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
     """The mean of frames (3,H,W) and their middle one, side by side: an image (3,h,1280) in [0,1].
 
     The ego car is tinted and outlined; the horizon is a blue line, the seed row an orange one.

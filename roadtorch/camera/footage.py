@@ -31,7 +31,7 @@ from roadtorch.camera.gradients import (
     stillness,
     vanishing_point,
 )
-from roadtorch.imaging.resize import at_picture_size, size_of
+from roadtorch.imaging.resize import at_image_size, size_of
 from roadtorch.road.ego import Ego
 
 # --- the ego car below an edge that never moves ---------------------------------------
@@ -54,7 +54,7 @@ MIN_EGO_ROW, BELOW_HORIZON = 0.6, 0.12
 """An ego car begins below this share of the height, and this far below the vanishing point."""
 
 MIN_EGO_HEIGHT = 0.02
-"""Share of the height; a strip that is nowhere higher is a border of the picture, or nothing."""
+"""Share of the height; a strip that is nowhere higher is a border of the image, or nothing."""
 
 MAX_ROAD_LINES = 0.45
 """Share of slanting edges that aim at the vanishing point, from which a place is road. About
@@ -86,7 +86,7 @@ def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
     if rows is None:
         return None
     below = torch.arange(size[0])[:, None] >= rows
-    return at_picture_size(below, size_of(frames[0]))
+    return at_image_size(below, size_of(frames[0]))
 
 
 def look_through(gradients: Sequence[Tensor]) -> Footage:
@@ -143,7 +143,7 @@ def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
 def best_path(evidence: Tensor) -> tuple[Tensor, float]:
     """The path across evidence (h,w) that gains most: its row (w,) int64 in each column, and gain.
 
-    The row is h where the path is below the picture, which is free; the gain is above
+    The row is h where the path is below the image, which is free; the gain is above
     NEUTRAL_EVIDENCE, mean over the columns. Dynamic programming over the columns.
     """
     height, width = evidence.shape
@@ -200,8 +200,8 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     shapes = sorted(set(sizes), key=lambda size: size[1] / size[0])
     (low_height, low_width), (height, width) = shapes[0], shapes[-1]
     if width / height > SAME_SHAPE * low_width / low_height:
-        what = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
-        raise InputError(where, what, "give the footage of one")
+        problem = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
+        raise InputError(where, problem, "give the footage of one")
     size = small_size(greys)
     gradients = [
         gradient_of(F.interpolate(grey[None, None], size, mode="bilinear")[0, 0]) for grey in greys
@@ -214,7 +214,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     look, outline = EgoLook(), ()
     if rows is not None:
         look = ego_look(footage.still, rows)
-        # Three fifths of what four pictures of five exceed: those to come differ more than these.
+        # Three fifths of what four images of five exceed: those to come differ more than these.
         usual = float(likenesses(look, gradients).quantile(0.2))
         least = min(MAX_LIKENESS, max(MIN_LIKENESS, 0.6 * usual))
         look = look.model_copy(update={"least": round(least, 3)})
@@ -241,10 +241,12 @@ def _check_looks(footage: Footage, gradients: list[Tensor], where: str) -> None:
     for shown, lacking in (halves, halves[::-1]):
         some, other = ([gradients[at] for at in half] for half in (shown, lacking))
         if _is_foreign(footage.point, some, other):
-            what = f"is of several cameras: {len(lacking)} of {len(gradients)} frames do not show "
-            what += "the ego car of the others, such as number "
-            what += ", ".join(str(at + 1) for at in lacking[:5])
-            raise InputError(where, what, "give the footage of one")
+            problem = (
+                f"is of several cameras: {len(lacking)} of {len(gradients)} frames do not show "
+            )
+            problem += "the ego car of the others, such as number "
+            problem += ", ".join(str(at + 1) for at in lacking[:5])
+            raise InputError(where, problem, "give the footage of one")
 
 
 def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) -> bool:

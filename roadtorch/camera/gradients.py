@@ -2,9 +2,9 @@
 
 Where a bonnet, a dashboard or a wiper begins, the gradient points the same way in every frame;
 where the street passes, it points anywhere. Lane marks, kerbs, rails and the feet of houses run
-ahead, and their pictures meet in a point on the horizon: each frame's strong gradients vote for
+ahead, and their images meet in a point on the horizon: each frame's strong gradients vote for
 the points that their edges aim at (after Kong, Audibert and Ponce, "Vanishing point detection for
-road detection", CVPR 2009, who vote with Gabor filters in one picture). Frames are looked at 320
+road detection", CVPR 2009, who vote with Gabor filters in one image). Frames are looked at 320
 pixels wide: edges of the ego car stay visible, and a hundred frames take seconds.
 """
 
@@ -208,7 +208,7 @@ def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Ten
     return (vote * sides).sum(2), sides.sum(2)
 
 
-# --- the horizon of one picture -------------------------------------------------------
+# --- the horizon of one image -------------------------------------------------------
 
 
 FARTHEST_SHARE = 0.05
@@ -216,7 +216,7 @@ FARTHEST_SHARE = 0.05
 
 GROUND_BELOW_HORIZON = 0.025
 """By which share of the height the farthest ground ends below the horizon: the median of 16
-rendered streets and four pictures of KITTI's."""
+rendered streets and four images of KITTI's."""
 
 MIN_GROUND = 0.25  # share of the columns that have to end in ground
 MAX_APART = 0.15  # share of the height by which both may differ
@@ -254,6 +254,6 @@ def horizon_of(image: Tensor, layout: Tensor) -> Horizon:
     meeting = vanishing_point([gradient_of(grey)]).row
     shown, aimed = max(top - GROUND_BELOW_HORIZON, 0.0), min(meeting, top)
     if abs(shown - meeting) > MAX_APART:
-        what = f"has ground up to row {top:.2f}, but lines that meet at row {meeting:.2f}"
-        raise InputError("image", what, PITCH_REMEDY)
+        problem = f"has ground up to row {top:.2f}, but lines that meet at row {meeting:.2f}"
+        raise InputError("image", problem, PITCH_REMEDY)
     return Horizon((shown + aimed) / 2, max(MIN_SPREAD, abs(shown - meeting) / 2))

@@ -1,4 +1,4 @@
-"""How a camera's picture lies on flat ground: the lens, its place on the robot, points between.
+"""How a camera's image lies on flat ground: the lens, its place on the robot, points between.
 
 Frames are those of REP 103. Robot: x forward, y left, z up, in metres; the ground is z = 0.
 Camera: x right, y down, z along the optical axis. Pixels: (column, row), the middle of the first
@@ -17,12 +17,12 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import Settings
 
 MIN_PITCH, MAX_PITCH = -30.0, 89.0
-"""Degrees; upwards less ground is seen, and straight down the picture has no forward."""
+"""Degrees; upwards less ground is seen, and straight down the image has no forward."""
 
 MAX_ROLL = 45.0
 
-SAME_ASPECT = 0.01  # share by which two aspect ratios may differ: a picture scaled to whole pixels
-MIN_DISTANCE = 1e-6  # metres ahead of the lens from which a point has a picture
+SAME_ASPECT = 0.01  # share by which two aspect ratios may differ: an image scaled to whole pixels
+MIN_DISTANCE = 1e-6  # metres ahead of the lens from which a point has an image
 
 MAX_MISS = 0.5
 """Pixels by which a point may miss itself when its distortion is undone and done again."""
@@ -43,7 +43,7 @@ Triple = tuple[float, float, float]
 class Lens(Settings):
     """How rays become pixels: focal lengths and principal point in pixels, and distortion."""
 
-    width: int = Field(ge=1, description="of the pictures, in pixels")
+    width: int = Field(ge=1, description="of the images, in pixels")
     height: int = Field(ge=1, description="likewise")
     focal_x: Focal
     focal_y: Focal
@@ -69,10 +69,10 @@ class Lens(Settings):
         )
 
     def at(self, width: int, height: int) -> "Lens":
-        """The lens for pictures scaled to that size; InputError for another aspect ratio."""
+        """The lens for images scaled to that size; InputError for another aspect ratio."""
         if abs(width * self.height / (height * self.width) - 1) > SAME_ASPECT:
-            what = f"is {width}×{height} pixels, the calibration {self.width}×{self.height}"
-            raise InputError("image", what, "give pictures of that shape, uncropped")
+            problem = f"is {width}×{height} pixels, the calibration {self.width}×{self.height}"
+            raise InputError("image", problem, "give images of that shape, uncropped")
         across, down = width / self.width, height / self.height
         changes = {
             "width": width,
@@ -91,8 +91,8 @@ def lens_of_view(width: int, height: int, degrees: float) -> Lens:
     Raises ConfigError for an angle that no pinhole has.
     """
     if not 1 <= degrees <= 170:
-        remedy = "give 1 to 170 degrees from side to side"
-        raise ConfigError("--fov", f"{degrees:g} degrees were given", remedy)
+        hint = "give 1 to 170 degrees from side to side"
+        raise ConfigError("--fov", f"{degrees:g} degrees were given", hint)
     focal = width / 2 / math.tan(math.radians(degrees) / 2)
     across, down = (width - 1) / 2, (height - 1) / 2
     return Lens(
@@ -132,8 +132,8 @@ def mounted(
         ("--roll", roll, -MAX_ROLL, MAX_ROLL, "degrees"),
     ):
         if not low <= value <= high:
-            remedy = f"give {low:g} to {high:g} {unit}"
-            raise ConfigError(option, f"{value:g} was given", remedy)
+            hint = f"give {low:g} to {high:g} {unit}"
+            raise ConfigError(option, f"{value:g} was given", hint)
     sine, cosine = math.sin(math.radians(pitch)), math.cos(math.radians(pitch))
     right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
     turn, level = math.sin(math.radians(roll)), math.cos(math.radians(roll))
@@ -157,7 +157,7 @@ class GroundCamera:
     def pixels_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (n,2) float64 of points (n,3) in the robot's frame, and which of them it has.
 
-        The second, bool (n,), is False behind the camera, outside the picture, and where the
+        The second, bool (n,), is False behind the camera, outside the image, and where the
         distortion turns back on itself.
         """
         rays = (points - self.pose.position) @ np.array(self.pose.axes).T
@@ -204,11 +204,11 @@ def pitch_of_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
     """Degrees of pitch at which the horizon crosses the principal column at that row.
 
     horizon: share of the height from the top; roll in degrees. Raises ConfigError for a row
-    outside the picture.
+    outside the image.
     """
     if not 0 <= horizon <= 1:
-        remedy = "it is a share of the height, 0 to 1; else give --pitch"
-        raise ConfigError("horizon", f"{horizon:g} lies outside the picture", remedy)
+        hint = "it is a share of the height, 0 to 1; else give --pitch"
+        raise ConfigError("horizon", f"{horizon:g} lies outside the image", hint)
     row = horizon * lens.height - 0.5
     down = undistorted(lens, np.array([[lens.centre_x, row]]))[0, 1]
     return math.degrees(math.atan(-float(down) * math.cos(math.radians(roll))))

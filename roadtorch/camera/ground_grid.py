@@ -24,15 +24,15 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # values of cells, those of nav_msgs/Occup
 ALONG, ACROSS = 2, 4  # samples per cell, along a ray and, at the farthest, from ray to ray
 MIN_CELLS, MAX_CELLS = 4, 2000  # cells ahead of the camera
 MAX_SAMPLES = 2**24  # of all rays: some seconds, and a gigabyte
-MIN_SEEN = 0.5  # share of a cell's samples that a picture must show
+MIN_SEEN = 0.5  # share of a cell's samples that an image must show
 
 JOINED, BETWEEN = 4, 8
 """Cells that the ends of neighbouring rays may lie apart and still be one edge, and the points
 that are set between them."""
 
-MAX_HALVINGS = 8  # of the picture, for cells that cover many of its pixels
+MAX_HALVINGS = 8  # of the image, for cells that cover many of its pixels
 
-BORDER = 64  # pixels of each side of the picture whose rays bound the view
+BORDER = 64  # pixels of each side of the image whose rays bound the view
 
 Length = Annotated[float, Field(gt=0, le=1000)]
 
@@ -88,8 +88,10 @@ def ground_grid(
     """
     lens, size = camera.lens, settings.resolution
     if tuple(road.shape) != (lens.height, lens.width):
-        what = f"is {road.shape[1]}×{road.shape[0]} pixels, the lens {lens.width}×{lens.height}"
-        raise InputError("road", what, "give a map of the lens's size, or lens.at(width, height)")
+        problem = f"is {road.shape[1]}×{road.shape[0]} pixels, the lens {lens.width}×{lens.height}"
+        raise InputError(
+            "road", problem, "give a map of the lens's size, or lens.at(width, height)"
+        )
     places = ray_places(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
     likelihood = _looked_up(road.float(), places)
     visible = places.inside
@@ -121,7 +123,7 @@ def ground_grid(
     )
 
 
-# --- where rays are in the picture ------------------------------------------------------
+# --- where rays are in the image ------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +131,8 @@ class RayPlaces:
     """Pixels of the samples of all rays; shared between calls, never changed.
 
     azimuth (B,) and distance (K+1,) of samples. columns, rows: float32 (K+1,B). halvings: (K+1,),
-    how often the picture is halved for them, so that no pixel between them is left out. inside:
-    bool (K+1,B), in the picture and fine enough.
+    how often the image is halved for them, so that no pixel between them is left out. inside:
+    bool (K+1,B), in the image and fine enough.
     """
 
     azimuth: Tensor
@@ -141,7 +143,7 @@ class RayPlaces:
     inside: Tensor
 
 
-@lru_cache(maxsize=2)  # some 10 MB each; the pictures of one camera come one after the other
+@lru_cache(maxsize=2)  # some 10 MB each; the images of one camera come one after the other
 def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
     """Where a camera sees the samples of its rays; InputError where it sees no ground."""
     low, high = _view(camera)
@@ -151,8 +153,8 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
     step = settings.resolution / ALONG
     distance = (np.arange(math.ceil(reach / step) + 1) + 0.5) * step
     if len(distance) * count > MAX_SAMPLES:
-        what = f"{len(distance) * count} samples are too many"
-        raise InputError("grid", what, "give a coarser resolution, or less ahead")
+        problem = f"{len(distance) * count} samples are too many"
+        raise InputError("grid", problem, "give a coarser resolution, or less ahead")
     direction = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], 1)
     foot = np.array([*camera.pose.position[:2], 0.0])
     points = (foot + distance[:, None, None] * direction).reshape(-1, 3)
@@ -161,8 +163,8 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
     apart = np.linalg.norm(np.diff(pixels, axis=0, append=pixels[-1:]), axis=2)
     inside &= apart * ALONG * settings.coarsest >= 1
     if not inside.any():
-        what = f"shows no ground within {settings.range:g} m"
-        raise InputError("image", what, "check height, pitch and field of view")
+        problem = f"shows no ground within {settings.range:g} m"
+        raise InputError("image", problem, "check height, pitch and field of view")
     typical = (apart * inside).sum(1) / np.maximum(inside.sum(1), 1)
     halvings = np.floor(np.log2(np.clip(typical, 1, 2**MAX_HALVINGS))).astype(int)
     columns, rows = (np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1))
@@ -177,7 +179,7 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
 
 
 def _view(camera: GroundCamera) -> tuple[float, float]:
-    """Least and greatest azimuth, radians, of the ground in the picture, at most ±π/2."""
+    """Least and greatest azimuth, radians, of the ground in the image, at most ±π/2."""
     width, height = camera.lens.width, camera.lens.height
     foot = np.array([[*camera.pose.position[:2], 0.0]])
     if camera.pixels_of(foot)[1].any():

@@ -1,4 +1,4 @@
-"""Where a camera is above the ground, for each picture: what the user, files and layouts say."""
+"""Where a camera is above the ground, for each image: what the user, files and layouts say."""
 
 import json
 import math
@@ -49,8 +49,8 @@ class Mounting:
     def pose(self, pitch: float) -> Pose:
         """Where the camera is at so many degrees; ConfigError for what is beyond the limits."""
         if self.height is None:
-            remedy = "give the camera's height above the ground in metres, or --calibration"
-            raise ConfigError("--height", "is missing", remedy)
+            hint = "give the camera's height above the ground in metres, or --calibration"
+            raise ConfigError("--height", "is missing", hint)
         return mounted(self.height, pitch, self.roll, self.mount)
 
 
@@ -64,11 +64,11 @@ class Pitch(NamedTuple):
 
 @dataclass(frozen=True)
 class Placing:
-    """How the camera over the ground is found for each picture.
+    """How the camera over the ground is found for each image.
 
     calibration: KITTI's, which tells all but ``mount``. lens: None for one of ``fov``, and where
     each bag tells its own. horizon: of the camera's file, share of the height. pitch: None where
-    the horizon tells it, or else the layout of each picture.
+    the horizon tells it, or else the layout of each image.
     """
 
     mounting: Mounting
@@ -83,8 +83,8 @@ class Placing:
         return self.lens is None and self.calibration is None and self.mounting.fov is None
 
     @property
-    def asks_pictures(self) -> bool:
-        """Whether each picture tells the pitch by its layout."""
+    def asks_images(self) -> bool:
+        """Whether each image tells the pitch by its layout."""
         return self.calibration is None and self.horizon is None and self.pitch is None
 
     def through(self, lens: Lens) -> "Placing":
@@ -105,7 +105,7 @@ class Placing:
         return f"# {json.dumps({name: fact for name, fact in facts.items() if fact is not None})}"
 
     def __call__(self, image: Tensor, layout: Tensor | None) -> tuple[GroundCamera, Pitch]:
-        """The camera of a picture (3,H,W); InputError where its layout does not tell the pitch."""
+        """The camera of an image (3,H,W); InputError where its layout does not tell the pitch."""
         height, width = image.shape[-2:]
         if self.calibration is not None:
             camera = kitti_ground_camera(self.calibration, width, height, self.mounting.mount)
@@ -123,8 +123,8 @@ class Placing:
 
     def _of_layout(self, lens: Lens, image: Tensor, layout: Tensor | None) -> Pitch:
         if layout is None or layout.ndim != 3:
-            remedy = "give --pitch or --camera, or a detector with a layout, such as fusion"
-            raise InputError("image", "has no layout by this detector to tell the pitch", remedy)
+            hint = "give --pitch or --camera, or a detector with a layout, such as fusion"
+            raise InputError("image", "has no layout by this detector to tell the pitch", hint)
         row, spread = horizon_of(image, layout)
         unsure = math.degrees(math.atan(spread * lens.height / lens.focal_y))
         reason = f"horizon at row {row:.3f} of the layout, unsure by {unsure:.1f} degrees"
@@ -140,9 +140,9 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
     ways = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
     ways["--calibration"] = mounting.calibration
     named = [name for name, value in ways.items() if value is not None]
-    remedy = f"give one of {', '.join(ways)}"
+    hint = f"give one of {', '.join(ways)}"
     if len(named) > 1:
-        raise ConfigError("grid", f"{' and '.join(named)} were given", remedy)
+        raise ConfigError("grid", f"{' and '.join(named)} were given", hint)
     if mounting.calibration is not None:
         own = {
             "--height": mounting.height,
@@ -150,11 +150,11 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
             "--roll": mounting.roll or None,
         }
         for name in (name for name, value in own.items() if value is not None):
-            what = "was given beside --calibration, which has it"
-            raise ConfigError(name, what, "leave it out")
+            problem = "was given beside --calibration, which has it"
+            raise ConfigError(name, problem, "leave it out")
         return Placing(mounting, read_calibration(mounting.calibration))
     if not named and not of_bags:
-        raise ConfigError("grid", "nothing tells the lens", remedy)
+        raise ConfigError("grid", "nothing tells the lens", hint)
     mounting.pose(mounting.pitch or 0.0)
     if mounting.fov is not None:
         lens_of_view(2, 2, mounting.fov)
@@ -167,7 +167,7 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
 
 
 def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
-    """One pitch for a whole source: single pictures jitter, and a robot's camera does not."""
+    """One pitch for a whole source: single images jitter, and a robot's camera does not."""
     degrees = [pitch.degrees for pitch in pitches]
     spread = statistics.median(pitch.spread for pitch in pitches)
     reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"

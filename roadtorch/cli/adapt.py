@@ -36,7 +36,7 @@ def adapt(
 ) -> None:
     """Fine-tune the network of fusion on footage, without labels, and report whether it helped.
 
-    FOOTAGE: pictures, folders, quoted globs, videos, bags; some minutes of one camera. Each half
+    FOOTAGE: images, folders, quoted globs, videos, bags; some minutes of one camera. Each half
     of it trains a network that is judged on the other half; the last line says adopt, do not
     adopt, or cannot tell, and why.
 
@@ -44,7 +44,7 @@ def adapt(
     The folder --out gets
       weights.safetensors  for infer --set weights.file=OUT/weights.safetensors
       camera.toml          what stays the same, for infer --camera; where the footage shows it
-      adaptation.html      before and after, on pictures
+      adaptation.html      before and after, on images
       frames/, looks/      the sampled frames, and the teacher's prediction for each
       prepared/            the same, averaged with those of the frames around
       first/, second/      the run of each half
@@ -55,7 +55,7 @@ def adapt(
     from roadtorch.base.settings import config_file, merge, parse_assignments, read_settings_file
     from roadtorch.train.adaptation.adapt import adapt as run
     from roadtorch.train.before_after import write_page
-    from roadtorch.train.config import PictureTraining, build_training
+    from roadtorch.train.config import ImageTraining, build_training
     from roadtorch.train.folder import PAGE
     from roadtorch.train.run import Request
 
@@ -63,8 +63,8 @@ def adapt(
         torch.set_num_threads(threads)
     values = merge(read_settings_file(config_file(CONFIG)), parse_assignments(assignments))
     training = build_training(values)
-    if not isinstance(training, PictureTraining) or not training.start:
-        message = "adaptation starts from a network for whole pictures"
+    if not isinstance(training, ImageTraining) or not training.start:
+        message = "adaptation starts from a network for whole images"
         raise ConfigError("kind, start", message, "leave kind as it is, and give start=WEIGHTS")
     done = run(footage, out, training, most, quiet)
     outcome, verdict, frames = done.outcome, str(done.verdict), done.frames

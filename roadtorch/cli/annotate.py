@@ -19,7 +19,7 @@ FORMATS = ("png", "coco")
     "--order",
     type=click.Choice(ORDERS),
     default=ORDERS[0],
-    help="Which picture comes next.",
+    help="Which image comes next.",
 )
 @with_detector
 @click.option("--report", "reports", is_flag=True, help="Say what was corrected, and stop.")
@@ -41,7 +41,7 @@ def annotate(
     imported: str | None,
     origin: Path | None,
 ) -> None:
-    """Correct the machine's labels of the pictures in FOLDER, in a page in your browser.
+    """Correct the machine's labels of the images in FOLDER, in a page in your browser.
 
     The page is served to this computer alone, to whoever has its address. Every stroke is on disk
     at once; a second run resumes where the first one stopped.
@@ -61,7 +61,7 @@ def annotate(
         corrected = read_corrections(out, folder)
         context.with_resource(shared(to))
         KNOWN[exported].write(corrected, to)
-        click.echo(f"{len(corrected)} pictures written to {to}")
+        click.echo(f"{len(corrected)} images written to {to}")
     elif imported:
         from roadtorch.annotate.session import import_labels
         from roadtorch.run.folder import output_lock
@@ -70,23 +70,23 @@ def annotate(
             raise click.UsageError("Missing option '--from'")
         context.with_resource(output_lock(out))
         count = import_labels(imported, origin, folder, out)
-        click.echo(f"{count} pictures brought in")
+        click.echo(f"{count} images brought in")
     else:
-        from roadtorch.annotate.next_pictures import PictureOrder
+        from roadtorch.annotate.next_images import ImageOrder
         from roadtorch.annotate.session import opened_session
         from roadtorch.base.errors import ConfigError
-        from roadtorch.inputs.pictures import find_pictures
+        from roadtorch.inputs.images import find_images
         from roadtorch.run.folder import output_lock
 
         try:
             from roadtorch.annotate.server import page_server
         except ImportError:
-            remedy = "pip install 'roadtorch[annotate]'"
-            raise ConfigError("annotate", "needs Starlette and uvicorn", remedy) from None
-        count = len(find_pictures([folder], out))
+            hint = "pip install 'roadtorch[annotate]'"
+            raise ConfigError("annotate", "needs Starlette and uvicorn", hint) from None
+        count = len(find_images([folder], out))
         detector, _ = choice.loaded()
         context.with_resource(output_lock(out))
-        server = page_server(opened_session(folder, out, detector, order=PictureOrder(order)), port)
-        click.echo(f"{count} pictures; corrections are kept in {out}")
+        server = page_server(opened_session(folder, out, detector, order=ImageOrder(order)), port)
+        click.echo(f"{count} images; corrections are kept in {out}")
         click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")
         server.run()

@@ -39,8 +39,8 @@ class Check(NamedTuple):
 
     name: str
     state: Literal["ok", "missing", "broken"]
-    what: str
-    remedy: str = ""
+    problem: str
+    hint: str = ""
 
 
 def check_machine() -> list[Check]:
@@ -73,11 +73,11 @@ def check_packages() -> list[Check]:
         versions = {name: _installed(name) for name in _requirements(extra)}
         absent = [name for name, release in versions.items() if not release]
         if absent and extra not in OF_DEVELOPERS:
-            what = f"{', '.join(absent)} not installed"
-            checks.append(Check(extra, "missing", what, f"pip install 'roadtorch[{extra}]'"))
+            problem = f"{', '.join(absent)} not installed"
+            checks.append(Check(extra, "missing", problem, f"pip install 'roadtorch[{extra}]'"))
         elif not absent:
-            what = ", ".join(f"{name} {release}" for name, release in versions.items())
-            checks.append(Check(extra, "ok", what))
+            problem = ", ".join(f"{name} {release}" for name, release in versions.items())
+            checks.append(Check(extra, "ok", problem))
     return checks
 
 
@@ -104,13 +104,15 @@ def check_video() -> list[Check]:
     try:
         import av
     except ImportError:
-        remedy = "pip install 'roadtorch[video]'"
-        return [Check("video", "missing", "PyAV is not installed", remedy)]
+        hint = "pip install 'roadtorch[video]'"
+        return [Check("video", "missing", "PyAV is not installed", hint)]
     read = [name for name in VIDEO if name in av.codecs_available]
     absent = [name for name in VIDEO if name not in read]
     writes = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-    what = f"PyAV {av.__version__}: reads {' '.join(read)}; writes {writes}"
-    return [Check("video", "ok", what + (f"; does not read {' '.join(absent)}" if absent else ""))]
+    problem = f"PyAV {av.__version__}: reads {' '.join(read)}; writes {writes}"
+    return [
+        Check("video", "ok", problem + (f"; does not read {' '.join(absent)}" if absent else ""))
+    ]
 
 
 def check_weights() -> list[Check]:
@@ -124,8 +126,8 @@ def check_weights() -> list[Check]:
         try:
             load_network(path)
             checks.append(Check(path.name, "ok", f"SHA-256 {digest_of(path)[:12]}…"))
-        except WeightsError as problem:
-            checks.append(Check(path.name, "broken", problem.what, AGAIN))
+        except WeightsError as error:
+            checks.append(Check(path.name, "broken", error.problem, AGAIN))
     return checks or [Check("weights", "broken", "none are there", AGAIN)]
 
 
@@ -150,14 +152,14 @@ def check_self_test() -> list[Check]:
         float(f_measure(count_mask(first.mask, scene.road, ~scene.void))),
         statistics.median(times),
     )
-    what = f"F {f:.3f}, {ms:.0f} ms at {WIDTH}×{HEIGHT} (median of {ROUNDS}), "
-    what += f"{peak_mebibytes():.0f} MiB at most"
+    problem = f"F {f:.3f}, {ms:.0f} ms at {WIDTH}×{HEIGHT} (median of {ROUNDS}), "
+    problem += f"{peak_mebibytes():.0f} MiB at most"
     wrong = "" if same else "; two runs differ"
     if not f >= MIN_F:  # also true of NaN
         wrong = f"; F is to be {MIN_F}"
     if wrong:
-        return [Check("fusion", "broken", what + wrong, "report it with this page")]
-    return [Check("fusion", "ok", what)]
+        return [Check("fusion", "broken", problem + wrong, "report it with this page")]
+    return [Check("fusion", "ok", problem)]
 
 
 SECTIONS: dict[str, Callable[[], list[Check]]] = {
@@ -184,12 +186,12 @@ def doctor(context: click.Context) -> None:
     for section, look in SECTIONS.items():
         try:
             checks = look()
-        except Exception as problem:  # an installation can be broken in any way
-            what = f"{type(problem).__name__}: {reason(problem)}"
-            checks = [Check(section, "broken", what, AGAIN)]
+        except Exception as error:  # an installation can be broken in any way
+            problem = f"{type(error).__name__}: {reason(error)}"
+            checks = [Check(section, "broken", problem, AGAIN)]
         click.echo(f"\n{section}")
         for check in checks:
-            remedy = f" ({check.remedy})" if check.remedy else ""
-            click.echo(f"  {check.state:<8} {check.name:<28} {check.what}{remedy}")
+            hint = f" ({check.hint})" if check.hint else ""
+            click.echo(f"  {check.state:<8} {check.name:<28} {check.problem}{hint}")
             is_well &= check.state != "broken"
     context.exit(0 if is_well else 1)

@@ -1,4 +1,4 @@
-"""roadtorch evaluate: detectors over labelled pictures, beside the baselines."""
+"""roadtorch evaluate: detectors over labelled images, beside the baselines."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 @click.option("--tune", is_flag=True, help="Choose each detector's threshold: OUT/NAME.toml.")
 @click.option("--submit", is_flag=True, help="Write maps for KITTI's server instead (kitti-road).")
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
-@click.option("--conditions", type=PATH, help="CSV with each picture's conditions, for ROOT's own.")
+@click.option("--conditions", type=PATH, help="CSV with each image's conditions, for ROOT's own.")
 @click.option(
     "--leave-out",
     "left_out",
@@ -56,14 +56,14 @@ if TYPE_CHECKING:
 )
 @click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
 @click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
-@click.option("--limit", type=click.IntRange(min=1), help="Look at this many pictures only.")
+@click.option("--limit", type=click.IntRange(min=1), help="Look at this many images only.")
 @JOBS
 @click.option("--out", type=PATH, help="Folder for metrics.json, report.html, tables and rows.")
 @click.option(
     "--montage",
     type=click.IntRange(min=0),
     default=4,
-    help="Show the N best, median and worst pictures of each detector.",
+    help="Show the N best, median and worst images of each detector.",
 )
 @click.pass_context
 def evaluate(
@@ -87,16 +87,16 @@ def evaluate(
     out: Path | None,
     montage: int,
 ) -> None:
-    """Score detectors on the labelled pictures of DATASET (camvid, kitti-road, …) at ROOT.
+    """Score detectors on the labelled images of DATASET (camvid, kitti-road, …) at ROOT.
 
-    Every picture is read once and shown to every detector. Beside them stand blind
-    baselines, which never look at the picture: prior:rows, prior:triangle and, where other
+    Every image is read once and shown to every detector. Beside them stand blind
+    baselines, which never look at the image: prior:rows, prior:triangle and, where other
     groups can teach it, prior:mean.
 
     --tune chooses the threshold with the highest F, averaged over the groups, for infer
     --config; beside it stands how well such a choice carries over: F and IoU of each group at
     the threshold that the other groups choose. --submit writes the maps that KITTI's server
-    takes, of the pictures in ROOT/image_2 or ROOT/testing/image_2.
+    takes, of the images in ROOT/image_2 or ROOT/testing/image_2.
     """
     from roadtorch.base.settings import parse_assignments
     from roadtorch.camera.camera import Camera
@@ -150,12 +150,12 @@ def evaluate(
 
 def print_cautions(evaluation: "Evaluation") -> None:
     """Print a line for each detector that people's corrections taught, and for each failure."""
-    from roadtorch.layout.weights import corrected_pictures
+    from roadtorch.layout.weights import corrected_images
 
     for name, figures in evaluation.detectors.items():
-        if count := corrected_pictures(figures.contender.settings):
-            text = f"{name} was trained with {count} pictures that people corrected: not "
-            click.echo(f"roadtorch: {text}label-free, and no news on those pictures", err=True)
+        if count := corrected_images(figures.contender.settings):
+            text = f"{name} was trained with {count} images that people corrected: not "
+            click.echo(f"roadtorch: {text}label-free, and no news on those images", err=True)
     for failure in evaluation.failures:
         click.echo(f"failed: {failure.image}: {failure.reason}", err=True)
 
@@ -185,9 +185,9 @@ def write_submission(
 ) -> None:
     """Write the maps of one detector for KITTI's server, and end the command.
 
-    ROOT holds image_2 and calib, or testing/image_2 and testing/calib. The picture um_000012
+    ROOT holds image_2 and calib, or testing/image_2 and testing/calib. The image um_000012
     gives um_road_000012.png, its likelihood in bird's-eye view (800 by 400, 8 bits), and all of
-    them submission.zip once every picture is done. A second run resumes where the first stopped.
+    them submission.zip once every image is done. A second run resumes where the first stopped.
     """
     from roadtorch.data.kitti import base_folder, calib_folder
     from roadtorch.detectors.catalogue import load_detector
@@ -197,20 +197,20 @@ def write_submission(
     from roadtorch.run.memo import key_of
     from roadtorch.run.plan import RunOptions, plan
     from roadtorch.run.run import open_run
-    from roadtorch.run.writers.kitti import ARCHIVE, BirdsEyeMaps, pack, pictures_to_submit
+    from roadtorch.run.writers.kitti import ARCHIVE, BirdsEyeMaps, images_to_submit, pack
 
     threshold = contender.threshold
     detector = load_detector(contender.detector, threshold=threshold, **contender.settings)
     base = base_folder(root, "testing")
     maps = BirdsEyeMaps(out, calib_folder(base))
-    pictures = pictures_to_submit(base / "image_2", maps.calib, out)
-    todo = plan(Inputs(pictures, []), out, maps.suffixes)
+    images = images_to_submit(base / "image_2", maps.calib, out)
+    todo = plan(Inputs(images, []), out, maps.suffixes)
     effective = as_toml(detector.name, detector.settings)
     run = context.with_resource(open_run(out, effective, todo.count, RunOptions(jobs)))
     method = Method(key_of(detector), ("map",))
-    if failed := run.pictures(pictures, Task(Inference(detector), maps, method)):
+    if failed := run.images(images, Task(Inference(detector), maps, method)):
         click.echo(f"roadtorch: {out / ARCHIVE} not written, as maps are missing", err=True)
         context.exit(failed)
-    archive = pack(pictures, out)
-    click.echo(f"roadtorch: {len(pictures)} maps in {archive}", err=True)
+    archive = pack(images, out)
+    click.echo(f"roadtorch: {len(images)} maps in {archive}", err=True)
     context.exit(0)

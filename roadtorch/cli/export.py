@@ -26,7 +26,7 @@ from roadtorch.cli.options import PATH, SETTING, suggest_detectors
 def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
     """Write the part of a detector that runs without Python: fusion, layout:cnn-7.
 
-    The file takes pictures as bytes (N, height, width, 3) in RGB, of any size, and gives maps of
+    The file takes images as bytes (N, height, width, 3) in RGB, of any size, and gives maps of
     that size: all that happens before and behind the network is inside, but what needs connected
     regions. What it says is compared with Python before it is written.
     """
@@ -52,7 +52,7 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
             click.echo(f"  {key:<18} {text}")
     parity = exported.parity
     click.echo(
-        f"parity with Python on {parity.pictures} rendered pictures: at most {parity.most:.1e} off "
+        f"parity with Python on {parity.images} rendered images: at most {parity.most:.1e} off "
         f"({parity.where}), {parity.mean:.1e} in the mean; allowed {BOUND:g}"
     )
     lacks = exported.notes["lacks"]

@@ -1,4 +1,4 @@
-"""roadtorch grid: the road in pictures and footage as metric maps of the ground."""
+"""roadtorch grid: the road in images and footage as metric maps of the ground."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,7 +68,7 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
 @with_detector
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
-@click.option("--picture", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
+@click.option("--image", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
 @with_selection
 @click.option("--frame-id", default="base_link", help="Frame of the robot in bags of grids.")
 @with_run
@@ -81,22 +81,22 @@ def grid(
     choice: DetectorOptions,
     threshold: float | None,
     likelihood: bool,
-    picture: bool,
+    image: bool,
     selection: "Selection",
     frame_id: str,
     run: "RunOptions",
     **mounting: Any,
 ) -> None:
-    """Map the road in pictures and footage onto flat ground: x forward, y left (REP 103).
+    """Map the road in images and footage onto flat ground: x forward, y left (REP 103).
 
     \b
-    Each picture NAME.jpg gives, in the folder --out,
+    Each image NAME.jpg gives, in the folder --out,
       NAME.grid.pgm, NAME.grid.yaml   as Nav2's map_server loads them
       NAME.grid.npy                   int8: 0 free, 100 no road, -1 unknown
     Footage, as infer takes it, gives these for each frame, NAME/000123.grid.pgm, and a bag also
     the bag NAME.grid (of ROS 1: NAME.grid.bag) with /segmentation/grid. The camera's height is
     needed, its lens (--fov, --camera-info or --calibration; a bag's camera_info else), and its
-    pitch; without --pitch and --camera that is estimated in each picture, to 1 or 2 degrees, or
+    pitch; without --pitch and --camera that is estimated in each image, to 1 or 2 degrees, or
     once for all frames of a video or bag.
     What lies behind the first cell that is no road is unknown.
     """
@@ -116,11 +116,11 @@ def grid(
     settle(threads=1)
     found = select_inputs(inputs, selection, out)
     cells = {name: mounting.pop(name) for name in ("resolution", "range", "side")}
-    of_bags = not found.pictures and all(map(is_from_bag, found.sources))
+    of_bags = not found.images and all(map(is_from_bag, found.sources))
     placing = placing_of(Mounting(camera=camera, **mounting), of_bags)
     detector, known = choice.loaded(camera, threshold)
     settings = build_settings(GridSettings, {**cells, "threshold": detector.settings.threshold})
-    kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["picture"] * picture)
+    kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["image"] * image)
     inference = Inference(detector, known)
     grids = Grids(out, placing, settings, kinds, frame_id=frame_id)
     todo = plan(found, out, grids.suffixes, GridOutput(grids, inference, selection.topic))

@@ -25,13 +25,13 @@ COMMANDS = {
     "camera": ("roadtorch.cli.camera:camera", "Find ego car and horizon in a camera's footage."),
     "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
     "doctor": ("roadtorch.cli.doctor:doctor", "Check this installation."),
-    "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled pictures."),
+    "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled images."),
     "export": ("roadtorch.cli.export:export", "Export a network: ONNX, a web page."),
-    "grid": ("roadtorch.cli.grid:grid", "Map the road in pictures onto the ground, in metres."),
-    "infer": ("roadtorch.cli.infer:infer", "Find the road in pictures."),
-    "label": ("roadtorch.cli.label:label", "Label pictures as sky, vertical and horizontal."),
+    "grid": ("roadtorch.cli.grid:grid", "Map the road in images onto the ground, in metres."),
+    "infer": ("roadtorch.cli.infer:infer", "Find the road in images."),
+    "label": ("roadtorch.cli.label:label", "Label images as sky, vertical and horizontal."),
     "ros": ("roadtorch.cli.ros:ros", "Run a node of ROS 2 that finds the road."),
-    "train": ("roadtorch.cli.train:train", "Train a layout network on unlabelled pictures."),
+    "train": ("roadtorch.cli.train:train", "Train a layout network on unlabelled images."),
 }
 
 ELSEWHERE = {
@@ -43,11 +43,11 @@ ELSEWHERE = {
 """What other programs call our commands."""
 
 ALLOCATIONS = 50_000
-"""New objects after which Python looks for circles, of its own 700; ours: ten pictures' worth.
+"""New objects after which Python looks for circles, of its own 700; ours: ten images' worth.
 
 What a command loads (torch alone: 166 thousand objects) stays until its end. To look through it
 again and again while it is loaded, and once more at the end, takes a third of the time of a command
-on one picture."""
+on one image."""
 
 BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "20000"}
 """Threads of OpenMP that wait spin for about a millisecond, then sleep, unless somebody has said
@@ -79,8 +79,8 @@ class CommandGroup(click.Group):
         if args[0] not in COMMANDS and not (ctx.resilient_parsing or args[0].startswith("-")):
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             near = [ELSEWHERE[args[0]]] if args[0] in ELSEWHERE else near
-            remedy = f"did you mean {', '.join(near)}?" if near else "see roadtorch --help"
-            raise _Mistake(f"{args[0]}: no such command ({remedy})")
+            hint = f"did you mean {', '.join(near)}?" if near else "see roadtorch --help"
+            raise _Mistake(f"{args[0]}: no such command ({hint})")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -92,20 +92,20 @@ class CommandGroup(click.Group):
         """Run the command; mistakes and crashes become one line, unless ``--debug`` asks."""
         try:
             return super().invoke(ctx)
-        except RoadtorchError as problem:
+        except RoadtorchError as error:
             _trace(ctx)
-            mistake = _Mistake(str(problem))
-            mistake.exit_code = problem.exit_code
+            mistake = _Mistake(str(error))
+            mistake.exit_code = error.exit_code
             raise mistake from None
         except (click.ClickException, click.exceptions.Exit, click.Abort, OSError):
             raise  # OSError: a closed pipe, which click ends quietly
-        except Exception as problem:
+        except Exception as error:
             _trace(ctx)
-            if lacks_memory(problem):
-                raise click.ClickException(str(fault(ctx.invoked_subcommand, problem))) from None
-            what = f"a fault of roadtorch: {type(problem).__name__}: {problem}"
+            if lacks_memory(error):
+                raise click.ClickException(str(fault(ctx.invoked_subcommand, error))) from None
+            problem = f"a fault of roadtorch: {type(error).__name__}: {error}"
             raise click.ClickException(
-                f"{ctx.invoked_subcommand}: {what} (report it with --debug)"
+                f"{ctx.invoked_subcommand}: {problem} (report it with --debug)"
             ) from None
 
     def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
@@ -116,18 +116,18 @@ class CommandGroup(click.Group):
             with terminated_in_words(), interruption_first():
                 _settle_process()
                 code = super().main(args, **extra)
-        except (click.Abort, KeyboardInterrupt) as problem:
+        except (click.Abort, KeyboardInterrupt) as error:
             click.echo("roadtorch: interrupted; what was finished is kept", err=True)
-            cause = problem.__cause__ or problem  # click makes an Abort of KeyboardInterrupt
+            cause = error.__cause__ or error  # click makes an Abort of KeyboardInterrupt
             code = ExitCode.TERMINATED if isinstance(cause, Terminated) else ExitCode.INTERRUPTED
-        except click.exceptions.NoArgsIsHelpError as problem:
-            problem.show()
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
             code = ExitCode.WRONG_USAGE
-        except click.ClickException as problem:
-            click.echo(f"roadtorch: error: {_one_line(problem)}", err=True)
-            code = problem.exit_code
-        except OSError as problem:
-            click.echo(f"roadtorch: error: {problem}", err=True)
+        except click.ClickException as error:
+            click.echo(f"roadtorch: error: {_one_line(error)}", err=True)
+            code = error.exit_code
+        except OSError as error:
+            click.echo(f"roadtorch: error: {error}", err=True)
             code = ExitCode.SOME_FAILED
         sys.exit(code if isinstance(code, int) else 0)
 
@@ -138,20 +138,20 @@ class _Mistake(click.ClickException):
     exit_code: int = ExitCode.WRONG_USAGE
 
 
-def _one_line(problem: click.ClickException) -> str:
+def _one_line(error: click.ClickException) -> str:
     """``where: what (remedy)`` for click's own mistakes."""
-    if isinstance(problem, click.NoSuchOption):
-        near = problem.possibilities or []
-        remedy = f"did you mean {', '.join(near)}?" if near else _see_help(problem)
-        return f"{problem.option_name}: no such option ({remedy})"
-    message = " ".join(problem.format_message().split())
-    if isinstance(problem, click.UsageError):
-        return f"{message.rstrip('.')} ({_see_help(problem)})"
+    if isinstance(error, click.NoSuchOption):
+        near = error.possibilities or []
+        hint = f"did you mean {', '.join(near)}?" if near else _see_help(error)
+        return f"{error.option_name}: no such option ({hint})"
+    message = " ".join(error.format_message().split())
+    if isinstance(error, click.UsageError):
+        return f"{message.rstrip('.')} ({_see_help(error)})"
     return message
 
 
-def _see_help(problem: click.UsageError) -> str:
-    return f"see {problem.ctx.command_path if problem.ctx else 'roadtorch'} --help"
+def _see_help(error: click.UsageError) -> str:
+    return f"see {error.ctx.command_path if error.ctx else 'roadtorch'} --help"
 
 
 def _trace(ctx: click.Context) -> None:
@@ -187,7 +187,7 @@ def _settle_process() -> None:
         sys.stdin.reconfigure(errors="surrogateescape")
     if not any(name in os.environ for name in (*BRIEF_WAITS, "KMP_BLOCKTIME")):
         os.environ.update(BRIEF_WAITS)  # read by OpenMP when torch is loaded
-    # Python started anew for a worker takes no types.py beside the user's pictures for its own.
+    # Python started anew for a worker takes no types.py beside the user's images for its own.
     os.environ.setdefault("PYTHONSAFEPATH", "1")
     gc.set_threshold(ALLOCATIONS)
     atexit.register(gc.freeze)
@@ -198,7 +198,7 @@ def open_streams() -> None:
     """Send what is written to a closed stdout or stderr nowhere, and read nothing from stdin.
 
     Where one is closed (``2>&-``) Python has None in its place, and the next file that is
-    opened gets its number: libraries would write their messages into a picture.
+    opened gets its number: libraries would write their messages into an image.
     """
     handle = os.open(os.devnull, os.O_RDWR)
     while handle <= 2:
@@ -217,7 +217,7 @@ def open_streams() -> None:
 )
 @click.version_option(__version__, message="roadtorch %(version)s")
 def main() -> None:
-    """Find the road in pictures, without labels, on a CPU.
+    """Find the road in images, without labels, on a CPU.
 
-    roadtorch infer PICTURES makes maps of how road-like each pixel is.
+    roadtorch infer IMAGES makes maps of how road-like each pixel is.
     """

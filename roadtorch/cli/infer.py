@@ -1,4 +1,4 @@
-"""roadtorch infer: pictures to likelihoods, masks and overlays."""
+"""roadtorch infer: images to likelihoods, masks and overlays."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -51,8 +51,8 @@ def opened_viewer() -> "Viewer":
     try:
         from roadtorch.annotate.viewer import Viewer
     except ImportError:
-        remedy = "pip install 'roadtorch[annotate]'"
-        raise ConfigError("--view", "needs Starlette and uvicorn", remedy) from None
+        hint = "pip install 'roadtorch[annotate]'"
+        raise ConfigError("--view", "needs Starlette and uvicorn", hint) from None
     viewer = Viewer()
     click.echo(f"Open {viewer.address.url}  (Ctrl-C ends it)")
     return viewer
@@ -96,20 +96,20 @@ def infer(
     depth: str,
     run: "RunOptions",
 ) -> None:
-    """Find the road in pictures, videos, cameras, streams and bags.
+    """Find the road in images, videos, cameras, streams and bags.
 
     \b
     INPUT is a file, a folder (with all below), a quoted glob, a camera (0 or
-    camera:0), a stream (rtsp://, http://), a picture by http, a ROS bag, - for
-    names on standard input, or @list.txt. Each picture NAME.jpg gives, in the folder --out,
+    camera:0), a stream (rtsp://, http://), an image by http, a ROS bag, - for
+    names on standard input, or @list.txt. Each image NAME.jpg gives, in the folder --out,
       NAME.likelihood.png   how road-like each pixel is, 0 to white
       NAME.mask.png         road white, the rest black
-      NAME.overlay.jpg      the picture with its road tinted and outlined
+      NAME.overlay.jpg      the image with its road tinted and outlined
     and on demand NAME.cue.CUE.png (--save cues), .npy files, outlines (--save
     polygons: NAME.labelme.json and coco.json) and NAME.json. Each video
     NAME.mp4 gives NAME.overlay.mp4, and on demand these files for each frame,
     NAME/000123.mask.png. Each bag gives NAME.overlay.mp4 and the bag NAME.road
-    (of ROS 1: NAME.road.bag). index.csv lists every picture and frame, run.json
+    (of ROS 1: NAME.road.bag). index.csv lists every image and frame, run.json
     says how it was made. A second run resumes where the first one stopped.
     """
     from roadtorch.inputs.find import select_inputs
@@ -120,7 +120,7 @@ def infer(
     from roadtorch.run.record import recorded
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import settle
-    from roadtorch.run.writers.choice import OF_PICTURES, MapOutput
+    from roadtorch.run.writers.choice import OF_IMAGES, MapOutput
     from roadtorch.run.writers.coco import write_coco
     from roadtorch.run.writers.maps import Maps
 
@@ -128,7 +128,7 @@ def infer(
     detector, known = choice.loaded(camera, threshold)
     effective = as_toml(detector.name, detector.settings)
     found = select_inputs(inputs, selection, out)
-    kinds = OF_PICTURES if save is None else save
+    kinds = OF_IMAGES if save is None else save
     bits = 16 if depth == "16" else 8
     maps = Maps(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(opened_viewer()) if view else None

@@ -28,11 +28,11 @@ def label(
 ) -> None:
     """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
 
-    Each picture gives NAME.png in the folder --out. No weights and no labels are needed.
+    Each image gives NAME.png in the folder --out. No weights and no labels are needed.
     """
     from roadtorch.base.settings import build_settings, parse_assignments
     from roadtorch.inputs.find import Inputs
-    from roadtorch.inputs.pictures import find_pictures
+    from roadtorch.inputs.images import find_images
     from roadtorch.layout.labeller import LabellerSettings
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Task
@@ -45,9 +45,9 @@ def label(
     settle(threads=1)
     settings = build_settings(LabellerSettings, parse_assignments(assignments))
     labels = Labels(out, ["labels", *["overlay"] * overlay])
-    todo = plan(Inputs(find_pictures(inputs, out), []), out, labels.suffixes)
+    todo = plan(Inputs(find_images(inputs, out), []), out, labels.suffixes)
     effective = as_toml("labeller", settings)
     own = context.with_resource(open_run(out, effective, todo.count, run))
     method = Method(key_of(settings), tuple(labels.kinds))
     task = Task(Labelling(settings), labels, method)
-    context.exit(own.pictures(todo.pictures, task))
+    context.exit(own.images(todo.images, task))

@@ -137,14 +137,14 @@ FOOTAGE = click.argument(
     "footage", metavar="FOOTAGE...", nargs=-1, required=True, type=click.Path()
 )
 CAMERA = click.option(
-    "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the pictures."
+    "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the images."
 )
 JOBS = click.option(
     "--jobs",
     type=click.IntRange(min=1),
     help="Parallel processes; results do not depend on it. [one for each processor]",
 )
-OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo pictures that are done.")
+OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo images that are done.")
 QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
 
 
@@ -220,7 +220,7 @@ with_computing = _gathered(
         "--threads",
         type=click.IntRange(min=1),
         default=1,
-        help="Threads within a picture; likelihoods differ in the seventh digit.",
+        help="Threads within an image; likelihoods differ in the seventh digit.",
     ),
     click.option("--device", default="cpu", help="Device of the tensors: cpu, cuda, cuda:1."),
     OVERWRITE,
@@ -250,9 +250,7 @@ with_selection = _gathered(
         type=click.FloatRange(min=0),
         help="Where to end in footage, in seconds; that frame is left out.",
     ),
-    click.option(
-        "--limit", type=click.IntRange(min=1), help="At most this many frames or pictures."
-    ),
+    click.option("--limit", type=click.IntRange(min=1), help="At most this many frames or images."),
     click.option("--topic", help="Image topic, where a bag has several."),
 )
 """A command gets the options of a ``Selection`` as ``selection``."""

@@ -26,8 +26,8 @@ def ros(words: tuple[str, ...]) -> None:
 
     others = ros_module("rclpy.utilities").remove_ros_args(["roadtorch", *words])[1:]
     if others:
-        remedy = "parameters are given as --ros-args -p NAME:=VALUE"
-        raise ConfigError("ros", f"does not know {' '.join(others)}", remedy)
+        hint = "parameters are given as --ros-args -p NAME:=VALUE"
+        raise ConfigError("ros", f"does not know {' '.join(others)}", hint)
     settle(threads=1)
     with stop_on_signals() as stop:
         spin(words, stop)

@@ -1,1 +1,1 @@
-"""Labelled sets of street pictures: what they are, where their files lie, what labels mean."""
+"""Labelled sets of street images: what they are, where their files lie, what labels mean."""

@@ -136,7 +136,7 @@ READINGS = {
     "camvid32:literal-ignore": _literal(void=("Void",)),
 }
 
-# Where copies keep the pictures and their labels.
+# Where copies keep the images and their labels.
 FOLDERS32 = (
     ("images", "labels"),
     ("701_StillsRaw_full", "LabeledApproved_full"),
@@ -154,8 +154,8 @@ def split_of(name: str) -> str:
     """
     parts = re.fullmatch(r"(0001TP|0006R0|0016E5|Seq05VD)_f?(\d+)", name)
     if parts is None:
-        remedy = "name frames like 0016E5_07959"
-        raise DatasetError(name, "is not the name of a CamVid frame", remedy)
+        hint = "name frames like 0016E5_07959"
+        raise DatasetError(name, "is not the name of a CamVid frame", hint)
     drive, frame = parts[1], int(parts[2])
     if drive == "Seq05VD" or (drive == "0001TP" and frame >= 8550):
         return "test"
@@ -185,7 +185,7 @@ def _items32(root: Path) -> Iterator[LabelledItem]:
     if not present:
         known = ", ".join(f"{images} + {labels}" for images, labels in FOLDERS32)
         raise DatasetError(root, "holds no CamVid in 32 colours", f"known folders: {known}")
-    # A folder that holds the published one is not a folder of pictures itself.
+    # A folder that holds the published one is not a folder of images itself.
     nested = {images.parent for images, _ in present}
     for images, labels in present:
         if images not in nested:

@@ -42,7 +42,7 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
     split = split or kind.splits[0]
     dataset = kind.open(root, split)
     if not dataset.items:
-        raise DatasetError(root, f"holds no pictures of the split {split}", "choose another split")
+        raise DatasetError(root, f"holds no images of the split {split}", "choose another split")
     return dataset
 
 

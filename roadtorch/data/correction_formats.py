@@ -21,15 +21,15 @@ from roadtorch.data.labels import read_labels
 from roadtorch.data.polygons import coco_region
 
 Sizes = Mapping[str, tuple[int, int]]
-"""(height, width) of pictures by their relative name with ending."""
+"""(height, width) of images by their relative name with ending."""
 
 
 class CorrectionFormat(NamedTuple):
     """How another program keeps labels.
 
-    write: corrections to a folder. read: labels uint8 (H,W) by picture, of a path and the sizes of
-    pictures; those of which nothing is said are left out. Raises DatasetError for what cannot be
-    read, or does not fit the pictures.
+    write: corrections to a folder. read: labels uint8 (H,W) by image, of a path and the sizes of
+    images; those of which nothing is said are left out. Raises DatasetError for what cannot be
+    read, or does not fit the images.
     """
 
     write: Callable[[Sequence[Correction], Path], None]
@@ -37,13 +37,13 @@ class CorrectionFormat(NamedTuple):
 
 
 def _check_stems(names: Iterable[str]) -> None:
-    """DatasetError for two pictures of one name without ending."""
+    """DatasetError for two images of one name without ending."""
     owners: dict[str, str] = {}
     for name in names:
         stem = PurePath(name).with_suffix("").as_posix()
         if (other := owners.setdefault(stem, name)) != name:
             message = f"have one file, {stem}, in this format"
-            raise DatasetError(f"{other} and {name}", message, "rename one of the pictures")
+            raise DatasetError(f"{other} and {name}", message, "rename one of the images")
 
 
 # --- label images -----------------------------------------------------------------------
@@ -72,8 +72,8 @@ def read_png(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
     files = {name: (path / "labels" / name).with_suffix(".png") for name in sizes}
     present = {name: file for name, file in files.items() if file.is_file()}
     if not present:
-        remedy = "give the folder that holds the labels"
-        raise DatasetError(path / "labels", "has no file for any of the pictures", remedy)
+        hint = "give the folder that holds the labels"
+        raise DatasetError(path / "labels", "has no file for any of the images", hint)
     _check_stems(present)
     return {name: read_numbers(file, sizes[name]) for name, file in present.items()}
 
@@ -96,11 +96,11 @@ def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
 COCO_FILE = "coco.json"
 
 _UPLOAD = re.compile(r"[0-9a-f]{8}-(.+)")
-"""What Label Studio calls a picture that was uploaded; its sub-folders are lost there."""
+"""What Label Studio calls an image that was uploaded; its sub-folders are lost there."""
 
 
 def write_coco(corrections: Sequence[Correction], folder: Path) -> None:
-    """Write FOLDER/coco.json, with a region for each label that occurs in a picture."""
+    """Write FOLDER/coco.json, with a region for each label that occurs in an image."""
     images, regions = [], []
     for image, correction in enumerate(corrections, 1):
         height, width = correction.labels.shape
@@ -158,11 +158,11 @@ class _CocoFile(ForeignDocument):
 
 
 def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
-    """Labels uint8 (H,W) by the name of the picture, for those that are in ``sizes``.
+    """Labels uint8 (H,W) by the name of the image, for those that are in ``sizes``.
 
     path: of a folder with coco.json, or of a file of any name. Later regions cover earlier ones.
-    Raises DatasetError for what is no such file, without an image for any of the pictures, for two
-    images of one picture, an image of another size, a region that does not fit its picture, and a
+    Raises DatasetError for what is no such file, without an image for any of the images, for two
+    images of one image, an image of another size, a region that does not fit its image, and a
     category that is none of ours.
     """
     path = path / COCO_FILE if path.is_dir() else path
@@ -170,18 +170,18 @@ def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
         document = _CocoFile.model_validate_json(data)
         names: dict[int, str] = {}
         for image in document.images:
-            if (name := picture_of(image.file_name, sizes)) is None:
+            if (name := image_of(image.file_name, sizes)) is None:
                 continue
             if name in names.values():
                 raise ValueError(f"two images are {name}")
             if (image.height, image.width) != sizes[name]:
                 raise ValueError(
                     f"{name} is for {image.width} by {image.height} pixels, "
-                    f"its picture has {sizes[name][1]} by {sizes[name][0]}"
+                    f"its image has {sizes[name][1]} by {sizes[name][0]}"
                 )
             names[image.id] = name
         if not names:
-            raise ValueError("it has no image for any of the pictures")
+            raise ValueError("it has no image for any of the images")
         labels = {name: np.zeros(sizes[name], np.uint8) for name in names.values()}
         categories = {category.id: category.name for category in document.categories}
         for region in document.annotations:
@@ -198,10 +198,10 @@ def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
     return labels
 
 
-def picture_of(file: str, names: Collection[str]) -> str | None:
-    """The picture that a file name ends with, whole parts of its path; None without one.
+def image_of(file: str, names: Collection[str]) -> str | None:
+    """The image that a file name ends with, whole parts of its path; None without one.
 
-    ValueError for an upload to Label Studio that could be either of two pictures.
+    ValueError for an upload to Label Studio that could be either of two images.
     """
     parts = re.split(r"[/\\]", file)
     endings = ("/".join(parts[start:]) for start in range(len(parts)))

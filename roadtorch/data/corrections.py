@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 
 from roadtorch.base.atomic import make_folder
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import check_pixels, open_picture, without_warnings
+from roadtorch.base.decoding import check_pixels, open_image, without_warnings
 from roadtorch.base.documents import Side, read_document
 from roadtorch.base.errors import DatasetError, InputError, UnwritableError
 from roadtorch.base.settings import Settings
@@ -54,11 +54,11 @@ TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 class LogHead(Settings):
     """The first line of a log.
 
-    picture: its path as it is written from the folder of all logs. height, width: its pixels.
+    image: its path as it is written from the folder of all logs. height, width: its pixels.
     """
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
-    picture: Annotated[str, Field(pattern=r"^[^\x00]+$")]
+    image: Annotated[str, Field(pattern=r"^[^\x00]+$")]
     height: Side
     width: Side
 
@@ -104,9 +104,9 @@ class EventLog:
         """What the events come to, uint8 (H,W); DatasetError where one does not fit the image."""
         try:
             return replay(self.events, self.size)
-        except InputError as problem:
-            message = f"has an event that does not fit: {problem.where} {problem.what}"
-            raise DatasetError(self.path, message, "give the picture that was corrected") from None
+        except InputError as error:
+            message = f"has an event that does not fit: {error.where} {error.problem}"
+            raise DatasetError(self.path, message, "give the image that was corrected") from None
 
     def add(self, event: AnyEvent) -> None:
         """Take an event and have it on disk; nothing is done for one that is there.
@@ -146,10 +146,10 @@ class EventLog:
                     with suppress(OSError):
                         file.truncate(size)
                     raise
-        except OSError as problem:
-            message = f"cannot be written: {problem.strerror or problem}"
-            remedy = "make room, or give another folder with --out"
-            raise UnwritableError(self.path, message, remedy) from None
+        except OSError as error:
+            message = f"cannot be written: {error.strerror or error}"
+            hint = "make room, or give another folder with --out"
+            raise UnwritableError(self.path, message, hint) from None
 
 
 def _drop_half_line(file: FileIO) -> int:
@@ -191,8 +191,8 @@ def read_log(path: Path) -> EventLog | None:
         head = LogHead.model_validate_json(lines[0])
     try:
         events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], 2)]
-    except InputError as problem:
-        raise DatasetError(problem.where, problem.what, "mend or remove that line") from None
+    except InputError as error:
+        raise DatasetError(error.where, error.problem, "mend or remove that line") from None
     return EventLog(path, head, events)
 
 
@@ -211,13 +211,13 @@ def read_logs(folder: Path) -> list[EventLog]:
 class Correction:
     """What a person said about one image.
 
-    picture: its file. name: relative to the folder of pictures, with ending. labels: uint8 (H,W),
+    image: its file. name: relative to the folder of images, with ending. labels: uint8 (H,W),
     numbers of ``LABELS``. confirmed: said to be right as it is, so that every pixel's road is
     known. seconds: at work on it. clicks: strokes, those taken back among them. log: where it was
     said.
     """
 
-    picture: Path
+    image: Path
     name: str
     labels: np.ndarray
     confirmed: bool
@@ -241,11 +241,11 @@ class Correction:
         return (self.road == ROAD_SAID) | (self.road == NOT_ROAD)
 
 
-def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correction]:
-    """Read what is known of each picture that was worked on, sorted by name.
+def read_corrections(folder: Path, images: Path | None = None) -> list[Correction]:
+    """Read what is known of each image that was worked on, sorted by name.
 
-    folder: where ``roadtorch annotate`` keeps its logs. pictures: their folder, if it moved;
-    else the logs know. Pictures on which every stroke was taken back are left out. Raises
+    folder: where ``roadtorch annotate`` keeps its logs. images: their folder, if it moved;
+    else the logs know. Images on which every stroke was taken back are left out. Raises
     DatasetError for a folder without logs, and for a broken one.
     """
     logs = read_logs(folder)
@@ -254,10 +254,10 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
     corrections = []
     for log in logs:
         name = log.path.relative_to(folder).as_posix().removesuffix(ENDING)
-        logged = Path(os.path.normpath(folder / log.head.picture))
+        logged = Path(os.path.normpath(folder / log.head.image))
         corrections.append(
             Correction(
-                pictures / name if pictures else logged,
+                images / name if images else logged,
                 name,
                 log.labels,
                 log.confirmed,
@@ -270,17 +270,17 @@ def read_corrections(folder: Path, pictures: Path | None = None) -> list[Correct
     return [correction for correction in corrections if (correction.labels > 0).any()]
 
 
-def picture_size(path: Path) -> tuple[int, int]:
-    """Return (height, width) of a picture as it is shown, from its header.
+def image_size(path: Path) -> tuple[int, int]:
+    """Return (height, width) of an image as it is shown, from its header.
 
     Raises DatasetError when it cannot be opened.
     """
     try:
-        with open_picture(read_regular(path)) as picture, without_warnings():
-            turned = picture.getexif().get(ExifTag.Orientation) in TURNED
-            return (picture.width, picture.height) if turned else (picture.height, picture.width)
-    except Exception as problem:
-        message = f"cannot be opened: {reason(problem)}"
+        with open_image(read_regular(path)) as image, without_warnings():
+            turned = image.getexif().get(ExifTag.Orientation) in TURNED
+            return (image.width, image.height) if turned else (image.height, image.width)
+    except Exception as error:
+        message = f"cannot be opened: {reason(error)}"
         raise DatasetError(path, message, "replace the file") from None
 
 
@@ -289,13 +289,13 @@ def picture_size(path: Path) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class CorrectionLabels:
-    """The truth in the log of a picture, which is the item's label."""
+    """The truth in the log of an image, which is the item's label."""
 
     def truth(self, item: LabelledItem) -> Truth:
         """Read what was said; DatasetError for a log that cannot be read."""
         log = read_log(item.label)
         if log is None:
-            raise DatasetError(item.label, "holds no corrections", "correct the picture again")
+            raise DatasetError(item.label, "holds no corrections", "correct the image again")
         road, layout = road_layer(log.labels), layout_layer(log.labels)
         return Truth(
             torch.from_numpy(road == ROAD_SAID),
@@ -305,7 +305,7 @@ class CorrectionLabels:
 
 
 def open_corrections(folder: Path, split: str = "all") -> Dataset:
-    """Open the corrected pictures of which the road of some pixel was said, sorted by name.
+    """Open the corrected images of which the road of some pixel was said, sorted by name.
 
     Raises what ``read_corrections`` does; DatasetError too where nobody said anything of the road.
     """
@@ -313,7 +313,7 @@ def open_corrections(folder: Path, split: str = "all") -> Dataset:
     for correction in read_corrections(folder):
         if correction.says_road.any():
             name = PurePosixPath(correction.name).with_suffix("").as_posix()
-            items.append(LabelledItem(name, correction.picture, correction.log))
+            items.append(LabelledItem(name, correction.image, correction.log))
     if not items:
-        raise DatasetError(folder, "says nothing of the road", "correct some pictures")
+        raise DatasetError(folder, "says nothing of the road", "correct some images")
     return Dataset("corrections", folder, split, tuple(items), CorrectionLabels())

@@ -1,7 +1,7 @@
-"""What a labelled set of street pictures is.
+"""What a labelled set of street images is.
 
 A set is a list of items (paths), a reader of their truth and, where it is not scored in
-the picture itself, a view. Pictures and labels are read one at a time, so memory is flat
+the image itself, a view. Images and labels are read one at a time, so memory is flat
 over any number of items.
 """
 
@@ -18,7 +18,7 @@ from roadtorch.base.image import read_image
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known about one picture.
+    """What is known about one image.
 
     road: bool (H,W). valid: bool (H,W), False where nothing is known (void).
     layout: uint8 (H,W), 0 sky, 1 vertical, 2 horizontal, 255 void; None if the set has none.
@@ -31,7 +31,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class LabelledItem:
-    """One picture with its label file.
+    """One image with its label file.
 
     group: the camera, drive or city it is from, if known. extra: further files that its
     truth or view is made of, such as a calibration.
@@ -55,7 +55,7 @@ class TruthReader(Protocol):
 
 
 class View(Protocol):
-    """Brings maps of an item's picture into the space in which they are scored."""
+    """Brings maps of an item's image into the space in which they are scored."""
 
     @property
     def name(self) -> str:
@@ -69,10 +69,10 @@ class View(Protocol):
 
 @dataclass(frozen=True)
 class Dataset:
-    """A labelled set that has been found complete: every picture has its label file.
+    """A labelled set that has been found complete: every image has its label file.
 
     levels: how many levels of likelihood are told apart in scoring (KITTI's program: 256).
-    view: None for sets that are scored in the picture itself.
+    view: None for sets that are scored in the image itself.
     left_out: groups that are scored, but count in no mean and choose nothing.
     """
 
@@ -90,13 +90,13 @@ class Dataset:
         return sorted({item.group for item in self.items if item.group is not None})
 
     def by_condition(self) -> dict[str, list[LabelledItem]]:
-        """The pictures of each condition, sorted by its name; without groups left out."""
+        """The images of each condition, sorted by its name; without groups left out."""
         counting = [item for item in self.items if item.group not in self.left_out]
         names = sorted({name for item in counting for name in item.conditions})
         return {name: [item for item in counting if name in item.conditions] for name in names}
 
     def truth(self, item: LabelledItem) -> Truth:
-        """Read the truth of one item, in the picture's own space."""
+        """Read the truth of one item, in the image's own space."""
         return self.reader.truth(item)
 
     def read(self, item: LabelledItem) -> tuple[Tensor, Truth]:
@@ -104,8 +104,8 @@ class Dataset:
         image, truth = read_image(item.image), self.truth(item)
         if image.shape[1:] != truth.road.shape:
             (height, width), (rows, columns) = image.shape[1:], truth.road.shape
-            message = f"is {columns} by {rows} pixels, its picture {width} by {height}"
-            raise DatasetError(item.label, message, "labels must have the size of the picture")
+            message = f"is {columns} by {rows} pixels, its image {width} by {height}"
+            raise DatasetError(item.label, message, "labels must have the size of the image")
         return image, truth
 
 

@@ -170,8 +170,8 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
     """Parse an event's JSON; InputError naming ``where`` and the first thing that is wrong."""
     try:
         return _ADAPTER.validate_json(text)
-    except pydantic.ValidationError as problem:
-        message = f"is no event of a correction: {first_mistake(problem)}"
+    except pydantic.ValidationError as error:
+        message = f"is no event of a correction: {first_mistake(error)}"
         raise InputError(where, message, "give one as docs/annotate.md has it") from None
 
 
@@ -193,7 +193,7 @@ def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
     lengths = np.diff(borders, prepend=0, append=size[0] * size[1])
     if (lengths < 0).any():
         message = f"overlap, or reach beyond {size[0] * size[1]} pixels"
-        raise InputError("runs", message, "give those of this picture, in order")
+        raise InputError("runs", message, "give those of this image, in order")
     return np.repeat(np.arange(len(lengths)) % 2 == 1, lengths).reshape(size)
 
 

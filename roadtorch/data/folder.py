@@ -1,4 +1,4 @@
-"""Sets of label pictures in folders: any of your own with its conditions, IDD Lite, Cityscapes."""
+"""Sets of label images in folders: any of your own with its conditions, IDD Lite, Cityscapes."""
 
 import csv
 import difflib
@@ -13,7 +13,7 @@ from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.labels import (
     NumberLabels,
     decode_labels,
-    is_picture,
+    is_image,
     pairs,
     read_labels,
     require_labels,
@@ -43,7 +43,7 @@ class FolderLabels:
     """The truth in a folder of one's own, by the name of the folder that holds it.
 
     masks: 0 not road, 255 or 1 road, 127 or 128 void. road: 0, 1, void 255. layout, beside
-    either of them and only for some pictures: 0 sky, 1 vertical, 2 horizontal, 255 void.
+    either of them and only for some images: 0 sky, 1 vertical, 2 horizontal, 255 void.
     """
 
     def truth(self, item: LabelledItem) -> Truth:
@@ -53,8 +53,8 @@ class FolderLabels:
             labels = read_labels(path)
             if labels.shape != truth.road.shape:
                 size = f"{labels.shape[1]} by {labels.shape[0]} pixels"
-                remedy = "labels must have the size of the picture"
-                raise DatasetError(path, f"is {size}, unlike {item.label.name}", remedy)
+                hint = "labels must have the size of the image"
+                raise DatasetError(path, f"is {size}, unlike {item.label.name}", hint)
             truth = replace(truth, layout=decode_labels(labels, LAYOUT, path).layout)
         return truth
 
@@ -62,7 +62,7 @@ class FolderLabels:
 def open_folder(root: Path, split: str) -> Dataset:
     """ROOT/images with ROOT/masks or ROOT/road; or folders of this kind, which are the groups.
 
-    Pictures of groups are called GROUP/NAME. Conditions come from ROOT/pictures.csv, if it is
+    Images of groups are called GROUP/NAME. Conditions come from ROOT/pictures.csv, if it is
     there. Raises DatasetError naming what is missing, or what is wrong in that table.
     """
     if (root / "images").is_dir():
@@ -88,32 +88,32 @@ def _labelled(folder: Path, group: str | None) -> Iterator[LabelledItem]:
 
 # --- conditions -------------------------------------------------------------------------
 
-# A table beside a set is CSV with the columns ``file`` (the picture's file name), ``condition``
+# A table beside a set is CSV with the columns ``file`` (the image's file name), ``condition``
 # (words, any number of them: "night rain") and, for a set with groups, ``name`` (the group). Other
-# columns are passed over; pictures that it does not list have no condition.
+# columns are passed over; images that it does not list have no condition.
 
 CONDITIONS = "pictures.csv"  # in the folder of a set
 
 Key = tuple[str, str]
-"""The group of a picture ("" in a set without groups) and the name of its file."""
+"""The group of an image ("" in a set without groups) and the name of its file."""
 
 
 def with_conditions(dataset: Dataset, path: Path) -> Dataset:
-    """The set with the conditions that a table gives to its pictures.
+    """The set with the conditions that a table gives to its images.
 
     Raises DatasetError naming the table, and the line where there is one, for a file that
-    cannot be read, lacks a column, names a picture that the set does not have, or one twice.
+    cannot be read, lacks a column, names an image that the set does not have, or one twice.
     """
-    pictures = {_key_of(item): item for item in dataset.items}
+    images = {_key_of(item): item for item in dataset.items}
     columns = ["name", "file", "condition"] if dataset.groups() else ["file", "condition"]
     conditions: dict[Key, tuple[str, ...]] = {}
     for line, row in _rows(path, columns):
         key = (row["name"] if dataset.groups() else "", row["file"])
         where, name = f"{path}, line {line}", _shown(key)
-        if key not in pictures:
-            near = difflib.get_close_matches(name, map(_shown, pictures), n=3, cutoff=0.5)
-            remedy = f"did you mean {', '.join(near)}?" if near else "mend the line or remove it"
-            raise DatasetError(where, f"there is no picture {name}", remedy)
+        if key not in images:
+            near = difflib.get_close_matches(name, map(_shown, images), n=3, cutoff=0.5)
+            hint = f"did you mean {', '.join(near)}?" if near else "mend the line or remove it"
+            raise DatasetError(where, f"there is no image {name}", hint)
         if key in conditions:
             raise DatasetError(where, f"names {name} a second time", "keep one of the two lines")
         conditions[key] = tuple(dict.fromkeys(row["condition"].split()))
@@ -140,8 +140,8 @@ def _rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, st
             raise DatasetError(path, message, f"its first line has to name {', '.join(columns)}")
         for row in table:
             yield table.line_num, row
-    except (OSError, UnicodeDecodeError, csv.Error) as problem:
-        raise DatasetError(path, f"cannot be read: {reason(problem)}", "give a CSV file") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DatasetError(path, f"cannot be read: {reason(error)}", "give a CSV file") from None
 
 
 # --- IDD Lite ---------------------------------------------------------------------------
@@ -186,7 +186,7 @@ CITYSCAPES_LABELS = NumberLabels(
     ),
 )
 
-PICTURE_ENDING, LABEL_ENDING = "_leftImg8bit", "_gtFine_labelIds.png"
+IMAGE_ENDING, LABEL_ENDING = "_leftImg8bit", "_gtFine_labelIds.png"
 
 
 def open_cityscapes(root: Path, split: str) -> Dataset:
@@ -199,11 +199,11 @@ def open_cityscapes(root: Path, split: str) -> Dataset:
         if not folder.is_dir():
             raise DatasetError(folder, "does not exist", "check the folder's layout")
     items = []
-    for image in filter(is_picture, sorted(images.glob(f"*/*{PICTURE_ENDING}.*"))):
-        name, city = image.stem.removesuffix(PICTURE_ENDING), image.parent.name
+    for image in filter(is_image, sorted(images.glob(f"*/*{IMAGE_ENDING}.*"))):
+        name, city = image.stem.removesuffix(IMAGE_ENDING), image.parent.name
         items.append(LabelledItem(name, image, labels / city / f"{name}{LABEL_ENDING}", group=city))
     if not items:
-        message = f"holds no pictures CITY/*{PICTURE_ENDING}.png"
+        message = f"holds no images CITY/*{IMAGE_ENDING}.png"
         raise DatasetError(images, message, "check the folder's layout")
     require_labels([item.label for item in items])
     return Dataset("cityscapes", root, split, tuple(items), CITYSCAPES_LABELS)

@@ -2,7 +2,7 @@
 
 Fritsch, Kuehnl, Geiger (ITSC 2013). Three categories: um, urban with marked lanes; umm,
 with several marked lanes; uu, unmarked. The benchmark scores maps of 8 bits in bird's-eye
-view; scores in the picture itself are something else, as far pixels weigh much less there.
+view; scores in the image itself are something else, as far pixels weigh much less there.
 """
 
 import re
@@ -16,7 +16,7 @@ from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.camera.birds_eye import to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.data.labels import ColourLabels, NumberLabels, is_picture, require_labels
+from roadtorch.data.labels import ColourLabels, NumberLabels, is_image, require_labels
 
 NAME = "kitti-road"
 
@@ -36,17 +36,17 @@ KITTI_COLOURS = ColourLabels(
 
 
 def result_name(name: str, kind: str = "road") -> str:
-    """The name of a picture's truth and of its map for the server: um_road_000012."""
+    """The name of an image's truth and of its map for the server: um_road_000012."""
     category, number = name_parts(name)
     return f"{category}_{kind}_{number}"
 
 
 def name_parts(name: str) -> tuple[str, str]:
-    """Category and number in a picture's name, as um_000012; DatasetError for another one."""
+    """Category and number in an image's name, as um_000012; DatasetError for another one."""
     parts = re.fullmatch(r"([a-z]+)_(\d+)", name)
     if parts is None:
-        remedy = "name pictures CATEGORY_NUMBER, as um_000012"
-        raise DatasetError(name, "is not the name of a KITTI road picture", remedy)
+        hint = "name images CATEGORY_NUMBER, as um_000012"
+        raise DatasetError(name, "is not the name of a KITTI road image", hint)
     return parts[1], parts[2]
 
 
@@ -58,22 +58,22 @@ def base_folder(root: Path, part: str) -> Path:
     for folder in (root, root / part):
         if (folder / "image_2").is_dir():
             return folder
-    remedy = f"give the folder that holds image_2 or {part}/image_2"
-    raise DatasetError(root / "image_2", "does not exist", remedy)
+    hint = f"give the folder that holds image_2 or {part}/image_2"
+    raise DatasetError(root / "image_2", "does not exist", hint)
 
 
 # --- the labelled set -------------------------------------------------------------------
 
 
 def open_kitti_road(root: Path, split: str) -> Dataset:
-    """The training pictures: ROOT/image_2 and ROOT/gt_image_2, or both in ROOT/training.
+    """The training images: ROOT/image_2 and ROOT/gt_image_2, or both in ROOT/training.
 
-    split: "road", every picture; "lane", those of um with the car's own lane as road. The
-    groups are the categories. Scored in the picture itself (see ``birds_eye``), with the
+    split: "road", every image; "lane", those of um with the car's own lane as road. The
+    groups are the categories. Scored in the image itself (see ``birds_eye``), with the
     benchmark's 256 levels. Raises DatasetError for a missing folder or label file.
     """
     folder, items = base_folder(root, "training"), []
-    for image in filter(is_picture, sorted((folder / "image_2").iterdir())):
+    for image in filter(is_image, sorted((folder / "image_2").iterdir())):
         category, _ = name_parts(image.stem)
         if split == "road" or category in LANE_CATEGORIES:
             label = folder / "gt_image_2" / f"{result_name(image.stem, split)}.png"
@@ -84,13 +84,13 @@ def open_kitti_road(root: Path, split: str) -> Dataset:
 
 @dataclass(frozen=True)
 class BirdsEye:
-    """The view from above, by the pictures' calibration files; calib: their folder."""
+    """The view from above, by the images' calibration files; calib: their folder."""
 
     calib: Path
     name: ClassVar[str] = "bird's-eye view"
 
     def __call__(self, item: LabelledItem, values: Tensor) -> Tensor:
-        """Maps (…,H,W) of the item's picture as (…,800,400), type kept; 0 where unseen.
+        """Maps (…,H,W) of the item's image as (…,800,400), type kept; 0 where unseen.
 
         Raises DatasetError naming a calibration file that is missing or broken.
         """
@@ -105,14 +105,14 @@ def birds_eye(dataset: Dataset) -> Dataset:
     DatasetError when there is no folder calib.
     """
     if dataset.name != NAME:
-        remedy = f"only {NAME} has calibration files"
-        raise ConfigError(dataset.name, "has no bird's-eye view", remedy)
+        hint = f"only {NAME} has calibration files"
+        raise ConfigError(dataset.name, "has no bird's-eye view", hint)
     return replace(dataset, view=BirdsEye(calib_folder(base_folder(dataset.root, "training"))))
 
 
 def calib_folder(folder: Path) -> Path:
     """The calibration files beside image_2; DatasetError when there is no such folder."""
     if not (folder / "calib").is_dir():
-        remedy = "bird's-eye view needs calibration files"
-        raise DatasetError(folder / "calib", "does not exist", remedy)
+        hint = "bird's-eye view needs calibration files"
+        raise DatasetError(folder / "calib", "does not exist", hint)
     return folder / "calib"

@@ -1,4 +1,4 @@
-"""Truth from label pictures: finding them; one number a pixel, or one colour a pixel."""
+"""Truth from label images: finding them; one number a pixel, or one colour a pixel."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import open_picture, without_warnings
+from roadtorch.base.decoding import open_image, without_warnings
 from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.base.image import SUFFIXES
 from roadtorch.data.dataset import LabelledItem, Truth
@@ -22,7 +22,7 @@ CODES = 256  # label numbers fit one byte
 
 @dataclass(frozen=True)
 class NumberLabels:
-    """The truth in label pictures with one number (0…255) a pixel.
+    """The truth in label images with one number (0…255) a pixel.
 
     road, void: the numbers of these two; values: every number that may occur; layout: the
     layout class of each of ``values`` (255 for void), or empty for a set without layout;
@@ -47,13 +47,13 @@ class NumberLabels:
             raise ConfigError("NumberLabels", message, "give one for each")
 
     def truth(self, item: LabelledItem) -> Truth:
-        """Read the item's label picture; DatasetError naming and counting unknown numbers."""
+        """Read the item's label image; DatasetError naming and counting unknown numbers."""
         return decode_labels(read_labels(item.label), self, item.label)
 
 
 @dataclass(frozen=True)
 class ColourLabels:
-    """The truth in label pictures with one colour a pixel.
+    """The truth in label images with one colour a pixel.
 
     colours: every (red, green, blue), 0…255, that may occur. numbers: what they mean; a
     colour's number is its place in ``colours``.
@@ -63,7 +63,7 @@ class ColourLabels:
     numbers: NumberLabels
 
     def truth(self, item: LabelledItem) -> Truth:
-        """Read the item's label picture; DatasetError naming and counting unknown colours."""
+        """Read the item's label image; DatasetError naming and counting unknown colours."""
         return decode_labels(
             self.places(_read(item.label, "RGB"), item.label), self.numbers, item.label
         )
@@ -78,8 +78,8 @@ class ColourLabels:
         if (is_unknown := places == len(self.colours)).any():
             values, counts = np.unique(codes[is_unknown], return_counts=True)
             names = [f"{code >> 16} {code >> 8 & 255} {code & 255}" for code in values.tolist()]
-            remedy = f"the set has {len(self.colours)} colours, given as red green blue"
-            raise DatasetError(path, f"has unknown colours {_counted(names, counts)}", remedy)
+            hint = f"the set has {len(self.colours)} colours, given as red green blue"
+            raise DatasetError(path, f"has unknown colours {_counted(names, counts)}", hint)
         return places
 
 
@@ -87,23 +87,23 @@ class ColourLabels:
 
 
 def pairs(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Path, Path]]:
-    """Every picture of a folder, sorted, with its label file: its name with this ending.
+    """Every image of a folder, sorted, with its label file: its name with this ending.
 
-    Raises DatasetError naming the first thing that is missing: a folder, any picture, a
-    label file; and for two pictures with the same label file.
+    Raises DatasetError naming the first thing that is missing: a folder, any image, a
+    label file; and for two images with the same label file.
     """
     for folder in (images, labels):
         if not folder.is_dir():
             raise DatasetError(folder, "does not exist", "check the folder's layout")
     by_label: dict[Path, Path] = {}
-    for path in filter(is_picture, sorted(images.iterdir())):
+    for path in filter(is_image, sorted(images.iterdir())):
         first = by_label.setdefault(labels / f"{path.stem}{ending}", path)
         if first != path:
-            raise DatasetError(path, f"has the name of {first.name}", "one picture a name")
+            raise DatasetError(path, f"has the name of {first.name}", "one image a name")
     if not by_label:
-        raise DatasetError(images, "holds no pictures", f"known endings: {' '.join(SUFFIXES)}")
+        raise DatasetError(images, "holds no images", f"known endings: {' '.join(SUFFIXES)}")
     require_labels(list(by_label))
-    yield from ((picture, label) for label, picture in by_label.items())
+    yield from ((image, label) for label, image in by_label.items())
 
 
 def require_labels(paths: Sequence[Path]) -> None:
@@ -111,11 +111,11 @@ def require_labels(paths: Sequence[Path]) -> None:
     missing = [path for path in paths if not path.is_file()]
     if missing:
         message = f"is missing, {len(missing)} of {len(paths)} label files in all"
-        raise DatasetError(missing[0], message, "every picture needs its label file")
+        raise DatasetError(missing[0], message, "every image needs its label file")
 
 
-def is_picture(path: Path) -> bool:
-    """Whether a file's name is that of a picture; hidden files are none."""
+def is_image(path: Path) -> bool:
+    """Whether a file's name is that of an image; hidden files are none."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
 
 
@@ -123,7 +123,7 @@ def is_picture(path: Path) -> bool:
 
 
 def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """The numbers (H,W) in a label picture; palette files keep their indices.
+    """The numbers (H,W) in a label image; palette files keep their indices.
 
     size: that it has to have, looked at before anything is decoded. Raises DatasetError for a
     file of another size, that cannot be decoded or has different colour channels.
@@ -134,24 +134,24 @@ def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
         opaque = labels.shape[2] % 2 == 1 or (labels[..., -1] == 255).all()
         bands = labels[..., : (labels.shape[2] - 1) | 1]  # without alpha
         if not opaque or (bands != grey[..., None]).any():
-            raise DatasetError(path, "is a colour picture", "give one number a pixel")
+            raise DatasetError(path, "is a colour image", "give one number a pixel")
         labels = grey
     return labels.astype(np.uint8) if labels.dtype == np.bool_ else labels
 
 
 def _read(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> np.ndarray:
     try:
-        with open_picture(read_regular(path)) as picture, without_warnings():
-            if size not in (None, (picture.height, picture.width)):
-                remedy = f"its picture has {size[1]} by {size[0]}"
-                raise DatasetError(path, f"has {picture.width} by {picture.height} pixels", remedy)
-            return np.asarray(picture.convert(mode) if mode else picture)
+        with open_image(read_regular(path)) as image, without_warnings():
+            if size not in (None, (image.height, image.width)):
+                hint = f"its image has {size[1]} by {size[0]}"
+                raise DatasetError(path, f"has {image.width} by {image.height} pixels", hint)
+            return np.asarray(image.convert(mode) if mode else image)
     except FileNotFoundError:
-        raise DatasetError(path, "is missing", "every picture needs its label file") from None
+        raise DatasetError(path, "is missing", "every image needs its label file") from None
     except DatasetError:
         raise
-    except Exception as problem:
-        message = f"cannot be decoded: {reason(problem)}"
+    except Exception as error:
+        message = f"cannot be decoded: {reason(error)}"
         raise DatasetError(path, message, "replace the file") from None
 
 

@@ -27,19 +27,19 @@ DECIDING = ("threshold", "isolated", "seed_area")
 
 
 def read_map(path: Path) -> Tensor:
-    """A map file as float32 (H,W): a grey picture of 8 or 16 bits, or a NumPy file of floats.
+    """A map file as float32 (H,W): a grey image of 8 or 16 bits, or a NumPy file of floats.
 
     Raises InputError for a file that cannot be read, is coloured, or has no two dimensions.
     """
     if path.suffix != ".npy":
         image = read_image(path)
         if (image != image[0]).any():
-            raise InputError(path, "is a colour picture", "give a grey one, bright where road is")
+            raise InputError(path, "is a colour image", "give a grey one, bright where road is")
         return image[0]
     try:
         values = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
-    except Exception as problem:  # NumPy raises anything for foreign bytes
-        raise InputError(path, f"cannot be read: {reason(problem)}", "replace the file") from None
+    except Exception as error:  # NumPy raises anything for foreign bytes
+        raise InputError(path, f"cannot be read: {reason(error)}", "replace the file") from None
     if not isinstance(values, np.ndarray):
         raise InputError(path, "is an archive of arrays", "give a single one")
     if values.ndim != 2 or values.dtype.kind != "f":
@@ -65,9 +65,9 @@ def deciding_settings(folder: Path) -> DetectorSettings:
     try:
         own = {key: values[key] for key in DECIDING if key in values}
         return build_settings(DetectorSettings, own)
-    except ConfigError as problem:
-        message = f"{problem.where}: {problem.what}"
-        raise ConfigError(folder / CONFIG, message, problem.remedy) from None
+    except ConfigError as error:
+        message = f"{error.where}: {error.problem}"
+        raise ConfigError(folder / CONFIG, message, error.hint) from None
 
 
 def map_mask(
@@ -83,8 +83,8 @@ def map_mask(
         if path.is_file():
             mask = read_map(path) >= 0.5
             if mask.shape != likelihood.shape:
-                remedy = "make mask and likelihood in one run"
-                raise InputError(path, "is not of the size of its likelihood", remedy)
+                hint = "make mask and likelihood in one run"
+                raise InputError(path, "is not of the size of its likelihood", hint)
             return mask
     return decide(likelihood, settings)
 
@@ -92,17 +92,17 @@ def map_mask(
 def map_likelihood(
     folder: Path, names: Sequence[str], sizes: Collection[tuple[int, int]]
 ) -> Tensor:
-    """The map of one picture, float32 (H,W) in [0,1], of one of the allowed sizes.
+    """The map of one image, float32 (H,W) in [0,1], of one of the allowed sizes.
 
     names: what its file may be called, but for the ending. Raises InputError naming the
     file when it is missing, of another size, not grey, or has values that are not in [0,1],
-    and where another file of the same picture says otherwise.
+    and where another file of the same image says otherwise.
     """
     paths = [folder / f"{name}{ending}" for name in names for ending in ENDINGS]
     present = [path for path in paths if path.is_file()]
     if not present:
-        remedy = f"every picture needs a map, {' or '.join(ENDINGS)}"
-        raise InputError(paths[0], "is missing", remedy)
+        hint = f"every image needs a map, {' or '.join(ENDINGS)}"
+        raise InputError(paths[0], "is missing", hint)
     path, *others = present
     likelihood = read_map(path)
     if tuple(likelihood.shape) not in sizes:

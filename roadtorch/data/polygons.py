@@ -113,7 +113,7 @@ def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
         document = _Document.model_validate_json(data)
         if (document.imageHeight, document.imageWidth) != size:
             given = f"{document.imageWidth} by {document.imageHeight}"
-            raise ValueError(f"it is for {given} pixels, its picture has {size[1]} by {size[0]}")
+            raise ValueError(f"it is for {given} pixels, its image has {size[1]} by {size[0]}")
         for shape in document.shapes:
             points = np.array(shape.points).round().astype(np.int32)
             cv2.fillPoly(mask, [points], int(shape.label == NAMES[1]))

@@ -13,7 +13,7 @@ from roadtorch.detectors.detector import (
     WorkingSettings,
 )
 from roadtorch.imaging.color import plane
-from roadtorch.imaging.resize import WorkingSize, at_picture_size
+from roadtorch.imaging.resize import WorkingSize, at_image_size
 from roadtorch.road.fusion import PRIORS, Prior
 from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.ufl.features import DictionarySettings, assign
@@ -39,7 +39,7 @@ from roadtorch.ufl.vanishing import (
 )
 
 KONG_PIXELS = 240 * 180
-"""Kong et al. look at pictures of 240x180 pixels."""
+"""Kong et al. look at images of 240x180 pixels."""
 
 
 class VanishingPointSettings(WorkingSettings):
@@ -95,7 +95,7 @@ def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor
     seed = seed_rectangle(size, settings.seed_area)
     road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
     shown = clusters / max(1, settings.peaks.clusters - 1)
-    likelihood = at_picture_size(road, (height, width)).to(image)
+    likelihood = at_image_size(road, (height, width)).to(image)
     return {"likelihood": likelihood, "clusters": map_to_image(shown.to(image), side)}
 
 

@@ -48,7 +48,7 @@ def load_detector(
 
     name: of a detector, or a folder that ``roadtorch export --format hub`` wrote.
     Nested settings are dictionaries: ``load_detector("cpf", texture={"bins": 64})``.
-    camera: the one whose pictures it will see, such as ``Camera.read("camera.toml")``; it sets
+    camera: the one whose images it will see, such as ``Camera.read("camera.toml")``; it sets
     the ego car and, where the detector has one, the horizon, unless they are given.
     order: of the colours of the NumPy arrays it will see: ``"bgr"`` of OpenCV's, else ``"rgb"``.
     device: of torch, ``"cuda"``: images are moved there, and what is detected stays there.
@@ -91,8 +91,8 @@ def list_detectors(pattern: str | None = None) -> list[str]:
     names = [entry.name for entry in fitting if not entry.grid or entry.grid.fits(pattern)]
     if not names:
         grids = sorted({entry.grid.name for entry in fitting if entry.grid})
-        what = f"fits only detectors of {', '.join(grids)}"
-        raise ConfigError(pattern, what, "begin it with the name of the family")
+        problem = f"fits only detectors of {', '.join(grids)}"
+        raise ConfigError(pattern, problem, "begin it with the name of the family")
     return names
 
 
@@ -124,8 +124,8 @@ def unknown_detector(name: str) -> ConfigError:
         if name in grid.refused:
             return ConfigError(name, grid.refused[name], f"choose another {grid.name}")
     if name in grids:
-        remedy = f"name one; '{grids[name].wildcard}' lists them"
-        return ConfigError(name, "stands for many detectors", remedy)
+        hint = f"name one; '{grids[name].wildcard}' lists them"
+        return ConfigError(name, "stands for many detectors", hint)
     return unknown_name("detector", name, _catalogue(), detector_groups())
 
 
@@ -137,8 +137,8 @@ def register(entry: object, entries: dict[str, Entry] | None = None) -> None:
     if entry.name in entries:
         raise ConfigError(entry.name, "is the name of another detector", "choose a new name")
     if not issubclass(entry.settings, DetectorSettings):
-        what = f"has settings ({entry.settings.__name__}) that are no DetectorSettings"
-        raise ConfigError(entry.name, what, "derive them from roadtorch.DetectorSettings")
+        problem = f"has settings ({entry.settings.__name__}) that are no DetectorSettings"
+        raise ConfigError(entry.name, problem, "derive them from roadtorch.DetectorSettings")
     entries[entry.name] = entry
 
 

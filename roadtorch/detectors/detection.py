@@ -16,7 +16,7 @@ from roadtorch.base.atomic import atomic
 from roadtorch.base.compute import one_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import overlay_pixels, png_bytes, write_map, write_mask, write_pixels
-from roadtorch.imaging.resize import at_picture_size
+from roadtorch.imaging.resize import at_image_size
 
 NOTEBOOK_SIDE = 960  # pixels of the longer side of what notebooks show; ours: the width of a page
 
@@ -34,7 +34,7 @@ class Cues(Mapping[str, Tensor]):
     @one_thread()
     def __getitem__(self, name: str) -> Tensor:
         """The cue of that name at the size of the image; KeyError where there is none."""
-        return at_picture_size(self.maps[name], self.size)
+        return at_image_size(self.maps[name], self.size)
 
     def __iter__(self) -> Iterator[str]:
         """The names of all cues."""
@@ -104,11 +104,11 @@ class Detection:
             with atomic(path) as temporary, temporary.open("wb") as file:
                 np.savez_compressed(file, allow_pickle=False, **self.numpy(), **trust)
         else:
-            remedy = "end it with .mask.png, .likelihood.png, .overlay.jpg or .npz"
-            raise ConfigError(path, "does not say what to write", remedy)
+            hint = "end it with .mask.png, .likelihood.png, .overlay.jpg or .npz"
+            raise ConfigError(path, "does not say what to write", hint)
 
     def show(self) -> None:
-        """Show the overlay: in the notebook, or else in the computer's viewer of pictures.
+        """Show the overlay: in the notebook, or else in the computer's viewer of images.
 
         Raises InputError where there is neither.
         """

@@ -1,4 +1,4 @@
-"""What a detector is: a picture in, a likelihood, a mask and cues out.
+"""What a detector is: an image in, a likelihood, a mask and cues out.
 
 A detector has two parts. Its own is an ``nn.Module`` that turns an image into cues, of which
 ``likelihood`` is one: those that come with roadtorch are in ``detectors``, where they are
@@ -24,7 +24,7 @@ from roadtorch.base.image import ImageLike, Order, as_image, checked_order
 from roadtorch.base.settings import Settings, build_settings, merge
 from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
+from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
 from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
 from roadtorch.road.outlines import Outlines, guided
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
@@ -39,7 +39,7 @@ Isolated = Annotated[
 ]
 
 TUNED = "road from this likelihood on; the default has the best F on CamVid's three drives"
-"""The description of a threshold that was chosen on labelled pictures."""
+"""The description of a threshold that was chosen on labelled images."""
 
 
 class DetectorSettings(Settings):
@@ -77,7 +77,7 @@ that size, of which ``ego`` is one → how far the mask can be trusted."""
 
 
 class Evidence(NamedTuple):
-    """What one picture shows by itself: all of a detection that needs no other frame.
+    """What one image shows by itself: all of a detection that needs no other frame.
 
     analysed: likelihood and cues as the analysis gave them, at the size at which it thinks.
     likelihood: float32 (H,W), without road on the ego car. ego: that, bool (H,W), where the
@@ -131,7 +131,7 @@ class Entry:
     build: makes from them the module whose ``forward(image)`` takes an image (3,H,W) in [0,1]
         and gives named cues, (H,W) or (C,H,W); ``likelihood`` (H,W) in [0,1] is one of them.
         Usually its class.
-    grid: where it is one of many. baseline: whether it never looks at the picture.
+    grid: where it is one of many. baseline: whether it never looks at the image.
     values: its own defaults where they are not those of the model, nested.
     """
 
@@ -172,38 +172,38 @@ class Detector(nn.Module):
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
         if not isinstance(analysis, nn.Module):
-            what = f"builds {type(analysis).__name__}"
-            remedy = "build an nn.Module whose forward(image) gives the cues"
-            raise ConfigError(entry.name, what, remedy)
+            problem = f"builds {type(analysis).__name__}"
+            hint = "build an nn.Module whose forward(image) gives the cues"
+            raise ConfigError(entry.name, problem, hint)
         self.analysis = analysis.to(device)
 
     @overload
-    def __call__(self, pictures: Tensor, order: Order | None = None) -> Any: ...
+    def __call__(self, images: Tensor, order: Order | None = None) -> Any: ...
 
     @overload
-    def __call__(self, pictures: ImageLike, order: Order | None = None) -> Detection: ...
+    def __call__(self, images: ImageLike, order: Order | None = None) -> Detection: ...
 
     @overload
     def __call__(
-        self, pictures: Iterable[ImageLike], order: Order | None = None
+        self, images: Iterable[ImageLike], order: Order | None = None
     ) -> list[Detection]: ...
 
-    def __call__(self, pictures: Any, order: Order | None = None) -> Any:
-        """A picture's Detection, as ``detect``; those of several as a list, as ``detect_many``.
+    def __call__(self, images: Any, order: Order | None = None) -> Any:
+        """An image's Detection, as ``detect``; those of several as a list, as ``detect_many``.
 
         Several are a list, a stack of arrays and a tensor (B,3,H,W).
         """
-        if isinstance(pictures, (Tensor, np.ndarray)):
-            several = pictures.ndim == 4
+        if isinstance(images, (Tensor, np.ndarray)):
+            several = images.ndim == 4
         else:
-            one = isinstance(pictures, (str, bytes)) or hasattr(pictures, "read")  # an open file
-            several = isinstance(pictures, Iterable) and not one
+            one = isinstance(images, (str, bytes)) or hasattr(images, "read")  # an open file
+            several = isinstance(images, Iterable) and not one
         if several:
-            return list(self.detect_many(pictures, order))
-        return self.detect(cast("ImageLike", pictures), order)
+            return list(self.detect_many(images, order))
+        return self.detect(cast("ImageLike", images), order)
 
     def detect(self, image: ImageLike, order: Order | None = None) -> Detection:
-        """Find the road in one picture, from 16×16 up.
+        """Find the road in one image, from 16×16 up.
 
         image: a path or URL, or a file's bytes, or the file opened to read them; a NumPy array
         (H,W,3) with the ``order`` of its colours, also with alpha (H,W,4) or grey (H,W), uint8,
@@ -219,10 +219,10 @@ class Detector(nn.Module):
     def detect_many(
         self, images: Iterable[ImageLike], order: Order | None = None
     ) -> Generator[Detection]:
-        """Find the road in picture after picture, each given as to ``detect``, in their order.
+        """Find the road in image after image, each given as to ``detect``, in their order.
 
         images: a list, a generator, which is asked when it is needed, or a stack of arrays of one
-        size. Raises what ``detect`` raises, naming the picture ``images[3]``, and ends there.
+        size. Raises what ``detect`` raises, naming the image ``images[3]``, and ends there.
 
             >>> import numpy
             >>> from roadtorch import load_detector
@@ -232,25 +232,25 @@ class Detector(nn.Module):
             [80, 81]
         """
         if isinstance(images, (str, os.PathLike, bytes)) or not isinstance(images, Iterable):
-            remedy = "give a list; detect takes one picture"
-            raise InputError("images", f"are {type(images).__name__}", remedy)
+            hint = "give a list; detect takes one image"
+            raise InputError("images", f"are {type(images).__name__}", hint)
         return self._detected(images, order)
 
     def _detected(self, images: Iterable[ImageLike], order: Order | None) -> Generator[Detection]:
         for number, image in enumerate(images):
             try:
                 yield self.detect(image, order)
-            except InputError as problem:
-                if problem.where != "image":
+            except InputError as error:
+                if error.where != "image":
                     raise
-                raise InputError(f"images[{number}]", problem.what, problem.remedy) from None
+                raise InputError(f"images[{number}]", error.problem, error.hint) from None
 
     @one_thread()
     def forward(self, images: Tensor) -> Tensor:
         """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
         if images.ndim != 4:
-            what = f"have the shape {tuple(images.shape)}"
-            raise InputError("images", what, "give a batch (B, 3, height, width)")
+            problem = f"have the shape {tuple(images.shape)}"
+            raise InputError("images", problem, "give a batch (B, 3, height, width)")
         if not len(images):
             return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
         return torch.stack([self._find(image).likelihood for image in images])
@@ -264,8 +264,8 @@ class Detector(nn.Module):
     def _find(self, image: Tensor) -> Evidence:
         """``_found``, in float32 inside autocast, too; ConfigError inside ``torch.compile``."""
         if torch.compiler.is_compiling():
-            remedy = "compile its network: detector.analysis.network = torch.compile(…)"
-            raise ConfigError("torch.compile", "takes no detector", remedy)
+            hint = "compile its network: detector.analysis.network = torch.compile(…)"
+            raise ConfigError("torch.compile", "takes no detector", hint)
         image = checked_image(image).to(self.device)
         with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):
             return self._found(image)
@@ -280,24 +280,24 @@ class Detector(nn.Module):
         small = at_work(ground, settings.working) if settings else ground
         analysed = self.analysis(small)
         if not isinstance(analysed, Mapping) or "likelihood" not in analysed:
-            what = f"gives no likelihood: {type(self.analysis).__name__}.forward has to"
-            raise ConfigError(self.name, what, "let it return a mapping with likelihood (H,W)")
+            problem = f"gives no likelihood: {type(self.analysis).__name__}.forward has to"
+            raise ConfigError(self.name, problem, "let it return a mapping with likelihood (H,W)")
         if not analysed["likelihood"].sum().isfinite():  # one that is not makes the sum so
-            what = f"gives {self.name} a likelihood that is not finite"
-            raise InputError("image", what, "check the weights and the settings; else report it")
+            problem = f"gives {self.name} a likelihood that is not finite"
+            raise InputError("image", problem, "check the weights and the settings; else report it")
         size, cues = size_of(image), dict(analysed)
         likelihood = cues.pop("likelihood")
         if settings:
             if settings.outlines == "guided":
                 likelihood = guided(analysed, small, ground, settings.working, settings.threshold)
-            likelihood = at_picture_size(likelihood, size)
+            likelihood = at_image_size(likelihood, size)
         if "ego" in cues:
-            cars.append(at_picture_size(cues.pop("ego"), size))
+            cars.append(at_image_size(cues.pop("ego"), size))
         ego = reduce(torch.logical_or, cars) if cars else None
         if ego is not None and is_anywhere(ego):
             likelihood = likelihood.masked_fill(ego, 0)
             if "seed_area" in cues:
-                cues["seed_area"] = at_picture_size(cues["seed_area"], size).masked_fill(ego, 0)
+                cues["seed_area"] = at_image_size(cues["seed_area"], size).masked_fill(ego, 0)
         return Evidence(analysed, likelihood, ego, Cues(cues, size), image)
 
     @one_thread()
@@ -318,15 +318,15 @@ class Detector(nn.Module):
         elif ego is not None:
             likelihood = likelihood.masked_fill(ego, 0)
         if seed is not None:
-            seed = at_picture_size(seed, size_of(likelihood))
+            seed = at_image_size(seed, size_of(likelihood))
         mask = decide(likelihood, self.settings, seed, ego)
         trust, doubt, cues = None, "", evidence.cues
         judge: Judge | None = getattr(self.analysis, "judge", None)
         if judge is not None:
             size = size_of(analysed["likelihood"])
             hidden = torch.zeros_like(mask) if ego is None else ego
-            small = {**analysed, "ego": at_picture_size(hidden, size)}
-            trust, doubt = judge(at_picture_size(mask, size), small)
+            small = {**analysed, "ego": at_image_size(hidden, size)}
+            trust, doubt = judge(at_image_size(mask, size), small)
         if ego is not None:
             cues = Cues({**cues.maps, "ego": ego}, cues.size)
         return Detection(likelihood, mask, cues, trust, doubt, image=evidence.image)
@@ -379,12 +379,12 @@ def checked_image(image: Tensor) -> Tensor:
         kind = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise InputError("image", f"is {kind}", "give float32 RGB in [0, 1], as read_image does")
     if image.ndim != 3 or image.shape[0] != 3:
-        what = f"has the shape {tuple(image.shape)}"
-        raise InputError("image", what, "give RGB as (3, height, width)")
+        problem = f"has the shape {tuple(image.shape)}"
+        raise InputError("image", problem, "give RGB as (3, height, width)")
     height, width = image.shape[1:]
     if min(height, width) < MIN_SIDE:
-        remedy = f"give at least {MIN_SIDE}×{MIN_SIDE}"
-        raise InputError("image", f"is {width}×{height} pixels", remedy)
+        hint = f"give at least {MIN_SIDE}×{MIN_SIDE}"
+        raise InputError("image", f"is {width}×{height} pixels", hint)
     low, high = (float(bound) for bound in torch.aminmax(image))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
         raise InputError("image", f"has values from {low:g} to {high:g}", "scale it to [0, 1]")

@@ -27,11 +27,11 @@ from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
-    FOR_PICTURES,
+    FOR_IMAGES,
     WeightsFile,
-    WholePictureNetwork,
+    WholeImageNetwork,
+    image_network_of,
     network_of,
-    picture_network_of,
 )
 from roadtorch.road.ego import continued, ego_found, is_anywhere
 from roadtorch.road.fusion import (
@@ -69,7 +69,7 @@ class RoadCalibration(Settings):
     """
 
     centre: float = Field(
-        default=0.0, ge=-20, le=20, description="log odds that part road in most pictures"
+        default=0.0, ge=-20, le=20, description="log odds that part road in most images"
     )
     temperature: float = Field(
         default=1.0, gt=0, le=100, description="by which log odds are divided then"
@@ -90,7 +90,7 @@ class SecondNetwork(Settings):
 
 
 class FusionSettings(WorkingSettings):
-    """The road as a network has learned it from other streets, along the picture's own outlines."""
+    """The road as a network has learned it from other streets, along the image's own outlines."""
 
     threshold: Threshold = 0.5
     working: WorkingSize = WorkingSize(pixels=256 * 192)
@@ -157,7 +157,7 @@ class PaperFusionSettings(WorkingSettings):
     )
     saturation: Saturation = Saturation()
     prior: Literal["uniform", "rows", "triangle"] = Field(
-        default="uniform", description="where road is likely before the picture is seen (eq. 4)"
+        default="uniform", description="where road is likely before the image is seen (eq. 4)"
     )
 
 
@@ -167,7 +167,7 @@ FROM_SCRATCH = "layout-free"
 
 @lean
 def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
-    """Naive Bayes of what one picture (3,H,W) shows by itself. Ours, after P2."""
+    """Naive Bayes of what one image (3,H,W) shows by itself. Ours, after P2."""
     image = brightened(image, EXPOSURE)
     segments = measure_segments(image, settings.superpixels.cut(image))
     labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
@@ -185,7 +185,7 @@ def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, 
 class Fusion(nn.Module):
     """The road that a network has learned from other streets: the best we know.
 
-    P2 fuses what was learned off line with what the picture shows by itself. With a network that
+    P2 fuses what was learned off line with what the image shows by itself. With a network that
     sees 192x256 pixels texture, distance from the seed area, place and look no longer pay for
     their time (docs/research/p2.md); ``fusion:scratch``, whose network knows less, and
     ``fusion:untrained`` have them.
@@ -194,9 +194,9 @@ class Fusion(nn.Module):
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = picture_network_of(settings.weights, FOR_PICTURES)
+        self.network = image_network_of(settings.weights, FOR_IMAGES)
         file = settings.second.file
-        self.second = picture_network_of(WeightsFile(file=file), file) if file else None
+        self.second = image_network_of(WeightsFile(file=file), file) if file else None
 
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
@@ -237,7 +237,7 @@ class Fusion(nn.Module):
 
 
 def seen_closer(
-    network: WholePictureNetwork, image: Tensor, cuts: Sequence[float]
+    network: WholeImageNetwork, image: Tensor, cuts: Sequence[float]
 ) -> Mapping[str, Tensor]:
     """``cues`` of an image (…,3,H,W), and of what is left of it below each cut; their mean."""
     total, height = network.cues(image), image.shape[-2]
@@ -257,7 +257,7 @@ def calibrated(odds: Tensor, calibration: RoadCalibration) -> Tensor:
 
 
 class ScratchFusion(nn.Module):
-    """Naive Bayes of what the picture shows and what a network has learned from other streets.
+    """Naive Bayes of what the image shows and what a network has learned from other streets.
 
     The network says where the ego car is, and the ground above is continued over it before
     anything is measured; the seed area is where place, layout and network see road.
@@ -266,7 +266,7 @@ class ScratchFusion(nn.Module):
     def __init__(self, settings: ScratchFusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = picture_network_of(settings.weights, FROM_SCRATCH)
+        self.network = image_network_of(settings.weights, FROM_SCRATCH)
 
     @lean
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:

@@ -30,7 +30,7 @@ class Cnn7Settings(WorkingSettings):
 
 @lean
 def labeller(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
-    """The ground that the labeller finds in the picture itself; no weights."""
+    """The ground that the labeller finds in the image itself; no weights."""
     layout = label_whole(image, settings.labeller, settings.superpixels)
     return {
         "likelihood": layout.potentials[HORIZONTAL],

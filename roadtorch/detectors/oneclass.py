@@ -39,7 +39,7 @@ def _name(classifier: Classifier, planes: str) -> str:
 
 GRID = DetectorGrid(
     "oneclass:<classifier>:<planes>",
-    "colours like those ahead of the car, learned from the one picture (Álvarez 2014)",
+    "colours like those ahead of the car, learned from the one image (Álvarez 2014)",
     {
         _name(classifier, planes): reason
         for classifier in CLASSIFIERS.values()
@@ -59,7 +59,7 @@ PAPER = DetectorGrid(
     },
 )
 
-PIXELS = 640 * 480  # of P3's pictures, as far as is known
+PIXELS = 640 * 480  # of P3's images, as far as is known
 
 MAX_DISTANCE = 1000.0
 """Thresholds beyond which the cue ``distance`` is cut off: empty bins are infinitely far."""
@@ -68,7 +68,7 @@ MAX_DISTANCE = 1000.0
 class OneClassSettings(WorkingSettings):
     """Where samples come from, and what the classifier is told.
 
-    P3 thresholds the likelihood and nothing else, so isolated regions are kept. Its pictures
+    P3 thresholds the likelihood and nothing else, so isolated regions are kept. Its images
     are taken to be of 640×480 pixels, and larger ones are reduced to as many.
     """
 

@@ -1,4 +1,4 @@
-"""Detectors that learn their features in the picture itself (P1)."""
+"""Detectors that learn their features in the image itself (P1)."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -11,14 +11,14 @@ from roadtorch.detectors.detector import Analysis, DetectorSettings, Entry, Thre
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.features import DictionarySettings
 from roadtorch.ufl.hierarchy import RegionTreeSettings, build_tree, threshold_regions, thresholds
-from roadtorch.ufl.maps import MapSettings, dictionary_picture, learn_features, mean_map, mosaic
+from roadtorch.ufl.maps import MapSettings, dictionary_image, learn_features, mean_map, mosaic
 from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic
 from roadtorch.ufl.road import (
     SHARPNESS,
     StabilitySettings,
     enlarged_likelihood,
     find_road,
-    map_pictures,
+    map_images,
     map_to_image,
     mask_to_image,
     road_likelihood,
@@ -41,7 +41,7 @@ class UflSettings(DetectorSettings):
 
 
 def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
-    """Features learned in one picture, regions chosen from a tree of thresholds (P1).
+    """Features learned in one image, regions chosen from a tree of thresholds (P1).
 
     Found at P1's size, brought back to the image's own.
     """
@@ -65,9 +65,9 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     return {
         "likelihood": enlarged_likelihood(likelihood, (height, width)),
         "equalised": learned.even,
-        "dictionary": dictionary_picture(learned.dictionary, features.order, side, size),
+        "dictionary": dictionary_image(learned.dictionary, features.order, side, size),
         "selected_maps": mosaic(features.maps[:, None], size)[0],
-        **map_pictures(features, mean, tree, rounds[-1], side),
+        **map_images(features, mean, tree, rounds[-1], side),
         **{f"iteration_{number}": mask for number, mask in enumerate(masks, 1)},
     }
 
@@ -91,7 +91,7 @@ UFL = partial(Analysis, ufl)
 ENTRIES = (
     Entry(
         "ufl",
-        "features learned from the picture, regions chosen (Zhang 2016)",
+        "features learned from the image, regions chosen (Zhang 2016)",
         UflSettings,
         UFL,
         # The best readings and settings we know.

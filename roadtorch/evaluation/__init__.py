@@ -1,1 +1,1 @@
-"""Scoring detectors on labelled pictures."""
+"""Scoring detectors on labelled images."""

@@ -52,7 +52,7 @@ def count_boundary(
 def border(mask: Tensor, valid: Tensor) -> Tensor:
     """Valid pixels of a mask (H,W) with a valid 4-neighbour outside it; bool (H,W).
 
-    Where the mask meets void or the picture's frame there is no border: nobody knows
+    Where the mask meets void or the image's frame there is no border: nobody knows
     whether it ends there.
     """
     inside, outside = mask & valid, ~mask & valid

@@ -48,19 +48,19 @@ class Unlabelled:
         raise DatasetError(item.image, "has no label", "give a labelled set")
 
 
-def unlabelled_set(pictures: Iterable[Item]) -> Dataset:
-    """Pictures as a set whose truth nobody knows."""
-    items = tuple(LabelledItem(picture.name, picture.path, picture.path) for picture in pictures)
-    return Dataset("pictures", Path(), "", items, Unlabelled())
+def unlabelled_set(images: Iterable[Item]) -> Dataset:
+    """Images as a set whose truth nobody knows."""
+    items = tuple(LabelledItem(image.name, image.path, image.path) for image in images)
+    return Dataset("images", Path(), "", items, Unlabelled())
 
 
 @dataclass(frozen=True)
 class Disagreements:
-    """Two methods on a set without labels. pictures: those that differ most first, then by name."""
+    """Two methods on a set without labels. images: those that differ most first, then by name."""
 
     dataset: Dataset
     methods: tuple[Contender, Contender]
-    pictures: Sequence[Disagreement]
+    images: Sequence[Disagreement]
     failures: Sequence[Failure]
 
 
@@ -76,8 +76,8 @@ class Comparing:
             image = read_image(item.image)
             with image_cache():
                 first, second = (look(image, item) for look in self.looks)
-        except RoadtorchError as problem:
-            return Failure(item.name, None, str(problem))
+        except RoadtorchError as error:
+            return Failure(item.name, None, str(error))
         parts = (first.mask & ~second.mask, second.mask & ~first.mask, first.mask, second.mask)
         only_first, only_second, *roads = (float(part.double().mean()) for part in parts)
         trusts = (
@@ -94,22 +94,22 @@ def disagreements(
     quiet: bool = False,
     **bar: str,
 ) -> Disagreements:
-    """Every picture as two methods decide on it, each at its own threshold.
+    """Every image as two methods decide on it, each at its own threshold.
 
     jobs: processes, None for what pays. bar: what else ``Progress`` is told.
     """
     task = Comparing([contender.prepare(dataset) for contender in methods])
     items = dataset.items
     results = workers_for(jobs, len(items)).map(task, items, _died)
-    pictures, failures = list[Disagreement](), list[Failure]()
+    images, failures = list[Disagreement](), list[Failure]()
     with closing(results):
         for result in Progress(results, total=len(items), unit="image", quiet=quiet, **bar):
             if isinstance(result, Failure):
                 failures.append(result)
             else:
-                pictures.append(result)
-    pictures.sort(key=lambda pair: (-pair.differs, pair.item.name))
-    return Disagreements(dataset, methods, pictures, failures)
+                images.append(result)
+    images.sort(key=lambda pair: (-pair.differs, pair.item.name))
+    return Disagreements(dataset, methods, images, failures)
 
 
 def _died(item: LabelledItem) -> Failure:
@@ -122,12 +122,12 @@ def _died(item: LabelledItem) -> Failure:
 class Agreement(NamedTuple):
     """Shares of the pixels, where the teacher is sure, on which a network says the same.
 
-    layout: the class; road: road or not. pictures: how many were asked.
+    layout: the class; road: road or not. images: how many were asked.
     """
 
     layout: float
     road: float
-    pictures: int
+    images: int
 
 
 class Taught(NamedTuple):
@@ -139,7 +139,7 @@ class Taught(NamedTuple):
 
 
 def most_and_spread(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:
-    """So many pictures to look at: half of them changed most, the others are evenly spread.
+    """So many images to look at: half of them changed most, the others are evenly spread.
 
     ranked: the most changed first. The spread is over what is left, from much changed to little,
     the least changed included. All where there are no more than ``count``.

@@ -1,4 +1,4 @@
-"""Score detectors on a labelled set: every picture once, then figures and comparisons."""
+"""Score detectors on a labelled set: every image once, then figures and comparisons."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -41,8 +41,8 @@ def evaluate(
         detectors: names, with wildcards; weight files, configs, and folders of likelihood maps,
             as PATH or NAME=PATH.
         settings: nested values for those that are named.
-        camera: the one that made the pictures.
-        limit: look at so many pictures only, evenly spread.
+        camera: the one that made the images.
+        limit: look at so many images only, evenly spread.
         mean_from: the set that teaches ``prior:mean`` where the groups of this one cannot.
         threshold_from: the metrics.json of an earlier run whose thresholds are taken.
         against: the detector that all are compared with, as in ``detectors``; the best one if
@@ -54,7 +54,7 @@ def evaluate(
 
     Raises:
         ConfigError: for what can be refused before the run.
-        DatasetError: when no picture could be scored.
+        DatasetError: when no image could be scored.
         UnscorableError: when no label has any road.
     """
     entries = contenders(dataset, detectors, settings or {}, camera, mean_from, with_baselines)
@@ -63,17 +63,17 @@ def evaluate(
         against = entries[-1].name
     if threshold_from is not None:
         entries = with_thresholds(entries, threshold_from)
-    pictures = every_kth(dataset, limit)
-    conditions = pictures.by_condition()
-    tallies, failures = count_pictures(pictures, entries, jobs, quiet)
+    images = every_kth(dataset, limit)
+    conditions = images.by_condition()
+    tallies, failures = count_images(images, entries, jobs, quiet)
     figures = {
-        entry.name: summarise(entry, tallies[entry.name], measures, pictures.left_out, conditions)
+        entry.name: summarise(entry, tallies[entry.name], measures, images.left_out, conditions)
         for entry in entries
     }
     draws = {name: resample(tallies[name], figures[name], measures) for name in figures}
     best = max(figures, key=lambda name: figures[name].rank)
     return Evaluation(
-        pictures,
+        images,
         {name: replace(own, intervals=intervals(draws[name])) for name, own in figures.items()},
         compare(figures, draws, against or best, measures),
         failures,
@@ -82,10 +82,10 @@ def evaluate(
     )
 
 
-def count_pictures(
+def count_images(
     dataset: Dataset, entries: Sequence[Contender], jobs: int | None, quiet: bool
 ) -> tuple[Mapping[str, Tally], list[Failure]]:
-    """Count every picture for every contender; a picture that fails counts for none of them."""
+    """Count every image for every contender; an image that fails counts for none of them."""
     tallies, failures = {entry.name: Tally() for entry in entries}, list[Failure]()
     with closing(score(dataset, entries, jobs)) as results:
         for result in Progress(results, total=len(dataset.items), unit="image", quiet=quiet):
@@ -96,7 +96,7 @@ def count_pictures(
     roads = [counts.road for tally in tallies.values() for counts in tally.road.values()]
     if not {group for tally in tallies.values() for group in tally.road} - dataset.left_out:
         first = failures[0].reason if failures else "all groups are left out"
-        message = f"none of its {len(dataset.items)} pictures could be scored; the first: {first}"
+        message = f"none of its {len(dataset.items)} images could be scored; the first: {first}"
         raise DatasetError(dataset.root, message, "mend that first")
     if not any(bool(road.any()) for road in roads):
         message = "there is no road in any label"

@@ -28,8 +28,8 @@ class Measure:
     meaning: a sentence for who has to read it.
     better: which of two values is; None where neither is. digits: decimals that are shown.
     over_groups: what stands above the figures of the groups: their mean, the figure of all
-    pictures together, or nothing.
-    interval: whether it is taken of pictures drawn anew, too; then the formula needs no field
+    images together, or nothing.
+    interval: whether it is taken of images drawn anew, too; then the formula needs no field
     of the part that draws do not have. shown: the tables that have it as a column.
     """
 

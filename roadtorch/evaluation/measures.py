@@ -16,7 +16,7 @@ from torch import Tensor
 from roadtorch.evaluation import boundary, curves, metrics
 from roadtorch.evaluation.measure import Formula, Measure
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.tally import Part, Pictures
+from roadtorch.evaluation.tally import Images, Part
 from roadtorch.evaluation.trust import TRUST
 from roadtorch.layout.classes import CLASSES, NAMES
 
@@ -42,9 +42,9 @@ def _of_mask(figure: Callable[[Decisions], Tensor]) -> Formula:
     return lambda part: figure(part.mask)
 
 
-def _of_pictures(figure: Callable[[Pictures], float]) -> Formula:
-    """Of the single pictures, which are not known of draws."""
-    return lambda part: None if part.pictures is None else figure(part.pictures)
+def _of_images(figure: Callable[[Images], float]) -> Formula:
+    """Of the single images, which are not known of draws."""
+    return lambda part: None if part.images is None else figure(part.images)
 
 
 # --- the road ---------------------------------------------------------------------------
@@ -62,7 +62,7 @@ MAXF = Measure(
 AUC_MEAN = Measure(
     "auc_mean",
     "AUC/image",
-    "Mean of the AUCs of single pictures.",
+    "Mean of the AUCs of single images.",
     lambda part: part.image_auc,
     interval=True,
     shown=("scores", "compared"),
@@ -106,9 +106,9 @@ IOU_MASK = Measure(
 SCORES = (
     Measure(
         "images",
-        "pictures",
-        "Pictures that were scored.",
-        _of_pictures(lambda pictures: len(pictures.names)),
+        "images",
+        "Images that were scored.",
+        _of_images(lambda images: len(images.names)),
         better=None,
         digits=0,
         over_groups="whole",
@@ -164,8 +164,8 @@ SCORES = (
     Measure(
         "ms_per_image",
         "ms/image",
-        "Median time of one picture, detector alone.",
-        _of_pictures(lambda pictures: 1000 * statistics.median(pictures.seconds.tolist())),
+        "Median time of one image, detector alone.",
+        _of_images(lambda images: 1000 * statistics.median(images.seconds.tolist())),
         better=None,
         digits=1,
         over_groups="whole",

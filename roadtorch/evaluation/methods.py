@@ -26,18 +26,18 @@ from roadtorch.detectors.catalogue import (
 from roadtorch.detectors.detector import Detection, Detector, DetectorSettings
 from roadtorch.imaging.resize import size_of
 from roadtorch.layout.backbone_network import BackboneNetwork
+from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.picture_network import PictureNetwork
 from roadtorch.layout.weights import load_network
 
 BASELINES = ("prior:rows", "prior:triangle")  # in every run; prior:mean joins where it can
 
 MEAN = "prior:mean"  # the evaluator's own
 
-MEAN_THRESHOLD = 0.5  # road at this place in at least half of the pictures
+MEAN_THRESHOLD = 0.5  # road at this place in at least half of the images
 
 BY_NETWORK = {
-    PictureNetwork.kind: "fusion",
+    ImageNetwork.kind: "fusion",
     BackboneNetwork.kind: "fusion",
     PatchNetwork.kind: "layout:cnn-7",
 }
@@ -79,7 +79,7 @@ def contenders(
     """Return the contenders, each once, and the baselines, in this order.
 
     detectors: texts as of ``candidates``. settings: values for all of them. camera: the one that
-    made the pictures. mean_from: the set that teaches ``prior:mean``.
+    made the images. mean_from: the set that teaches ``prior:mean``.
     Raises ConfigError for whatever can be refused before the run.
     """
     entries: dict[str, Contender] = {}
@@ -245,7 +245,7 @@ def mean_masks(dataset: Dataset, mean_from: Dataset | None = None) -> dict[str, 
 def road_shares(dataset: Dataset) -> dict[str, Tensor]:
     """How often each pixel is road, by group: float64 (H,W) in [0,1] ("" without groups).
 
-    The share of a group's pictures that show road at that place, among those that have
+    The share of a group's images that show road at that place, among those that have
     truth there. All are brought to the size of the set's first label.
     """
     road: dict[str, Tensor] = {}
@@ -296,8 +296,8 @@ def with_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]
     """
     try:
         earlier = _EarlierRun.model_validate_json(read_regular(path)).detectors
-    except OSError as problem:
-        message = f"cannot be read: {reason(problem)}"
+    except OSError as error:
+        message = f"cannot be read: {reason(error)}"
         raise InputError(path, message, "give a metrics.json") from None
     except ValidationError:
         raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None

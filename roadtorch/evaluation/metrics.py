@@ -50,7 +50,7 @@ class RoadCounts:
         return self.road.shape[-1]
 
     def __reduce__(self) -> tuple[Callable[..., "RoadCounts"], tuple[np.ndarray, ...]]:
-        """Between processes the levels that occur: of one picture's 65,536 most do not."""
+        """Between processes the levels that occur: of one image's 65,536 most do not."""
         both = torch.stack([self.road, self.other]).numpy()
         places = np.flatnonzero(both).astype(np.int32)
         return _from_sparse, (np.array(both.shape), places, both.reshape(-1)[places])

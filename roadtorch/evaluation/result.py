@@ -16,7 +16,7 @@ from roadtorch.evaluation.measure import Figures, Measure, Place
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.tally import WHOLE, Part, Pictures, Tally
+from roadtorch.evaluation.tally import WHOLE, Images, Part, Tally
 
 
 class Interval(NamedTuple):
@@ -37,7 +37,7 @@ class DetectorFigures:
 
     headline: means over the groups, or the figures of a set that knows none. pooled: of all
     groups' counts together; without groups it and ``groups`` are empty. left_out: the groups
-    that count in nothing above. conditions: of the pictures of each condition together,
+    that count in nothing above. conditions: of the images of each condition together,
     on 8-bit maps.
     thresholds: the chosen one of each group (of ``WHOLE`` without groups); threshold_from:
     where they come from, in words. best_threshold: that of the highest F, averaged over the
@@ -72,7 +72,7 @@ class DetectorFigures:
 
     @property
     def is_baseline(self) -> bool:
-        """Whether the detector never looks at the picture."""
+        """Whether the detector never looks at the image."""
         return self.contender.is_baseline
 
     def group(self, name: str) -> Figures:
@@ -98,7 +98,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Failure:
-    """A picture that could not be scored, and so counts for no detector."""
+    """An image that could not be scored, and so counts for no detector."""
 
     image: str
     group: str | None
@@ -131,7 +131,7 @@ class Evaluation:
 
     @property
     def images(self) -> int:
-        """How many pictures were scored."""
+        """How many images were scored."""
         return len(self.dataset.items) - len(self.failures)
 
     @property
@@ -208,7 +208,7 @@ def summarise(
 ) -> DetectorFigures:
     """All figures of one detector but its intervals.
 
-    left_out: groups that count in nothing but their own. conditions: pictures by condition,
+    left_out: groups that count in nothing but their own. conditions: images by condition,
     which have figures together, whatever groups they are of.
     """
     source, thresholds, best = choose_thresholds(contender, tally.road, left_out)
@@ -220,9 +220,9 @@ def summarise(
         for group, threshold in thresholds.items()
     }
     of_condition = {
-        name: of_pictures(pictures, thresholds)
+        name: of_images(images, thresholds)
         for name, items in (conditions or {}).items()
-        if (pictures := tally.named({item.name for item in items})).names
+        if (images := tally.named({item.name for item in items})).names
     }
     is_whole = list(parts) == [WHOLE]
     whole = parts[WHOLE] if is_whole else of_groups(tally, counting)
@@ -248,24 +248,24 @@ def of_groups(tally: Tally, thresholds: Mapping[str, float]) -> Part:
     return _add_up(tally.kept(thresholds), counts, thresholds)
 
 
-def of_pictures(pictures: Pictures, thresholds: Mapping[str, float]) -> Part:
-    """Add up the counts of pictures of any groups, on 8-bit maps; thresholds: of their groups."""
+def of_images(images: Images, thresholds: Mapping[str, float]) -> Part:
+    """Add up the counts of images of any groups, on 8-bit maps; thresholds: of their groups."""
     counts = {
-        group: RoadCounts(pictures.road.road[own].sum(0), pictures.road.other[own].sum(0))
-        for group in dict.fromkeys(pictures.groups)
-        for own in [pictures.of_group(group)]
+        group: RoadCounts(images.road.road[own].sum(0), images.road.other[own].sum(0))
+        for group in dict.fromkeys(images.groups)
+        for own in [images.of_group(group)]
     }
-    return _add_up(pictures, counts, thresholds)
+    return _add_up(images, counts, thresholds)
 
 
 def _add_up(
-    pictures: Pictures, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
+    images: Images, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
 ) -> Part:
-    """Add pictures up; counts: of their likelihoods, by group."""
-    areas = [area for area in pictures.auc.tolist() if not math.isnan(area)]
+    """Add images up; counts: of their likelihoods, by group."""
+    areas = [area for area in images.auc.tolist() if not math.isnan(area)]
     layout, labels = (
         rows.sum(0) if rows is not None and rows.any() else None
-        for rows in (pictures.layout, pictures.labels)
+        for rows in (images.layout, images.labels)
     )
     outcomes = [
         metrics.decisions_at(counts[group], thresholds[group])
@@ -274,13 +274,13 @@ def _add_up(
     ]
     return Part(
         reduce(add, counts.values()),
-        Decisions(*pictures.outcomes.sum(0)),
-        pictures.boundary.sum(0),
+        Decisions(*images.outcomes.sum(0)),
+        images.boundary.sum(0),
         layout,
         reduce(add, outcomes) if outcomes else None,
         torch.tensor(sum(areas) / len(areas) if areas else math.nan, dtype=torch.float64),
         labels,
-        pictures=pictures,
+        images=images,
     )
 
 
@@ -297,7 +297,7 @@ def figures_of(part: Part, measures: Sequence[Measure]) -> Figures:
 def over_groups(
     groups: Mapping[str, Figures], pooled: Figures, measures: Sequence[Measure]
 ) -> Figures:
-    """What stands above the figures of the groups: means, or those of all pictures together."""
+    """What stands above the figures of the groups: means, or those of all images together."""
     figures = {}
     for measure in measures:
         if measure.key in pooled and measure.over_groups == "whole":
@@ -313,39 +313,37 @@ def mean(values: Sequence[float]) -> float:
     return sum(defined) / len(defined) if defined else math.nan
 
 
-# --- single pictures ---------------------------------------------------------------------
+# --- single images ---------------------------------------------------------------------
 
 
-def image_f(pictures: Pictures, thresholds: Mapping[str, float]) -> Tensor:
-    """F of each picture at its group's threshold, of its 8-bit map, float64 (n,).
+def image_f(images: Images, thresholds: Mapping[str, float]) -> Tensor:
+    """F of each image at its group's threshold, of its 8-bit map, float64 (n,).
 
     NaN without road or threshold.
     """
-    f = torch.full((len(pictures.names),), math.nan, dtype=torch.float64)
+    f = torch.full((len(images.names),), math.nan, dtype=torch.float64)
     for group, threshold in thresholds.items():
         if not math.isnan(threshold):
-            own = pictures.of_group(group)
-            counts = RoadCounts(pictures.road.road[own], pictures.road.other[own])
+            own = images.of_group(group)
+            counts = RoadCounts(images.road.road[own], images.road.other[own])
             outcome = metrics.decisions_at(counts, threshold)
             has_road = outcome.true_positive + outcome.false_negative > 0
             f[own] = metrics.f_measure(outcome).where(has_road, torch.nan)
     return f
 
 
-def pictures_by_f(tally: Tally, figures: DetectorFigures) -> list[tuple[float, str]]:
-    """(F, name) of the pictures with road that count, the best first."""
-    pictures = tally.kept(figures.counting)
-    values = image_f(pictures, figures.thresholds).tolist()
-    with_road = [
-        pair for pair in zip(values, pictures.names, strict=True) if not math.isnan(pair[0])
-    ]
+def images_by_f(tally: Tally, figures: DetectorFigures) -> list[tuple[float, str]]:
+    """(F, name) of the images with road that count, the best first."""
+    images = tally.kept(figures.counting)
+    values = image_f(images, figures.thresholds).tolist()
+    with_road = [pair for pair in zip(values, images.names, strict=True) if not math.isnan(pair[0])]
     return sorted(with_road, key=lambda pair: (-pair[0], pair[1]))
 
 
 def best_median_worst(
     order: Sequence[tuple[float, str]], count: int
 ) -> dict[str, Sequence[tuple[float, str]]]:
-    """The first ``count`` of pictures, those in the middle, and the last, from the last on."""
+    """The first ``count`` of images, those in the middle, and the last, from the last on."""
     begin = max((len(order) - count) // 2, 0)
     return {
         "best": order[:count],

@@ -1,4 +1,4 @@
-"""The pass: every detector over every picture once, picture by picture."""
+"""The pass: every detector over every image once, image by image."""
 
 import math
 import time
@@ -16,12 +16,12 @@ from roadtorch.evaluation.metrics import count_layout, count_levels, count_mask
 from roadtorch.evaluation.tally import Score, Scored
 from roadtorch.run.workers import DIED, workers_for
 
-# --- one picture ------------------------------------------------------------------------
+# --- one image ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class LabelledPicture:
-    """One item that has been read: its picture, and the truth in the picture's own space."""
+class LabelledImage:
+    """One item that has been read: its image, and the truth in the image's own space."""
 
     dataset: Dataset
     item: LabelledItem
@@ -29,10 +29,10 @@ class LabelledPicture:
     truth: Truth
 
     def seen(self, values: Tensor) -> Tensor:
-        """A map (…,H,W) of the picture's size in the space in which it is scored."""
+        """A map (…,H,W) of the image's size in the space in which it is scored."""
         view = self.dataset.view
-        in_picture = values.shape[-2:] == self.image.shape[-2:]
-        return view(self.item, values) if view is not None and in_picture else values
+        in_image = values.shape[-2:] == self.image.shape[-2:]
+        return view(self.item, values) if view is not None and in_image else values
 
     def seen_truth(self) -> Truth:
         """The truth in the space in which it is scored."""
@@ -40,8 +40,8 @@ class LabelledPicture:
         return Truth(self.seen(self.truth.road), self.seen(self.truth.valid), layout)
 
 
-def score_look(look: Look, scene: LabelledPicture, truth: Truth, shared: ImageCache) -> Score:
-    """Run one detector on one picture and count; truth: as it is scored."""
+def score_look(look: Look, scene: LabelledImage, truth: Truth, shared: ImageCache) -> Score:
+    """Run one detector on one image and count; truth: as it is scored."""
     saved, start = shared.saved, time.perf_counter()
     detection = look(scene.image, scene.item)
     # What others had made before it counts as this one's work, too.
@@ -79,22 +79,22 @@ class Scoring:
     def __call__(self, item: LabelledItem) -> Scored:
         """Return the scores of one item.
 
-        Whatever goes wrong becomes the result's failure, and the picture then counts for no
-        detector, so that all are scored on the same pictures.
+        Whatever goes wrong becomes the result's failure, and the image then counts for no
+        detector, so that all are scored on the same images.
         """
         name = ""
         try:
-            scene = LabelledPicture(self.dataset, item, *self.dataset.read(item))
+            scene = LabelledImage(self.dataset, item, *self.dataset.read(item))
             truth, scores = scene.seen_truth(), {}
             with image_cache() as shared:
                 for name, look in self.looks.items():
                     scores[name] = score_look(look, scene, truth, shared)
             return Scored(item, scores)
-        except RoadtorchError as problem:
-            return Scored(item, {}, f"{name}: {problem}" if name else str(problem))
-        except Exception as problem:  # a detector's own mistake must not end a long run
-            what = f"{type(problem).__name__}: {problem}"
-            return Scored(item, {}, f"{name or item.name}: {what}")
+        except RoadtorchError as error:
+            return Scored(item, {}, f"{name}: {error}" if name else str(error))
+        except Exception as error:  # a detector's own mistake must not end a long run
+            problem = f"{type(error).__name__}: {error}"
+            return Scored(item, {}, f"{name or item.name}: {problem}")
 
 
 def score(

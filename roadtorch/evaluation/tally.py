@@ -1,6 +1,6 @@
-"""What is counted in a pass, and kept: sums by group, a few numbers of each picture.
+"""What is counted in a pass, and kept: sums by group, a few numbers of each image.
 
-Sums have one size whatever the number of pictures. Of each picture its 8-bit histograms
+Sums have one size whatever the number of images. Of each image its 8-bit histograms
 stay (2 kB), for distributions, intervals and comparisons.
 """
 
@@ -17,13 +17,13 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 
 WHOLE = "all"  # the one group of a set that knows no groups
-COARSE = 256  # levels that are kept of each picture
-FIRST_ROWS = 64  # pictures that there is room for before a column grows
+COARSE = 256  # levels that are kept of each image
+FIRST_ROWS = 64  # images that there is room for before a column grows
 
 
 @dataclass(frozen=True)
 class Score:
-    """One detector's counts on one picture, in the space of the truth."""
+    """One detector's counts on one image, in the space of the truth."""
 
     road: RoadCounts
     mask: Decisions
@@ -36,7 +36,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Scored:
-    """What came of one picture: a score for every detector, or why there is none."""
+    """What came of one image: a score for every detector, or why there is none."""
 
     item: LabelledItem
     scores: Mapping[str, Score]
@@ -44,8 +44,8 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """What is kept of n pictures: a row of every tensor is one of them."""
+class Images:
+    """What is kept of n images: a row of every tensor is one of them."""
 
     names: Sequence[str]
     groups: Sequence[str]
@@ -65,24 +65,24 @@ class Pictures:
         return Decisions(*self.outcomes.unbind(1))
 
     def of_group(self, group: str) -> Tensor:
-        """Which of the pictures are of a group, bool (n,)."""
+        """Which of the images are of a group, bool (n,)."""
         return torch.tensor([name == group for name in self.groups], dtype=torch.bool)
 
 
 @dataclass
 class Tally:
-    """One detector's counts so far: pixels by likelihood and group, and columns by picture.
+    """One detector's counts so far: pixels by likelihood and group, and columns by image.
 
     Rows are written into a few large tensors that double when they are full: thousands of small
     ones between the large temporary ones of counting would keep their memory in use.
     """
 
     road: dict[str, RoadCounts] = field(default_factory=dict)
-    pictures: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
+    images: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
     columns: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
     def add(self, item: LabelledItem, score: Score) -> None:
-        """Count one more picture."""
+        """Count one more image."""
         group = item.group or WHOLE
         area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
         self.road[group] = self.road[group] + score.road if group in self.road else score.road
@@ -95,34 +95,34 @@ class Tally:
         }
         confusions = {"layout": score.layout, "labels": score.labels}
         values |= {key: counts for key, counts in confusions.items() if counts is not None}
-        row = len(self.pictures)
+        row = len(self.images)
         for key in values.keys() - self.columns.keys():
             self.columns[key] = values[key].new_zeros((FIRST_ROWS, *values[key].shape))
-        for key, column in self.columns.items():  # those as well that this picture has not
+        for key, column in self.columns.items():  # those as well that this image has not
             while len(column) <= row:
                 column = torch.cat([column, torch.zeros_like(column)])
             if key in values:
                 column[row] = values[key]
             self.columns[key] = column
-        self.pictures.append((item.name, group))
+        self.images.append((item.name, group))
 
-    def kept(self, groups: Iterable[str] | None = None) -> Pictures:
-        """What is kept of some groups' pictures, group by group, or of all in their order."""
-        places = range(len(self.pictures))
+    def kept(self, groups: Iterable[str] | None = None) -> Images:
+        """What is kept of some groups' images, group by group, or of all in their order."""
+        places = range(len(self.images))
         if groups is not None:
-            places = [i for group in groups for i in places if self.pictures[i][1] == group]
+            places = [i for group in groups for i in places if self.images[i][1] == group]
         return self._rows(places)
 
-    def named(self, names: Container[str]) -> Pictures:
-        """What is kept of the pictures of these names, in their order."""
-        return self._rows([i for i, (name, _) in enumerate(self.pictures) if name in names])
+    def named(self, names: Container[str]) -> Images:
+        """What is kept of the images of these names, in their order."""
+        return self._rows([i for i, (name, _) in enumerate(self.images) if name in names])
 
-    def _rows(self, places: Sequence[int]) -> Pictures:
+    def _rows(self, places: Sequence[int]) -> Images:
         chosen = torch.tensor(list(places), dtype=torch.int64)
         columns = {key: column[chosen] for key, column in self.columns.items()}
-        return Pictures(
-            [self.pictures[i][0] for i in places],
-            [self.pictures[i][1] for i in places],
+        return Images(
+            [self.images[i][0] for i in places],
+            [self.images[i][1] for i in places],
             RoadCounts(*columns["road"].unbind(1)),
             columns["mask"],
             columns["boundary"],
@@ -137,12 +137,12 @@ class Tally:
 
 @dataclass(frozen=True)
 class Part:
-    """Counts of some pictures together, or of many draws of them: then all have (draws,…).
+    """Counts of some images together, or of many draws of them: then all have (draws,…).
 
     chosen: the outcome at the threshold of each group; None where there is none.
-    image_auc: the mean of the single pictures' AUC, float64 (…).
+    image_auc: the mean of the single images' AUC, float64 (…).
     What follows in the list is not known of draws: labels, a confusion as ``layout``, of
-    labels that may abstain; threshold, where there is one for all; the single pictures.
+    labels that may abstain; threshold, where there is one for all; the single images.
     """
 
     road: RoadCounts
@@ -153,7 +153,7 @@ class Part:
     image_auc: Tensor
     labels: Tensor | None = None
     threshold: float | None = None
-    pictures: Pictures | None = None
+    images: Images | None = None
 
     @cached_property
     def max_f(self) -> tuple[Tensor, Tensor]:

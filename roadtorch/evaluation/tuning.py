@@ -50,7 +50,7 @@ def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
     figures, tally = evaluation.detectors[name], evaluation.tallies[name]
     contender = figures.contender
     if math.isnan(figures.best_threshold):
-        raise DatasetError(evaluation.dataset.root, "shows no road", "give pictures with road")
+        raise DatasetError(evaluation.dataset.root, "shows no road", "give images with road")
     best = {"threshold": round(figures.best_threshold, DIGITS)}
     tuned = detector_entry(contender.detector).configured({**contender.settings, **best})
     at_default, chosen = (
@@ -89,11 +89,11 @@ def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) ->
 
     dataset = evaluation.dataset
     lines = [
-        f"The threshold is chosen on {dataset.name} {dataset.split}, {choice.images} pictures, by",
+        f"The threshold is chosen on {dataset.name} {dataset.split}, {choice.images} images, by",
         f"  {command}",
         f"At the default threshold {choice.contender.threshold:.3f}: "
         f"F {F.of(choice.at_default):.3f}.",
-        f"On these pictures: {both(choice.chosen)} (mean over the groups).",
+        f"On these images: {both(choice.chosen)} (mean over the groups).",
     ]
     if choice.held_out:
         lines.append(f"Each group at the threshold of the others: {both(choice.held_out)}.")

@@ -19,7 +19,7 @@ from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 from roadtorch.evaluation.result import Comparison, DetectorFigures, Difference, Interval
-from roadtorch.evaluation.tally import Part, Pictures, Tally
+from roadtorch.evaluation.tally import Images, Part, Tally
 
 REPLICATES = 1000
 
@@ -50,16 +50,16 @@ def interval(draws: Tensor) -> Interval:
 # --- the figures of a run -----------------------------------------------------------------
 
 Draws = Mapping[str, Tensor]
-"""Headline figures under every draw of the pictures, float64 (replicates,), by measure's key."""
+"""Headline figures under every draw of the images, float64 (replicates,), by measure's key."""
 
 
 def resample(
     tally: Tally, figures: DetectorFigures, measures: Sequence[Measure] = MEASURES
 ) -> Draws:
-    """Draw pictures inside their groups anew, and take the headline figures of each draw.
+    """Draw images inside their groups anew, and take the headline figures of each draw.
 
     Thresholds stay as they were chosen. The draws, which are counted on 8-bit maps, are
-    moved by what that changes in the figure of all pictures.
+    moved by what that changes in the figure of all images.
     """
     groups = [tally.kept([group]) for group in figures.counting]
     thresholds = [figures.thresholds[group] for group in figures.counting]
@@ -76,12 +76,12 @@ def resample(
 
 
 def _mean_over_groups(
-    groups: Sequence[Pictures],
+    groups: Sequence[Images],
     thresholds: Sequence[float],
     weights: Sequence[Tensor],
     measures: Sequence[Measure],
 ) -> dict[str, Tensor]:
-    """The figures (draws,) by key, of the pictures of each group as often as weights say."""
+    """The figures (draws,) by key, of the images of each group as often as weights say."""
     figures: dict[str, list[Tensor]] = {measure.key: [] for measure in measures}
     for group, threshold, drawing in zip(groups, thresholds, weights, strict=True):
         part = drawn(group, threshold, drawing)
@@ -93,24 +93,24 @@ def _mean_over_groups(
     return {key: torch.stack(values).nanmean(0) for key, values in figures.items()}
 
 
-def drawn(pictures: Pictures, threshold: float, weights: Tensor) -> Part:
-    """The pictures of one group, each as often as weights (draws,n) say, on 8-bit maps."""
+def drawn(images: Images, threshold: float, weights: Tensor) -> Part:
+    """The images of one group, each as often as weights (draws,n) say, on 8-bit maps."""
 
     def summed(counts: Tensor) -> Tensor:
         flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
         return flat.reshape(-1, *counts.shape[1:])
 
     road, other = (
-        summed(part).round().to(torch.int64) for part in (pictures.road.road, pictures.road.other)
+        summed(part).round().to(torch.int64) for part in (images.road.road, images.road.other)
     )
     counts = RoadCounts(road, other)
-    known = ~pictures.auc.isnan()
-    areas, of_known = pictures.auc[known], weights[:, known].to(torch.float64)
+    known = ~images.auc.isnan()
+    areas, of_known = images.auc[known], weights[:, known].to(torch.float64)
     return Part(
         counts,
-        Decisions(*summed(pictures.outcomes).unbind(1)),
-        summed(pictures.boundary),
-        None if pictures.layout is None else summed(pictures.layout),
+        Decisions(*summed(images.outcomes).unbind(1)),
+        summed(images.boundary),
+        None if images.layout is None else summed(images.layout),
         None if math.isnan(threshold) else metrics.decisions_at(counts, threshold),
         (of_known @ areas) / of_known.sum(1),
     )

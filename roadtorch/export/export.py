@@ -24,9 +24,9 @@ from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.detector import MIN_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
-from roadtorch.imaging.resize import at_picture_size, at_work, resized, size_of
+from roadtorch.imaging.resize import at_image_size, at_work, resized, size_of
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.layout.weights import FOR_PICTURES, terms_of, weights_path
+from roadtorch.layout.weights import FOR_IMAGES, terms_of, weights_path
 from roadtorch.road.outlines import outlined
 from roadtorch.testing.scenes import render_scene
 
@@ -61,7 +61,7 @@ class Exportable:
     ``OUTPUTS``. settings: those that have a part in it. weights: the files of its networks'.
     """
 
-    what: str
+    problem: str
     lacks: str
     steps: Steps
     outputs: tuple[str, ...]
@@ -96,7 +96,7 @@ def part_of(detector: Detector) -> Exportable:
             ),
             tuple(
                 weights_path(file)
-                for file in (settings.weights.file or FOR_PICTURES, settings.second.file)
+                for file in (settings.weights.file or FOR_IMAGES, settings.second.file)
                 if file
             ),
         )
@@ -117,7 +117,7 @@ def part_of(detector: Detector) -> Exportable:
 def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dict[str, Tensor]:
     """All of `fusion` but what takes connected regions.
 
-    Thin holes are not filled, and isolated road is not dropped. In the graph pictures are followed
+    Thin holes are not filled, and isolated road is not dropped. In the graph images are followed
     at their own size, however large that is.
     """
     small, full = at_work(image, settings.working), size_of(image)
@@ -125,14 +125,14 @@ def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dic
     likelihood = outlined(cues, small, image, settings.working, settings.threshold)
     if not torch.compiler.is_exporting():
         likelihood = resized(likelihood, full)
-    hidden = at_picture_size(cues["ego"], full)
+    hidden = at_image_size(cues["ego"], full)
     likelihood = likelihood.masked_fill(hidden, 0)
-    mask = at_picture_size(likelihood >= settings.threshold, size_of(small))
+    mask = at_image_size(likelihood >= settings.threshold, size_of(small))
     return {
         "likelihood": likelihood,
         "layout": resized(cues["layout"], full),
         "ego": hidden.float(),
-        "seed_area": at_picture_size(cues["seed_area"], full).float(),
+        "seed_area": at_image_size(cues["seed_area"], full).float(),
         "trust": torch.as_tensor(analysis.judge(mask, cues).trust),
     }
 
@@ -149,7 +149,7 @@ def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
     return {
         "roadtorch": __version__,
         "detector": detector.name,
-        "part": part.what,
+        "part": part.problem,
         "lacks": part.lacks,
         "input": "image: uint8 (N, H, W, 3)",
         "colour_order": "RGB",
@@ -173,13 +173,13 @@ def terms_with_card(weights: Path) -> str:
 
 
 Run = Callable[[np.ndarray], Mapping[str, np.ndarray]]
-"""Pictures uint8 (N,H,W,3) RGB → maps by name, by a runtime that has read a file."""
+"""Images uint8 (N,H,W,3) RGB → maps by name, by a runtime that has read a file."""
 
 BOUND = 1e-4
 """How far a file may be off. Ours: a fortieth of the step between two grey levels."""
 
 SIZES = ((48, 64), (121, 317), (360, 480))
-"""Height and width of the rendered pictures on which it is tried: below the network's size, above
+"""Height and width of the rendered images on which it is tried: below the network's size, above
 it, and above the size at which detectors think."""
 
 
@@ -187,42 +187,42 @@ it, and above the size at which detectors think."""
 class Parity:
     """How far a file is off what Python says: ``most`` anywhere, ``mean`` over all pixels.
 
-    where: the output, and the size of the picture, with the most. pictures: how many were tried.
+    where: the output, and the size of the image, with the most. images: how many were tried.
     """
 
     most: float
     where: str
     mean: float
-    pictures: int
+    images: int
 
 
 def rendered_batches() -> Iterator[np.ndarray]:
-    """Pictures uint8 (2,H,W,3) RGB, by day and at dusk, of each of ``SIZES``."""
+    """Images uint8 (2,H,W,3) RGB, by day and at dusk, of each of ``SIZES``."""
     for seed, (height, width) in enumerate(SIZES):
         scenes = (render_scene(seed, height, width, dusk=dusk) for dusk in (0.0, 0.9))
         yield np.stack([to_pixels(scene.image) for scene in scenes])
 
 
 def parity(run: Run, steps: Steps, batches: Iterable[np.ndarray]) -> Parity:
-    """How far ``run`` is off the steps in Python on batches of pictures uint8 (N,H,W,3).
+    """How far ``run`` is off the steps in Python on batches of images uint8 (N,H,W,3).
 
     What is no number is endlessly far.
     """
-    pictures, pixels, total = 0, 0, 0.0
+    images, pixels, total = 0, 0, 0.0
     extremes: list[tuple[float, str]] = []
     for batch in batches:
         maps = run(batch)
-        for at, picture in enumerate(batch):
-            expected = steps(from_pixels(picture))
-            height, width = picture.shape[:2]
-            pictures += 1
+        for at, image in enumerate(batch):
+            expected = steps(from_pixels(image))
+            height, width = image.shape[:2]
+            images += 1
             for name, values in maps.items():
                 difference = (torch.as_tensor(values[at]) - expected[name]).abs()
                 difference = difference.nan_to_num(torch.inf)
                 extremes.append((float(difference.max()), f"{name} at {width}×{height}"))
                 pixels += difference.numel()
                 total += float(difference.double().sum())
-    return Parity(*max(extremes), total / pixels, pictures)
+    return Parity(*max(extremes), total / pixels, images)
 
 
 # --- writing it -------------------------------------------------------------------------
@@ -231,11 +231,11 @@ def parity(run: Run, steps: Steps, batches: Iterable[np.ndarray]) -> Parity:
 OPSET = 18
 
 EXAMPLE = (2, 240, 320, 3)
-"""The shape of the pictures that the graph is traced with; no number of it stays but the 3."""
+"""The shape of the images that the graph is traced with; no number of it stays but the 3."""
 
 
 class Graph(nn.Module):
-    """Steps as a module of the exporter: pictures uint8 (N,H,W,3) RGB → the outputs, in order.
+    """Steps as a module of the exporter: images uint8 (N,H,W,3) RGB → the outputs, in order.
 
     analysis: what has their weights.
     """
@@ -286,8 +286,8 @@ def open_onnx(path: Path, threads: int) -> Run:
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     names = [output.name for output in session.get_outputs()]
 
-    def run(pictures: np.ndarray) -> dict[str, np.ndarray]:
-        maps: list[Any] = list(session.run(names, {"image": pictures}))
+    def run(images: np.ndarray) -> dict[str, np.ndarray]:
+        maps: list[Any] = list(session.run(names, {"image": images}))
         return dict(zip(names, maps, strict=True))
 
     return run
@@ -326,11 +326,11 @@ def export_detector(detector: Detector, out: Path) -> Exported:
     it cannot be written.
     """
     if out.suffix != ".onnx":
-        what = "does not end as ONNX files do"
-        raise ConfigError(out, what, f"name it {out.stem or 'road'}.onnx")
+        problem = "does not end as ONNX files do"
+        raise ConfigError(out, problem, f"name it {out.stem or 'road'}.onnx")
     if missing := [name for name in NEEDS if find_spec(name) is None]:
-        what = f"needs {', '.join(missing)}: not installed"
-        raise ConfigError("export", what, "pip install 'roadtorch[onnx]'")
+        problem = f"needs {', '.join(missing)}: not installed"
+        raise ConfigError("export", problem, "pip install 'roadtorch[onnx]'")
     part = exportable(detector)
     make_folder(out.parent)
     notes = notes_of(detector, part)
@@ -340,8 +340,8 @@ def export_detector(detector: Detector, out: Path) -> Exported:
         run = open_onnx(path, torch.get_num_threads())
         apart = parity(run, part.steps, rendered_batches())
         if not apart.most <= BOUND:
-            what = f"would be {apart.most:.2g} off in its {apart.where}, more than {BOUND:g}"
-            raise InputError(out, what, "nothing was written; try other versions of the extra")
+            problem = f"would be {apart.most:.2g} off in its {apart.where}, more than {BOUND:g}"
+            raise InputError(out, problem, "nothing was written; try other versions of the extra")
         with atomic(out) as temporary:
             shutil.copyfile(path, temporary)
     return Exported((out,), notes, apart)

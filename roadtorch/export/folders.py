@@ -42,8 +42,8 @@ def export_page(detector: Detector, out: Path) -> Exported:
     if not detector.name.startswith("fusion"):
         raise ConfigError(detector.name, "has no page", "take fusion or fusion:large")
     if any(not (RUNTIME_FOLDER / name).is_file() for name in RUNTIME):
-        remedy = f"npm install onnxruntime-web@{RUNTIME_VERSION}, in the folder you are in"
-        raise ConfigError(RUNTIME_FOLDER, "is not there or incomplete", remedy)
+        hint = f"npm install onnxruntime-web@{RUNTIME_VERSION}, in the folder you are in"
+        raise ConfigError(RUNTIME_FOLDER, "is not there or incomplete", hint)
     exported = export_detector(detector, out / "road.onnx")
     write_pixels(out / "street.jpg", to_pixels(render_scene(2, 360, 640).image))
     sources = [*sorted(STATIC.iterdir()), *(RUNTIME_FOLDER / name for name in RUNTIME)]
@@ -82,7 +82,7 @@ tags: [road, segmentation, pytorch]
 
 # {name}
 
-Finds the road in a picture. `pip install roadtorch`, and with this folder as FOLDER:
+Finds the road in an image. `pip install roadtorch`, and with this folder as FOLDER:
 
 ```python
 from roadtorch import load_detector

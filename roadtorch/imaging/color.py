@@ -191,8 +191,8 @@ def planes(image: Tensor, names: Sequence[str]) -> Tensor:
 def each_plane(image: Tensor, names: Sequence[str]) -> Iterator[Tensor]:
     """The same planes (…,H,W) one after the other, for those who need them once."""
     if image.ndim < 3 or image.shape[-3] != 3:
-        what = f"has the shape {tuple(image.shape)}"
-        raise InputError("image", what, "give RGB as (…, 3, height, width)")
+        problem = f"has the shape {tuple(image.shape)}"
+        raise InputError("image", problem, "give RGB as (…, 3, height, width)")
     for name in names:
         if name not in PLANES:
             raise unknown_name("plane", name, PLANES)
@@ -215,10 +215,10 @@ DARKEST = 1e-4
 
 
 class Exposure(Settings):
-    """How dark pictures are brightened before they are looked at."""
+    """How dark images are brightened before they are looked at."""
 
     ground: float = Field(
-        default=0.4, gt=0, lt=1, description="grey level that the lower part of a picture gets"
+        default=0.4, gt=0, lt=1, description="grey level that the lower part of an image gets"
     )
 
 
@@ -229,7 +229,7 @@ def brightened(image: Tensor, exposure: Exposure) -> Tensor:
     In an exported graph a batch (N,3,H,W), each by its own gamma.
 
     At dusk all differences shrink; this restores them. The median of the grey image below
-    0.55 of the height decides; pictures that are bright enough stay as they are, and the
+    0.55 of the height decides; images that are bright enough stay as they are, and the
     exponent is never below ``STRONGEST``. Ours, in place of P1's brightness equalisation.
     """
     lower = image[..., image.shape[-2] * 11 // 20 :, :].mean(-3).flatten(-2)

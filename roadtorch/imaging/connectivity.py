@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class Runs(NamedTuple):
-    """Horizontal runs of equal label in pictures (B,H,W), in reading order.
+    """Horizontal runs of equal label in images (B,H,W), in reading order.
 
     start: place of the first pixel of each among all pixels; length: pixels; region: the number
     of the 4-connected region that it is part of, from 0, as they are met.
@@ -22,43 +22,43 @@ class Runs(NamedTuple):
 
 
 def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
-    """Make every segment 4-connected and number the segments 0…n-1 in each picture.
+    """Make every segment 4-connected and number the segments 0…n-1 in each image.
 
     labels: integers (B,H,W). Of each label the largest region stays, unless it has fewer
     than ``smallest`` pixels; the pixels of every other region join a settled segment that
     they touch, from its border inwards. Returns int64 (B,H,W).
     """
-    pictures = labels.cpu().numpy().astype(np.int32)
-    stride = int(pictures.max()) + 1
-    pictures += np.arange(len(pictures), dtype=np.int32)[:, None, None] * stride
-    start, length, region = _runs(pictures)
+    images = labels.cpu().numpy().astype(np.int32)
+    stride = int(images.max()) + 1
+    images += np.arange(len(images), dtype=np.int32)[:, None, None] * stride
+    start, length, region = _runs(images)
     size = np.bincount(region, length).astype(np.int64)
     label = np.empty(len(size), dtype=np.int32)
-    label[region] = pictures.reshape(-1)[start]
-    picture = label // stride
-    settled = _largest_of(label, size) & (size >= smallest) | _largest_of(picture, size)
-    # Settled regions are numbered 0…n-1 in each picture, as they are met; the others are -1.
+    label[region] = images.reshape(-1)[start]
+    image = label // stride
+    settled = _largest_of(label, size) & (size >= smallest) | _largest_of(image, size)
+    # Settled regions are numbered 0…n-1 in each image, as they are met; the others are -1.
     kept = np.nonzero(settled)[0]
-    kept = kept[np.argsort(picture[kept], kind="stable")]
-    numbers = np.full(len(picture), -1, dtype=np.int64)
-    numbers[kept] = np.arange(len(kept)) - np.searchsorted(picture[kept], picture[kept])
+    kept = kept[np.argsort(image[kept], kind="stable")]
+    numbers = np.full(len(image), -1, dtype=np.int64)
+    numbers[kept] = np.arange(len(kept)) - np.searchsorted(image[kept], image[kept])
     number = numbers[region]
-    grown = _grow(number.repeat(length).reshape(pictures.shape))
+    grown = _grow(number.repeat(length).reshape(images.shape))
     return torch.from_numpy(grown).to(labels.device)
 
 
-def _runs(pictures: np.ndarray) -> Runs:
-    """The runs of pictures (B,H,W) whose labels differ from picture to picture."""
-    begins = np.ones(pictures.shape, dtype=bool)
-    np.not_equal(pictures[..., 1:], pictures[..., :-1], out=begins[..., 1:])
+def _runs(images: np.ndarray) -> Runs:
+    """The runs of images (B,H,W) whose labels differ from image to image."""
+    begins = np.ones(images.shape, dtype=bool)
+    np.not_equal(images[..., 1:], images[..., :-1], out=begins[..., 1:])
     start = np.flatnonzero(begins)
     length = np.diff(start, append=begins.size)
     run = np.arange(len(start), dtype=np.int32).repeat(length)
     # Where either of two runs begins that lie above one another: once for each such pair. The
-    # first row of a picture has no labels in common with the last one of the picture before.
-    rows, begins = pictures.reshape(-1, pictures.shape[2]), begins.reshape(-1, pictures.shape[2])
+    # first row of an image has no labels in common with the last one of the image before.
+    rows, begins = images.reshape(-1, images.shape[2]), begins.reshape(-1, images.shape[2])
     above = np.flatnonzero((rows[1:] == rows[:-1]) & (begins[1:] | begins[:-1]))
-    upper, lower = run[above], run[above + pictures.shape[2]]
+    upper, lower = run[above], run[above + images.shape[2]]
     first = np.zeros(len(start) + 1, dtype=np.int32)
     np.cumsum(np.bincount(upper, minlength=len(start)), out=first[1:])
     touch = np.ones(len(upper), dtype=np.int8)

@@ -1,8 +1,8 @@
-"""Dense motion between two pictures, and what it carries along.
+"""Dense motion between two images, and what it carries along.
 
-A flow says for every pixel of a picture where it was in another one. Source of the flow: Kroeger
+A flow says for every pixel of an image where it was in another one. Source of the flow: Kroeger
 et al., Fast Optical Flow using Dense Inverse Search, ECCV 2016, as OpenCV has it. Where the flow
-there and back does not end where it began, the pixel is hidden in one of the pictures, or nothing
+there and back does not end where it began, the pixel is hidden in one of the images, or nothing
 there can be followed (Sundaram et al., ECCV 2010).
 """
 
@@ -15,10 +15,10 @@ FASTEST = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
 FAST = cv2.DISOPTICAL_FLOW_PRESET_FAST
 
 MIN_SIDE = 32
-"""Pixels of a side at the least: OpenCV 5.0 crashes on smaller pictures with the fast presets."""
+"""Pixels of a side at the least: OpenCV 5.0 crashes on smaller images with the fast presets."""
 
 
-def flow_picture(image: Tensor, width: int) -> Tensor:
+def flow_image(image: Tensor, width: int) -> Tensor:
     """An image (3,H,W) in [0,1] as grey of at most this width, uint8 (h,w).
 
     Its shape is kept as long as no side falls below ``MIN_SIDE``.
@@ -36,7 +36,7 @@ def dense_flow(here: Tensor, there: Tensor, preset: int = FASTEST) -> Tensor:
     """Where each pixel of ``here`` is in ``there``: float32 (h,w,2), pixels right and down.
 
     here, there: uint8 (h,w). preset: one of OpenCV's for dense inverse search. Raises ValueError
-    for pictures with a side below ``MIN_SIDE``.
+    for images with a side below ``MIN_SIDE``.
     """
     if min(here.shape) < MIN_SIDE:
         raise ValueError(f"no flow of {tuple(here.shape)}: give {MIN_SIDE} pixels a side or more")
@@ -73,7 +73,7 @@ def forward_backward_error(flow: Tensor, back: Tensor) -> Tensor:
     """Pixels between where a round trip begins and where it ends, float32 (h,w).
 
     flow: (h,w,2) from here to there. back: from there to here. Infinite where it leaves the
-    picture.
+    image.
     """
     height, width = flow.shape[:2]
     columns, rows = _pointed(flow, height, width)

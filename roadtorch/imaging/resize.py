@@ -1,4 +1,4 @@
-"""The size at which detectors think, and the way back to the size of the picture.
+"""The size at which detectors think, and the way back to the size of the image.
 
 Sizes are known only at run time in an exported graph, which holds neither OpenCV nor NumPy. There
 maps are resized by whole matrix products, not by the operator for it: ONNX Runtime's averages as
@@ -18,7 +18,7 @@ from torch.nn import functional as F
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 
-SHORTEST = 16  # pixels that a long, thin picture keeps on its short side
+SHORTEST = 16  # pixels that a long, thin image keeps on its short side
 
 LONGEST = 10**9  # pixels; a graph has to know a bound
 
@@ -27,7 +27,7 @@ ROWS, COLUMNS = 32, 64
 
 
 class WorkingSize(Settings):
-    """How large a picture is when it is analysed; smaller ones stay as they are."""
+    """How large an image is when it is analysed; smaller ones stay as they are."""
 
     pixels: int = Field(
         default=320 * 240,
@@ -38,7 +38,7 @@ class WorkingSize(Settings):
 
 
 def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
-    """Height and width at which a picture is analysed: its shape, at most ``working.pixels``."""
+    """Height and width at which an image is analysed: its shape, at most ``working.pixels``."""
     scale = (working.pixels / (side(height) * side(width))).sqrt().clamp(max=1.0)
     return whole(side(height) * scale), whole(side(width) * scale)
 
@@ -116,7 +116,7 @@ class Band(NamedTuple):
     weights: Tensor
 
 
-@lru_cache(maxsize=256)  # a picture of another size asks for eight
+@lru_cache(maxsize=256)  # an image of another size asks for eight
 @torch.inference_mode(False)  # kept for callers in any mode
 def averaging_bands(before: int, after: int, old: int) -> tuple[Band, ...]:
     """How a side of ``before`` pixels becomes one of ``after``; about ``old`` of them in a band."""
@@ -151,8 +151,8 @@ def triangles(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
     return triangle / triangle.sum(1, keepdim=True)
 
 
-def at_picture_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
-    """A cue (…,H,W) at the picture's own size: values smoothly, labels and masks by pixels."""
+def at_image_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
+    """A cue (…,H,W) at the image's own size: values smoothly, labels and masks by pixels."""
     if torch.compiler.is_exporting() and not cue.is_floating_point():
         for axis in (-2, -1):
             place = torch.arange(size[axis]) * cue.shape[axis] // size[axis]

@@ -1,6 +1,6 @@
 """What is measured of each superpixel, and how alike superpixels are.
 
-The layout labeller and the fused detector both learn, in one picture, what a class looks
+The layout labeller and the fused detector both learn, in one image, what a class looks
 like from the segments that are believed to belong to it. This is the part they share.
 """
 
@@ -111,7 +111,7 @@ class Bandwidths(NamedTuple):
     """How far two segments may be apart and still be alike: widths of Gaussian kernels.
 
     lightness: in L, from 0 to 1. chroma: in a and b, in units of L. gradient: in the mean gradient,
-    L per pixel. contrast: in the deviation of L inside. row, column: in the picture's sides.
+    L per pixel. contrast: in the deviation of L inside. row, column: in the image's sides.
     """
 
     lightness: float
@@ -124,7 +124,7 @@ class Bandwidths(NamedTuple):
 
 @dataclass(frozen=True)
 class Segments:
-    """The superpixels of one picture. n segments; places are shares of height and width."""
+    """The superpixels of one image. n segments; places are shares of height and width."""
 
     labels: Tensor
     """int64 (H,W), 0…n-1."""
@@ -141,7 +141,7 @@ class Segments:
     column: Tensor
     """(n,): centroid, 0 at the left edge, 1 at the right edge."""
     size: Tensor
-    """(n,): share of the picture's pixels; sums to 1."""
+    """(n,): share of the image's pixels; sums to 1."""
     pairs: Tensor
     """int64 (2,E): segments that share a border, each pair once."""
     contrast_between: Tensor

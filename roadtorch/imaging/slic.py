@@ -30,7 +30,7 @@ LAB_TANGENT = (
     (0.3361, 1.0445, -1.3806),
 )
 """Derivative of (L,a,b)/100 by gamma-encoded (R,G,B) at mid grey: Lab without its roots.
-Street pictures are nearly grey, boundary recall stays within 0.01, and it is 6 times faster."""
+Street images are nearly grey, boundary recall stays within 0.01, and it is 6 times faster."""
 
 SAMPLES = 5
 """Rows and columns of pixels by which a centre moves at least: every second or fourth of both,
@@ -49,14 +49,14 @@ MAX_LAB_SQUARE = 4.0
 """No colour is as far from black, squared: see ``_moves``."""
 
 COMPACTNESS = 0.07
-"""Weight of the distance in the picture, in units of Lab/100 for one grid step; high is square."""
+"""Weight of the distance in the image, in units of Lab/100 for one grid step; high is square."""
 
 ITERATIONS = 5
 """Of k-means on the grid."""
 
 
 class Superpixels(Settings):
-    """Regions that follow the edges in the picture."""
+    """Regions that follow the edges in the image."""
 
     pixels: int = Field(default=256, ge=16, le=10**6, description="pixels of one superpixel, about")
 
@@ -72,7 +72,7 @@ def _cut(image: Tensor, superpixels: Superpixels) -> Tensor:
 
 
 def squares(height: int, width: int, size: int) -> Tensor:
-    """Cut a picture into squares of ``size`` pixels: int64 labels (H,W), 0…n-1 by rows.
+    """Cut an image into squares of ``size`` pixels: int64 labels (H,W), 0…n-1 by rows.
 
     The squares at the right and the bottom edge are cut off there. P2, section 4 ("fixed
     square regions").
@@ -114,7 +114,7 @@ def slic(image: Tensor, segments: int = 300) -> Tensor:
 
 
 def _grid(height: int, width: int, segments: int) -> CellGrid:
-    """About ``segments`` nearly square cells of even size that cover the picture."""
+    """About ``segments`` nearly square cells of even size that cover the image."""
     side = (height * width / segments) ** 0.5
     stride = 4 if side >= 4 * SAMPLES else 2
 
@@ -128,7 +128,7 @@ def _grid(height: int, width: int, segments: int) -> CellGrid:
 def _cells(maps: Tensor, grid: CellGrid, stride: int) -> Tensor:
     """Every ``stride``-th pixel of maps (B,C,H,W): (B, rows, columns, C, pixels, pixels) of cells.
 
-    0 beyond the picture.
+    0 beyond the image.
     """
     maps = maps[..., ::stride, ::stride]
     tall, wide = grid.height // stride, grid.width // stride

@@ -123,14 +123,16 @@ def camera_info(given: str, topic: str | None = None) -> CameraInfo:
         sibling = f"{base.rpartition('/')[0]}/camera_info"
         infos = sorted(other for other, kind in kinds.items() if kind == CAMERA_INFO)
         if sibling not in infos:
-            remedy = f"there is {', '.join(infos)}" if infos else "give the calibration yourself"
-            raise InputError(given, f"has no camera_info {sibling} beside {name}", remedy)
+            hint = f"there is {', '.join(infos)}" if infos else "give the calibration yourself"
+            raise InputError(given, f"has no camera_info {sibling} beside {name}", hint)
         message = next(_messages(given, bag, sibling), None)
         info = message.content if message else None
         matrix = np.array(getattr(info, "k", getattr(info, "K", np.zeros(9))), float).reshape(3, 3)
         if info is None or not matrix[0, 0] > 0:
-            what = f"says nothing of its camera on {sibling}"
-            raise InputError(given, what, "calibrate the camera, or give the calibration yourself")
+            problem = f"says nothing of its camera on {sibling}"
+            raise InputError(
+                given, problem, "calibrate the camera, or give the calibration yourself"
+            )
         distortion = np.array(getattr(info, "d", getattr(info, "D", ())), float)
         size = int(info.width), int(info.height)
         return CameraInfo(matrix, distortion, info.distortion_model, *size, info.header.frame_id)
@@ -147,13 +149,13 @@ def _chosen(given: str, reader: "AnyReader", topic: str | None) -> str:
     if not images:
         there = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
         raise InputError(given, "has no images", f"there is {there}" if there else "it is empty")
-    remedy = f"give one of {', '.join(images)}"
+    hint = f"give one of {', '.join(images)}"
     if topic is None and len(images) > 1:
-        raise ConfigError(given, f"has {len(images)} topics with images", f"--topic: {remedy}")
+        raise ConfigError(given, f"has {len(images)} topics with images", f"--topic: {hint}")
     if topic is not None and topic not in images:
         if topic not in kinds:
             raise unknown_name("topic", topic, images)
-        raise InputError(given, f"has {kinds[topic]} on {topic}, no images", remedy)
+        raise InputError(given, f"has {kinds[topic]} on {topic}, no images", hint)
     return topic or images[0]
 
 
@@ -165,7 +167,7 @@ class Message(NamedTuple):
 
     stamp: int
     content: Any
-    problem: str
+    damage: str
 
 
 def _every_frame(given: str, topic: str) -> Generator[Item]:
@@ -174,7 +176,7 @@ def _every_frame(given: str, topic: str) -> Generator[Item]:
         for number, message in enumerate(_messages(given, bag, topic)):
             first = message.stamp if first is None else first
             origin = f"{given}:{topic}#{number}"
-            read = partial(_unreadable, origin, message.problem)
+            read = partial(_unreadable, origin, message.damage)
             if message.content is not None:
                 read = partial(image_of, message.content, origin)
             yield Item(
@@ -187,8 +189,8 @@ def _every_frame(given: str, topic: str) -> Generator[Item]:
             )
 
 
-def _unreadable(origin: str, problem: str) -> Tensor:
-    raise InputError(origin, f"cannot be read: {problem}", "record it again")
+def _unreadable(origin: str, damage: str) -> Tensor:
+    raise InputError(origin, f"cannot be read: {damage}", "record it again")
 
 
 def _messages(given: str, bag: "AnyReader", topic: str) -> Generator[Message]:
@@ -196,14 +198,14 @@ def _messages(given: str, bag: "AnyReader", topic: str) -> Generator[Message]:
     links = [link for link in bag.connections if link.topic == topic]
     waiting = bag.messages(connections=links)
     count, every = 0, sum(link.msgcount for link in links)
-    problem = ""
+    ending = ""
     while True:
         try:
             link, time, data = next(waiting)
         except StopIteration:
             break
         except Exception as broken:  # zlib, struct, sqlite, …
-            problem = f", ends early: {reason(broken)}"
+            ending = f", ends early: {reason(broken)}"
             break
         count += 1
         try:
@@ -213,9 +215,9 @@ def _messages(given: str, bag: "AnyReader", topic: str) -> Generator[Message]:
             yield Message(time, None, reason(broken))
         else:
             yield Message(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
-    if problem or count < every:
-        what = f"{count} of {every} frames{problem}"
-        raise InputError(given, what, "what could be read was given")
+    if ending or count < every:
+        problem = f"{count} of {every} frames{ending}"
+        raise InputError(given, problem, "what could be read was given")
 
 
 # --- bags -------------------------------------------------------------------------------
@@ -240,8 +242,8 @@ def _opened(given: str) -> "Iterator[AnyReader]":
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        what = "cannot be read without the package rosbags"
-        raise ConfigError(given, what, "pip install 'roadtorch[bags]'") from None
+        problem = "cannot be read without the package rosbags"
+        raise ConfigError(given, problem, "pip install 'roadtorch[bags]'") from None
     paths = [path]
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         paths = _recordings(path)
@@ -251,9 +253,9 @@ def _opened(given: str) -> "Iterator[AnyReader]":
         # Bags without definitions are older than ROS 2 Iron; images are the same in all of them.
         reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
-    except Exception as problem:  # zlib, struct, sqlite, …
-        what = f"cannot be read as a bag: {reason(problem)}"
-        raise InputError(given, what, f"if its end is missing: {_mending(path)}") from None
+    except Exception as error:  # zlib, struct, sqlite, …
+        problem = f"cannot be read as a bag: {reason(error)}"
+        raise InputError(given, problem, f"if its end is missing: {_mending(path)}") from None
     with closing(reader):
         yield reader
 

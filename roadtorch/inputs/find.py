@@ -1,4 +1,4 @@
-"""What the inputs of a command stand for: pictures, and sources that give frame after frame."""
+"""What the inputs of a command stand for: images, and sources that give frame after frame."""
 
 import re
 import sys
@@ -15,16 +15,16 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import READABLE, read_image
 from roadtorch.base.urls import WEB, scheme_of, slug
 from roadtorch.inputs.bags import bag_source, is_bag
-from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.inputs.live import STREAMS, camera_source, stream_source
-from roadtorch.inputs.pictures import (
+from roadtorch.inputs.images import (
     File,
     each_once,
     files_at,
-    names_picture,
-    picture_item,
-    web_picture,
+    image_item,
+    names_image,
+    web_image,
 )
+from roadtorch.inputs.item import Item, Selection, Source
+from roadtorch.inputs.live import STREAMS, camera_source, stream_source
 from roadtorch.inputs.video import (
     VIDEO_SUFFIXES,
     count_frames,
@@ -43,9 +43,9 @@ WHOLE = re.compile(
 
 
 class Inputs(NamedTuple):
-    """What inputs stand for: pictures that stand alone, and what is looked at frame by frame."""
+    """What inputs stand for: images that stand alone, and what is looked at frame by frame."""
 
-    pictures: Sequence[Item]
+    images: Sequence[Item]
     sources: Sequence[Source]
 
 
@@ -62,7 +62,7 @@ def find_inputs(
     for what holds neither, does not exist or cannot be opened.
     """
     inputs = list(inputs)
-    pictures: list[Item] = []
+    images: list[Item] = []
     sources: list[Source] = []
     for given in named(inputs, sys.stdin if names is None else names):
         number, scheme, name = camera_number(given), scheme_of(given), slug(given)
@@ -70,8 +70,8 @@ def find_inputs(
             sources.append(camera_source(number, selection))
         elif WHOLE.match(given):
             sources.append(video_source(given, name, selection))
-        elif scheme in WEB and (picture := web_picture(given)) is not None:
-            pictures.append(picture)
+        elif scheme in WEB and (image := web_image(given)) is not None:
+            images.append(image)
         elif scheme in STREAMS:
             sources.append(stream_source(given, name, selection))
         elif is_bag(given):
@@ -81,28 +81,28 @@ def find_inputs(
             for file in [files] if isinstance(files, File) else files:
                 name = PurePosixPath(file.name).with_suffix("").as_posix()
                 if not file.name.lower().endswith(VIDEO_SUFFIXES):
-                    pictures.append(picture_item(file.path, name))
+                    images.append(image_item(file.path, name))
                 else:
                     sources.append(video_source(file.path, name, selection))
             if not files:
-                raise InputError(given, "holds no pictures", f"give {READABLE} files")
-    if inputs and not pictures and not sources:
+                raise InputError(given, "holds no images", f"give {READABLE} files")
+    if inputs and not images and not sources:
         raise InputError(inputs[0], "names nothing", "give names, one a line")
-    return Inputs(each_once(pictures), sources)
+    return Inputs(each_once(images), sources)
 
 
 def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:
     """Return the chosen images and sources of inputs but those in ``out``, where results go.
 
-    Raises as ``find_inputs`` and ``Selection.of_pictures`` do.
+    Raises as ``find_inputs`` and ``Selection.of_images`` do.
     """
-    pictures, sources = find_inputs(inputs, selection, out)
-    return Inputs(selection.of_pictures(pictures), sources)
+    images, sources = find_inputs(inputs, selection, out)
+    return Inputs(selection.of_images(images), sources)
 
 
 def names_footage(name: str) -> bool:
     """Return whether a file of that name is an image or a video to look at."""
-    return names_picture(name) or names_video(name)
+    return names_image(name) or names_video(name)
 
 
 def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
@@ -115,17 +115,19 @@ def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
         if given.startswith("@"):
             try:
                 text = Path(given[1:]).read_text(encoding="utf-8", errors="surrogateescape")
-            except OSError as problem:
-                what = f"cannot be read: {problem.strerror}"
-                raise InputError(given[1:], what, "give @ and a text file, a name a line") from None
+            except OSError as error:
+                problem = f"cannot be read: {error.strerror}"
+                raise InputError(
+                    given[1:], problem, "give @ and a text file, a name a line"
+                ) from None
             lines = text.split("\n")
         elif given != "-":
             yield given
             continue
         for line in lines:
             if any(letter < " " for letter in line.strip("\t\r\n")):
-                remedy = "give the file itself, or names, one a line"
-                raise InputError(given, "takes names of files, not their bytes", remedy)
+                hint = "give the file itself, or names, one a line"
+                raise InputError(given, "takes names of files, not their bytes", hint)
             if line.strip():
                 yield line.rstrip("\r\n")
 
@@ -143,15 +145,15 @@ def open_source(given: str, selection: Selection) -> Source:
 
     Raises InputError for what is not there, ConfigError for an input of several sources.
     """
-    pictures, sources = find_inputs([given], selection)
+    images, sources = find_inputs([given], selection)
     if not sources:
-        numbered = [replace(picture, number=number) for number, picture in enumerate(pictures)]
+        numbered = [replace(image, number=number) for number, image in enumerate(images)]
         chosen = list(selection.of(numbered))
-        name = Path(given).stem or "pictures"
+        name = Path(given).stem or "images"
         return Source(name, given, lambda: iter(chosen), count=len(chosen))
-    if len(sources) != 1 or pictures:
-        what = f"holds {len(sources)} videos" + " and pictures" * bool(pictures)
-        raise ConfigError(given, what, "give one of them")
+    if len(sources) != 1 or images:
+        problem = f"holds {len(sources)} videos" + " and images" * bool(images)
+        raise ConfigError(given, problem, "give one of them")
     return sources[0]
 
 
@@ -159,25 +161,25 @@ def open_source(given: str, selection: Selection) -> Source:
 
 
 class FramePlace(NamedTuple):
-    """Where a frame is: a picture file, or the number of a frame in a video file."""
+    """Where a frame is: an image file, or the number of a frame in a video file."""
 
     path: Path
     number: int | None
 
 
 def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
-    """At most ``most`` frames of pictures and video files, evenly over all of them, in their order.
+    """At most ``most`` frames of images and video files, evenly over all of them, in their order.
 
-    Raises InputError for what does not exist, holds no pictures, or is no video, ConfigError
+    Raises InputError for what does not exist, holds no images, or is no video, ConfigError
     where there are videos and PyAV is missing.
     """
     every: list[FramePlace] = []
     for given in inputs:
-        pictures, sources = find_inputs([given])
-        every += [FramePlace(picture.path, None) for picture in pictures]
+        images, sources = find_inputs([given])
+        every += [FramePlace(image.path, None) for image in images]
         for source in sources:
             if (path := source.path) is None:
-                raise InputError(given, "is no footage on disk", "give pictures or video files")
+                raise InputError(given, "is no footage on disk", "give images or video files")
             every += [FramePlace(path, number) for number in range(count_frames(path))]
     if len(every) <= most:
         return every

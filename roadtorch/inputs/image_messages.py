@@ -41,13 +41,13 @@ def image_of(message: Any, origin: str) -> Tensor:
 
     message: a sensor_msgs/Image or CompressedImage, of rosbags or rclpy. Raises InputError naming
     ``origin`` for an encoding that is not read, too many pixels, fewer bytes than the message
-    promises, and a compressed picture that cannot be decoded.
+    promises, and a compressed image that cannot be decoded.
     """
     if not hasattr(message, "encoding"):
         return decode_image(message.data.tobytes(), origin)
     if message.encoding not in READ_ENCODINGS:
-        what = f"has the encoding {message.encoding!r}, which is not read"
-        raise InputError(origin, what, f"record one of {', '.join(READ_ENCODINGS)}")
+        problem = f"has the encoding {message.encoding!r}, which is not read"
+        raise InputError(origin, problem, f"record one of {', '.join(READ_ENCODINGS)}")
     with undecodable(origin):
         check_pixels(message.width, message.height)
     encoding = message.encoding
@@ -60,8 +60,8 @@ def image_of(message: Any, origin: str) -> Tensor:
         pattern = encoding.rstrip("0123456789")
         mosaic = _rows(message, 1, int(encoding.removeprefix(pattern)))
         return from_pixels(cv2.cvtColor(mosaic, BAYER[pattern]))
-    except (ValueError, cv2.error) as problem:
-        raise InputError(origin, f"cannot be read: {reason(problem)}", "record it again") from None
+    except (ValueError, cv2.error) as error:
+        raise InputError(origin, f"cannot be read: {reason(error)}", "record it again") from None
 
 
 def _rows(message: Any, channels: int, bits: int) -> np.ndarray:

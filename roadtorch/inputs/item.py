@@ -1,6 +1,6 @@
-"""What is looked at: items, which are pictures or frames of footage, and the sources of frames.
+"""What is looked at: items, which are images or frames of footage, and the sources of frames.
 
-A picture is a frame without a clock.
+An image is a frame without a clock.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -20,7 +20,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Item:
-    """A picture, or a frame of footage; it is decoded only when it is read.
+    """An image, or a frame of footage; it is decoded only when it is read.
 
     name: of its results, relative, sub-folders kept, without suffix. origin: its path or URL, what
     messages call it. read: gives the image float32 (3,H,W) in [0,1]; raises InputError naming
@@ -94,12 +94,12 @@ class Selection:
             if isinstance(items, Generator):
                 items.close()
 
-    def of_pictures(self, pictures: Sequence[Value]) -> Sequence[Value]:
-        """The chosen ones of pictures that stand alone; ConfigError when seconds are asked for."""
-        if pictures and (self.start or self.end is not None):
-            what = "pictures have no time"
-            raise ConfigError("--start, --end", what, "choose with --every and --limit")
-        return pictures[:: self.every][: self.limit]
+    def of_images(self, images: Sequence[Value]) -> Sequence[Value]:
+        """The chosen ones of images that stand alone; ConfigError when seconds are asked for."""
+        if images and (self.start or self.end is not None):
+            problem = "images have no time"
+            raise ConfigError("--start, --end", problem, "choose with --every and --limit")
+        return images[:: self.every][: self.limit]
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.image import from_pixels
 from roadtorch.base.urls import without_password
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.inputs.video import import_av, moving_pictures, reason_of, upright
+from roadtorch.inputs.video import import_av, moving_images, reason_of, upright
 
 Connection = Callable[[], Generator[Callable[[], Tensor]]]
-"""Connects, and gives what reads picture after picture; raises InputError when it cannot, or can no
+"""Connects, and gives what reads image after image; raises InputError when it cannot, or can no
 more."""
 
 Newest = tuple[int, float, int, Callable[[], Tensor]]
@@ -101,8 +101,8 @@ def newest_frames(
             try:
                 frame = newest.get(timeout=limit)
             except Empty:
-                what = f"gives no frame within {limit:g} seconds"
-                raise InputError(origin, what, "check the stream") from None
+                problem = f"gives no frame within {limit:g} seconds"
+                raise InputError(origin, problem, "check the stream") from None
             if isinstance(frame, InputError):
                 raise frame
             number, clock, stamp, read = frame
@@ -127,23 +127,23 @@ def _read(
     failures, count = 0, 0
     while not stop.is_set():
         try:
-            with closing(connect()) as pictures:
-                for picture in pictures:
+            with closing(connect()) as images:
+                for image in images:
                     with suppress(Empty):
                         newest.get_nowait()
-                    newest.put((count, time.monotonic(), time.time_ns(), picture))
+                    newest.put((count, time.monotonic(), time.time_ns(), image))
                     failures, count = 0, count + 1
                     if stop.is_set():
                         return
-        except InputError as problem:
-            last = problem
-        except Exception as problem:  # a thread's error would be seen by nobody
-            last = InputError("stream", f"{type(problem).__name__}: {problem}", "report it")
+        except InputError as error:
+            last = error
+        except Exception as error:  # a thread's error would be seen by nobody
+            last = InputError("stream", f"{type(error).__name__}: {error}", "report it")
         failures += 1
         if not count or failures > patience.tries:
             if count:
-                what = f"{last.what}; connected to anew {failures - 1} times in vain"
-                last = InputError(last.where, what, "start it again when the stream is back")
+                problem = f"{last.problem}; connected to anew {failures - 1} times in vain"
+                last = InputError(last.where, problem, "start it again when the stream is back")
             return newest.put(last)
         stop.wait(patience.pause * 2 ** (failures - 1))
 
@@ -152,32 +152,32 @@ def _read(
 
 
 def _stream(url: str, patience: Patience) -> Generator[Callable[[], Tensor]]:
-    """The pictures of one connection to a stream."""
+    """The images of one connection to a stream."""
     av, origin = import_av(), without_password(url)
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
         with av.open(url, options=options, timeout=patience.answer) as container:
-            stream = moving_pictures(url, container)
-            image = partial(upright, av.video.reformatter.VideoReformatter())
-            for picture in container.decode(stream):
-                yield partial(image, picture)
-    except (av.FFmpegError, UnicodeError) as problem:
-        what = f"cannot be read: {reason_of(problem)}"
-        if isinstance(problem, av.error.ExitError | TimeoutError):
-            what = f"gives no answer within {patience.answer:g} seconds"
-        raise InputError(origin, what, "check the address and the stream") from None
+            stream = moving_images(url, container)
+            decode = partial(upright, av.video.reformatter.VideoReformatter())
+            for frame in container.decode(stream):
+                yield partial(decode, frame)
+    except (av.FFmpegError, UnicodeError) as error:
+        problem = f"cannot be read: {reason_of(error)}"
+        if isinstance(error, av.error.ExitError | TimeoutError):
+            problem = f"gives no answer within {patience.answer:g} seconds"
+        raise InputError(origin, problem, "check the address and the stream") from None
     raise InputError(origin, "has ended", "check the stream")
 
 
 def _camera(number: int) -> Generator[Callable[[], Tensor]]:
-    """The pictures of a camera; OpenCV, since PyAV's wheels come without FFmpeg's cameras."""
+    """The images of a camera; OpenCV, since PyAV's wheels come without FFmpeg's cameras."""
     with quiet_opencv():
         camera = cv2.VideoCapture(number)
     try:
         if not camera.isOpened():
             there = sorted(path.name for path in Path("/dev").glob("video*"))
-            remedy = f"there are {', '.join(there)}" if there else "no camera is connected"
-            raise InputError(f"camera:{number}", "no such camera", remedy)
+            hint = f"there are {', '.join(there)}" if there else "no camera is connected"
+            raise InputError(f"camera:{number}", "no such camera", hint)
         while True:
             is_read, pixels = camera.read()
             if not is_read:

@@ -47,8 +47,8 @@ def import_av() -> Any:
     try:
         import av
     except ImportError:
-        remedy = "pip install 'roadtorch[video]'"
-        raise ConfigError("video", "needs PyAV, which is not installed", remedy) from None
+        hint = "pip install 'roadtorch[video]'"
+        raise ConfigError("video", "needs PyAV, which is not installed", hint) from None
     return av
 
 
@@ -67,8 +67,10 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
             for count, frame in enumerate(chosen, 1):  # noqa: B007
                 yield frame
         if not count:
-            what = "has no frame" + (f" from {selection.start:g} s on" if selection.start else "")
-            raise InputError(path, what, "give a video that has, or another --start and --end")
+            problem = "has no frame" + (
+                f" from {selection.start:g} s on" if selection.start else ""
+            )
+            raise InputError(path, problem, "give a video that has, or another --start and --end")
 
     return Source(
         name=name,
@@ -84,28 +86,28 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
 
 @contextmanager
 def opened_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]]":
-    """The container and its first stream of moving pictures; InputError where there is none."""
+    """The container and its first stream of moving images; InputError where there is none."""
     av = import_av()
     if isinstance(path, Path) and not path.is_file():
-        what = "is no file" if path.exists() else "does not exist"
-        raise InputError(path, what, "check the name")
+        problem = "is no file" if path.exists() else "does not exist"
+        raise InputError(path, problem, "check the name")
     try:
         container = av.open(f"file:{path}" if isinstance(path, Path) else path, timeout=SILENCE)
-    except (av.FFmpegError, UnicodeError) as problem:
-        what = f"cannot be decoded as video: {reason_of(problem)}"
-        raise InputError(path, what, "give MP4, AVI, MKV, MOV or WebM that plays") from None
+    except (av.FFmpegError, UnicodeError) as error:
+        problem = f"cannot be decoded as video: {reason_of(error)}"
+        raise InputError(path, problem, "give MP4, AVI, MKV, MOV or WebM that plays") from None
     with container:
-        yield container, moving_pictures(path, container)
+        yield container, moving_images(path, container)
 
 
-def moving_pictures(path: Path | str, container: "InputContainer") -> "VideoStream":
+def moving_images(path: Path | str, container: "InputContainer") -> "VideoStream":
     """The first stream of a container that moves; InputError where there is none."""
     av = import_av()
     cover = av.stream.Disposition.attached_pic
     videos = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not videos:
-        what = "has sound and no moving pictures" if container.streams.audio else "has no pictures"
-        raise InputError(path, what, "give a video")
+        problem = "has sound and no moving images" if container.streams.audio else "has no images"
+        raise InputError(path, problem, "give a video")
     stream = videos[0]
     if stream.codec_context is None:
         raise InputError(path, "is of a codec that FFmpeg cannot decode", "convert it to H.264")
@@ -113,14 +115,14 @@ def moving_pictures(path: Path | str, container: "InputContainer") -> "VideoStre
         check_pixels(stream.codec_context.width, stream.codec_context.height)
     # A frame may be larger than what the header says.
     stream.codec_context.options = {"max_pixels": f"{most_megapixels() * 1e6:.0f}"}
-    # The same pictures on all cores; but damaged VP8 shows what else was in memory.
+    # The same images on all cores; but damaged VP8 shows what else was in memory.
     stream.thread_type = "NONE" if stream.codec_context.name == "vp8" else "AUTO"
     return stream
 
 
-def reason_of(problem: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """What FFmpeg says of an error, without the number and the name."""
-    return getattr(problem, "strerror", None) or str(problem)
+    return getattr(error, "strerror", None) or str(error)
 
 
 class Clock:
@@ -163,28 +165,28 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
     begins = _entry_point(path, start) if start > 0 else EntryPoint()
     with opened_video(path) as (container, stream):
         clock, number, end = Clock(stream), begins.number, 0.0
-        image = partial(upright, import_av().video.reformatter.VideoReformatter())
+        decode = partial(upright, import_av().video.reformatter.VideoReformatter())
         try:
-            for picture in _decoded(container, stream, begins):
-                seconds = clock.seconds(picture.pts)
-                lasts = float(picture.duration or 0) * float(picture.time_base or 0)
+            for image in _decoded(container, stream, begins):
+                seconds = clock.seconds(image.pts)
+                lasts = float(image.duration or 0) * float(image.time_base or 0)
                 end = max(end, seconds + (lasts or clock.step))
                 origin = f"{path}: frame {number}"
-                read = partial(_damaged, origin) if picture.is_corrupt else partial(image, picture)
+                read = partial(_damaged, origin) if image.is_corrupt else partial(decode, image)
                 frame = f"{name}/{number:06d}"
                 yield Item(frame, origin, read, number=number, seconds=seconds)
                 number += 1
-        except import_av().FFmpegError as problem:
-            what = f"ends after {end:.1f} seconds: {reason_of(problem)}"
-            raise InputError(path, what, "copy it again, or repair it") from None
+        except import_av().FFmpegError as error:
+            problem = f"ends after {end:.1f} seconds: {reason_of(error)}"
+            raise InputError(path, problem, "copy it again, or repair it") from None
         length = declared_seconds(container, stream)
     if number > begins.number and end + SLACK < length:
-        what = f"ends after {end:.1f} of {length:.1f} seconds"
-        raise InputError(path, what, "what could be read was used; copy it again, or repair it")
+        problem = f"ends after {end:.1f} of {length:.1f} seconds"
+        raise InputError(path, problem, "what could be read was used; copy it again, or repair it")
 
 
 def declared_seconds(container: "InputContainer", stream: "VideoStream") -> float:
-    """How long the container says that the pictures last; 0 where it does not say."""
+    """How long the container says that the images last; 0 where it does not say."""
     if stream.duration:
         return float(stream.duration * (stream.time_base or 0))
     return (container.duration or 0) / 1e6  # in microseconds
@@ -215,28 +217,28 @@ def _entry_point(path: Path | str, start: float) -> EntryPoint:
 def _decoded(
     container: "InputContainer", stream: "VideoStream", begins: EntryPoint
 ) -> "Iterator[VideoFrame]":
-    """The pictures from an entry point on; FFmpegError behind them where one cannot be decoded.
+    """The images from an entry point on; FFmpegError behind them where one cannot be decoded.
 
     What is shown before the key frame there is left out: it is made of frames before it.
     """
     av, first = import_av(), begins.pts or 0
-    problems: list[Exception] = []
+    errors: list[Exception] = []
 
     def decoded(decode: Callable[[], "list[VideoFrame]"]) -> "list[VideoFrame]":
         try:
-            return [picture for picture in decode() if not (first and (picture.pts or 0) < first)]
-        except av.FFmpegError as problem:
-            problems.append(problem)
+            return [image for image in decode() if not (first and (image.pts or 0) < first)]
+        except av.FFmpegError as error:
+            errors.append(error)
             return []
 
     try:
         for packet in islice(container.demux(stream), begins.packets, None):
             yield from decoded(packet.decode)
-    except av.FFmpegError as problem:
-        problems.insert(0, problem)
+    except av.FFmpegError as error:
+        errors.insert(0, error)
         yield from decoded(partial(stream.codec_context.decode, None))  # what it still holds
-    if problems:
-        raise problems[0]
+    if errors:
+        raise errors[0]
 
 
 def count_frames(path: Path) -> int:
@@ -248,10 +250,10 @@ def count_frames(path: Path) -> int:
     return count
 
 
-def upright(reformatter: "VideoReformatter", picture: "VideoFrame") -> Tensor:
-    """A decoded picture as image (3,H,W) in [0,1], turned as the video's metadata says.
+def upright(reformatter: "VideoReformatter", image: "VideoFrame") -> Tensor:
+    """A decoded image as image (3,H,W) in [0,1], turned as the video's metadata says.
 
-    reformatter: that of its stream, which makes its tables once; a picture's own makes them anew.
+    reformatter: that of its stream, which makes its tables once; an image's own makes them anew.
     """
-    pixels = reformatter.reformat(picture, format="rgb24").to_ndarray()
-    return from_pixels(np.rot90(pixels, round(picture.rotation / 90)))
+    pixels = reformatter.reformat(image, format="rgb24").to_ndarray()
+    return from_pixels(np.rot90(pixels, round(image.rotation / 90)))

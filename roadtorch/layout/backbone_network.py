@@ -17,8 +17,8 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import size_of
+from roadtorch.layout.image_network import OUTPUTS, cues_of, place_planes
 from roadtorch.layout.patch_network import Normalisation
-from roadtorch.layout.picture_network import OUTPUTS, cues_of, place_planes
 
 
 class Block(NamedTuple):
@@ -57,7 +57,7 @@ KEPT = (2, 4, 10, 14)
 """Blocks whose maps the heads see: at a quarter, an eighth, a sixteenth, a thirty-second."""
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's pictures, by which the backbone's input is normalised."""
+"""Of ImageNet's images, by which the backbone's input is normalised."""
 
 
 class BackboneNetworkSettings(Settings):
@@ -65,7 +65,7 @@ class BackboneNetworkSettings(Settings):
 
     height: int = Field(default=256, ge=32, le=1024, multiple_of=32, description="rows it works at")
     width: int = Field(
-        default=320, ge=32, le=1024, multiple_of=32, description="columns; pictures are stretched"
+        default=320, ge=32, le=1024, multiple_of=32, description="columns; images are stretched"
     )
     wide: int = Field(default=48, ge=8, le=512, description="channels of a head at an eighth")
     narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at a quarter")
@@ -121,7 +121,7 @@ class Bottleneck(nn.Module):
 
 
 class Backbone(nn.Module):
-    """The frozen part: four maps of features of a picture."""
+    """The frozen part: four maps of features of an image."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -178,9 +178,9 @@ def _sized(maps: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 class BackboneNetwork(nn.Module):
-    """Layout, road and ego car of whole pictures, seen through the backbone."""
+    """Layout, road and ego car of whole images, seen through the backbone."""
 
-    kind: ClassVar[str] = "pictures, backbone"
+    kind: ClassVar[str] = "images, backbone"
 
     def __init__(self, settings: BackboneNetworkSettings | None = None) -> None:
         super().__init__()

@@ -30,7 +30,7 @@ MIN_POTENTIAL = 1e-4
 
 Share = Annotated[
     float,
-    Field(ge=0, le=1, description="weight of the network against the labels made in this picture"),
+    Field(ge=0, le=1, description="weight of the network against the labels made in this image"),
 ]
 """A setting: the ``share`` of ``pooled`` where the other opinion is a network's."""
 

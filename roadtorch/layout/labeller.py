@@ -1,9 +1,9 @@
-"""Machine labels of the scene layout, from the picture alone (stands in for P2's teacher).
+"""Machine labels of the scene layout, from the image alone (stands in for P2's teacher).
 
 P2 takes its noisy labels from Hoiem et al., a classifier trained on another data set. This
 labeller needs no training. It starts from where sky, vertical things and ground tend to be
-in a street picture, learns from the picture itself what each of them looks like, and lets
-each column of the picture read sky, vertical, horizontal from top to bottom.
+in a street image, learns from the image itself what each of them looks like, and lets
+each column of the image read sky, vertical, horizontal from top to bottom.
 """
 
 from functools import lru_cache
@@ -18,7 +18,7 @@ from torch import Tensor
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.color import Exposure, brightened
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
+from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
 from roadtorch.imaging.segments import (
     Bandwidths,
     Segments,
@@ -86,7 +86,7 @@ class ColumnOrder(NamedTuple):
 
 
 class LabellerRules(NamedTuple):
-    """How the labeller reads a picture. sharpness: weight of appearance against place."""
+    """How the labeller reads an image. sharpness: weight of appearance against place."""
 
     place: PlacePrior = PlacePrior()
     sky: SkyLook = SkyLook()
@@ -158,7 +158,7 @@ def label_layout(
     settings, superpixels = settings or LabellerSettings(), superpixels or Superpixels()
     small = at_work(image, working or WorkingSize())
     found = label_whole(small, settings, superpixels, settings.lead)
-    return LayoutLabels(*(at_picture_size(map, size_of(image)) for map in found))
+    return LayoutLabels(*(at_image_size(map, size_of(image)) for map in found))
 
 
 def label_whole(
@@ -226,7 +226,7 @@ def column_samples(labels: Tensor, step: int) -> np.ndarray:
 def in_order(scores: Tensor, samples: np.ndarray, order: ColumnOrder) -> Tensor:
     """Beliefs (n,3) from log scores (n,3) when every column should read sky, vertical, ground.
 
-    samples: segments (R,C) of a picture, by ``column_samples``; each column is a hidden
+    samples: segments (R,C) of an image, by ``column_samples``; each column is a hidden
     Markov chain that moves from sky to vertical to horizontal. The exact posteriors
     (forwards and backwards) are averaged over each segment. Ours.
     """

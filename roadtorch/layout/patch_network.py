@@ -76,13 +76,13 @@ class Topology(Settings):
                 side = side // 2 if side % 2 == 0 else 0
             if side < 1:
                 message = f"has a map behind size{stage} that is empty, or that 2×2 cannot halve"
-                remedy = "the usual sizes are 7, 7, 7 for a patch of 32"
-                raise ConfigError("topology", message, remedy)
+                hint = "the usual sizes are 7, 7, 7 for a patch of 32"
+                raise ConfigError("topology", message, hint)
         if side != 1:
             fits = self.size3 + side - 1
-            remedy = "give a smaller patch, larger kernels or one more subsampling"
-            remedy = f"size3={fits} would end in it" if fits <= MAX_KERNEL else remedy
-            raise ConfigError("topology", f"ends in {side}×{side}, not in 1×1", remedy)
+            hint = "give a smaller patch, larger kernels or one more subsampling"
+            hint = f"size3={fits} would end in it" if fits <= MAX_KERNEL else hint
+            raise ConfigError("topology", f"ends in {side}×{side}, not in 1×1", hint)
         if self.connections > self.k1:
             message = f"is {self.connections}, and the first layer has {self.k1} kernels"
             raise ConfigError("topology.connections", message, f"give 0 to {self.k1}")
@@ -90,7 +90,7 @@ class Topology(Settings):
 
     @property
     def stride(self) -> int:
-        """Pixels between neighbouring outputs when the network runs over a whole picture."""
+        """Pixels between neighbouring outputs when the network runs over a whole image."""
         return 2**self.subsamplings
 
 
@@ -100,15 +100,15 @@ FIXED_MEAN, FIXED_GAIN = 0.5, 4.0
 """Levels in [0,1] become values from -2 to 2, near the unit variance that tanh likes."""
 
 MIN_DEVIATION = 0.02
-"""The least deviation that a picture is divided by: a flat one stays flat."""
+"""The least deviation that an image is divided by: a flat one stays flat."""
 
 
 class Normalisation(Settings):
-    """What is done to a picture before a network sees it."""
+    """What is done to an image before a network sees it."""
 
-    kind: Literal["none", "fixed", "picture", "brightened", "brightened picture"] = Field(
+    kind: Literal["none", "fixed", "image", "brightened", "brightened image"] = Field(
         default="fixed",
-        description="levels as they are; about zero; less the picture's mean colour, over its "
+        description="levels as they are; about zero; less the image's mean colour, over its "
         "deviation; brightened as for the labeller; or first this, then that",
     )
     exposure: Exposure = Exposure()
@@ -130,7 +130,7 @@ def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
         return Normalised(image, 1.0)
     if normalisation.kind.startswith("brightened"):
         image = brightened(image, normalisation.exposure)
-    if normalisation.kind.endswith("picture"):
+    if normalisation.kind.endswith("image"):
         centred = image - image.mean((-2, -1), keepdim=True)
         if torch.compiler.is_exporting():
             deviation = centred.square().mean((-3, -2, -1), keepdim=True).sqrt()
@@ -144,7 +144,7 @@ def normalise(image: Tensor, normalisation: Normalisation) -> Normalised:
 
 
 class PatchNetworkSettings(Settings):
-    """A patch network with what happens to the picture before it."""
+    """A patch network with what happens to the image before it."""
 
     topology: Topology = Topology()
     normalisation: Normalisation = Normalisation()
@@ -154,7 +154,7 @@ class PatchNetworkSettings(Settings):
 class PatchNetwork(nn.Module):
     """CNN-7 and its family. P2, section 3 and Fig. 2.
 
-    ``forward`` takes patches, ``dense`` whole pictures, both normalised; ``potentials`` takes an
+    ``forward`` takes patches, ``dense`` whole images, both normalised; ``potentials`` takes an
     image as it was read.
     """
 
@@ -184,12 +184,12 @@ class PatchNetwork(nn.Module):
         return self._squashed(self.last(maps)).flatten(1)
 
     def dense(self, pixels: Tensor) -> Tensor:
-        """Potentials (…,3,H,W) for each pixel of normalised pictures (…,3,H,W).
+        """Potentials (…,3,H,W) for each pixel of normalised images (…,3,H,W).
 
         Equal to ``forward`` on the patch around each pixel, computed once for all: subsampling
         keeps every place, and later steps take neighbours twice as far apart instead (Giusti et
         al., "Fast Image Scanning with Deep Max-Pooling Convolutional Neural Networks", ICIP 2013,
-        in its dilated form). Past the border the picture is reflected.
+        in its dilated form). Past the border the image is reflected.
         """
         shape = self.settings.topology
         maps = self._seen(reflected(pixels, shape.patch))

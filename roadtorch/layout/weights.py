@@ -20,8 +20,8 @@ from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, WeightsError, shortened
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 
 FORMAT = 1
 """Of the metadata; raised when older code could not read it."""
@@ -39,14 +39,14 @@ TERMS = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
 
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
-    PictureNetwork.kind: (PictureNetwork, PictureNetworkSettings),
+    ImageNetwork.kind: (ImageNetwork, ImageNetworkSettings),
     BackboneNetwork.kind: (BackboneNetwork, BackboneNetworkSettings),
 }
 
-WholePictureNetwork = PictureNetwork | BackboneNetwork
-"""Say layout, road and ego car of a whole picture."""
+WholeImageNetwork = ImageNetwork | BackboneNetwork
+"""Say layout, road and ego car of a whole image."""
 
-LayoutNetwork = PatchNetwork | WholePictureNetwork
+LayoutNetwork = PatchNetwork | WholeImageNetwork
 
 
 def save_network(
@@ -89,15 +89,15 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     network_class, settings_class = NETWORKS[header.kind]
     try:
         network = network_class(build_settings(settings_class, header.settings))
-    except ConfigError as problem:
-        message = f"was made for other settings: {problem.where} {problem.what}"
+    except ConfigError as error:
+        message = f"was made for other settings: {error.where} {error.problem}"
         raise WeightsError(path, message, "use the roadtorch that made it") from None
     fill(network, tensors, path)
     return network.eval()
 
 
-def network_at(network: WholePictureNetwork, height: int, width: int) -> WholePictureNetwork:
-    """The same weights for pictures of another size: convolutions know none."""
+def network_at(network: WholeImageNetwork, height: int, width: int) -> WholeImageNetwork:
+    """The same weights for images of another size: convolutions know none."""
     other = copy.deepcopy(network)
     sized = network.settings.model_copy(update={"height": height, "width": width})
     other.settings = sized  # pyright: ignore[reportAttributeAccessIssue]  # of its own kind
@@ -135,18 +135,18 @@ def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
 def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
     """The corrections of people that weights were trained with, run by run; none: label-free.
 
-    Each says how many ``pictures`` and ``pixels``. WeightsError as for ``load_network``.
+    Each says how many ``images`` and ``pixels``. WeightsError as for ``load_network``.
     """
     runs = read_origin(path).get("corrections")
     return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
 
 
-def corrected_pictures(settings: Mapping[str, Any]) -> int:
-    """How many pictures that people corrected are behind a detector's settings; 0: label-free."""
+def corrected_images(settings: Mapping[str, Any]) -> int:
+    """How many images that people corrected are behind a detector's settings; 0: label-free."""
     groups = [settings.get(name) for name in ("weights", "second")]
     files = [group.get("file") for group in groups if isinstance(group, Mapping)]
     runs = [run for file in files if file for run in people_behind(weights_path(file))]
-    return sum(int(run.get("pictures", 0)) for run in runs)
+    return sum(int(run.get("images", 0)) for run in runs)
 
 
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
@@ -156,8 +156,8 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathL
     """
     try:
         network.load_state_dict(dict(tensors))
-    except RuntimeError as problem:
-        _, first, *_ = str(problem).splitlines()
+    except RuntimeError as error:
+        _, first, *_ = str(error).splitlines()
         message = f"holds another network: {shortened(first.strip(), MISFIT)}"
         raise WeightsError(path, message, "use weights of this network") from None
     for name, values in network.state_dict().items():
@@ -179,7 +179,7 @@ class _Header(BaseModel):
     """The header of a weight file; files of earlier versions state no hash."""
 
     format: int
-    kind: Literal["patches", "pictures", "pictures, backbone"]
+    kind: Literal["patches", "images", "images, backbone"]
     settings: dict[str, Any]
     origin: dict[str, Any]
     sha256: str | None = None
@@ -195,8 +195,8 @@ def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except ValidationError:
         raise WeightsError(path, "has no header of roadtorch's", "give weights of ours") from None
-    except (SafetensorError, OSError, RuntimeError) as problem:  # torch, which maps it, the last
-        message = f"is damaged or no weight file: {reason(problem)}"
+    except (SafetensorError, OSError, RuntimeError) as error:  # torch, which maps it, the last
+        message = f"is damaged or no weight file: {reason(error)}"
         raise WeightsError(path, message, "fetch or train it again") from None
     if header.format > FORMAT:
         message = f"has the format {header.format}; this roadtorch reads up to {FORMAT}"
@@ -218,7 +218,7 @@ def card_of(path: Path) -> str:
 
 Network = TypeVar("Network", bound=LayoutNetwork)
 
-FOR_PICTURES = "backbone-free"
+FOR_IMAGES = "backbone-free"
 """The shipped weights that `fusion` takes unless told otherwise."""
 
 
@@ -247,12 +247,12 @@ def network_of(weights: WeightsFile, shipped: str, *kinds: type[Network]) -> Net
     return network
 
 
-def picture_network_of(weights: WeightsFile, shipped: str) -> WholePictureNetwork:
-    """The same for a network that sees whole pictures.
+def image_network_of(weights: WeightsFile, shipped: str) -> WholeImageNetwork:
+    """The same for a network that sees whole images.
 
     It has run once: torch makes the programs of its convolutions in the first run, which takes
     twice as long as a later one.
     """
-    network = network_of(weights, shipped, PictureNetwork, BackboneNetwork)
+    network = network_of(weights, shipped, ImageNetwork, BackboneNetwork)
     network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network

@@ -1,4 +1,4 @@
-"""One-class colour classification (P3): what road looks like, learned from one picture.
+"""One-class colour classification (P3): what road looks like, learned from one image.
 
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 

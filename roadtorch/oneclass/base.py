@@ -200,8 +200,8 @@ def _check_table(where: str, values: Tensor, dimensions: int) -> None:
     if not values.is_floating_point():
         raise InputError(where, f"are {values.dtype}", "give a floating point tensor")
     if values.ndim != 2 or values.shape[1] != dimensions:
-        what = f"have the shape {tuple(values.shape)}"
-        raise InputError(where, what, f"give (number, {dimensions}), one column per plane")
+        problem = f"have the shape {tuple(values.shape)}"
+        raise InputError(where, problem, f"give (number, {dimensions}), one column per plane")
 
 
 def rejecting_distance(distances: np.ndarray, rejected: float) -> float:

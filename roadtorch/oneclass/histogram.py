@@ -104,8 +104,8 @@ def fit_histogram(road: Road, settings: HistogramSettings) -> Learned:
     if isinstance(settings, NoisyHistogramSettings) and settings.noise > 0:
         samples = with_noisy_copy(samples, axes, settings.noise, settings.edge, road.generator)
     if joint and bins**dimensions > MAX_BINS:
-        what = f"{bins} bins in {dimensions} dimensions are too many"
-        raise ConfigError("bins", what, 'use fewer, or planes="product"')
+        problem = f"{bins} bins in {dimensions} dimensions are too many"
+        raise ConfigError("bins", problem, 'use fewer, or planes="product"')
     low, scale = torch.tensor(axes.low), (bins / axes.span).float()
 
     def places(planes: Tensor) -> list[Tensor]:

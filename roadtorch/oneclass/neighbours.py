@@ -35,9 +35,9 @@ def few_distinct(name: str, samples: Tensor, most: int = MAX_DISTINCT) -> tuple[
     """
     points, counts = samples.unique(dim=0, return_counts=True)
     if len(points) > most:
-        what = f"has {len(points)} different samples, more than {most}"
-        remedy = "take one sample per superpixel, or planes of fewer levels"
-        raise InputError(name, what, remedy)
+        problem = f"has {len(points)} different samples, more than {most}"
+        hint = "take one sample per superpixel, or planes of fewer levels"
+        raise InputError(name, problem, hint)
     return points, counts
 
 

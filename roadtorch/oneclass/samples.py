@@ -1,7 +1,7 @@
-"""Where the samples of road come from, and each value of a picture only once (P3, section V).
+"""Where the samples of road come from, and each value of an image only once (P3, section V).
 
-What depends on the picture alone is marked ``cached_per_image``: many classifiers that look at one
-picture make it once. The planes are those of the distinct colours, so that a sample and a
+What depends on the image alone is marked ``cached_per_image``: many classifiers that look at one
+image make it once. The planes are those of the distinct colours, so that a sample and a
 pixel of one colour have the same values to the bit.
 """
 
@@ -21,7 +21,7 @@ from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.road.seed_area import FRAME, SeedArea, seed_area
 
 MIN_SIDE = 8
-"""Pixels that the seed area has on each side, where the picture has them: a few samples."""
+"""Pixels that the seed area has on each side, where the image has them: a few samples."""
 
 GRID_SHAPE = 15 / 6
 """Columns over rows of the cells that stand in for superpixels: 6x15 for 90."""
@@ -33,7 +33,7 @@ ALIKE = 1e-3
 class WideSeedArea(SeedArea):
     """P3's seed area, its "training area": 201×66 pixels, 13,266, of a frame of 640×480.
 
-    P3 does not give the size of its pictures; this is that of the same authors' other papers.
+    P3 does not give the size of its images; this is that of the same authors' other papers.
     """
 
     height: float = Field(
@@ -83,7 +83,7 @@ class AllSampleSettings(SampleSettings):
 
 
 class Palette(NamedTuple):
-    """Values that occur in a picture, and where: values (d,k), index int64 (H,W) into them."""
+    """Values that occur in an image, and where: values (d,k), index int64 (H,W) into them."""
 
     values: Tensor
     index: Tensor

@@ -1,8 +1,8 @@
 """The ego car: pixels of the vehicle that carries the camera, never road and never seed.
 
-It is told by hand or by a camera's file (see ``Ego``). Before a detector looks at a picture, the
+It is told by hand or by a camera's file (see ``Ego``). Before a detector looks at an image, the
 ground above the ego car is continued over it, so that whatever is learned or counted at the
-bottom of the picture is ground.
+bottom of the image is ground.
 """
 
 from pathlib import Path
@@ -20,31 +20,31 @@ from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import above
 from roadtorch.imaging.resize import side
 
-MIN_FREE = 0.1  # share of the picture that an ego car must leave free
+MIN_FREE = 0.1  # share of the image that an ego car must leave free
 
 STRIP = 0.08
-"""Share of the picture's side that is mirrored at most: near ground, never the sky above it."""
+"""Share of the image's side that is mirrored at most: near ground, never the sky above it."""
 
 MIN_MEAN, PER_SHARE = 0.7, 0.5
-"""Mean potential from which an ego car is one, and what is added for its share of the picture:
+"""Mean potential from which an ego car is one, and what is added for its share of the image:
 lines near the lower edge are half believed, bonnets mostly not, and more ground lost by mistake
 needs more certainty (train/README.md, "The ego car's edge")."""
 
 SOLID = 0.6  # share of the pixels below that must be ego car
 
-REMEDY = f"leave at least {MIN_FREE:.0%} of the picture free"
+HINT = f"leave at least {MIN_FREE:.0%} of the image free"
 
 Row = Annotated[float, Field(ge=0, le=1)]
 
 
 class Ego(Settings):
-    """Where the ego car is in every picture, in up to three ways; what any of them says counts."""
+    """Where the ego car is in every image, in up to three ways; what any of them says counts."""
 
     bottom: float = Field(
         default=0, ge=0, le=1 - MIN_FREE, description="share of the height, at the bottom"
     )
     mask: str = Field(
-        default="", description="picture file of the same size as the pictures; black is no ego car"
+        default="", description="image file of the same size as the images; black is no ego car"
     )
     outline: tuple[Row, ...] = Field(
         default=(),
@@ -56,7 +56,7 @@ class Ego(Settings):
     @classmethod
     def _leaves_something(cls, outline: tuple[float, ...]) -> tuple[float, ...]:
         if outline and sum(outline) < MIN_FREE * len(outline):
-            raise ValueError(f"{REMEDY}: these rows cover nearly all")
+            raise ValueError(f"{HINT}: these rows cover nearly all")
         return outline
 
 
@@ -66,13 +66,13 @@ def is_given(ego: Ego) -> bool:
 
 
 def read_ego_mask(path: str) -> Tensor:
-    """The ego car bool (H,W) in a picture file: what is not black.
+    """The ego car bool (H,W) in an image file: what is not black.
 
     Raises InputError when it cannot be read, ConfigError when it covers nearly everything.
     """
     mask = read_image(Path(path)).amax(0) > 0
     if float((~mask).double().mean()) < MIN_FREE:
-        raise ConfigError(path, "covers nearly everything with ego car", REMEDY)
+        raise ConfigError(path, "covers nearly everything with ego car", HINT)
     return mask
 
 
@@ -80,7 +80,7 @@ def read_ego_mask(path: str) -> Tensor:
 def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
     """The ego car bool (H,W) in an image (3,H,W), by all that the settings say.
 
-    mask: what ``read_ego_mask`` gave of the settings' file, for those who see many pictures; it
+    mask: what ``read_ego_mask`` gave of the settings' file, for those who see many images; it
     is read where it is not given. Raises InputError when the mask has another size than the
     image, or when too little is free.
     """
@@ -93,11 +93,11 @@ def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
         mask = read_ego_mask(ego.mask) if mask is None else mask
         if mask.shape != car.shape:
             size = f"{mask.shape[1]}×{mask.shape[0]}"
-            what = f"is {width}×{height} pixels, the ego mask {ego.mask} {size}"
-            raise InputError("image", what, "give a mask of the pictures' size")
+            problem = f"is {width}×{height} pixels, the ego mask {ego.mask} {size}"
+            raise InputError("image", problem, "give a mask of the images' size")
         car = car | mask.to(image.device)
     if float((~car).double().mean()) < MIN_FREE:
-        raise InputError("image", "is covered nearly everywhere by the ego car", REMEDY)
+        raise InputError("image", "is covered nearly everywhere by the ego car", HINT)
     return car
 
 
@@ -118,7 +118,7 @@ def is_anywhere(ego: Tensor) -> bool:
     return torch.compiler.is_exporting() or bool(ego.cpu().numpy().any())
 
 
-# --- found in the picture ---------------------------------------------------------------
+# --- found in the image ---------------------------------------------------------------
 
 
 def ego_found(potential: Tensor) -> Tensor:

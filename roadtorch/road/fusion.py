@@ -1,11 +1,11 @@
-"""Naive Bayes: what was learned off line and what this picture shows, in one probability.
+"""Naive Bayes: what was learned off line and what this image shows, in one probability.
 
 ``likelihood_product`` is P2's eq. 4: prior times likelihoods, no model of the background. The
 rest is ours, after it: every cue is a likelihood in [0,1], read as p(road | cue) under even
 odds, so that cues multiply as odds, L / (1-L): what speaks for the background speaks too. The
 two can rank pixels the other way round: 0.9 and 0.3 have the product 0.27 and the odds 3.9,
 0.6 and 0.6 the product 0.36 and the odds 2.3. Over segments one more cue is learned from the
-others: what the road of this very picture looks like (ours).
+others: what the road of this very image looks like (ours).
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ and what surrounds it must be able to say so."""
 
 
 class RoadPlace(NamedTuple):
-    """Where the road tends to be: a soft triangle. Shares of the picture's height and width.
+    """Where the road tends to be: a soft triangle. Shares of the image's height and width.
 
     weight: of the prior; 0 is uniform. apex: row at which the half width is ``narrow``. spread:
     half width gained per height below it. softness: widths over which the road fades.
@@ -43,7 +43,7 @@ class Exponents(NamedTuple):
     """How much each cue is trusted: exponents of the odds L / (1-L); ours (see the module).
 
     layout: the ground of the scene layout. distance: from the seed area. texture: the uniformity
-    of the fused plane. look: learned in this picture. neighbours: what the segments beside are.
+    of the fused plane. look: learned in this image. neighbours: what the segments beside are.
     """
 
     layout: float = 0.44
@@ -54,7 +54,7 @@ class Exponents(NamedTuple):
 
 
 class RoadRules(NamedTuple):
-    """How the cues of a picture's segments become p(road).
+    """How the cues of an image's segments become p(road).
 
     reach: faint borders on the way from the seed area that leave it open. bias: log odds of road
     before any cue. temperature: divides the final log odds. rounds: of learning the look.
@@ -164,9 +164,9 @@ def neighbour_mean(segments: Segments) -> Tensor:
 
 
 def centred_odds(odds: Tensor, centre: float, own: float) -> Tensor:
-    """Log odds (…) of one picture less those that part road from background.
+    """Log odds (…) of one image less those that part road from background.
 
-    These are between ``centre``, the same for all pictures, and the picture's own (Otsu), by
+    These are between ``centre``, the same for all images, and the image's own (Otsu), by
     the share ``own``. The best threshold differs from camera to camera and needs no label to
     be seen; but Otsu's alone takes too much for a narrow road, so it is not trusted whole. Ours.
     """
@@ -182,7 +182,7 @@ TRIANGLE_APEX = 0.45
 """Where the triangle of ``prior_triangle`` begins, in heights from the top: a usual horizon."""
 
 TRIANGLE_BASE = 1.16
-"""Width of its base on the bottom edge, in widths: the road leaves the picture at the sides."""
+"""Width of its base on the bottom edge, in widths: the road leaves the image at the sides."""
 
 
 def prior_uniform(height: int, width: int) -> Tensor:

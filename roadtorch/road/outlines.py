@@ -1,4 +1,4 @@
-"""Outlines: a likelihood enlarged as the picture's edges are, without thin holes in its road."""
+"""Outlines: a likelihood enlarged as the image's edges are, without thin holes in its road."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Literal
@@ -15,13 +15,13 @@ from roadtorch.road.seed_area import remove_isolated
 
 Outlines = Annotated[
     Literal["guided", "smooth"],
-    Field(description="guided by the picture, without thin holes; or smooth, as they were found"),
+    Field(description="guided by the image, without thin holes; or smooth, as they were found"),
 ]
 
 MAX_ENLARGEMENT = 8  # times the pixels of the working size: 640x480, of 240x180
 
 SUBSAMPLING = 2
-"""Pixels of the analysed picture, along a side, to one of that from which windows are made."""
+"""Pixels of the analysed image, along a side, to one of that from which windows are made."""
 
 CELL = 6  # such pixels between the centres of two windows: with the above, the side of a superpixel
 
@@ -31,10 +31,10 @@ RIDGE = 1e-3
 PASSES = 2
 """The first brings the likelihood to the nearest edge, the second parts the sides of the edge."""
 
-THIN = 11 / 640  # share of the picture's width up to which a hole is thin: a line near the camera
+THIN = 11 / 640  # share of the image's width up to which a hole is thin: a line near the camera
 
 BARELY = 1 / 255
-"""By which a hole is above the threshold: the least that a picture of 8 bits can say."""
+"""By which a hole is above the threshold: the least that an image of 8 bits can say."""
 
 
 def guided(
@@ -42,10 +42,10 @@ def guided(
 ) -> Tensor:
     """The likelihood of the maps of a small image (3,h,w), as large as it is worth.
 
-    image: the same (3,H,W) at the picture's own size. working: the size of the small one.
+    image: the same (3,H,W) at the image's own size. working: the size of the small one.
     threshold: road from this likelihood on.
 
-    It follows the picture where that decides otherwise, and stays as it is elsewhere: smoothed all
+    It follows the image where that decides otherwise, and stays as it is elsewhere: smoothed all
     over, MaxF on the fourteen cameras falls by .004. At most ``MAX_ENLARGEMENT`` times the working
     size's pixels: beyond that, an image shows but grain. The ego car is no road here, in its own
     looks: so what is left of its bonnet above the map of it does not become road.
@@ -78,7 +78,7 @@ def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     In each window it is an affine function of the colour, q = a · I + b with
     a = (Σ + ε U)⁻¹ (mean(I p) - mean(I) mean(p)) and b = mean(p) - a · mean(I): the guided filter
     of He, Sun, Tang, "Guided Image Filtering", PAMI 35(6), 2013, eqs. 19 to 21. As in their "Fast
-    Guided Filter", arXiv 1505.00996, 2015, a and b are found in a small picture and enlarged. Ours:
+    Guided Filter", arXiv 1505.00996, 2015, a and b are found in a small image and enlarged. Ours:
     windows are triangles ``CELL`` apart and twice as wide, so no filter runs over all pixels.
     """
     both = resized(_joined(likelihood, image), _size(likelihood, SUBSAMPLING))
@@ -88,13 +88,13 @@ def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     products = small[..., first, :, :] * small[..., second, :, :]
     mean, square = resized(torch.cat([small, products], -3), cells).split([3, 6], -3)
     inverse = _inverse(square - mean[..., first, :, :] * mean[..., second, :, :])
-    for picture in [*[small] * (PASSES - 1), larger]:
+    for target in [*[small] * (PASSES - 1), larger]:
         joint = resized(_joined(likelihood, small * likelihood[..., None, :, :]), cells)
         road, joint = joint.split([1, 3], -3)
         slope = inverse(joint - mean * road)
         offset = road.squeeze(-3) - (slope * mean).sum(-3)
-        slopes, likelihood = (resized(part, size_of(picture)) for part in (slope, offset))
-        for weight, plane in zip(slopes.unbind(-3), picture.unbind(-3), strict=True):
+        slopes, likelihood = (resized(part, size_of(target)) for part in (slope, offset))
+        for weight, plane in zip(slopes.unbind(-3), target.unbind(-3), strict=True):
             likelihood.addcmul_(weight, plane)
         likelihood.clamp_(0, 1)
     return likelihood
@@ -137,7 +137,7 @@ def filled(likelihood: Tensor, threshold: float) -> Tensor:
     """A likelihood (H,W) without the holes in its road where no square of ``THIN`` fits into one.
 
     Lines, letters and joints are road, though they look like nothing else on it: they become road
-    by ``BARELY``. What lies at the picture's edge counts as enclosed there. A reconstruction of the
+    by ``BARELY``. What lies at the image's edge counts as enclosed there. A reconstruction of the
     background from its erosion: Vincent, "Morphological Grayscale Reconstruction", IEEE Trans.
     Image Proc. 2(2), 1993.
     """

@@ -11,13 +11,13 @@ from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import at_picture_size, resized, side, size_of, whole
+from roadtorch.imaging.resize import at_image_size, resized, side, size_of, whole
 from roadtorch.imaging.segments import Segments
 
 FRAME = (240, 320)  # height and width in pixels of the frame in which a seed area is described
 
 NEARNESS = 4.0
-"""Log odds that a place at the bottom of the picture has before one at the top, as a seed."""
+"""Log odds that a place at the bottom of the image has before one at the top, as a seed."""
 
 CELL = 12
 """Pixels of a side of the cells of which a seed area is made: a superpixel's."""
@@ -42,17 +42,17 @@ class SeedArea(Settings):
 
     @property
     def share(self) -> float:
-        """Of the picture's pixels, from 0 to 1."""
+        """Of the image's pixels, from 0 to 1."""
         return self.height * self.width / (FRAME[0] * FRAME[1])
 
 
 def seed_area(
     height: int, width: int, seed: SeedArea | None = None, least: int = 1
 ) -> tuple[slice, slice]:
-    """Rows and columns of the seed area in a picture of height × width pixels.
+    """Rows and columns of the seed area in an image of height × width pixels.
 
     At the middle of the bottom edge, of at least ``least`` pixels on each side where the
-    picture has them, and always inside. P2 (section 4, "the central-bottom part of the
+    image has them, and always inside. P2 (section 4, "the central-bottom part of the
     image"); without ``seed`` the default size.
     """
     seed = SeedArea() if seed is None else seed
@@ -73,9 +73,9 @@ def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Te
     """Which of n segments are the seed area: bool (…,n), those where road most likely is.
 
     evidence: log odds of road (…,n); row: centroids (n,) from 0 at the top to 1; size: shares of
-    the picture (n,). From the lower half, the best come first until they fill ``share`` of the
-    picture; one at least, several pieces if need be. What is near is seen best, and counts by
-    ``NEARNESS`` more. Ours: the bottom of a picture may be a bonnet, grass or a car ahead.
+    the image (n,). From the lower half, the best come first until they fill ``share`` of the
+    image; one at least, several pieces if need be. What is near is seen best, and counts by
+    ``NEARNESS`` more. Ours: the bottom of an image may be a bonnet, grass or a car ahead.
     """
     score = evidence + NEARNESS * row - UPPER_HALF * (row < 0.5)
     # ONNX has no sort of that name, but one that is stable.
@@ -97,7 +97,7 @@ def likely_seed_area(evidence: Tensor, share: float) -> Tensor:
     row = ((torch.arange(rows, device=cells.device) + 0.5) / rows)[:, None].expand(rows, columns)
     size = torch.full_like(row, 1 / (rows * columns))
     chosen = likely_seed(cells.flatten(-2), row.flatten(), size.flatten(), share)
-    return at_picture_size(chosen.unflatten(-1, (rows, columns)), full)
+    return at_image_size(chosen.unflatten(-1, (rows, columns)), full)
 
 
 def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
@@ -143,15 +143,15 @@ def seed_segments(labels: Tensor, seed: Tensor) -> Tensor:
 
 
 FAINTEST = 0.0034
-"""Added to the contrast of a faint border (Lab/100): in a clean picture less is no edge either."""
+"""Added to the contrast of a faint border (Lab/100): in a clean image less is no edge either."""
 
 
 def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
-    """Distance (n,) of each segment from the sources, numbers (k,) of segments, along the picture.
+    """Distance (n,) of each segment from the sources, numbers (k,) of segments, along the image.
 
     The least sum of the contrasts of the borders crossed on the way: a kerb or a painted line
     must be crossed somewhere even where both sides have the same colour. The unit is a faint
-    border of this picture (the lower quartile), so that grain does not count. Ours, after
+    border of this image (the lower quartile), so that grain does not count. Ours, after
     the geodesic distances of interactive segmentation.
     """
     steps = segments.contrast_between

@@ -1,4 +1,4 @@
-"""Likelihoods of footage steadied over time: log odds carried along the motion of the picture.
+"""Likelihoods of footage steadied over time: log odds carried along the motion of the image.
 
 A detector looks at each frame by itself; its likelihood wavers with noise and light. What the
 frames before said about the same place of the street is carried there along dense flow and
@@ -8,10 +8,10 @@ a detector, made frame by frame, for ever stronger evidence. (Ours; averaging ca
 Nilsson and Sminchisescu, Semantic Video Segmentation by Gated Recurrent Flow Propagation, CVPR
 2018; the weights: a Kalman filter of a constant whose memory fades.)
 
-Where the flow there and back does not agree, or the picture looks other than where it came from,
+Where the flow there and back does not agree, or the image looks other than where it came from,
 the past is believed less, down to not at all: turns and the edges of cars stay sharp.
 
-An ego car stands still in the picture. What a frame alone takes for one, a shadow close to the
+An ego car stands still in the image. What a frame alone takes for one, a shadow close to the
 camera for instance, hides nothing: there what was known before is carried on.
 """
 
@@ -25,11 +25,11 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.motion import FAST, dense_flow, flow_picture, forward_backward_error, warp
+from roadtorch.imaging.motion import FAST, dense_flow, flow_image, forward_backward_error, warp
 from roadtorch.imaging.resize import resized, size_of
 from roadtorch.road.fusion import log_odds
 
-AROUND = 5  # pixels at the flow's size over which differences of the picture are averaged
+AROUND = 5  # pixels at the flow's size over which differences of the image are averaged
 
 
 class SteadySettings(Settings):
@@ -39,7 +39,7 @@ class SteadySettings(Settings):
         default=8.0, ge=0, le=1000, description="frames that the past counts as at the most"
     )
     width: int = Field(
-        default=320, ge=32, le=4096, description="pixels: how wide pictures are for the flow"
+        default=320, ge=32, le=4096, description="pixels: how wide images are for the flow"
     )
     miss: float = Field(
         default=4.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
@@ -54,7 +54,7 @@ class SteadySettings(Settings):
         default=0.25,
         ge=0,
         le=1,
-        description="share of the picture to be found again, else the scene was cut",
+        description="share of the image to be found again, else the scene was cut",
     )
     standing: float = Field(
         default=30.0,
@@ -77,7 +77,7 @@ class Past(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """In what share of the last frames a pixel of the picture was hidden, (H,W), and their count.
+    """In what share of the last frames a pixel of the image was hidden, (H,W), and their count.
 
     What moves with the street stands nowhere for long.
     """
@@ -114,13 +114,13 @@ class Steady:
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
         self._standing = stood(self._standing, hidden, self.settings.standing)
-        grey, unseen = flow_picture(image, self.settings.width), hidden | self._standing.hidden
+        grey, unseen = flow_image(image, self.settings.width), hidden | self._standing.hidden
         self._past = recalled(self._past, grey, log_odds(likelihood), unseen, self.settings)
         return self._past.odds.sigmoid().masked_fill(self._standing.hidden, 0.0)
 
 
 def stood(before: Standing | None, hidden: Tensor, most: float) -> Standing:
-    """What stands still in the picture after one more frame hides bool (H,W)."""
+    """What stands still in the image after one more frame hides bool (H,W)."""
     now = hidden.to(torch.float32)
     if before is None or before.share.shape != now.shape:
         return Standing(now, 1.0)
@@ -187,8 +187,8 @@ def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: Steady
     """How far the past can be believed, float32 (h,w) in [0,1], for a flow from ``grey`` to it.
 
     before, grey: uint8 (h,w). 1 where the round trip closes and the place looks the same; outside
-    the picture before 0. Round trips may miss by more where motion is fast (Sundaram et al., ECCV
-    2010, eq. 5). A change of light all over the picture is no difference.
+    the image before 0. Round trips may miss by more where motion is fast (Sundaram et al., ECCV
+    2010, eq. 5). A change of light all over the image is no difference.
     """
     allowed = settings.miss + settings.slack * torch.hypot(flow[..., 0], flow[..., 1])
     missed = forward_backward_error(flow, dense_flow(before, grey, FAST)) / allowed

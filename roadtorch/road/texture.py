@@ -23,7 +23,7 @@ VARIANCE_FLOOR = 1e-12
 
 NARROWEST = 1e-4
 """The least range that is cut into levels: below it there is only rounding, planes being of
-order 1, and a flat picture would look rough."""
+order 1, and a flat image would look rough."""
 
 
 def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
@@ -31,7 +31,7 @@ def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
 
     w = Σ⁻¹1 / (1ᵀΣ⁻¹1), P2 eq. 3. P2's nine planes are linear in one another (R - G - √2·O1 = 0,
     R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and (R - G - √2·O1) / -√2, whose weights sum
-    to 1, is 0 in every picture: the least variance that there is, and no texture. So ``ridge`` ≥ 0
+    to 1, is 0 in every image: the least variance that there is, and no texture. So ``ridge`` ≥ 0
     times the mean variance is added to the diagonal. 0 leaves ``VARIANCE_FLOOR`` alone, which is
     P2's formula as far as numbers go, and collapses (docs/research/p2.md); large values give the
     plain mean of the planes. Solved in float64, returned in the samples' dtype.
@@ -59,7 +59,7 @@ def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, floa
     """The values of a plane (H,W) that leave a share ``tail`` of the usable pixels on each side.
 
     The range that ``quantise`` cuts into levels. The fused plane has no natural bounds, so
-    they come from the picture, as grey levels do from the camera's exposure (ours).
+    they come from the image, as grey levels do from the camera's exposure (ours).
     """
     values = plane.reshape(-1) if usable.all() else samples_of(plane[None], usable)[0]
     count = len(values)
@@ -184,7 +184,7 @@ def unsaturated_uniformity(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """CPFv2: the same without saturated pixels; U = 0 where a segment has few others.
 
-    Returns the fused plane (H,W), U (n,) and where the picture is saturated, bool (H,W).
+    Returns the fused plane (H,W), U (n,) and where the image is saturated, bool (H,W).
     """
     clipped = saturated(image, saturation.dark, saturation.bright)
     fused, values = fused_uniformity(image, labels, ~clipped, seed, settings)
@@ -206,7 +206,7 @@ def uniform_patterns(grey: Tensor) -> Tensor:
     """Rotation-invariant uniform local binary patterns (8 neighbours, radius 1): int64 (H,W).
 
     0…8: that many neighbours, in one run, are at least as bright as the centre; 9: several
-    runs. LBP^riu2 of Ojala et al., PAMI 2002; "uniform" in scikit-image. The picture is
+    runs. LBP^riu2 of Ojala et al., PAMI 2002; "uniform" in scikit-image. The image is
     continued beyond its edge by its outermost pixels.
     """
     height, width = grey.shape

@@ -2,7 +2,7 @@
 
 A good mask is the same at any threshold, has a good F if the likelihood is right, and begins at a
 seed area that is road to the network: a ridge regression of F on these signs over labelled
-pictures of many cameras. And there is a road at all where little of the picture is in doubt: a
+images of many cameras. And there is a road at all where little of the image is in doubt: a
 logistic regression on rendered worlds with and without a road (``python -m train.calibrate
 trust``, which tells what both are worth on what had no part).
 """
@@ -40,7 +40,7 @@ WEIGHTS = Signs(0.12, 0.62, 0.11, 0.0)  # of the signs, in the expected F; ``CON
 CONSTANT = 0.163
 
 USUAL = Signs(0.71, 0.9, 0.98, 0.2)
-"""The mean signs over the pictures on which the weights were chosen."""
+"""The mean signs over the images on which the weights were chosen."""
 
 ROAD_STEADY, ROAD_VAGUE, ROAD_THERE = 4.71, -6.17, 1.06
 """Log odds that there is a road at all: weights of the signs ``steady`` and ``vague``, constant."""
@@ -48,13 +48,13 @@ ROAD_STEADY, ROAD_VAGUE, ROAD_THERE = 4.71, -6.17, 1.06
 ENOUGH = 0.7
 """Probability that there is a road from which on nothing is taken off the expected F."""
 
-NO_ROAD = "hardly anything in the picture looks like road"
+NO_ROAD = "hardly anything in the image looks like road"
 
 REASONS = (
     "another threshold gives another mask",
     "much of the mask is not likely road",
     "the seed area looks like a vehicle, a wall or grass",
-    "much of the picture is neither road nor not",
+    "much of the image is neither road nor not",
 )
 """What is said when a sign is worse than usual, in the order of the signs."""
 

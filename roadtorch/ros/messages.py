@@ -10,7 +10,7 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.camera.ground_grid import Grid
 from roadtorch.run.writers.bag import CLASSES
 
-REMEDY = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
+HINT = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
 
 OK, WARN = 0, 1
 """diagnostic_msgs/DiagnosticStatus, as numbers: its constants are bytes."""
@@ -21,7 +21,7 @@ def ros_module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise ConfigError("ros", f"{name.partition('.')[0]} is not installed", REMEDY) from None
+        raise ConfigError("ros", f"{name.partition('.')[0]} is not installed", HINT) from None
 
 
 def image_message(header: Any, pixels: np.ndarray) -> Any:

@@ -54,7 +54,7 @@ class NodeParameters(Settings):
     steadied: bool = Field(default=True, description="whether frames steady one another")
     height: float = Field(default=0.0, ge=0, description="of the camera, metres; 0: no grid")
     pitch: float = Field(
-        default=math.nan, allow_inf_nan=True, description="degrees; NaN: from the picture"
+        default=math.nan, allow_inf_nan=True, description="degrees; NaN: from the image"
     )
     roll: float = Field(default=0.0, description="degrees")
     fov: float = Field(default=0.0, ge=0, description="degrees; 0: from camera_info")
@@ -213,7 +213,7 @@ class RoadNode:
         self.times.append(time.monotonic())
 
     def _publish_grid(self, header: Any, detection: Detection) -> None:
-        """The ground; a picture that does not tell its pitch has none."""
+        """The ground; an image that does not tell its pitch has none."""
         assert self.placing is not None
         assert detection.image is not None
         likelihood, settings = detection.likelihood, self.grid_settings
@@ -221,8 +221,8 @@ class RoadNode:
             camera, _ = self.placing(detection.image, detection.cues.get("layout"))
             road = likelihood * (detection.mask | (likelihood < settings.threshold))
             grid = ground_grid(road, camera, settings, detection.cues.get("ego"))
-        except RoadtorchError as problem:
-            self._warn(str(problem))
+        except RoadtorchError as error:
+            self._warn(str(error))
             return
         self.grids.publish(grid_message(header, grid, self.parameters.base_frame))
 
@@ -255,8 +255,8 @@ class RoadNode:
                 raise ConfigError(topic, "says nothing of its camera", "calibrate it, or set fov")
             lens = lens_of_info(topic, size, [*message.k], [*message.d], message.distortion_model)
             self.placing = self.placing.through(lens)
-        except RoadtorchError as problem:
-            self._warn(str(problem))
+        except RoadtorchError as error:
+            self._warn(str(error))
 
     # --- words ----------------------------------------------------------------------------
 

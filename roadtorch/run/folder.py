@@ -27,9 +27,9 @@ def output_lock(out: Path) -> Iterator[None]:
     make_folder(out, ELSEWHERE)
     try:
         tempfile.TemporaryFile(dir=out).close()
-    except OSError as problem:
-        what = f"cannot be written: {problem.strerror}"
-        raise InputError(out, what, ELSEWHERE) from None
+    except OSError as error:
+        problem = f"cannot be written: {error.strerror}"
+        raise InputError(out, problem, ELSEWHERE) from None
     with locked(out, "wait for it, or give another --out"):
         remove_leftovers([out])
         yield
@@ -47,10 +47,10 @@ def result_folder(out: Path, effective: str, overwrite: bool) -> Iterator[None]:
         config, effective = out / CONFIG, effective + "\n"
         try:
             is_other = config.exists() and read_regular(config) != printable(effective).encode()
-        except OSError as problem:
-            raise InputError(config, f"cannot be read: {problem.strerror}", ELSEWHERE) from None
+        except OSError as error:
+            raise InputError(config, f"cannot be read: {error.strerror}", ELSEWHERE) from None
         if is_other and (out / INDEX).exists() and not overwrite:
-            what = f"holds results of other settings ({CONFIG})"
-            raise ConfigError(out, what, ELSEWHERE + ", or --overwrite")
+            problem = f"holds results of other settings ({CONFIG})"
+            raise ConfigError(out, problem, ELSEWHERE + ", or --overwrite")
         write_text(config, effective)
         yield

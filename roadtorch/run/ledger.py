@@ -30,7 +30,7 @@ class Row:
 
     trust: the expected F of the mask, empty where the detector does not say.
     saved: the kinds of results that were written; method: what they were made with, see
-    ``Method``; sha256: of the bytes of the picture. seconds: of a frame, since its source began.
+    ``Method``; sha256: of the bytes of the image. seconds: of a frame, since its source began.
     cues: their names, between slashes, which stand in no file's name.
     """
 
@@ -61,9 +61,9 @@ class Row:
 COLUMNS = list(Row.__dataclass_fields__)
 
 
-def failed_row(name: str, problem: object) -> Row:
+def failed_row(name: str, error: object) -> Row:
     """The row of what has no result; its status says why, on one line."""
-    return Row(name, status=f"{FAILED}: {' '.join(str(problem).split())}")
+    return Row(name, status=f"{FAILED}: {' '.join(str(error).split())}")
 
 
 @dataclass(frozen=True)
@@ -158,10 +158,10 @@ class Ledger:
         try:
             with self.path.open("ab", buffering=0) as file:
                 file.write(printable(text if not file.tell() else text.partition("\n")[2]).encode())
-        except OSError as problem:
-            error = unwritable(self.path, problem)
-            error.exit_code = ExitCode.SOME_FAILED  # what was finished before stays
-            raise error from None
+        except OSError as error:
+            refusal = unwritable(self.path, error)
+            refusal.exit_code = ExitCode.SOME_FAILED  # what was finished before stays
+            raise refusal from None
 
     def forget_frames(self, name: str) -> None:
         """Leave out the rows of a source's frames: it is looked at anew."""

@@ -124,8 +124,8 @@ def write_row(
             seconds=seconds,
         )
         return method.made(replace(row, **changes))
-    except Exception as problem:  # one that trips a detector must not cost the night's run
-        return replace(failed_row(item.row_name, fault(item.origin, problem)), seconds=seconds)
+    except Exception as error:  # one that trips a detector must not cost the night's run
+        return replace(failed_row(item.row_name, fault(item.origin, error)), seconds=seconds)
 
 
 def elapsed(start: float, before: float = 0.0) -> str:
@@ -163,8 +163,8 @@ def _timed(where: str, step: Callable[[], Value]) -> tuple[Value | RoadtorchErro
     start = perf_counter()
     try:
         result = step()
-    except Exception as problem:  # as in ``write_row``
-        result = fault(where, problem)
+    except Exception as error:  # as in ``write_row``
+        result = fault(where, error)
     return result, 1000 * (perf_counter() - start)
 
 

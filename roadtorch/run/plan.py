@@ -74,20 +74,20 @@ class Output(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What a run does: pictures that stand alone, and sources."""
+    """What a run does: images that stand alone, and sources."""
 
-    pictures: Sequence[Item]
+    images: Sequence[Item]
     sources: Sequence[tuple[Source, Output]]
 
     @property
     def count(self) -> int | None:
-        """How many pictures there are; None where there is footage as well."""
-        return None if self.sources else len(self.pictures)
+        """How many images there are; None where there is footage as well."""
+        return None if self.sources else len(self.images)
 
     @property
     def row_names(self) -> list[str]:
         """What index.csv calls all of them."""
-        names = [item.row_name for item in self.pictures]
+        names = [item.row_name for item in self.images]
         return names + [source.row_name for source, _ in self.sources]
 
 
@@ -107,20 +107,22 @@ def plan(
     sources = [(source, output(source)) for source in inputs.sources] if output else []
     numbered: dict[str, str] = {}
     # Path.resolve raises for a link to itself.
-    files = [item.file for item in inputs.pictures] + [source.path for source in inputs.sources]
+    files = [item.file for item in inputs.images] + [source.path for source in inputs.sources]
     images = {os.path.realpath(file) for file in files if file is not None}
 
     def take(name: str, origin: str, other: str | None = None) -> None:
         """Note whose result has a name, as index.csv calls it: two names may be one there."""
         other = other or owners.get(printable(name))
         if other is not None:
-            what = f"both would write {out}/{name}"
-            raise ConfigError(f"{other} and {origin}", what, "rename one, or use two --out folders")
+            problem = f"both would write {out}/{name}"
+            raise ConfigError(
+                f"{other} and {origin}", problem, "rename one, or use two --out folders"
+            )
         if os.path.realpath(out / name) in images:
-            raise ConfigError(out / name, "is one of the pictures", ELSEWHERE)
+            raise ConfigError(out / name, "is one of the images", ELSEWHERE)
         owners[printable(name)] = origin
 
-    for item in inputs.pictures:
+    for item in inputs.images:
         for suffix in [suffix for suffix in suffixes if "{}" not in suffix] or [""]:
             take(item.name + suffix, item.origin)
         folder, _, last = item.name.rpartition("/")
@@ -131,4 +133,4 @@ def plan(
         take(source.name, source.origin, frames)
         for suffix in written.suffixes:
             take(source.name + suffix, source.origin)
-    return Plan(inputs.pictures, sources)
+    return Plan(inputs.images, sources)

@@ -102,8 +102,8 @@ def _imported() -> Any:
             warnings.simplefilter("ignore")
             import ray
     except ImportError:
-        what, remedy = "Ray is not installed", "pip install 'roadtorch[ray]'"
-        raise ConfigError("--engine ray", what, remedy) from None
+        problem, hint = "Ray is not installed", "pip install 'roadtorch[ray]'"
+        raise ConfigError("--engine ray", problem, hint) from None
     logging.getLogger("ray").setLevel(logging.CRITICAL)
     return ray
 
@@ -154,7 +154,7 @@ def _join(ray: Any, workers: int, address: str | None, folder: str) -> None:
             # Where nobody listens Ray itself would try for minutes.
             socket.create_connection((at[1], int(at[2])), timeout=PATIENCE).close()
         ray.init(address=address, **quiet)
-    except (OSError, ValueError, RuntimeError) as problem:
-        what = f"no Ray cluster answers: {' '.join(str(problem).split())[:200]}"
-        remedy = "give local, ray, or the address of a cluster, HOST:PORT"
-        raise ConfigError(f"--engine {address}", what, remedy) from None
+    except (OSError, ValueError, RuntimeError) as error:
+        problem = f"no Ray cluster answers: {' '.join(str(error).split())[:200]}"
+        hint = "give local, ray, or the address of a cluster, HOST:PORT"
+        raise ConfigError(f"--engine {address}", problem, hint) from None

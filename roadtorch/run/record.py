@@ -17,7 +17,7 @@ from roadtorch.base.errors import ExitCode, RoadtorchError
 from roadtorch.base.signals import Terminated
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
-from roadtorch.layout.weights import corrected_pictures, tensors_hash
+from roadtorch.layout.weights import corrected_images, tensors_hash
 from roadtorch.run.folder import RUN
 from roadtorch.run.ledger import INDEX, read_index
 
@@ -64,7 +64,7 @@ def recorded(
             "command": command,
             "detector": detector.name,
             "settings": settings,
-            "corrected_pictures": corrected_pictures(settings),
+            "corrected_images": corrected_images(settings),
             "weights_sha256": tensors_hash(detector.state_dict()),
             "threads": vars(Threads.of_now()),
             "options": options,
@@ -72,7 +72,7 @@ def recorded(
             "index_sha256": digest_of(index),
             "started": started,
             "ended": _now(),
-            "pictures": {
+            "images": {
                 "all": len(files),
                 "done": len(done),
                 "doubtful": sum(row.doubtful for row in own),

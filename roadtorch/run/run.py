@@ -43,7 +43,7 @@ from roadtorch.run.plan import Output, Plan, RunOptions, Writers
 from roadtorch.run.workers import Workers
 
 LEAST_TRUSTED = 5
-"""Pictures that are named at the end of a run, to be looked at first."""
+"""Images that are named at the end of a run, to be looked at first."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,15 @@ class Run:
     def all(self, plan: Plan, task: Task, of_footage: Method, steady: bool = True) -> int:
         """Work through what is planned; the exit code.
 
-        task: on pictures; look at frames is its own. of_footage: what sources are made with.
+        task: on images; look at frames is its own. of_footage: what sources are made with.
         """
-        failed = self.pictures(plan.pictures, task)
+        failed = self.images(plan.images, task)
         return max(failed, self.footage(plan, replace(task, method=of_footage), steady))
 
-    def pictures(self, items: Sequence[Item], task: Task) -> int:
-        """Work through the pictures that are not done yet; the exit code.
+    def images(self, items: Sequence[Item], task: Task) -> int:
+        """Work through the images that are not done yet; the exit code.
 
-        A picture is done when index.csv says so, of this method and of the bytes that it has now,
+        An image is done when index.csv says so, of this method and of the bytes that it has now,
         and its files exist. One that fails becomes a failed row, and the others go on. At the first
         SIGINT or SIGTERM what is in hand is finished, and all that is done is kept:
         KeyboardInterrupt.
@@ -134,7 +134,7 @@ class Run:
         remove_leftovers([place.parent, place])
         make_folder(place.parent, ELSEWHERE)
         self.ledger.forget_frames(source.name)
-        problem: BaseException | None = None
+        error: BaseException | None = None
         try:
             with stop_on_signals() as stop, output.open() as writers:
                 rows = self._frames(source, task, writers, output.cues, steady, stop)
@@ -142,16 +142,16 @@ class Run:
                     count.add(row)
             stop.interrupt()
         except (RoadtorchError, KeyboardInterrupt) as raised:
-            problem = raised
-        row = task.method.made(_row_of_source(source, count, problem))
+            error = raised
+        row = task.method.made(_row_of_source(source, count, error))
         row = row if row.failed else replace(row, sha256=source.digest())
         self.ledger.add(row)
         if not self.options.quiet:
             click.echo(f"roadtorch: {row.file}: {count}", err=True)
             for line in least_trusted(count.least)[1:] if count.doubtful else []:
                 click.echo(line, err=True)
-        if isinstance(problem, KeyboardInterrupt):
-            raise problem
+        if isinstance(error, KeyboardInterrupt):
+            raise error
         if row.failed:
             click.echo(f"roadtorch: {row.status}", err=True)
         return row
@@ -189,7 +189,7 @@ class Run:
 
     def _summarise(self, done: str, others: Mapping[str, int]) -> None:
         """One line on stderr: what was done, and what became of others, where there are some."""
-        parts = [done, *(f"{count} {what}" for what, count in others.items() if count)]
+        parts = [done, *(f"{count} {problem}" for problem, count in others.items() if count)]
         click.echo(f"roadtorch: {', '.join(parts)}; results in {self.folder}", err=True)
 
 
@@ -220,7 +220,7 @@ def _trust(row: Row) -> float:
 
 
 def least_trusted(rows: Iterable[Row]) -> list[str]:
-    """Lines that name the pictures whose masks should be looked at first, the worst on top.
+    """Lines that name the images whose masks should be looked at first, the worst on top.
 
     None where no row has a trust.
     """
@@ -270,12 +270,12 @@ class _Count:
         return ", ".join(parts)
 
 
-def _row_of_source(source: Source, count: _Count, problem: BaseException | None) -> Row:
+def _row_of_source(source: Source, count: _Count, error: BaseException | None) -> Row:
     """Return the row of a source; to be interrupted is the usual end of a live one."""
     why = ""
-    if isinstance(problem, RoadtorchError):
-        why = " ".join(str(problem).split())
-    elif problem is not None and not source.live:
+    if isinstance(error, RoadtorchError):
+        why = " ".join(str(error).split())
+    elif error is not None and not source.live:
         why = f"{source.origin}: was interrupted (run it again)"
     elif count.failed:
         of = f"{count.done} of {count.done + count.failed} frames"

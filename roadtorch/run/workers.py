@@ -102,7 +102,7 @@ def _map_in_order(
     idle: list[Any] = []
     busy: dict[Future[bytes], Any] = {}
     pending: deque[tuple[Given, Future[bytes]]] = deque()
-    is_over, problem = False, None
+    is_over, error = False, None
     try:
         for _ in range(jobs):
             idle.append(pool.start())
@@ -116,8 +116,8 @@ def _map_in_order(
                     item = next(items)
                 except StopIteration:
                     is_over = True
-                except Exception as error:  # raised behind the results of what came before
-                    is_over, problem = True, error
+                except Exception as raised:  # reported behind the results of what came before
+                    is_over, error = True, raised
                 else:
                     worker = idle.pop()
                     future = pool.submit(worker, pickled(item))
@@ -130,8 +130,8 @@ def _map_in_order(
                         pool.end([worker])
                         worker = pool.start()
                     idle.append(worker)
-            elif problem:
-                raise problem
+            elif error:
+                raise error
             else:
                 return
     finally:
@@ -216,11 +216,11 @@ class _ProcessPool:
             executor = ProcessPoolExecutor(1, self._context, _become_worker, arguments)
             with interrupting_none_started():
                 executor.submit(_load, self._sent)
-        except (OSError, RuntimeError) as problem:  # RuntimeError: of a thread that serves it
+        except (OSError, RuntimeError) as error:  # RuntimeError: of a thread that serves it
             for process in set(active_children()) - earlier:
                 process.kill()
-            what = f"no process can be started: {getattr(problem, 'strerror', None) or problem}"
-            raise InputError("--jobs", what, "give --jobs 1, or end other programs") from None
+            problem = f"no process can be started: {getattr(error, 'strerror', None) or error}"
+            raise InputError("--jobs", problem, "give --jobs 1, or end other programs") from None
         self._processes[executor] = set(active_children()) - earlier
         return executor
 
@@ -228,9 +228,9 @@ class _ProcessPool:
         """As ``Pool.submit``."""
         try:
             return worker.submit(_work, item)
-        except BrokenExecutor as problem:  # it died with nothing in hand
+        except BrokenExecutor as error:  # it died with nothing in hand
             future = Future[bytes]()
-            future.set_exception(problem)
+            future.set_exception(error)
             return future
 
     def end(self, workers: Sequence[ProcessPoolExecutor]) -> None:

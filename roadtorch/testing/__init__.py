@@ -21,7 +21,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.detectors.detector import Detection, Detector, Entry
 
 SIZES = ((16, 16), (17, 200), (61, 16), (48, 64), (241, 319))
-"""Heights and widths of pictures: least, long, small, and beyond the working size."""
+"""Heights and widths of images: least, long, small, and beyond the working size."""
 
 CLOSE = 1e-3
 """How far a likelihood may be on average from that of the same detector in double precision."""
@@ -48,7 +48,7 @@ def broken_promises(entry: Entry, **settings: Any) -> list[str]:
     checked = entry.configured(settings)
     detector, again = (Detector(entry, checked).eval() for _ in range(2))
     broken = [next(promise(detector, again), None) for promise in PROMISES]
-    return [f"{entry.name} {problem}" for problem in broken if problem is not None]
+    return [f"{entry.name} {error}" for error in broken if error is not None]
 
 
 def street(height: int, width: int, random_seed: int = 0) -> Tensor:
@@ -67,19 +67,19 @@ def street(height: int, width: int, random_seed: int = 0) -> Tensor:
 
 
 def any_size_gives_maps_of_that_size(detector: Detector, _: Detector) -> Problems:
-    """Any picture from 16×16 up: maps of its size, likelihoods in [0,1], finite cues."""
+    """Any image from 16×16 up: maps of its size, likelihoods in [0,1], finite cues."""
     for height, width in SIZES:
         detection = detector.detect(street(height, width))
         yield from flaws(detection, (height, width), f"{width}×{height} pixels")
 
 
 def nothing_to_see_gives_proper_maps(detector: Detector, _: Detector) -> Problems:
-    """Black, white, flat and grey pictures."""
+    """Black, white, flat and grey images."""
     flat = torch.tensor([0.2, 0.5, 0.7]).view(3, 1, 1).expand(3, 48, 64)
     grey = street(48, 64).mean(0, keepdim=True).expand(3, 48, 64)
-    pictures = {"black": 0 * flat, "white": flat**0, "flat": flat, "grey": grey}
-    for kind, image in pictures.items():
-        yield from flaws(detector.detect(image), (48, 64), f"a {kind} picture")
+    images = {"black": 0 * flat, "white": flat**0, "flat": flat, "grey": grey}
+    for kind, image in images.items():
+        yield from flaws(detector.detect(image), (48, 64), f"a {kind} image")
 
 
 def the_same_image_gives_the_same_bytes(detector: Detector, again: Detector) -> Problems:
@@ -151,7 +151,7 @@ def another_precision_says_nearly_the_same(detector: Detector, _: Detector) -> P
 
 
 def what_is_no_image_is_refused(detector: Detector, _: Detector) -> Problems:
-    """InputError for values beyond [0,1], wrong shapes and types, too small a picture."""
+    """InputError for values beyond [0,1], wrong shapes and types, too small an image."""
     wrong: dict[str, Any] = {
         "not a number": torch.full((3, 32, 32), torch.nan),
         "endless": torch.full((3, 32, 32), torch.inf),
@@ -188,28 +188,28 @@ PROMISES: tuple[Callable[[Detector, Detector], Problems], ...] = (
 # --- how they are checked ---------------------------------------------------------------
 
 
-def flaws(detection: Detection, size: tuple[int, int], picture: str) -> Problems:
-    """What is wrong with types, shapes and ranges of a detection of a picture of (height, width).
+def flaws(detection: Detection, size: tuple[int, int], image: str) -> Problems:
+    """What is wrong with types, shapes and ranges of a detection of an image of (height, width).
 
-    picture: what it shows, in words.
+    image: what it shows, in words.
     """
     likelihood, mask, cues = detection.likelihood, detection.mask, detection.cues
     if (likelihood.dtype, mask.dtype) != (torch.float32, torch.bool):
-        yield f"gives {likelihood.dtype} and {mask.dtype} for {picture}"
+        yield f"gives {likelihood.dtype} and {mask.dtype} for {image}"
     if not likelihood.shape == mask.shape == size:
-        yield f"gives {tuple(likelihood.shape)} for {picture}"
+        yield f"gives {tuple(likelihood.shape)} for {image}"
     if not ((likelihood >= 0) & (likelihood <= 1)).all():
-        yield f"leaves [0, 1] for {picture}"
+        yield f"leaves [0, 1] for {image}"
     for name, cue in cues.items():
         layers = (3,) if name == "layout" else cue.shape[:-2]
         if cue.shape != (*layers, *size) or len(layers) > 1:
-            yield f"gives the cue {name} as {tuple(cue.shape)} for {picture}"
+            yield f"gives the cue {name} as {tuple(cue.shape)} for {image}"
         if cue.is_floating_point() and not cue.isfinite().all():
-            yield f"gives a cue {name} that is not finite for {picture}"
+            yield f"gives a cue {name} that is not finite for {image}"
     if not 0 <= (detection.trust or 0) <= 1:
-        yield f"gives the trust {detection.trust} for {picture}"
+        yield f"gives the trust {detection.trust} for {image}"
     if "ego" in cues and (mask | (likelihood != 0))[cues["ego"]].any():
-        yield f"calls the ego car road for {picture}"
+        yield f"calls the ego car road for {image}"
 
 
 def _copies(detector: Detector) -> Iterator[tuple[str, Detector]]:

@@ -2,10 +2,10 @@
 
 A scene is painted back to front on a canvas of twice the size: sky, ground (every pixel
 below the horizon is traced to its place on the road plane, in metres), houses and trees,
-cars, one unknown object. The same strokes paint the picture and the class map, so the
+cars, one unknown object. The same strokes paint the image and the class map, so the
 truth is exact to half a pixel. Class numbers are CamVid's.
 
-``python -m roadtorch.testing.scenes --out DIR --count 6`` writes pictures to look at.
+``python -m roadtorch.testing.scenes --out DIR --count 6`` writes images to look at.
 """
 
 import argparse
@@ -31,7 +31,7 @@ MAX_DISTANCE = 90.0  # metres: nothing upright stands farther away
 
 @dataclass(frozen=True)
 class RenderedScene:
-    """A picture and everything that is true about it."""
+    """An image and everything that is true about it."""
 
     image: Tensor  # float32 (3,H,W) in [0,1], sRGB
     road: Tensor  # bool (H,W)
@@ -78,7 +78,7 @@ def draw_street(generator: np.random.Generator, **options: float) -> RenderedStr
 
 
 class Canvas:
-    """A picture and its class map, painted together."""
+    """An image and its class map, painted together."""
 
     def __init__(self, height: int, width: int, street: RenderedStreet) -> None:
         self.height, self.width = height, width
@@ -94,7 +94,7 @@ class Canvas:
         return x, self.horizon + self.focal * (CAMERA_HEIGHT - up) / ahead
 
     def polygon(self, points: Iterable[tuple[float, float]], colour: np.ndarray, kind: int) -> None:
-        """Fill a polygon of pixel points with a colour (3,) or a picture (H,W,3)."""
+        """Fill a polygon of pixel points with a colour (3,) or an image (H,W,3)."""
         mask = np.zeros((self.height, self.width), np.uint8)
         corners = np.clip(np.array(list(points)) * 16, -3e5, 3e5)  # 4 fractional bits
         cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1, shift=4)
@@ -110,7 +110,7 @@ class Canvas:
 
 
 def around(corners: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of a picture that hold a polygon of pixel points (n,2), and some more."""
+    """Rows and columns of an image that hold a polygon of pixel points (n,2), and some more."""
     first = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
     last = np.maximum(np.ceil(corners.max(0)).astype(int) + 2, 0)
     return slice(first[1], last[1]), slice(first[0], last[0])
@@ -299,14 +299,14 @@ def paint_tree(canvas: Canvas, across: float, ahead: float, generator: np.random
     canvas.polygon(trunk, np.array([0.27, 0.2, 0.14]), TREE)
     green = np.array([0.22, 0.34, 0.13]) * generator.uniform(0.7, 1.2)
     leaves = cv2.resize(cloth(generator, 128, 4), (canvas.width, canvas.height))
-    picture = (green * (1 + 0.25 * leaves[..., None])).astype(np.float32)
+    image = (green * (1 + 0.25 * leaves[..., None])).astype(np.float32)
     turn = np.linspace(0, 2 * np.pi, 15)[:-1]
     for _ in range(7):
         middle = right + generator.normal(0, 0.9), 4 + generator.normal(0, 0.8)
         radius = generator.uniform(0.8, 1.5) * (1 + 0.15 * generator.standard_normal(turn.size))
         x, y = middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn)
         ring = [canvas.project(*point, ahead) for point in zip(x, y, strict=True)]
-        canvas.polygon(ring, picture, TREE)
+        canvas.polygon(ring, image, TREE)
 
 
 def paint_cars(canvas: Canvas, generator: np.random.Generator) -> None:
@@ -370,7 +370,7 @@ def render_scene(seed: int, height: int = 240, width: int = 320, **options: floa
     return developed(canvas, camera)
 
 
-def write_picture(path: Path, scene: RenderedScene) -> None:
+def write_image(path: Path, scene: RenderedScene) -> None:
     """Write the scene's image as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_colours(path, scene.image)
@@ -386,7 +386,7 @@ def write_scenes() -> None:
     options = parser.parse_args()
     for seed in range(options.count):
         scene = render_scene(seed, options.height, options.width)
-        write_picture(options.out / f"scene_{seed:02d}.png", scene)
+        write_image(options.out / f"scene_{seed:02d}.png", scene)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""How whole pictures are varied: frame, light, ground, shadows, nights, ego cars. Ours.
+"""How whole images are varied: frame, light, ground, shadows, nights, ego cars. Ours.
 
 Brightness curve and colour are torchvision's. Frames are one affine map and one look-up by hand:
 torchvision's affine map stretches no width and repeats no border, and black corners would move
-the levels by which a picture is brightened; with ``pad``, ``perspective`` and ``center_crop`` it
+the levels by which an image is brightened; with ``pad``, ``perspective`` and ``center_crop`` it
 takes four times as long (2.2 ms against 0.6 ms for 120×160 with its targets, one thread).
 
 Ego cars are cut and pasted after Dwibedi et al., "Cut, Paste and Learn", 2017: a network that has
@@ -26,7 +26,7 @@ from roadtorch.run.memo import read_arrays
 from roadtorch.train.prepared import from_bytes
 
 GRAIN_CELLS = (4, 12, 40)
-"""Cells across the picture, of which grain is made: stones and ruts, near and far."""
+"""Cells across the image, of which grain is made: stones and ruts, near and far."""
 
 SHADOW_END = 0.02
 """Share of the height over which a shadow ends at the horizon."""
@@ -50,7 +50,7 @@ Exponent = Annotated[float, Field(ge=0, le=3)]
 
 
 class LightAugmentation(Settings):
-    """How the light of whole pictures is varied."""
+    """How the light of whole images is varied."""
 
     gamma: Exponent = Field(default=0.7, description="exponents from 1/e^gamma to e^gamma")
     gain: Exponent = Field(default=0.4, description="brightness by e^-gain to e^gain")
@@ -62,7 +62,7 @@ class LightAugmentation(Settings):
 
 
 class GeometryAugmentation(Settings):
-    """How the frame of whole pictures is varied; every second picture is mirrored."""
+    """How the frame of whole images is varied; every second image is mirrored."""
 
     scale: float = Field(
         default=0.25, ge=0, le=2, description="magnification by e^-scale to e^scale"
@@ -72,7 +72,7 @@ class GeometryAugmentation(Settings):
     move: Fraction = Field(default=0.1, description="by this share of the size to either side")
     lower: Fraction = Field(
         default=0.0,
-        description="share of the pictures of which only a lower part is seen: a road uphill",
+        description="share of the images of which only a lower part is seen: a road uphill",
     )
     cut: float = Field(
         default=0.5, ge=0, le=0.9, description="share of their height that is cut off at most"
@@ -85,7 +85,7 @@ class SurfaceAugmentation(Settings):
     On the road that the teacher sees, and on the rest of its ground.
     """
 
-    share: Fraction = Field(default=0.0, description="of the pictures")
+    share: Fraction = Field(default=0.0, description="of the images")
     gain: Exponent = Field(default=0.45, description="brightness by e^-gain to e^gain")
     tint: Exponent = Field(default=0.2, description="the same for each colour alone")
     grain: Fraction = Field(
@@ -94,21 +94,21 @@ class SurfaceAugmentation(Settings):
 
 
 class ShadowAugmentation(Settings):
-    """How hard shadows fall across pictures: bands with straight edges, below the horizon."""
+    """How hard shadows fall across images: bands with straight edges, below the horizon."""
 
-    share: Fraction = Field(default=0.0, description="of the pictures")
+    share: Fraction = Field(default=0.0, description="of the images")
     darkest: float = Field(
         default=0.25, gt=0, le=0.7, description="levels in the shadow, of those in the light"
     )
     widest: float = Field(
-        default=0.5, gt=0, le=2, description="half the width of a band, share of the picture"
+        default=0.5, gt=0, le=2, description="half the width of a band, share of the image"
     )
 
 
 class NightAugmentation(Settings):
     """How day becomes night: dark but for what headlights reach, a few lamps, warmer light."""
 
-    share: Fraction = Field(default=0.0, description="of the pictures")
+    share: Fraction = Field(default=0.0, description="of the images")
     darkest: float = Field(
         default=0.03, gt=0, le=1, description="levels where no headlight reaches, of those by day"
     )
@@ -118,7 +118,7 @@ class NightAugmentation(Settings):
 class WeatherAugmentation(Settings):
     """How fine days become foul: fog, snow beside the road, a wet road or rain, each as likely."""
 
-    share: Fraction = Field(default=0.0, description="of the pictures")
+    share: Fraction = Field(default=0.0, description="of the images")
     thickest: float = Field(
         default=0.15,
         gt=0,
@@ -132,9 +132,9 @@ class WeatherAugmentation(Settings):
 
 
 class EgoCarAugmentation(Settings):
-    """Ego cars that footage shows, cut out and laid over the lower edge of other pictures."""
+    """Ego cars that footage shows, cut out and laid over the lower edge of other images."""
 
-    share: Fraction = Field(default=0.0, description="of the pictures that get one")
+    share: Fraction = Field(default=0.0, description="of the images that get one")
     tallest: Exponent = Field(default=0.7, description="grown in height by at most e to this")
     flattest: Exponent = Field(default=0.3, description="or shrunk by e to this")
     widest: Exponent = Field(default=0.25, description="grown in width likewise")
@@ -142,7 +142,7 @@ class EgoCarAugmentation(Settings):
 
 
 class Augmentation(Settings):
-    """How whole pictures are varied."""
+    """How whole images are varied."""
 
     light: LightAugmentation = LightAugmentation()
     geometry: GeometryAugmentation = GeometryAugmentation()
@@ -169,9 +169,9 @@ def drawn(generator: torch.Generator, *bounds: tuple[float, float]) -> list[floa
 def draw_frames(
     count: int, size: tuple[int, int], geometry: GeometryAugmentation, at: torch.Generator
 ) -> Tensor:
-    """Affine maps (n,2,3) from a varied frame to the picture's, both from -1 to 1.
+    """Affine maps (n,2,3) from a varied frame to the image's, both from -1 to 1.
 
-    Of the whole picture: mirrored, nearer, stretched, turned, moved. Or of a lower part of it,
+    Of the whole image: mirrored, nearer, stretched, turned, moved. Or of a lower part of it,
     mirrored, less narrowed than cut.
     """
     mirror = _mirrors(count, at)
@@ -310,7 +310,7 @@ def in_weather(
 
 
 def horizon_of(scene: Scene) -> float:
-    """Share of the height at which the ground begins in the middle of the picture."""
+    """Share of the height at which the ground begins in the middle of the image."""
     rows = (scene.ground + scene.ego).clamp_max(1).mean((0, 1, 3))
     return 1 - float(rows.sum()) / len(rows)
 

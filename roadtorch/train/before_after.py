@@ -11,17 +11,17 @@ from roadtorch.evaluation.disagreement import (
 )
 from roadtorch.evaluation.methods import reference
 from roadtorch.evaluation.report.adaptation import Adaptation, write_adaptation
+from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import spread
-from roadtorch.inputs.pictures import find_pictures
-from roadtorch.layout.weights import WholePictureNetwork, load_network, weights_path
-from roadtorch.train.config import PictureTraining, Training
+from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_path
+from roadtorch.train.config import ImageTraining, Training
 from roadtorch.train.folder import PAGE, RunFolder
 from roadtorch.train.prepared import name_of
 from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
 from roadtorch.train.teachers import teacher_agreement
 
 COMPARED, SHOWN = 60, 10
-"""Pictures that are compared, evenly spread, and that are on the page, half of them those that
+"""Images that are compared, evenly spread, and that are on the page, half of them those that
 changed most."""
 
 
@@ -44,26 +44,26 @@ def write_page(
     before = reference(str(start), {})
     after = reference(str(calibrated if calibrated.exists() else weights), {})
     methods = (replace(before, name="before"), replace(after, name="after"))
-    pictures = find_pictures([request.images], request.out)
-    dataset = every_kth(unlabelled_set(pictures), COMPARED)
+    images = find_images([request.images], request.out)
+    dataset = every_kth(unlabelled_set(images), COMPARED)
     seen = disagreements(dataset, methods, quiet=request.quiet, desc="before and after")
-    if not seen.pictures:
+    if not seen.images:
         return False
     taught = None
-    if isinstance(training, PictureTraining):
+    if isinstance(training, ImageTraining):
         folder = request.prepared or request.out / PREPARED
-        made = [folder / f"{name_of(picture)}.npz" for picture in pictures]
+        made = [folder / f"{name_of(image)}.npz" for image in images]
         made = spread([file for file in made if file.exists()], COMPARED)  # skipped ones have none
         agreements = [
             teacher_agreement(network.eval(), made, training)
             for network in map(load_network, (start, weights))
-            if isinstance(network, WholePictureNetwork)
+            if isinstance(network, WholeImageNetwork)
         ]
         taught = Taught(training.teacher.detector, *agreements)
     change = Adaptation(
         seen=seen,
         files=(start, weights),
-        shown=most_and_spread(seen.pictures, SHOWN),
+        shown=most_and_spread(seen.images, SHOWN),
         taught=taught,
         rows=RunFolder(request.out).read_log(),
         verdict=verdict,

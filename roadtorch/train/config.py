@@ -11,9 +11,9 @@ from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.backbone_network import BackboneNetworkSettings
+from roadtorch.layout.image_network import ImageNetworkSettings, NetworkScale
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
-from roadtorch.layout.picture_network import NetworkScale, PictureNetworkSettings
 from roadtorch.train.augmentation import Augmentation, Fraction, GreyLevels
 
 
@@ -65,8 +65,8 @@ class PatchAugmentation(Settings):
     """How patches are varied. P2, section 6.1.
 
     P2 gives no unit for its noise. Here it is grey levels of 0…255: "noisy acquisition" is
-    what a sensor does, and that is about one level; 0.3 to 1.2 in units of the picture's own
-    deviation would drown the picture.
+    what a sensor does, and that is about one level; 0.3 to 1.2 in units of the image's own
+    deviation would drown the image.
     """
 
     min_scale: float = Field(default=0.6, gt=0, le=10, description="magnification at least")
@@ -99,13 +99,13 @@ class PeoplesShare(Settings):
         default=0.5,
         gt=0,
         le=1,
-        description="of the visits that go to corrected pictures, while there are others",
+        description="of the visits that go to corrected images, while there are others",
     )
     halfway: float = Field(
         default=0.0,
         ge=0,
         le=10**6,
-        description="corrected pictures that bring half of ``descent.learning_rate``; 0: the "
+        description="corrected images that bring half of ``descent.learning_rate``; 0: the "
         "whole of it, however few they are",
     )
 
@@ -135,20 +135,20 @@ class PatchTraining(Beginning):
         default="none", description="every patch counts the same (Álvarez 2012), or every class"
     )
     mix: int = Field(
-        default=16, ge=1, le=10**4, description="pictures whose patches are shuffled together"
+        default=16, ge=1, le=10**4, description="images whose patches are shuffled together"
     )
     passes: int = Field(
         default=4,
         ge=1,
         le=100,
-        description="visits to each picture in an epoch, each with other patches of it",
+        description="visits to each image in an epoch, each with other patches of it",
     )
     descent: Descent = Descent()
     stopping: Stopping = Stopping()
 
 
 class Teacher(Settings):
-    """Where the targets of whole pictures come from."""
+    """Where the targets of whole images come from."""
 
     detector: str = Field(
         default="fusion:untrained", description="gives the road, and the layout as its cue"
@@ -166,7 +166,7 @@ class Teacher(Settings):
     centre: Fraction = Field(
         default=0.0,
         description="what means as likely road as not, in log odds: from ``road_threshold`` "
-        "everywhere (0) to what parts each picture best by Otsu (1)",
+        "everywhere (0) to what parts each image best by Otsu (1)",
     )
     road_threshold: float = Field(
         default=0.39, gt=0, lt=1, description="likelihood that means as likely road as not"
@@ -180,9 +180,9 @@ class Teacher(Settings):
 
 
 class Recordings(Settings):
-    """Which pictures are of one camera, and what its footage says of the ego car.
+    """Which images are of one camera, and what its footage says of the ego car.
 
-    A recording is all pictures whose names are the same up to the last ``separator`` and whose
+    A recording is all images whose names are the same up to the last ``separator`` and whose
     shapes are alike.
     """
 
@@ -192,7 +192,7 @@ class Recordings(Settings):
     least: int = Field(default=8, ge=2, le=10**4, description="frames that show what never moves")
     evenness: Fraction = Field(
         default=0.0,
-        description="0 visits every picture as often, 1 every recording; between, by a power",
+        description="0 visits every image as often, 1 every recording; between, by a power",
     )
 
 
@@ -216,18 +216,18 @@ class Rounds(Settings):
     )
 
 
-class PictureTraining(Beginning):
-    """A network for whole pictures with heads for layout, road and ego car. Ours."""
+class ImageTraining(Beginning):
+    """A network for whole images with heads for layout, road and ego car. Ours."""
 
-    name: ClassVar[str] = "pictures"
-    network: PictureNetworkSettings | BackboneNetworkSettings = PictureNetworkSettings()
+    name: ClassVar[str] = "images"
+    network: ImageNetworkSettings | BackboneNetworkSettings = ImageNetworkSettings()
     teacher: Teacher = Teacher()
     rounds: Rounds = Rounds()
     recordings: Recordings = Recordings()
     augmentation: Augmentation = Augmentation()
     heads: HeadWeights = HeadWeights()
     samples_per_epoch: int = Field(
-        default=0, ge=0, le=10**7, description="pictures of an epoch; 0: as many as there are"
+        default=0, ge=0, le=10**7, description="images of an epoch; 0: as many as there are"
     )
     scales: tuple[NetworkScale, ...] = Field(
         strict=False,
@@ -240,10 +240,10 @@ class PictureTraining(Beginning):
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
 
 
-Training = PatchTraining | PictureTraining
+Training = PatchTraining | ImageTraining
 
-KINDS: dict[str, type[PatchTraining] | type[PictureTraining]] = {
-    kind.name: kind for kind in (PatchTraining, PictureTraining)
+KINDS: dict[str, type[PatchTraining] | type[ImageTraining]] = {
+    kind.name: kind for kind in (PatchTraining, ImageTraining)
 }
 
 
@@ -259,10 +259,10 @@ def build_training(values: dict[str, Any]) -> Training:
     try:
         settings = build_settings(KINDS[kind], rest)
     except ConfigError:
-        if kind == PictureTraining.name and isinstance(network := rest.get("network"), Mapping):
+        if kind == ImageTraining.name and isinstance(network := rest.get("network"), Mapping):
             # Of two kinds pydantic reports the mistakes of both; it is a backbone's that has heads.
-            own = BackboneNetworkSettings if "heads" in network else PictureNetworkSettings
-            alone = create_model("PictureTraining", __base__=Settings, network=(own, own()))
+            own = BackboneNetworkSettings if "heads" in network else ImageNetworkSettings
+            alone = create_model("ImageTraining", __base__=Settings, network=(own, own()))
             build_settings(alone, {"network": network})
         raise
     if isinstance(settings, PatchTraining):
@@ -274,12 +274,12 @@ def build_training(values: dict[str, Any]) -> Training:
                 raise ConfigError(key, message, "give the lower bound first")
     elif isinstance(settings.network, BackboneNetworkSettings) and not settings.start:
         message = "is empty, and a backbone does not learn from new weights"
-        remedy = "give weights of such a network, such as backbone-free"
-        raise ConfigError("start", message, remedy)
+        hint = "give weights of such a network, such as backbone-free"
+        raise ConfigError("start", message, hint)
     elif (share := settings.augmentation.ego_car.share) and not settings.recordings.separator:
         message = f"is {share:g}, and without recordings no ego car is known"
-        remedy = 'set recordings.separator, such as "_"'
-        raise ConfigError("augmentation.ego_car.share", message, remedy)
+        hint = 'set recordings.separator, such as "_"'
+        raise ConfigError("augmentation.ego_car.share", message, hint)
     return settings
 
 

@@ -11,47 +11,47 @@ import tomli_w
 
 from roadtorch.base.atomic import make_folder, write_text
 from roadtorch.base.errors import InputError
-from roadtorch.data.corrections import Correction, picture_size
+from roadtorch.data.corrections import Correction, image_size
 from roadtorch.data.events import NOT_ROAD, ROAD_SAID
 from roadtorch.inputs.item import Item
 from roadtorch.layout.weights import people_behind, weights_path
 from roadtorch.run.memo import Arrays, write_arrays
-from roadtorch.train.config import Descent, PictureTraining, Training
+from roadtorch.train.config import Descent, ImageTraining, Training
 from roadtorch.train.prepared import name_of
 
 # --- which ------------------------------------------------------------------------------
 
-OTHERS = "give the pictures that were corrected"
+OTHERS = "give the images that were corrected"
 
 
-def corrections_by_picture(
-    pictures: Sequence[Item], corrections: Sequence[Correction]
+def corrections_by_image(
+    images: Sequence[Item], corrections: Sequence[Correction]
 ) -> dict[str, Correction]:
-    """The correction of each picture that has one, by the picture's name with ending.
+    """The correction of each image that has one, by the image's name with ending.
 
-    Raises InputError where none of them is of these pictures, or one has another size by now.
+    Raises InputError where none of them is of these images, or one has another size by now.
     """
-    by_path = {correction.picture.resolve(): correction for correction in corrections}
+    by_path = {correction.image.resolve(): correction for correction in corrections}
     by_name = {}
-    for picture in pictures:
-        correction = by_path.get(picture.path.resolve())
+    for image in images:
+        correction = by_path.get(image.path.resolve())
         if correction is None:
             continue
-        if picture_size(picture.path) != correction.labels.shape:
+        if image_size(image.path) != correction.labels.shape:
             message = "has another size than when it was corrected"
-            raise InputError(picture.path, message, OTHERS)
-        by_name[name_of(picture)] = correction
+            raise InputError(image.path, message, OTHERS)
+        by_name[name_of(image)] = correction
     if corrections and not by_name:
         count = len(corrections) - 1
         message = f"and {count} others are corrected, and none of them is among --images"
-        raise InputError(corrections[0].picture, message, OTHERS)
+        raise InputError(corrections[0].image, message, OTHERS)
     return by_name
 
 
 def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
     """The record of the corrections that a run uses; None without any.
 
-    pictures and pixels: how many. sha256: of all labels by people.
+    images and pixels: how many. sha256: of all labels by people.
     """
     if not corrections:
         return None
@@ -61,21 +61,21 @@ def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any]
         digest.update(np.ascontiguousarray(correction.labels).tobytes())
     labels = [correction.labels for correction in corrections.values()]
     return {
-        "pictures": len(corrections),
+        "images": len(corrections),
         "pixels": sum(int((each > 0).sum()) for each in labels),
         "sha256": digest.hexdigest(),
     }
 
 
-def paced(descent: Descent, halfway: float, pictures: int) -> Descent:
-    """The descent for so many corrected pictures (none: as it is). Ours.
+def paced(descent: Descent, halfway: float, images: int) -> Descent:
+    """The descent for so many corrected images (none: as it is). Ours.
 
-    The learning rate is that of very many times n / (n + halfway): a few pictures that are unlike
+    The learning rate is that of very many times n / (n + halfway): a few images that are unlike
     what comes do less harm, and twenty are learned from in as many steps.
     """
-    if not pictures:
+    if not images:
         return descent
-    rate = descent.learning_rate * pictures / (pictures + halfway)
+    rate = descent.learning_rate * images / (images + halfway)
     return descent.model_copy(update={"learning_rate": rate})
 
 
@@ -105,7 +105,7 @@ def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]
     roads = [correction.road for correction in corrections]
     if not any(((road == ROAD_SAID) | (road == NOT_ROAD)).any() for road in roads):
         return False
-    comment = f"# From {len(corrections)} pictures that people corrected: not label-free."
+    comment = f"# From {len(corrections)} images that people corrected: not label-free."
     values = {
         "detector": "fusion",
         "weights": {"file": weights.name},
@@ -124,7 +124,7 @@ def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
     WeightsError for a weight file that cannot be used.
     """
     names = [training.start]
-    if isinstance(training, PictureTraining):
+    if isinstance(training, ImageTraining):
         names.append(training.teacher.weights)
     runs = [run for name in names if name for run in people_behind(weights_path(name))]
     return [run for number, run in enumerate(runs) if run not in runs[:number]]
@@ -138,9 +138,9 @@ def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
         "People corrected machine labels, and what they said counted as the truth. What is found",
         "with these weights is **not label-free**, and is not to be reported as such.",
         "",
-        "| pictures | pixels | sha256 of what was said |",
+        "| images | pixels | sha256 of what was said |",
         "|---|---|---|",
     ]
-    keys = ("pictures", "pixels", "sha256")
+    keys = ("images", "pixels", "sha256")
     lines += ["| " + " | ".join(str(run.get(key, "")) for key in keys) + " |" for run in behind]
     return "\n".join([*lines, ""])

@@ -27,14 +27,14 @@ from roadtorch.base.errors import ConfigError, InputError, WeightsError
 from roadtorch.base.version import __version__
 from roadtorch.inputs.item import Item
 from roadtorch.run.memo import file_digests, key_of
-from roadtorch.train.prepared import PreparedPicture, name_of
+from roadtorch.train.prepared import PreparedImage, name_of
 
 FORMAT = 2
 """Of checkpoints; raised when older code could not go on with them."""
 
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
-PICTURES, WEIGHTS, PAGE = "pictures.csv", "weights.safetensors", "adaptation.html"
-OURS = (RUN, CHECKPOINT, LOG, CURVE, PICTURES, WEIGHTS, PAGE)
+IMAGES, WEIGHTS, PAGE = "images.csv", "weights.safetensors", "adaptation.html"
+OURS = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, PAGE)
 LABELS = "labels-1"
 """The folder of the labels by the network that a run starts from."""
 
@@ -49,19 +49,19 @@ def config_hash(values: Mapping[str, Any]) -> str:
 
 def record_of(
     config: Mapping[str, Any],
-    pictures: Sequence[Item],
+    images: Sequence[Item],
     corrections: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """Return the content of run.json: what a run is made of, and a key of each part of it."""
-    files = [(name_of(picture), digest_of(picture.path)) for picture in pictures]
+    files = [(name_of(image), digest_of(image.path)) for image in images]
     return {
         "roadtorch": __version__,
         "config": config,
-        "count": len(pictures),
+        "count": len(images),
         "corrections": corrections,
         "keys": {
             "settings": key_of(config, file_digests(config)),
-            "pictures": key_of(files),
+            "images": key_of(files),
             "corrections": key_of(corrections),
         },
     }
@@ -84,7 +84,7 @@ class RunFolder:
         """Check that the run of a record (``record_of``) may write here; nothing is written yet.
 
         That is a folder without files of ours, or one in which a run of the same version, settings,
-        pictures and corrections began. Raises ConfigError, InputError.
+        images and corrections began. Raises ConfigError, InputError.
         """
         before = self._record()
         if before is None:
@@ -150,10 +150,10 @@ class RunFolder:
 
     # --- what came out ----------------------------------------------------------------------
 
-    def write_pictures(self, prepared: Iterable[PreparedPicture]) -> None:
-        """List every picture and, where it was skipped, why."""
-        rows = ({"file": item.name, "status": item.problem or "used"} for item in prepared)
-        write_text(self.path / PICTURES, csv_text(["file", "status"], rows))
+    def write_images(self, prepared: Iterable[PreparedImage]) -> None:
+        """List every image and, where it was skipped, why."""
+        rows = ({"file": item.name, "status": item.error or "used"} for item in prepared)
+        write_text(self.path / IMAGES, csv_text(["file", "status"], rows))
 
     def write_log(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write the epochs as CSV."""

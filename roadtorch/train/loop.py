@@ -24,7 +24,7 @@ from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, RunFolder
 # --- randomness -------------------------------------------------------------------------
 
 
-PATCH_ORDER, CENTRES, PATCH_VARIATION, PICTURE_ORDER, VARIATION = range(5)
+PATCH_ORDER, CENTRES, PATCH_VARIATION, IMAGE_ORDER, VARIATION = range(5)
 """What is drawn: the first number of its places, so that each has its own generators."""
 
 
@@ -82,7 +82,7 @@ SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
 class TrainingInputs(NamedTuple):
     """What a network learns from.
 
-    files: prepared pictures. corrected: the file of the correction of a prepared picture, if it
+    files: prepared images. corrected: the file of the correction of a prepared image, if it
     has one. start: the network that the run starts from, if any. labels: the folder for its labels.
     """
 

@@ -18,7 +18,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.signals import Stop
 from roadtorch.data.corrections import Correction
 from roadtorch.data.events import VOID_SAID
-from roadtorch.imaging.resize import at_picture_size, at_work, working_size
+from roadtorch.imaging.resize import at_image_size, at_work, working_size
 from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import CLASSES, UNLABELLED
@@ -46,7 +46,7 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
     """Rows and columns int64 (n,2) of the centroids of segments (H,W) and places around them.
 
     ``settings.around`` places at equal angles, the first below the centroid, kept inside the
-    picture.
+    image.
     """
     height, width = segments.shape
     places = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
@@ -62,7 +62,7 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
 def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
     """Weight of each class, (3,): all 1, or such that all classes weigh the same.
 
-    Raises InputError when no picture has a patch with a label.
+    Raises InputError when no image has a patch with a label.
     """
     counts = torch.zeros(CLASSES)
     for file in files:
@@ -70,8 +70,8 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
         counts += torch.bincount(classes.long(), minlength=CLASSES)
     if not counts.sum():
         message = "have no superpixel whose label is certain"
-        remedy = "lower labeller.margin, or give street pictures"
-        raise InputError("the pictures", message, remedy)
+        hint = "lower labeller.margin, or give street images"
+        raise InputError("the images", message, hint)
     if training.balance == "none":
         return torch.ones(CLASSES)
     return counts.sum() / (CLASSES * counts.clamp_min(1))
@@ -168,7 +168,7 @@ def draw_noise(patch: int, generator: torch.Generator) -> Tensor:
 
 
 def cut_patches(pixels: Tensor, draw: Draw, patch: int) -> Tensor:
-    """Patches (n,3,P,P) of a picture (3,H,W), bilinear, in one pass. Past the border it reflects.
+    """Patches (n,3,P,P) of an image (3,H,W), bilinear, in one pass. Past the border it reflects.
 
     At scale 1 and angle 0 they are what ``PatchNetwork.dense`` sees: P/2 pixels before the
     centre, one less behind it.
@@ -209,11 +209,11 @@ BLOCK = 128
 
 
 class PatchSamples:
-    """The patches of prepared pictures, shuffled over ``mix`` pictures at a time.
+    """The patches of prepared images, shuffled over ``mix`` images at a time.
 
-    One chunk holds the patches of ``mix`` pictures, at each visit another part of them: about
-    ``mix`` / ``passes`` pictures' worth of memory, and what ``cached_arrays`` keeps, however many
-    pictures there are.
+    One chunk holds the patches of ``mix`` images, at each visit another part of them: about
+    ``mix`` / ``passes`` images' worth of memory, and what ``cached_arrays`` keeps, however many
+    images there are.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ class PatchSamples:
 
     @property
     def chunks(self) -> int:
-        """Chunks of one epoch: groups of pictures, each visited ``passes`` times."""
+        """Chunks of one epoch: groups of images, each visited ``passes`` times."""
         return self._groups * self._training.passes
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
@@ -248,35 +248,35 @@ class PatchSamples:
         noises = draw_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
         steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
-        picture = torch.arange(len(members)).repeat_interleave(
+        image = torch.arange(len(members)).repeat_interleave(
             torch.tensor([len(part.classes) for part in labelled])
         )
-        by_picture = picture[shuffled].argsort(stable=True)
-        cut = shuffled[by_picture]
-        self._cut(members, picture[cut], draw.at(cut), noises)
-        places = by_picture.argsort().tensor_split(len(steps))
+        by_image = image[shuffled].argsort(stable=True)
+        cut = shuffled[by_image]
+        self._cut(members, image[cut], draw.at(cut), noises)
+        places = by_image.argsort().tensor_split(len(steps))
         for step, place in zip(steps, places, strict=True):
             if len(step):
                 targets = classes[step].long()
                 patches = self._room.index_select(0, place)
                 yield Batch(patches, targets, self._weights[targets] * counts[step])
 
-    def _cut(self, members: list[int], picture: Tensor, draw: Draw, noises: Tensor) -> None:
-        """Fill the first n rooms with the patches of ``draw``; picture: (n,), ascending."""
+    def _cut(self, members: list[int], image_of: Tensor, draw: Draw, noises: Tensor) -> None:
+        """Fill the first n rooms with the patches of ``draw``; image_of: (n,), ascending."""
         network = self._training.network
         patch = network.topology.patch
-        if len(self._room) < len(picture):
-            self._room = torch.empty(len(picture), 3, patch, patch)
+        if len(self._room) < len(image_of):
+            self._room = torch.empty(len(image_of), 3, patch, patch)
         for number, member in enumerate(members):
             image = from_bytes(self._read(self._files[member], "image")["image"])
             pixels, gain = normalise(image, network.normalisation)
-            for index in (picture == number).nonzero()[:, 0].split(BLOCK):
+            for index in (image_of == number).nonzero()[:, 0].split(BLOCK):
                 if len(index):
                     own, room = draw.at(index), self._room[index[0] : index[-1] + 1]
                     add_noise(cut_patches(pixels, own, patch), own, noises, gain, room)
 
     def _centres_of(self, member: int, epoch: int, visit: int) -> LabelledCentres:
-        """Patches of one picture at one visit in an epoch."""
+        """Patches of one image at one visit in an epoch."""
         arrays = self._read(self._files[member], "centres", "classes")
         classes = arrays["classes"]
         labelled = LabelledCentres(arrays["centres"], classes, torch.ones(len(classes)))
@@ -310,12 +310,12 @@ class PatchRecipe:
         parts = training.model_dump(include={"superpixels", "labeller", "centres"})
         self.preparation = {**parts, "working": training.network.working.model_dump()}
 
-    def key(self, picture: Item) -> str:
-        """Of a picture made ready."""
-        return key_of(self.preparation, picture.path, None)  # of no ego car
+    def key(self, image: Item) -> str:
+        """Of an image made ready."""
+        return key_of(self.preparation, image.path, None)  # of no ego car
 
-    def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
-        """Nothing: patches are taken from single pictures."""
+    def survey(self, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
+        """Nothing: patches are taken from single images."""
 
     def make(self, image: Tensor, name: str) -> Arrays:
         """An image (3,H,W) at working size with the centres of its patches and their classes.
@@ -343,8 +343,8 @@ class PatchRecipe:
         """
         height, width = correction.labels.shape
         size = working_size(height, width, self._training.network.working)
-        layout = at_picture_size(torch.from_numpy(correction.layout), size)
-        void = at_picture_size(torch.from_numpy(correction.road == VOID_SAID), size)
+        layout = at_image_size(torch.from_numpy(correction.layout), size)
+        void = at_image_size(torch.from_numpy(correction.road == VOID_SAID), size)
         return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
     def network(self, start: LayoutNetwork | None) -> LayoutNetwork:
@@ -355,6 +355,6 @@ class PatchRecipe:
             return PatchNetwork(self._training.network)
 
     def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
-        """The varied patches of prepared pictures; corrected ones come more often."""
+        """The varied patches of prepared images; corrected ones come more often."""
         often = repeated(given.files, given.corrected, self._training.corrections.share)
         return PatchSamples(often, self._training, given.corrected)

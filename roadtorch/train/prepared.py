@@ -1,4 +1,4 @@
-"""Pictures made ready for training, once, on disk: small, with their machine labels."""
+"""Images made ready for training, once, on disk: small, with their machine labels."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -31,72 +31,72 @@ def from_bytes(values: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class PreparedPicture:
-    """A picture and the file with what training needs of it; no file where it failed."""
+class PreparedImage:
+    """An image and the file with what training needs of it; no file where it failed."""
 
     name: str
     file: Path | None
-    problem: str = ""
+    error: str = ""
 
 
 @dataclass(frozen=True)
 class Preparation:
-    """The work on one picture.
+    """The work on one image.
 
-    key: of a picture and all that decides on what is made of it. make: turns an image (3,H,W) in
-    [0,1] and the picture's name into named arrays.
+    key: of an image and all that decides on what is made of it. make: turns an image (3,H,W) in
+    [0,1] and the image's name into named arrays.
     """
 
     folder: Path
     key: Callable[[Item], str]
     make: Callable[[Tensor, str], Arrays]
 
-    def __call__(self, picture: Item) -> PreparedPicture:
-        """The picture made ready, unless it is; ConfigError where a setting is wrong."""
-        name, key = name_of(picture), self.key(picture)
+    def __call__(self, image: Item) -> PreparedImage:
+        """The image made ready, unless it is; ConfigError where a setting is wrong."""
+        name, key = name_of(image), self.key(image)
         file = self.folder / f"{name}.npz"
         if kept(file, key) is not None:  # all of it is read: damage would end the training later
-            return PreparedPicture(name, file)
+            return PreparedImage(name, file)
         try:
-            arrays = self.make(checked_image(picture.read()), picture.name)
-        except InputError as problem:
-            where = picture.path if problem.where == "image" else problem.where
-            return PreparedPicture(name, None, str(InputError(where, problem.what, problem.remedy)))
+            arrays = self.make(checked_image(image.read()), image.name)
+        except InputError as error:
+            where = image.path if error.where == "image" else error.where
+            return PreparedImage(name, None, str(InputError(where, error.problem, error.hint)))
         except RoadtorchError:
-            raise  # a setting is wrong, not this picture
-        except Exception as problem:
-            # One picture that trips a detector must not cost the night's run.
-            text = f"{picture.path}: {type(problem).__name__}: {problem} (report it)"
-            return PreparedPicture(name, None, " ".join(text.split()))
+            raise  # a setting is wrong, not this image
+        except Exception as error:
+            # One image that trips a detector must not cost the night's run.
+            text = f"{image.path}: {type(error).__name__}: {error} (report it)"
+            return PreparedImage(name, None, " ".join(text.split()))
         keep(file, key, arrays)
-        return PreparedPicture(name, file)
+        return PreparedImage(name, file)
 
 
 def prepare(
-    pictures: Sequence[Item], preparation: Preparation, stop: Stop, quiet: bool = False
-) -> list[PreparedPicture]:
-    """Make every picture ready that is not yet; what fails is told and skipped.
+    images: Sequence[Item], preparation: Preparation, stop: Stop, quiet: bool = False
+) -> list[PreparedImage]:
+    """Make every image ready that is not yet; what fails is told and skipped.
 
-    Returns one item a picture, in their order. Stops early when asked to: then only what is ready
+    Returns one item an image, in their order. Stops early when asked to: then only what is ready
     comes back.
     """
-    made, count = list[PreparedPicture](), len(pictures)
+    made, count = list[PreparedImage](), len(images)
     with single_threaded():
         workers = workers_for(None, count)
-        results = workers.map(preparation, until_stopped(pictures, stop), _died)
+        results = workers.map(preparation, until_stopped(images, stop), _died)
         bar = Progress(results, total=count, desc="labels", unit="image", quiet=quiet)
         with closing(results):
             for result in bar:
                 made.append(result)
-                if result.problem:
-                    Progress.write(f"roadtorch: skipped: {result.problem}", file=sys.stderr)
+                if result.error:
+                    Progress.write(f"roadtorch: skipped: {result.error}", file=sys.stderr)
     return made
 
 
-def _died(picture: Item) -> PreparedPicture:
-    return PreparedPicture(name_of(picture), None, str(InputError(picture.origin, *DIED)))
+def _died(image: Item) -> PreparedImage:
+    return PreparedImage(name_of(image), None, str(InputError(image.origin, *DIED)))
 
 
-def name_of(picture: Item) -> str:
-    """The picture's relative name with its suffix: two of one stem stay two."""
-    return picture.name + picture.suffix
+def name_of(image: Item) -> str:
+    """The image's relative name with its suffix: two of one stem stay two."""
+    return image.name + image.suffix

@@ -1,4 +1,4 @@
-"""Recordings among the pictures of a run, and the ego car that each of them shows. Ours."""
+"""Recordings among the images of a run, and the ego car that each of them shows. Ours."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -12,7 +12,7 @@ from roadtorch.base.image import read_image
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop
 from roadtorch.camera.footage import still_ego
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, size_of
+from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
 from roadtorch.inputs.item import Item, spread
 from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, keep, kept, key_of
@@ -38,36 +38,36 @@ def recording_of(name: str, separator: str) -> str:
 
 
 def find_ego_cars(
-    pictures: Sequence[Item], folder: Path, settings: Recordings, stop: Stop, quiet: bool
+    images: Sequence[Item], folder: Path, settings: Recordings, stop: Stop, quiet: bool
 ) -> Mapping[str, Path]:
-    """Look in each recording for the ego car; the file of the result, by picture name.
+    """Look in each recording for the ego car; the file of the result, by image name.
 
-    Pictures of small recordings are left out. Results of the same pictures are kept. Stops early
+    Images of small recordings are left out. Results of the same images are kept. Stops early
     when asked to.
     """
     if not settings.separator:
         return {}
     recordings: dict[str, list[Item]] = {}
-    for picture in pictures:
-        recordings.setdefault(recording_of(picture.name, settings.separator), []).append(picture)
+    for image in images:
+        recordings.setdefault(recording_of(image.name, settings.separator), []).append(image)
     long = {name: each for name, each in recordings.items() if len(each) >= settings.least}
     files = {name: folder / f"{name}.npz" for name in long}
     bar = Progress(files.items(), desc="ego cars", unit="image", quiet=quiet)
     for name, file in until_stopped(bar, stop):
         frames = spread(long[name], MAX_FRAMES)
-        key = key_of(settings.least, *(picture.path for picture in frames))
+        key = key_of(settings.least, *(image.path for image in frames))
         if kept(file, key) is None:
             keep(file, key, ego_cars(frames, settings.least))
-    return {picture.name: files[name] for name, each in long.items() for picture in each}
+    return {image.name: files[name] for name, each in long.items() for image in each}
 
 
-def ego_cars(pictures: Sequence[Item], least: int) -> Arrays:
-    """The ego car bool (H,W) in pictures of one camera, by shape; none of a shape with fewer."""
+def ego_cars(images: Sequence[Item], least: int) -> Arrays:
+    """The ego car bool (H,W) in images of one camera, by shape; none of a shape with fewer."""
     shapes: dict[int, list[Tensor]] = {}
-    for picture in pictures:
+    for image in images:
         with suppress(InputError):  # reported when it is made ready
-            image = at_work(read_image(picture.path), SEEN)
-            shapes.setdefault(shape_of(image), []).append(image)
+            frame = at_work(read_image(image.path), SEEN)
+            shapes.setdefault(shape_of(frame), []).append(frame)
     cars = {
         str(shape): still_ego(frames) for shape, frames in shapes.items() if len(frames) >= least
     }
@@ -95,4 +95,4 @@ def ego_of(file: Path | None, image: Tensor) -> Tensor | None:
     """The ego car of an image's recording, bool (H,W) of its size; None where none is known."""
     shape = str(shape_of(image))
     cars = kept(file, None, shape) if file else None
-    return at_picture_size(cars[shape], size_of(image)) if cars else None
+    return at_image_size(cars[shape], size_of(image)) if cars else None

@@ -1,4 +1,4 @@
-"""A whole run: pictures made ready, a network trained, weights written; and resumed."""
+"""A whole run: images made ready, a network trained, weights written; and resumed."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -15,21 +15,21 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop, stop_on_signals
 from roadtorch.base.version import __version__
 from roadtorch.data.corrections import Correction
+from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import find_pictures
 from roadtorch.layout.weights import (
     LayoutNetwork,
-    WholePictureNetwork,
+    WholeImageNetwork,
     load_network,
     network_at,
     save_network,
     weights_path,
 )
-from roadtorch.train.config import PictureTraining, Training, as_values
+from roadtorch.train.config import ImageTraining, Training, as_values
 from roadtorch.train.corrections import (
     card_of,
     corrections_behind,
-    corrections_by_picture,
+    corrections_by_image,
     corrections_summary,
     paced,
     write_corrected,
@@ -44,12 +44,12 @@ from roadtorch.train.folder import (
     config_hash,
     record_of,
 )
+from roadtorch.train.images import ImageRecipe
 from roadtorch.train.loop import Loop, TrainingInputs, TrainingProgress
 from roadtorch.train.patches import PatchRecipe
-from roadtorch.train.pictures import PictureRecipe
-from roadtorch.train.prepared import Preparation, PreparedPicture, prepare
+from roadtorch.train.prepared import Preparation, PreparedImage, prepare
 
-Recipe = PatchRecipe | PictureRecipe
+Recipe = PatchRecipe | ImageRecipe
 
 PREPARED, CORRECTIONS = "prepared", "corrections"
 
@@ -61,8 +61,8 @@ FUSION = "fusion.toml"
 class Request:
     """The inputs of a run.
 
-    images: a folder, a file or a quoted glob. prepared: where pictures made ready are kept;
-    None for a folder inside ``out``. corrections: of people, for some of the pictures. part: which
+    images: a folder, a file or a quoted glob. prepared: where images made ready are kept;
+    None for a folder inside ``out``. corrections: of people, for some of the images. part: which
     of how many alike runs this is, for the bar.
     """
 
@@ -84,63 +84,63 @@ class Outcome:
 
 
 def train(training: Training, request: Request) -> Outcome:
-    """Train a network on machine labels of pictures, or resume such a run.
+    """Train a network on machine labels of images, or resume such a run.
 
-    Raises InputError when there is no picture to learn from, ConfigError and WeightsError
+    Raises InputError when there is no image to learn from, ConfigError and WeightsError
     when the folder holds something else than this run, InputError when another one is in it.
     """
-    pictures = find_pictures([request.images], apart=request.out)
+    images = find_images([request.images], apart=request.out)
     with stop_on_signals() as stop:
         folder = RunFolder(request.out)
         start, recipe = load_start(training), recipe_of(training)
         with folder.held():
-            corrections = corrections_by_picture(pictures, request.corrections)
+            corrections = corrections_by_image(images, request.corrections)
             run = TrainingRun(training, recipe, start, request, folder, stop, corrections)
-            return run.go(pictures)
+            return run.go(images)
 
 
 def recipe_of(training: Training) -> Recipe:
     """The parts of a training that depend on the kind of network in its settings."""
-    if isinstance(training, PictureTraining):
-        return PictureRecipe(training)
+    if isinstance(training, ImageTraining):
+        return ImageRecipe(training)
     return PatchRecipe(training)
 
 
 def load_start(training: Training) -> LayoutNetwork | None:
     """The network of the weights that a run starts from; None where it starts from none.
 
-    One for whole pictures may have learned at another size; it continues at that of the settings.
+    One for whole images may have learned at another size; it continues at that of the settings.
     WeightsError when it is not one of these settings otherwise.
     """
     if not training.start:
         return None
     network = load_network(weights_path(training.start))
-    if isinstance(network, WholePictureNetwork) and isinstance(training, PictureTraining):
+    if isinstance(network, WholeImageNetwork) and isinstance(training, ImageTraining):
         network = network_at(network, training.network.height, training.network.width)
     if network.settings != training.network:
         message = "holds a network with other settings than this training"
-        remedy = "give the same [network] settings, or leave start out"
-        raise WeightsError(training.start, message, remedy)
+        hint = "give the same [network] settings, or leave start out"
+        raise WeightsError(training.start, message, hint)
     return network
 
 
 def made_ready(
-    recipe: Recipe, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool
-) -> list[PreparedPicture]:
-    """The pictures made ready in a folder; fewer where the run was asked to stop."""
+    recipe: Recipe, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool
+) -> list[PreparedImage]:
+    """The images made ready in a folder; fewer where the run was asked to stop."""
     with shared(folder):
-        recipe.survey(pictures, folder, stop, quiet)
+        recipe.survey(images, folder, stop, quiet)
         if stop.asked:  # nothing is made ready by half a survey
             return []
         preparation = Preparation(folder, recipe.key, recipe.make)
-        return prepare(pictures, preparation, stop, quiet)
+        return prepare(images, preparation, stop, quiet)
 
 
 @dataclass(frozen=True)
 class TrainingRun:
     """One run of a training in its folder.
 
-    start: the network that it starts from, if any. corrections: by the name of their picture.
+    start: the network that it starts from, if any. corrections: by the name of their image.
     """
 
     training: Training
@@ -151,17 +151,17 @@ class TrainingRun:
     stop: Stop
     corrections: Mapping[str, Correction]
 
-    def go(self, pictures: Sequence[Item]) -> Outcome:
-        """Make the pictures ready and train the epochs that are left, from a checkpoint if any."""
+    def go(self, images: Sequence[Item]) -> Outcome:
+        """Make the images ready and train the epochs that are left, from a checkpoint if any."""
         stop, folder = self.stop, self.folder
         summary = corrections_summary(self.corrections)
-        record = record_of(as_values(self.training), pictures, summary)
+        record = record_of(as_values(self.training), images, summary)
         folder.check(record)
         state = folder.read_checkpoint()
         folder.begin(record)
         behind = [*corrections_behind(self.training), *([summary] if summary else [])]
         kept = self.request.prepared or folder.path / PREPARED
-        prepared = made_ready(self.recipe, pictures, kept, stop, self.request.quiet)
+        prepared = made_ready(self.recipe, images, kept, stop, self.request.quiet)
         skipped = sum(item.file is None for item in prepared)
         if stop.asked or not self._train(prepared, state, behind):
             return Outcome(None, stop.signal or SIGTERM, skipped)
@@ -169,18 +169,18 @@ class TrainingRun:
 
     def _train(
         self,
-        prepared: Sequence[PreparedPicture],
+        prepared: Sequence[PreparedImage],
         state: dict[str, Any] | None,
         behind: Sequence[Mapping[str, Any]],
     ) -> bool:
         """Train the epochs that are left; whether it came to their end."""
         path = self.folder.path
-        self.folder.write_pictures(prepared)
+        self.folder.write_images(prepared)
         files = {item.file: item.name for item in prepared if item.file is not None}
         if not files:
-            raise InputError(self.request.images, "holds no picture that can be used", "see above")
+            raise InputError(self.request.images, "holds no image that can be used", "see above")
         if len(files) == 1 and not self.request.quiet:
-            text = "roadtorch: one picture only: the network will know that one and no other"
+            text = "roadtorch: one image only: the network will know that one and no other"
             Progress.write(text, file=sys.stderr)
         people = {
             file: self.corrections[name] for file, name in files.items() if name in self.corrections
@@ -191,7 +191,7 @@ class TrainingRun:
         given = TrainingInputs(list(files), corrected, self.start, path / LABELS)
         loop = self._train_epochs(given, progress, state)
         self._write(loop.average.network.eval(), progress, len(files), behind)
-        if people and progress.finished and isinstance(self.training, PictureTraining):
+        if people and progress.finished and isinstance(self.training, ImageTraining):
             write_corrected(path / FUSION, path / WEIGHTS, list(people.values()))
         return progress.finished
 
@@ -227,7 +227,7 @@ class TrainingRun:
             "roadtorch": __version__,
             "config": config,
             "config_sha256": config_hash(config),
-            "pictures": used,
+            "images": used,
             "round": 1,
             "epochs": progress.epoch,
             "finished": progress.finished,

@@ -1,4 +1,4 @@
-"""Who labels whole pictures, what of it counts, and how far a network says the same. Ours.
+"""Who labels whole images, what of it counts, and how far a network says the same. Ours.
 
 The teacher is a detector; the network that a run starts from has a say too.
 """
@@ -19,14 +19,14 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resized, size_of
 from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.image_network import EGO, ROAD, potentials_of
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.picture_network import EGO, ROAD, potentials_of
-from roadtorch.layout.weights import WholePictureNetwork
+from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.road.ego import continued
 from roadtorch.road.fusion import centred_odds, log_odds
 from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, keep, kept, key_of, read_arrays
-from roadtorch.train.config import PictureTraining, Rounds, Teacher
+from roadtorch.train.config import ImageTraining, Rounds, Teacher
 from roadtorch.train.prepared import from_bytes, to_bytes
 
 # --- targets ----------------------------------------------------------------------------
@@ -108,11 +108,11 @@ def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
 
 
 MIN_EGO_WIDTH, MIN_EGO_AREA = 0.95, 0.03
-"""Shares of the columns and of the picture that an ego car takes which is cut out."""
+"""Shares of the columns and of the image that an ego car takes which is cut out."""
 
 
-def prepare_picture(
-    image: Tensor, ego: Tensor | None, teacher: Detector, training: PictureTraining
+def prepare_image(
+    image: Tensor, ego: Tensor | None, teacher: Detector, training: ImageTraining
 ) -> Arrays:
     """What training needs of an image (3,H,W), at the network's size.
 
@@ -128,7 +128,7 @@ def prepare_picture(
 
 
 def shrunk(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
-    """The arrays of a prepared picture from maps in [0,1] of any size: uint8, as 255ths.
+    """The arrays of a prepared image from maps in [0,1] of any size: uint8, as 255ths.
 
     image: (3,h,w). maps: (4,h,w), what the teacher says: sky, vertical, horizontal, road. ego:
     (h,w): 255 ego, 0 not, 128 unknown.
@@ -139,7 +139,7 @@ def shrunk(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> A
 
 
 def lends_ego(file: Path) -> bool:
-    """Whether a prepared picture is known to show a whole ego car, from one side to the other.
+    """Whether a prepared image is known to show a whole ego car, from one side to the other.
 
     A small piece may as well be a lane mark or a reflection that stays.
     """
@@ -174,11 +174,11 @@ def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor
 
 
 def label_with_network(
-    files: Sequence[Path], folder: Path, network: WholePictureNetwork, stop: Stop, quiet: bool
+    files: Sequence[Path], folder: Path, network: WholeImageNetwork, stop: Stop, quiet: bool
 ) -> list[Path]:
-    """What a network says of prepared pictures, the mean with their mirror images, on disk.
+    """What a network says of prepared images, the mean with their mirror images, on disk.
 
-    One file a picture, in the order of ``files``; those of the same picture and network are kept.
+    One file an image, in the order of ``files``; those of the same image and network are kept.
     Stops early when asked to.
     """
     weights = key_of([value.numpy().tobytes() for value in network.state_dict().values()])
@@ -194,7 +194,7 @@ def label_with_network(
 
 
 @torch.no_grad()
-def network_maps(network: WholePictureNetwork, image: Tensor) -> Tensor:
+def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
     """Potentials (5,h,w) in [0,1] of an image (3,h,w): the mean with its mirror image."""
     pixels = normalise(image, network.settings.normalisation).pixels
     maps = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
@@ -205,9 +205,9 @@ def network_maps(network: WholePictureNetwork, image: Tensor) -> Tensor:
 
 
 def teacher_agreement(
-    network: WholePictureNetwork, files: Sequence[Path], training: PictureTraining
+    network: WholeImageNetwork, files: Sequence[Path], training: ImageTraining
 ) -> Agreement:
-    """The agreement of a network with the teacher's maps in prepared pictures, pixels pooled.
+    """The agreement of a network with the teacher's maps in prepared images, pixels pooled.
 
     Where the teacher is sure is decided as in training (``targets_of``): by its margins, off the
     ego car. Raises InputError for a damaged file; a share of no pixel is NaN.

@@ -1,6 +1,6 @@
-"""A dictionary of patches learned from one picture by K-means (P1, section II.B).
+"""A dictionary of patches learned from one image by K-means (P1, section II.B).
 
-Patches are rows of matrices (n,d): n = one for every place, by rows of the picture;
+Patches are rows of matrices (n,d): n = one for every place, by rows of the image;
 d = side·side·3, in the order of ``torch.nn.functional.unfold`` (channel, row, column).
 """
 

@@ -1,6 +1,6 @@
 """Feature maps: patches encoded by a dictionary, scored and selected (P1, eqs. 3 to 5).
 
-``learn_features`` is all of sections II.A and B; Figs. 3 and 4 show bases and maps as pictures.
+``learn_features`` is all of sections II.A and B; Figs. 3 and 4 show bases and maps as images.
 """
 
 import math
@@ -21,7 +21,7 @@ BLOCK = 16
 
 MIN_RESPONSE = 0.01
 """The least maximum of a map, in distances between white patches; real ones have 1 and more.
-Below it there is only rounding, as in a picture of one colour."""
+Below it there is only rounding, as in an image of one colour."""
 
 RowWeights = Literal["centred", "from_one"]
 
@@ -132,7 +132,7 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
 
 @dataclass(frozen=True)
 class LearnedFeatures:
-    """What is learned from one picture, before any road is looked for.
+    """What is learned from one image, before any road is looked for.
 
     even: (3,H,W), equalised. patches: (n,d), white. dictionary: (K,d). maps: the selected ones,
     of ``size`` rows and columns.
@@ -156,10 +156,10 @@ def learn_features(
     return LearnedFeatures(even, patches, bases, select_maps(patches, bases, size, maps), size)
 
 
-def dictionary_picture(
+def dictionary_image(
     dictionary: Tensor, order: Tensor, side: int, shape: tuple[int, ...]
 ) -> Tensor:
-    """The bases (K,d) as small RGB pictures in one, by falling score (P1, Fig. 3): (3,h,w)."""
+    """The bases (K,d) as small RGB images in one, by falling score (P1, Fig. 3): (3,h,w)."""
     tiles = dictionary[order].view(-1, 3, side, side)
     low, high = tiles.amin((1, 2, 3), keepdim=True), tiles.amax((1, 2, 3), keepdim=True)
     return mosaic((tiles - low) / torch.where(high > low, high - low, 1), shape)
@@ -170,7 +170,7 @@ def mosaic(tiles: Tensor, shape: tuple[int, ...]) -> Tensor:
 
     As many in a row as bring the whole near to the shape, given as height and width.
     """
-    from skimage.util import montage  # late: half a second that only these pictures need
+    from skimage.util import montage  # late: half a second that only these images need
 
     count, channels, height, width = tiles.shape
     columns = round(math.sqrt(count * height * shape[1] / (width * shape[0])))

@@ -1,4 +1,4 @@
-"""What is done to a picture before its features are learned (P1, section II.A)."""
+"""What is done to an image before its features are learned (P1, section II.A)."""
 
 import math
 
@@ -16,11 +16,11 @@ MIN_BRIGHTNESS = 1e-6
 """The least brightness, of 1: where it is 0, eq. 2 has no value. Below what 8 bits can tell."""
 
 STRETCH = 255
-"""Levels of the 8-bit pictures that the authors' program reads."""
+"""Levels of the 8-bit images that the authors' program reads."""
 
 
 class WorkingShape(Settings):
-    """The size at which P1 works: 160x120 for pictures of 4:3, 397x120 for KITTI's."""
+    """The size at which P1 works: 160x120 for images of 4:3, 397x120 for KITTI's."""
 
     rows: int = Field(
         default=120, ge=16, le=480, description="height in pixels; the width keeps the shape"
@@ -30,7 +30,7 @@ class WorkingShape(Settings):
     )
 
     def size(self, height: int, width: int) -> tuple[int, int]:
-        """Rows and columns for a picture of height × width pixels."""
+        """Rows and columns for an image of height × width pixels."""
         shape = min(max(width / height, 1 / self.widest), self.widest)
         return self.rows, max(16, round(self.rows * shape))
 
@@ -39,7 +39,7 @@ class Smoothing(Settings):
     """Blurring and brightness equalisation (eqs. 1 and 2)."""
 
     sigma: float = Field(
-        default=1.5, gt=0, le=50, description="blur of the picture, pixels; 2.5 for KITTI road"
+        default=1.5, gt=0, le=50, description="blur of the image, pixels; 2.5 for KITTI road"
     )
     window: float = Field(
         default=2.0,

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import at_picture_size
+from roadtorch.imaging.resize import at_image_size
 from roadtorch.road.fusion import TRIANGLE_APEX
 from roadtorch.ufl.hierarchy import (
     NodeChoice,
@@ -244,11 +244,11 @@ def enlarged_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:
     """
     mask = likelihood >= AS_CHOSEN
     return road_likelihood(
-        at_picture_size(mask, size), at_picture_size(2 * likelihood - mask.to(likelihood), size)
+        at_image_size(mask, size), at_image_size(2 * likelihood - mask.to(likelihood), size)
     )
 
 
-def map_pictures(
+def map_images(
     maps: FeatureMaps, mean_map: Tensor, tree: Tree, last: Round, side: int
 ) -> dict[str, Tensor]:
     """What Fig. 4 of P1 shows, by name, each at the size of the image; side: of a patch."""

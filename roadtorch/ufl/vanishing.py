@@ -3,7 +3,7 @@
 Kong, Audibert, Ponce, "General road detection from a single image", IEEE TIP 19(8), 2010: Gabor
 filters tell which way the texture of each pixel runs, pixels vote for the point at which texture
 aims, and from it run the two borders. Angles are in degrees from 0 to 180, from the columns' axis
-towards the rows' (clockwise in the picture): 0 runs along a row, 90 down a column. Rays point
+towards the rows' (clockwise in the image): 0 runs along a row, 90 down a column. Rays point
 down, between 0 (right) and 180 (left).
 """
 
@@ -23,7 +23,7 @@ OCTAVES = 2.2
 """c of Kong et al.: waves in the envelope; 2.2 is a spatial bandwidth of 1.7 octaves."""
 
 MARGIN = 24
-"""Pixels of mirrored picture on each side, so that one edge does not answer to the other."""
+"""Pixels of mirrored image on each side, so that one edge does not answer to the other."""
 
 FIRST, LAST = 4, 15
 """The responses, by falling size, whose mean is held against the greatest one."""
@@ -89,7 +89,7 @@ def dominant_orientation(responses: Tensor) -> tuple[Tensor, Tensor]:
     """The orientation (H,W) in degrees of the greatest response, and its confidence in [0,1].
 
     Confidence: 1 - mean(r5 … r15)/r1 of the responses by falling size (Kong et al.),
-    scaled so that it spans [0,1] in the picture; 0 throughout where there is no texture.
+    scaled so that it spans [0,1] in the image; 0 throughout where there is no texture.
     """
     falling = responses.sort(0, descending=True).values
     top = falling[0].clamp_min(torch.finfo(falling.dtype).tiny)
@@ -131,7 +131,7 @@ def soft_votes(
     """The votes (k,) ≥ 0 that points (k,2), rows and columns in pixels, get.
 
     places: (m,2), of pixels that are sure of their texture; angles: (m,), its own; diagonal: of the
-    picture, pixels. Kong et al.: a voter below a point and within the radius gives 1/(1 + (g·d)²),
+    image, pixels. Kong et al.: a voter below a point and within the radius gives 1/(1 + (g·d)²),
     with g the degrees by which it misses the point and d their distance in diagonals, if g is at
     most 5/(1 + 2d).
     """
@@ -210,7 +210,7 @@ class BorderSettings(Settings):
         default=4, ge=1, le=18, description="width of the region beside a ray, in steps of 5°"
     )
     length: float = Field(
-        default=1 / 3, ge=0, le=1, description="of a border in the picture at least, in heights"
+        default=1 / 3, ge=0, le=1, description="of a border in the image at least, in heights"
     )
 
 
@@ -242,7 +242,7 @@ def consistency(points: Tensor, orientation: Tensor, settings: BorderSettings) -
 
 
 def angles_from(point: Tensor, size: tuple[int, int]) -> Tensor:
-    """Degrees in (-180,180] at which a picture's pixels lie from a point (2,): (H,W)."""
+    """Degrees in (-180,180] at which an image's pixels lie from a point (2,): (H,W)."""
     down = torch.arange(size[0], device=point.device)[:, None] - point[0]
     right = torch.arange(size[1], device=point.device) - point[1]
     return torch.atan2(down, right).rad2deg()

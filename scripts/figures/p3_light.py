@@ -1,7 +1,7 @@
 """P3, Table II: which colour planes vary with light. Measured, beside P3's signs.
 
 A plane is robust where the road keeps its value. Its measure is how far the median of the road's
-pixels moves, over the plane's standard deviation in the pictures: 0 is no change, 1 as much as
+pixels moves, over the plane's standard deviation in the images: 0 is no change, 1 as much as
 the plane varies in them at all (ours; P3 argues from theory and gives signs only).
 """
 

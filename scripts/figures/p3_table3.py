@@ -1,7 +1,7 @@
 """P3, Table III and Figs. 8 and 9: areas under ROC curves and the curves, cell by cell.
 
-A cell is the mean AUC of single pictures in percent, and of that the mean over CamVid's drives; P3
-does not say which average it took. Every k-th picture is enough to see the figures in minutes:
+A cell is the mean AUC of single images in percent, and of that the mean over CamVid's drives; P3
+does not say which average it took. Every k-th image is enough to see the figures in minutes:
 `roadtorch evaluate --detector 'oneclass:*:*'` has the cells of whole sets (`auc_mean`).
 """
 
@@ -44,7 +44,7 @@ REPRESENTATIVE = {
     "a": ("nn", "gaussian", "robust_gaussian", "mog2"),
     "b": ("svdd", "pca", "kmeans"),
 }
-"""Of the other thirteen, by picture; P3, too, shows representative ones, and names none."""
+"""Of the other thirteen, by image; P3, too, shows representative ones, and names none."""
 
 Key = tuple[str, str]
 """Classifier, with ":paper" where it is P3's to the letter, and representation."""

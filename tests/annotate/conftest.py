@@ -7,14 +7,14 @@ import pytest
 
 from roadtorch.annotate.session import Session, opened_session
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.testing.scenes import write_picture
+from roadtorch.testing.scenes import write_image
 from tests.streets import scene
 
 
 def write_streets(folder: Path, count: int = 3) -> Path:
     """street_0.png and so on, 64 by 48."""
     for seed in range(count):
-        write_picture(folder / f"street_{seed}.png", scene(seed, 48, 64))
+        write_image(folder / f"street_{seed}.png", scene(seed, 48, 64))
     return folder
 
 

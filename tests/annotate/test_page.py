@@ -27,7 +27,7 @@ PATIENCE = 60_000  # milliseconds; a loaded machine is slow
 
 
 class Server:
-    """A folder of pictures with its page, in a thread of this process."""
+    """A folder of images with its page, in a thread of this process."""
 
     def __init__(self, folder: Path, out: Path) -> None:
         self.folder, self.out = folder, out
@@ -80,7 +80,7 @@ def visit(browser: "Browser") -> Iterator[Open]:
         page.set_default_timeout(PATIENCE)
         page.on("pageerror", lambda error: mistakes.append(str(error)))
         page.goto(server.url)
-        page.wait_for_selector("body[data-picture]")
+        page.wait_for_selector("body[data-image]")
         return page
 
     yield opened
@@ -96,7 +96,7 @@ def at_version(page: "Page", version: int) -> None:
 
 
 def shown(page: "Page", name: str) -> None:
-    page.wait_for_function("name => document.body.dataset.picture === name", arg=name)
+    page.wait_for_function("name => document.body.dataset.image === name", arg=name)
 
 
 def place_of(page: "Page", across: float, down: float) -> tuple[float, float]:
@@ -106,7 +106,7 @@ def place_of(page: "Page", across: float, down: float) -> tuple[float, float]:
 
 
 def click(page: "Page", across: float, down: float, version: int | None = None) -> None:
-    """Click on the picture, and wait for its version if one is given."""
+    """Click on the image, and wait for its version if one is given."""
     page.mouse.click(*place_of(page, across, down))
     if version is not None:
         at_version(page, version)
@@ -119,10 +119,10 @@ def press(page: "Page", *keys: str) -> None:
 
 def press_and_leave(page: "Page", *keys: str) -> str:
     """Press keys, wait until another image is shown, and return its name."""
-    before = page.evaluate("document.body.dataset.picture")
+    before = page.evaluate("document.body.dataset.image")
     press(page, *keys)
-    page.wait_for_function("before => document.body.dataset.picture !== before", arg=before)
-    return page.evaluate("document.body.dataset.picture")
+    page.wait_for_function("before => document.body.dataset.image !== before", arg=before)
+    return page.evaluate("document.body.dataset.image")
 
 
 def tells(page: "Page", identity: str, words: str) -> None:

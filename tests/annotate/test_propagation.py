@@ -1,4 +1,4 @@
-"""What a correction says about the rest: on a picture of three flat regions."""
+"""What a correction says about the rest: on an image of three flat regions."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ import torch
 
 from roadtorch.annotate.machine import (
     AnnotationSettings,
-    PictureView,
-    look_at_picture,
+    ImageView,
+    look_at_image,
     mended_layout,
     mended_odds,
     said_of_segments,
@@ -78,7 +78,7 @@ def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
         assert energy(moved + step) >= energy(moved) - 1e-3
 
 
-# --- a picture --------------------------------------------------------------------------
+# --- an image --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +87,8 @@ def detector() -> Detector:
 
 
 @pytest.fixture(scope="module")
-def view(detector: Detector) -> PictureView:
-    return look_at_picture(scene(0, 48, 64).image, detector, AnnotationSettings())
+def view(detector: Detector) -> ImageView:
+    return look_at_image(scene(0, 48, 64).image, detector, AnnotationSettings())
 
 
 def labels_of(**rows: slice) -> np.ndarray:
@@ -102,7 +102,7 @@ def labels_of(**rows: slice) -> np.ndarray:
     "rows", [{}, {"road": slice(10), "not_road": slice(20, 30), "void": slice(40, 44)}]
 )
 def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
-    view: PictureView, detector: Detector, rows: dict[str, slice]
+    view: ImageView, detector: Detector, rows: dict[str, slice]
 ) -> None:
     labels = labels_of(**rows)
     said = said_of_segments(labels, view, AnnotationSettings())
@@ -115,10 +115,10 @@ def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
         assert (road[part] == (name == "road")).all()
 
 
-def test_the_layout_is_inferred_too(view: PictureView) -> None:
+def test_the_layout_is_inferred_too(view: ImageView) -> None:
     settings = AnnotationSettings()
     assert set(np.unique(mended_layout(view, labels_of(), settings))) <= {0, 1, 2}
     assert (mended_layout(view, labels_of(sky=slice(None)), settings) == 0).all()
     image = scene(0, 48, 64).image
-    without = look_at_picture(image, load_detector("prior:rows"), settings)
+    without = look_at_image(image, load_detector("prior:rows"), settings)
     assert (mended_layout(without, labels_of(), settings) == 255).all()

@@ -58,7 +58,7 @@ def click(identity: str = "a", **changes: object) -> dict[str, object]:
     return {**event, **changes}
 
 
-def test_a_click_is_kept_and_the_picture_told_anew(client: Client, session: Session) -> None:
+def test_a_click_is_kept_and_the_image_told_anew(client: Client, session: Session) -> None:
     answer = client.post(f"/api/event?{WHICH}", json=click())
     told = answer.json()
     assert (answer.status_code, told["version"], told["size"]) == (200, 1, [64, 48])
@@ -161,7 +161,7 @@ def test_who_keeps_the_server_waiting_is_closed(
 
 
 def test_every_answer_has_its_policy(client: Client) -> None:
-    for path in ("/", "/static/annotate.js", "/api/pictures", "/api/nothing", "/static/x.js"):
+    for path in ("/", "/static/annotate.js", "/api/images", "/api/nothing", "/static/x.js"):
         policy = client.get(path).headers["content-security-policy"]
         assert "default-src 'none'" in policy
         assert "unsafe" not in policy
@@ -186,8 +186,8 @@ TOO_LONG = json.dumps(click(segments=[1] * (MAX_BODY // 3 + 1)))
             for name in ("../server.py", "%2e%2e%2fserver.py", "x")
         ),
         *(
-            (f"/api/{call}?name={name}", None, 400, "is no picture of this folder")
-            for call in ("picture", "thumbnail", "superpixels", "state")
+            (f"/api/{call}?name={name}", None, 400, "is no image of this folder")
+            for call in ("image", "thumbnail", "superpixels", "state")
             for name in ("../x.png", "%2e%2e%2fx.png", "/etc/passwd", "", "street_2.png")
         ),
         (f"/api/event?{WHICH}", TOO_LONG, 413, f"more than {MAX_BODY:,} bytes"),
@@ -200,8 +200,8 @@ TOO_LONG = json.dumps(click(segments=[1] * (MAX_BODY // 3 + 1)))
 def test_what_is_refused(
     client: Client, session: Session, path: str, body: str | None, status: int, message: str
 ) -> None:
-    assert "street_2.png" in session.pictures.names()
-    (session.pictures.root / "street_2.png").unlink()
+    assert "street_2.png" in session.images.names()
+    (session.images.root / "street_2.png").unlink()
     answer = client.get(path) if body is None else client.post(path, content=body)
     assert answer.status_code == status
     assert re.search(message, answer.text)
@@ -222,16 +222,16 @@ def test_a_stroke_that_finds_no_room_on_the_disk_may_be_sent_again(
 
 
 def test_the_list_comes_once_until_it_changes(client: Client) -> None:
-    first = client.get("/api/pictures").json()
-    assert [one["name"] for one in first["pictures"]] == [f"street_{n}.png" for n in range(3)]
-    assert client.get(f"/api/pictures?stamp={first['stamp']}").status_code == 204
+    first = client.get("/api/images").json()
+    assert [one["name"] for one in first["images"]] == [f"street_{n}.png" for n in range(3)]
+    assert client.get(f"/api/images?stamp={first['stamp']}").status_code == 204
     client.post(f"/api/event?{WHICH}", json=click())
-    second = client.get(f"/api/pictures?stamp={first['stamp']}").json()
-    assert second["pictures"][0]["version"] == 1
+    second = client.get(f"/api/images?stamp={first['stamp']}").json()
+    assert second["images"][0]["version"] == 1
 
 
-def test_pictures_and_thumbnails_are_jpeg(client: Client) -> None:
-    for call in ("picture", "thumbnail"):
+def test_images_and_thumbnails_are_jpeg(client: Client) -> None:
+    for call in ("image", "thumbnail"):
         answer = client.get(f"/api/{call}?name={NAME}")
         assert answer.headers["content-type"] == "image/jpeg"
         assert answer.content[:2] == b"\xff\xd8"

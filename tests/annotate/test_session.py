@@ -15,7 +15,7 @@ from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import Confirm, Redo, SuperpixelStroke, Undo
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.testing.scenes import write_picture
+from roadtorch.testing.scenes import write_image
 from tests.streets import scene
 
 NAME = "street_0.png"
@@ -28,7 +28,7 @@ def superpixel(identity: str, saying: str, *segments: int) -> SuperpixelStroke:
 
 
 def reopened(session: Session) -> Session:
-    return opened_session(session.pictures.root, session.out, load_detector("prior:triangle"))
+    return opened_session(session.images.root, session.out, load_detector("prior:triangle"))
 
 
 def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
@@ -73,11 +73,11 @@ OTHER_SPELLINGS = ("nosuch/../{}", "./{}", "../streets/{}", "/{}", "{}/", "a\0{}
     "name", [*(text.format(NAME) for text in OTHER_SPELLINGS), "link.png"]
 )  # the link leads outside
 def test_names_that_are_none_begin_no_log(session: Session, tmp_path: Path, name: str) -> None:
-    shutil.copy(session.pictures.root / NAME, tmp_path / "secret.png")
-    (session.pictures.root / "link.png").symlink_to(tmp_path / "secret.png")
-    with pytest.raises(InputError, match="is no picture of this folder"):
+    shutil.copy(session.images.root / NAME, tmp_path / "secret.png")
+    (session.images.root / "link.png").symlink_to(tmp_path / "secret.png")
+    with pytest.raises(InputError, match="is no image of this folder"):
         session.add(name, superpixel("a", "road", 0))
-    assert "link.png" not in session.pictures.names()
+    assert "link.png" not in session.images.names()
     assert not list(tmp_path.rglob("*.jsonl"))
 
 
@@ -90,9 +90,9 @@ def test_a_log_without_a_first_line_stops_nobody(session: Session, torn: bytes) 
     assert reopened(session).state(NAME)["version"] == 1
 
 
-def test_a_picture_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
+def test_a_image_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
     session.add(NAME, superpixel("a", "road", 0))
-    write_picture(session.pictures.root / NAME, scene(1, 40, 64))
+    write_image(session.images.root / NAME, scene(1, 40, 64))
     with pytest.raises(InputError, match="was corrected at 64 by 48 pixels"):
         reopened(session).add(NAME, superpixel("b", "road", 1))
 
@@ -128,7 +128,7 @@ def test_many_at_once_lose_nothing(session: Session) -> None:
 
 
 def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
-    (session.pictures.root / "broken.png").write_bytes(b"no picture")
+    (session.images.root / "broken.png").write_bytes(b"no image")
     stop = threading.Event()
     thread = threading.Thread(target=look_at_all, args=(session, stop))
     thread.start()
@@ -143,13 +143,13 @@ def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
 
 
 def test_a_folder_that_changes_is_seen(session: Session) -> None:
-    names = session.pictures.names()
-    session.pictures.apart = session.pictures.root / "corrections"
-    session.pictures.apart.mkdir()
+    names = session.images.names()
+    session.images.apart = session.images.root / "corrections"
+    session.images.apart.mkdir()
     for other in ("zz.png", "corrections/a.png"):
-        shutil.copy(session.pictures.root / NAME, session.pictures.root / other)
-    session.pictures._listed -= 10
-    assert session.pictures.names() == (*names, "zz.png")
+        shutil.copy(session.images.root / NAME, session.images.root / other)
+    session.images._listed -= 10
+    assert session.images.names() == (*names, "zz.png")
 
 
 def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:
@@ -169,9 +169,9 @@ def test_the_report_says_what_the_time_bought(session: Session) -> None:
     session.add(NAME, Confirm(kind="right", id="b", seconds=30.0))
     lines = corrections_report(session.out).splitlines()
     assert lines[1].split()[:3] == [NAME, "1", "60"]
-    assert "1 pictures, 1 confirmed; 1 clicks, 1.0 minutes" in lines[3]
+    assert "1 images, 1 confirmed; 1 clicks, 1.0 minutes" in lines[3]
     assert "mean F" in lines[5]
-    assert lines[6].startswith("ten minutes buy 10.0 confirmed pictures, 10 clicks")
+    assert lines[6].startswith("ten minutes buy 10.0 confirmed images, 10 clicks")
 
 
 # --- addresses --------------------------------------------------------------------------

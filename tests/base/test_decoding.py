@@ -1,4 +1,4 @@
-"""Pictures that are damaged, that lie about their size, or that make decoders warn."""
+"""Images that are damaged, that lie about their size, or that make decoders warn."""
 
 import io
 import re
@@ -18,7 +18,7 @@ from roadtorch.base.decoding import MEGAPIXELS_VARIABLE, check_pixels
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import decode_image, read_image
 
-# --- pictures ---------------------------------------------------------------------------
+# --- images ---------------------------------------------------------------------------
 
 
 def noise(height: int = 64, width: int = 64) -> Image.Image:
@@ -26,10 +26,10 @@ def noise(height: int = 64, width: int = 64) -> Image.Image:
     return Image.fromarray(draw)
 
 
-def saved(picture: Image.Image, form: str, **options: Any) -> bytes:
-    """The bytes of a picture in a format of Pillow's."""
+def saved(image: Image.Image, form: str, **options: Any) -> bytes:
+    """The bytes of an image in a format of Pillow's."""
     data = io.BytesIO()
-    picture.save(data, form, **options)
+    image.save(data, form, **options)
     return data.getvalue()
 
 
@@ -79,10 +79,10 @@ DEEP = np.full((16, 16, 3), 100, np.uint16)
 
 REFUSED: Mapping[str, tuple[bytes, str]] = {
     "empty.jpg": (b"", "is empty"),
-    "text.jpg": (b"hello, world\n" * 9, "is not a picture"),
-    "gif.jpg": (b"GIF89a" + bytes(50), "is not a picture"),
+    "text.jpg": (b"hello, world\n" * 9, "is not an image"),
+    "gif.jpg": (b"GIF89a" + bytes(50), "is not an image"),
     **{
-        f"{share}{suffix}": (whole[: int(len(whole) * share)], "cannot be decoded|is not a picture")
+        f"{share}{suffix}": (whole[: int(len(whole) * share)], "cannot be decoded|is not an image")
         for suffix, form in FORMS.items()
         for whole in [saved(noise(), form)]
         for share in (0.1, 0.99)
@@ -93,7 +93,7 @@ REFUSED: Mapping[str, tuple[bytes, str]] = {
     "no deep pixels.png": (png(4, 4, 16, 2), "cannot be decoded"),
     "short.tif": (saved(noise(), "TIFF", compression="tiff_deflate")[:-900], ".*"),
     **{
-        f"{name}.tif": (data, "cannot be decoded: TIFF is read in one plane|is not a picture")
+        f"{name}.tif": (data, "cannot be decoded: TIFF is read in one plane|is not an image")
         for name, data in {
             "planes": tiff(DEEP, t284=2),
             "signed and deep": tiff(DEEP, t339=2),
@@ -107,8 +107,8 @@ REFUSED: Mapping[str, tuple[bytes, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_whole_picture_is_refused_by_name(name: str, tmp_path: Path) -> None:
-    data, what = REFUSED[name]
+def test_what_is_no_whole_image_is_refused_by_name(name: str, tmp_path: Path) -> None:
+    data, problem = REFUSED[name]
     path = tmp_path / name
     path.write_bytes(data)
 
@@ -116,7 +116,7 @@ def test_what_is_no_whole_picture_is_refused_by_name(name: str, tmp_path: Path) 
         read_image(path)
 
     assert caught.value.where == str(path)
-    assert re.match(what, caught.value.what)
+    assert re.match(problem, caught.value.problem)
 
 
 def test_too_many_pixels_are_refused_before_decoding(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,17 +128,17 @@ def test_too_many_pixels_are_refused_before_decoding(monkeypatch: pytest.MonkeyP
 
 
 def test_the_bound_on_pixels_can_be_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    picture = saved(Image.new("L", (200, 100)), "PNG")
+    image = saved(Image.new("L", (200, 100)), "PNG")
 
     check_pixels(10_000, 10_000)  # what is allowed otherwise
     monkeypatch.setenv(MEGAPIXELS_VARIABLE, "0.02")
-    assert decode_image(picture, "a.png").shape == (3, 100, 200)
+    assert decode_image(image, "a.png").shape == (3, 100, 200)
     monkeypatch.setenv(MEGAPIXELS_VARIABLE, "0.019")
     with pytest.raises(InputError, match=r"has 200 by 100 pixels, more than 0\.019 megapixels"):
-        decode_image(picture, "a.png")
+        decode_image(image, "a.png")
     monkeypatch.setenv(MEGAPIXELS_VARIABLE, "many")
     with pytest.raises(InputError, match="'many', not a number above 0"):
-        decode_image(picture, "a.png")
+        decode_image(image, "a.png")
 
 
 # --- what is read ------------------------------------------------------------------------
@@ -175,9 +175,9 @@ def test_the_exif_of_a_png_counts_wherever_it_stands(bits: int) -> None:
 
 
 def test_warnings_about_images_are_no_failures(monkeypatch: pytest.MonkeyPatch) -> None:
-    picture = Image.new("RGB", (8, 8), (200, 100, 50))
+    image = Image.new("RGB", (8, 8), (200, 100, 50))
     broken = b"Exif\0\0MM\0*\0\0\0\x08\0\x09" + bytes(20)
-    files = [saved(picture, form, exif=broken) for form in ("JPEG", "PNG", "WEBP")]
+    files = [saved(image, form, exif=broken) for form in ("JPEG", "PNG", "WEBP")]
     large = saved(Image.new("L", (10, 9)), "PNG")
 
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 89)  # beyond which Pillow warns

@@ -1,4 +1,4 @@
-"""Pictures in and out: what is read, and what is written."""
+"""Images in and out: what is read, and what is written."""
 
 from pathlib import Path
 from typing import Any
@@ -34,8 +34,8 @@ def as_tensor(pixels: np.ndarray, levels: int = 255) -> Tensor:
     return torch.from_numpy(pixels.astype(np.float32) / levels).permute(2, 0, 1)
 
 
-def save(path: Path, picture: Image.Image, **options: Any) -> Path:
-    picture.save(path, **options)
+def save(path: Path, image: Image.Image, **options: Any) -> Path:
+    image.save(path, **options)
     return path
 
 
@@ -52,15 +52,15 @@ def test_every_mode_looks_as_in_pillow_over_black(tmp_path: Path, suffix: str, m
     mode = mode.removesuffix("A") if suffix == ".bmp" else mode  # which keeps no alpha
     alpha = np.full((5, 7, 1), 255, np.uint8)
     alpha[0], alpha[1:, :3] = 51, 0
-    picture = Image.fromarray(np.dstack([PIXELS, alpha]) if "A" in mode else PIXELS).convert(mode)
-    shown = as_tensor(np.asarray(picture.convert("RGBA")))
+    stored = Image.fromarray(np.dstack([PIXELS, alpha]) if "A" in mode else PIXELS).convert(mode)
+    shown = as_tensor(np.asarray(stored.convert("RGBA")))
 
-    image = read_image(save(tmp_path / f"a{suffix}", picture, **EXACT[suffix]))
+    image = read_image(save(tmp_path / f"a{suffix}", stored, **EXACT[suffix]))
 
     assert image.dtype == torch.float32
     assert image.is_contiguous()
     np.testing.assert_allclose(image, shown[:3] * shown[3:], rtol=1.3e-6, atol=1e-5)
-    assert torch.equal(as_image(picture), image)
+    assert torch.equal(as_image(image), image)
 
 
 def test_a_transparent_palette_and_deep_or_printed_images(tmp_path: Path) -> None:
@@ -112,8 +112,8 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
         path = save(tmp_path / f"a{suffix}", Image.fromarray(blocks), **options)
         image = read_image(path)
         assert (image - as_tensor(TURNS[orientation](blocks))).abs().max() <= within, suffix
-        with Image.open(path) as picture:
-            assert (as_image(picture) - image).abs().max() <= within, suffix
+        with Image.open(path) as opened:
+            assert (as_image(opened) - image).abs().max() <= within, suffix
     deep = decode_image(tiff(PIXELS.astype(np.uint16), t274=orientation), "deep.tif")
     expected = as_tensor(TURNS[orientation](PIXELS), 65535)
     np.testing.assert_allclose(deep, expected, rtol=1.3e-6, atol=1e-5)
@@ -126,8 +126,8 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
     path = save(tmp_path / "a.png", Image.fromarray(PIXELS))
     expected = as_tensor(PIXELS)
 
-    for picture in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
-        assert torch.equal(as_image(picture), expected)
+    for image in (path, str(path), Image.open(path), torch.from_numpy(PIXELS).permute(2, 0, 1)):
+        assert torch.equal(as_image(image), expected)
     bgr = np.asarray(cv2.imread(str(path)))
     assert torch.equal(as_image(PIXELS, "rgb"), expected)
     for array in (
@@ -147,22 +147,22 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("picture", "order", "what"),
+    ("image", "order", "problem"),
     [
         (PIXELS, None, "whose order of colours is not told"),
         (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
         (PIXELS[None], "bgr", "give all of them to detect_many"),
-        ([PIXELS, PIXELS], "bgr", "image: is a list, not one picture (give one, or all of them to"),
+        ([PIXELS, PIXELS], "bgr", "image: is a list, not one image (give one, or all of them to"),
         (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
         (None, "bgr", "is None (check its path: cv2.imread gives that"),
         (PIXELS, "RGB", "RGB: unknown order of colours"),
     ],
 )
-def test_what_is_no_image_is_refused(picture: Any, order: Any, what: str) -> None:
+def test_what_is_no_image_is_refused(image: Any, order: Any, problem: str) -> None:
     with pytest.raises((InputError, ConfigError)) as caught:
-        as_image(picture, order)
+        as_image(image, order)
 
-    assert what in str(caught.value)
+    assert problem in str(caught.value)
 
 
 # --- writing ------------------------------------------------------------------------------
@@ -210,7 +210,7 @@ def test_the_overlay_shows_on_any_grey_road(grey: int) -> None:
 
     shown = tint_mask(pixels, mask).astype(int)
 
-    assert (shown[~mask] == grey).all()  # the rest of the picture is left alone
+    assert (shown[~mask] == grey).all()  # the rest of the image is left alone
     assert np.abs(shown[200, 160] - grey).max() > 20  # the tint
     assert shown[100, 160].tolist() == list(ORANGE)  # the outline
-    assert shown[239, 160].tolist() == shown[200, 160].tolist()  # none at the picture's rim
+    assert shown[239, 160].tolist() == shown[200, 160].tolist()  # none at the image's rim

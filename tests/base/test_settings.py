@@ -75,18 +75,18 @@ def test_assignments_become_nested_values_of_their_toml_type() -> None:
 
 
 @pytest.mark.parametrize(
-    ("items", "what"),
+    ("items", "problem"),
     [
         *(([item], "is not a setting") for item in ("", "bins", "=3", "a..b=1", ".a=1")),
         (["a=1", "a.b=2"], "a is already set to a value"),
         (["a.b=2", "a=1"], "is a group of settings"),
     ],
 )
-def test_what_is_no_assignment_is_refused(items: list[str], what: str) -> None:
+def test_what_is_no_assignment_is_refused(items: list[str], problem: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_assignments(items)
 
-    assert caught.value.what == what
+    assert caught.value.problem == problem
 
 
 def test_what_is_written_is_read_again_and_none_is_left_out(tmp_path: Path) -> None:
@@ -160,12 +160,12 @@ def test_errors_survive_a_process_boundary_and_are_short(kind: type[RoadtorchErr
 
 
 @pytest.mark.parametrize(
-    ("name", "remedy"), [("fuson", "did you mean fusion?"), ("zzz", "known: cpf, fusion, lbp")]
+    ("name", "hint"), [("fuson", "did you mean fusion?"), ("zzz", "known: cpf, fusion, lbp")]
 )
-def test_an_unknown_name_is_told_the_nearest_or_all(name: str, remedy: str) -> None:
+def test_an_unknown_name_is_told_the_nearest_or_all(name: str, hint: str) -> None:
     error = unknown_name("detector", name, ["lbp", "fusion", "cpf"])
 
-    assert str(error) == f"{name}: unknown detector ({remedy})"
+    assert str(error) == f"{name}: unknown detector ({hint})"
 
 
 # --- progress -----------------------------------------------------------------------------

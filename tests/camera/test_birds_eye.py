@@ -17,7 +17,7 @@ SHARED = Path(__file__).resolve().parents[3] / "shared/reference/kitti_vectors.j
 
 
 def pattern(height: int, width: int) -> torch.Tensor:
-    """The picture of the kit's vectors: (r + 2c) mod 256."""
+    """The image of the kit's vectors: (r + 2c) mod 256."""
     return ((torch.arange(height)[:, None] + 2 * torch.arange(width)) % 256).to(torch.uint8)
 
 
@@ -27,7 +27,7 @@ def pattern(height: int, width: int) -> torch.Tensor:
 @pytest.mark.parametrize(
     ("size", "pitch"),
     [((HEIGHT, WIDTH), 0.02), ((70, 130), 0.02), ((HEIGHT, WIDTH), -0.6)],
-    ids=["as usual", "near cells below the picture", "far cells above it"],
+    ids=["as usual", "near cells below the image", "far cells above it"],
 )
 def test_every_cell_holds_the_pixel_its_centre_falls_on(size, pitch):
     rows = reference.made_up_rows(pitch)

@@ -1,4 +1,4 @@
-"""A camera from its footage, rendered and real; the horizon of one picture from its layout."""
+"""A camera from its footage, rendered and real; the horizon of one image from its layout."""
 
 from pathlib import Path
 
@@ -49,7 +49,7 @@ def test_horizon_and_seed_row_come_back_from_a_file(camera: Camera, tmp_path: Pa
     assert Camera.read(tmp_path / "camera.toml") == camera
 
 
-def test_its_own_pictures_pass_at_any_size_and_others_are_refused(camera: Camera) -> None:
+def test_its_own_images_pass_at_any_size_and_others_are_refused(camera: Camera) -> None:
     for image in (*drive(), resized(drive()[3], (240, 320)).clamp(0, 1)):
         camera.check(image)
     with pytest.raises(InputError, match="image: does not show this camera's ego car"):
@@ -105,7 +105,7 @@ def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None
     assert camera_of(frames_of(data_root, prefix, 12)).ego.outline == ()
 
 
-# --- the horizon of a picture -----------------------------------------------------------
+# --- the horizon of an image -----------------------------------------------------------
 
 
 def potentials(layout: Tensor) -> Tensor:

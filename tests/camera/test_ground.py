@@ -113,18 +113,18 @@ def test_the_horizon_gives_the_pitch(pitch: float, roll: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "what"),
+    ("call", "problem"),
     [
-        (lambda: pitch_of_horizon(LENS, 1.2), "horizon: 1.2 lies outside the picture"),
+        (lambda: pitch_of_horizon(LENS, 1.2), "horizon: 1.2 lies outside the image"),
         (lambda: build_settings(Lens, {**LENS.model_dump(), "model": "plumb_bob"}), "coefficients"),
         (lambda: LENS.at(640, 360), "is 640×360 pixels, the calibration 640×480"),
         (lambda: kitti_ground_camera(KITTI, 20, 20), "the calibration's middle"),
-        (lambda: ground_grid(picture_of(), UP, SETTINGS), "shows no ground"),
+        (lambda: ground_grid(image_of(), UP, SETTINGS), "shows no ground"),
         (lambda: ground_grid(torch.ones(4, 5), CAMERA, SETTINGS), "is 5×4 pixels, the lens 240"),
     ],
 )
-def test_what_no_camera_has_is_refused(call: Callable[[], object], what: str) -> None:
-    with pytest.raises((ConfigError, InputError), match=what):
+def test_what_no_camera_has_is_refused(call: Callable[[], object], problem: str) -> None:
+    with pytest.raises((ConfigError, InputError), match=problem):
         call()
 
 
@@ -190,9 +190,9 @@ def test_info_files(text: str, model: str, coefficients: tuple[float, ...], tmp_
 def test_other_files_are_refused_by_name(tmp_path: Path, text: str, told: str) -> None:
     (tmp_path / "info.yaml").write_text(text)
 
-    with pytest.raises(RoadtorchError, match=r"info\.yaml: ") as problem:
+    with pytest.raises(RoadtorchError, match=r"info\.yaml: ") as error:
         read_camera_info(tmp_path / "info.yaml")
-    assert told in str(problem.value)
+    assert told in str(error.value)
 
 
 # --- KITTI ------------------------------------------------------------------------------
@@ -235,7 +235,7 @@ UP = GroundCamera(CAMERA.lens, mounted(1.4, -30))
 SETTINGS = GridSettings(resolution=0.2, range=16, side=6)
 
 
-def picture_of(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor:
+def image_of(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor:
     """A mask bool (H,W): ground but what ``inside`` (of x and y, metres) says; no sky."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     ground = ground_of(camera, np.stack([columns.ravel(), rows.ravel()], 1).astype(float))
@@ -285,7 +285,7 @@ def test_cells_are_free_occupied_or_unknown(
 ) -> None:
     settings = SETTINGS.model_copy(update=more)
 
-    grid = ground_grid(picture_of(inside), CAMERA, settings)
+    grid = ground_grid(image_of(inside), CAMERA, settings)
 
     assert (grid.cells.shape, grid.origin) == ((60, 80), (0, -6))
     for value, points in cells.items():
@@ -297,7 +297,7 @@ def test_cells_are_free_occupied_or_unknown(
 
 def test_walls_have_no_gaps_and_shadows_no_walls() -> None:
     ahead, beside, box = (
-        ground_grid(picture_of(inside), CAMERA, SETTINGS).cells == OCCUPIED
+        ground_grid(image_of(inside), CAMERA, SETTINGS).cells == OCCUPIED
         for inside in ("(x > 9) & (y > 0)", "abs(y) > 2", "(x > 5) & (x < 6) & (abs(y) < .5)")
     )
 
@@ -309,21 +309,21 @@ def test_walls_have_no_gaps_and_shadows_no_walls() -> None:
 
 
 def test_the_order_is_that_of_an_occupancy_grid() -> None:
-    grid = ground_grid(picture_of("y > 1"), CAMERA, SETTINGS)
+    grid = ground_grid(image_of("y > 1"), CAMERA, SETTINGS)
 
     assert grid.occupancy.dtype == torch.int8
     assert grid.occupancy[35 * 80 + 40] == cell(grid, 40.5 * 0.2, 35.5 * 0.2 - 6)
 
 
 def test_the_ego_car_is_unknown_and_hides_nothing() -> None:
-    grid = ground_grid(picture_of() & ~EGO, CAMERA, SETTINGS, EGO)
+    grid = ground_grid(image_of() & ~EGO, CAMERA, SETTINGS, EGO)
 
     assert OCCUPIED not in grid.cells
     assert (cell(grid, 9, 0), cell(grid, 2.6, 0)) == (FREE, UNKNOWN)
 
 
 def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -> None:
-    dotted, road = picture_of().float(), picture_of().float() * 0.4
+    dotted, road = image_of().float(), image_of().float() * 0.4
     dotted[::3, ::3] = 0  # a ninth of the pixels
     low = SETTINGS.model_copy(update={"threshold": 0.3})
 
@@ -336,7 +336,7 @@ def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -
 
 def test_a_mount_moves_the_grid_with_the_camera() -> None:
     camera = GroundCamera(CAMERA.lens, mounted(1.4, 12, mount=(0.6, -0.4)))
-    moved = ground_grid(picture_of("x > 9.6", camera), camera, SETTINGS)
+    moved = ground_grid(image_of("x > 9.6", camera), camera, SETTINGS)
 
     assert moved.origin == pytest.approx((0.6, -6.4))
     assert cell(moved, 9.1, -0.4) == FREE

@@ -39,7 +39,7 @@ def test_halves_teach_and_their_mean_is_judged(street: Path, adapted: tuple[Path
     page = (out / "adaptation.html").read_text("utf-8")
     assert done.stdout.strip().splitlines()[-1] in page
     assert f"roadtorch adapt {street} --out {out} --set {SETTINGS[0]}" in page
-    assert "pictures have no times" in done.stderr
+    assert "images have no times" in done.stderr
     files = [out / name / "weights.safetensors" for name in ("", "first", "second")]
     mean, first, second = (next(iter(load_network(file).state_dict().values())) for file in files)
     assert not first.equal(second)

@@ -20,7 +20,7 @@ QUICK = ("--detector", "prior:triangle")
 
 @pytest.fixture
 def corrected(footage: Path) -> Path:
-    """The footage with one picture said to be right."""
+    """The footage with one image said to be right."""
     out = footage / "corrections"
     out.mkdir()
     session = opened_session(footage, out, load_detector("prior:triangle"))
@@ -41,7 +41,7 @@ def test_the_address_is_printed(call: Call, footage: Path) -> None:
     result = call("annotate", footage, *QUICK)
     assert result.exit_code == 0, result.stderr
     first, second = result.stdout.splitlines()
-    assert first == f"3 pictures; corrections are kept in {footage / 'corrections'}"
+    assert first == f"3 images; corrections are kept in {footage / 'corrections'}"
     assert second.startswith("Open http://127.0.0.1:")
     assert call("annotate", footage, *QUICK).stdout.splitlines()[1] == second
 
@@ -63,22 +63,22 @@ def test_two_at_once_are_refused(call: Call, footage: Path) -> None:
 def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -> None:
     result = call("annotate", corrected, "--report")
     assert result.exit_code == 0, result.stderr
-    assert "1 pictures, 1 confirmed; 0 clicks, 0.2 minutes" in result.stdout
+    assert "1 images, 1 confirmed; 0 clicks, 0.2 minutes" in result.stdout
     result = call("annotate", corrected, "--export", "coco", "--to", tmp_path / "coco")
-    assert result.stdout == f"1 pictures written to {tmp_path / 'coco'}\n"
+    assert result.stdout == f"1 images written to {tmp_path / 'coco'}\n"
     second = tmp_path / "second"
     words = ("--out", second, "--import", "coco", "--from", tmp_path / "coco")
     for _ in range(2):  # the same labels a second time are no event
         result = call("annotate", corrected, *words)
-        assert result.stdout == "1 pictures brought in\n", result.stderr
+        assert result.stdout == "1 images brought in\n", result.stderr
     (before,), (after,) = read_corrections(corrected / "corrections"), read_corrections(second)
     assert (before.labels == after.labels).all()
-    assert after.picture == before.picture
+    assert after.image == before.image
     assert [len(log.events) for log in read_logs(second)] == [1]
 
 
-@pytest.mark.parametrize(("name", "words"), [("empty", "holds no pictures"), ("no", "not exist")])
-def test_no_pictures(call: Call, tmp_path: Path, name: str, words: str) -> None:
+@pytest.mark.parametrize(("name", "words"), [("empty", "holds no images"), ("no", "not exist")])
+def test_no_images(call: Call, tmp_path: Path, name: str, words: str) -> None:
     (tmp_path / "empty").mkdir()
     result = call("annotate", tmp_path / name, *QUICK)
     assert result.exit_code == 2

@@ -19,12 +19,12 @@ def test_a_sound_installation_line_by_line(call: Call, monkeypatch: pytest.Monke
     result = call("doctor")
 
     lines = [line.split(maxsplit=2) for line in result.stdout.splitlines() if line[:2] == "  "]
-    checks = {name: (state, what) for state, name, what in lines}
+    checks = {name: (state, problem) for state, name, problem in lines}
     assert (result.exit_code, result.stderr) == (0, "")
     for name in ("layout-free.safetensors", "cnn-7.safetensors", "video", "fusion", "torch"):
         assert checks[name][0] == "ok", checks[name]
     assert "reads h264" in checks["video"][1]
-    assert checks["layout-free.safetensors"][1] == "SHA-256 131cbfcc6d36…"
+    assert checks["layout-free.safetensors"][1] == "SHA-256 e934f2e1f600…"
     assert checks["fusion"][1].startswith("F 0.9")
 
 
@@ -58,11 +58,11 @@ def test_what_is_absent_comes_with_its_installation(monkeypatch: pytest.MonkeyPa
 
     absent, numpy, grid, video = doctor.check_packages()
 
-    what = "not-there-either not installed"
+    problem = "not-there-either not installed"
     assert absent == Check("not-there", "broken", "is not installed", "pip install not-there")
-    assert (numpy.name, numpy.state, numpy.remedy) == ("numpy", "ok", "")
-    assert (grid.name, grid.state, grid.what[:7]) == ("grid", "ok", "click 8")
-    assert video == Check("video", "missing", what, "pip install 'roadtorch[video]'")
+    assert (numpy.name, numpy.state, numpy.hint) == ("numpy", "ok", "")
+    assert (grid.name, grid.state, grid.problem[:7]) == ("grid", "ok", "click 8")
+    assert video == Check("video", "missing", problem, "pip install 'roadtorch[video]'")
     assert [check.state for check in doctor.check_video()] == ["missing"]
 
 
@@ -71,13 +71,13 @@ def test_other_bytes_and_missing_weights(tmp_path: Path, monkeypatch: pytest.Mon
     data = (weights.SHIPPED / "cnn-7.safetensors").read_bytes()
     (tmp_path / "cnn-7.safetensors").write_bytes(data[:-5] + b"mouse")
 
-    for folder, what in (
+    for folder, problem in (
         (tmp_path, "is damaged: its weights are not those that its header states"),
         (tmp_path / "bare", "none are there"),
     ):
         monkeypatch.setattr(weights, "SHIPPED", folder)
         (check,) = doctor.check_weights()
-        assert (check.state, check.what) == ("broken", what)
+        assert (check.state, check.problem) == ("broken", problem)
 
 
 def test_a_detector_that_is_wrong_or_wavers_is_broken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,5 +96,5 @@ def test_a_detector_that_is_wrong_or_wavers_is_broken(monkeypatch: pytest.Monkey
     (unsteady,) = doctor.check_self_test()
 
     assert (wrong.state, unsteady.state) == ("broken", "broken")
-    assert wrong.what.endswith("; F is to be 0.999")
-    assert unsteady.what.endswith("; two runs differ")
+    assert wrong.problem.endswith("; F is to be 0.999")
+    assert unsteady.problem.endswith("; two runs differ")

@@ -18,9 +18,9 @@ from roadtorch.data.corrections import EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import scoring, uncertainty
 from roadtorch.evaluation.report import files
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import Call, invoked
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 
@@ -129,7 +129,7 @@ def test_a_config_holds_the_chosen_threshold_its_command_and_its_worth(camvid, t
     assert [path.name for path in tmp_path.glob("*.toml")] == ["cpf-squares.toml"]
     text = (tmp_path / "cpf-squares.toml").read_text()
     assert f"#   roadtorch evaluate camvid {camvid} --detector cpf:squares" in text
-    assert "camvid dev, 6 pictures" in text
+    assert "camvid dev, 6 images" in text
     assert "Each group at the threshold of the others: F 0." in text
     detector, values = DetectorOptions(config=tmp_path / "cpf-squares.toml").named()
     assert (detector, values["isolated"]) == ("cpf:squares", "keep")
@@ -147,22 +147,22 @@ def test_a_config_holds_the_chosen_threshold_its_command_and_its_worth(camvid, t
 
 @pytest.mark.usefixtures("_no_page")
 def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(tmp_path):
-    pictures, corrections = tmp_path / "streets", tmp_path / "corrections"
+    images, corrections = tmp_path / "streets", tmp_path / "corrections"
     for seed in range(3):
-        write_picture(pictures / f"{seed}.png", scene := render_scene(seed, 48, 64))
+        write_image(images / f"{seed}.png", scene := render_scene(seed, 48, 64))
         labels = np.where(scene.road.numpy(), 1, 2).astype(np.uint8)
-        head = LogHead(picture=f"../streets/{seed}.png", height=48, width=64)
+        head = LogHead(image=f"../streets/{seed}.png", height=48, width=64)
         EventLog(log_path(corrections, f"{seed}.png"), head).add(import_event(labels))
-    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
+    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
     weights = tmp_path / "mine" / "weights.safetensors"
     weights.parent.mkdir()
-    save_network(weights, network, {"corrections": [{"pictures": 7, "pixels": 9}]})
+    save_network(weights, network, {"corrections": [{"images": 7, "pixels": 9}]})
 
     done = run("corrections", corrections, "--detector", weights, "--against", "prior:uniform",
                "--out", tmp_path, "--montage", 0)  # fmt: skip
 
     assert done.exit_code == 0
-    assert "mine-weights was trained with 7 pictures that people corrected" in done.stderr
+    assert "mine-weights was trained with 7 images that people corrected" in done.stderr
     found = metrics(tmp_path)
     assert (found["dataset"], found["images"]) == ("corrections", 3)
     assert found["paired"]["against"] == "prior:uniform"
@@ -173,7 +173,7 @@ def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(t
 
 
 @pytest.mark.usefixtures("_no_page")
-def test_a_broken_picture_is_listed_and_the_rest_is_scored(tmp_path):
+def test_a_broken_image_is_listed_and_the_rest_is_scored(tmp_path):
     out, root = tmp_path / "out", write_set(tmp_path / "camvid")
     (root / "train" / "0001TP_0.png").write_bytes(b"")
 
@@ -216,8 +216,8 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_p
 @pytest.mark.parametrize("kinds", ["likelihood,mask", "npy"])
 def test_maps_score_like_the_detector(camvid: Path, tmp_path: Path, call: Call, kinds: str) -> None:
     maps, out, detector = tmp_path / "maps", tmp_path / "out", "fusion:untrained"
-    pictures = (camvid / "train", camvid / "val")
-    call("infer", *pictures, "--detector", detector, "--jobs", 1, "--out", maps, "--save", kinds)
+    images = (camvid / "train", camvid / "val")
+    call("infer", *images, "--detector", detector, "--jobs", 1, "--out", maps, "--save", kinds)
 
     run("camvid", camvid, "--detector", detector, "--detector", maps, "--montage", 0, "--out", out)
 

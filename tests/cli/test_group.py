@@ -43,12 +43,12 @@ def install(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) 
     monkeypatch.setitem(group.COMMANDS, name, (f"{module.__name__}:{name}", "For a test."))
 
 
-def failing(problem: Exception) -> click.Command:
+def failing(error: Exception) -> click.Command:
     """A command that raises."""
 
     @click.command()
     def fails() -> None:
-        raise problem
+        raise error
 
     return fails
 

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from roadtorch.cli.group import BRIEF_WAITS
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 
 COMMAND = [sys.executable, "-m", "roadtorch"]
 
@@ -18,7 +18,7 @@ UNUSED = (
     *("onnxruntime", "av", "rosbags", "starlette", "scipy.optimize", "scipy.stats"),
     *("torch._dynamo", "torch._inductor"),
 )
-"""What `infer` on pictures has no use for, and would wait for."""
+"""What `infer` on images has no use for, and would wait for."""
 
 TELLING = """
 import atexit, sys
@@ -29,15 +29,15 @@ main()
 
 
 def test_images_become_maps_and_a_broken_one_a_failed_row_even_in_ascii(tmp_path: Path) -> None:
-    pictures, out = tmp_path / "pictures", tmp_path / "out"
-    write_picture(pictures / "Straße.png", render_scene(3))
-    whole = (pictures / "Straße.png").read_bytes()
-    (pictures / os.fsdecode(b"z\xff.png")).write_bytes(whole)
-    (pictures / "broken.png").write_bytes(whole[:1000])
+    images, out = tmp_path / "images", tmp_path / "out"
+    write_image(images / "Straße.png", render_scene(3))
+    whole = (images / "Straße.png").read_bytes()
+    (images / os.fsdecode(b"z\xff.png")).write_bytes(whole)
+    (images / "broken.png").write_bytes(whole[:1000])
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
     done = subprocess.run(
-        [sys.executable, "-c", TELLING, "infer", "pictures", "--out", "out", "--jobs", "1"],
+        [sys.executable, "-c", TELLING, "infer", "images", "--out", "out", "--jobs", "1"],
         cwd=tmp_path,
         env=os.environ | ascii_only,
         capture_output=True,
@@ -47,7 +47,7 @@ def test_images_become_maps_and_a_broken_one_a_failed_row_even_in_ascii(tmp_path
 
     assert done.returncode == 1
     assert done.stdout.startswith("roadtorch: 0 doubtful of 2; least trusted:\n")
-    assert "pictures/broken.png: cannot be decoded" in done.stderr
+    assert "images/broken.png: cannot be decoded" in done.stderr
     assert "roadtorch: 2 done, 1 failed; results in out\n" in done.stderr
     rows = (out / "index.csv").read_text(encoding="utf-8").splitlines()[1:]
     names = ["Straße.png", "broken.png", r"z\xff.png"]

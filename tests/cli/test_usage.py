@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import Call, bytes_in, save_picture
+from tests.command import Call, bytes_in, save_image
 
 MISTAKES = {
     # Commands and options
@@ -18,7 +18,7 @@ MISTAKES = {
     "infer x.jpg --depth 12": "Invalid value for '--depth': '12' is not one of '8', '16'",
     "infer x.jpg --save masks": "masks: unknown kind of result (did you mean mask, mask-video?)",
     "infer x.jpg --save ,": "--save: nothing to save (",
-    "infer x.jpg --start 2": "--start, --end: pictures have no time (",
+    "infer x.jpg --start 2": "--start, --end: images have no time (",
     "infer x.jpg --device meta": "--device meta: ",
     "infer x.jpg --device gpu": "--device gpu: is no device of torch (",
     "infer x.jpg --device cuda:99": "--device cuda:99: ",
@@ -30,9 +30,9 @@ MISTAKES = {
     "infer x.jpg --set threshold": "threshold: is not a setting (",
     "export lbp --out a.onnx": "lbp: cannot be exported (those that can: fusion, layout:cnn-7)",
     # Inputs and outputs
-    "infer bare": "bare: holds no pictures (",
+    "infer bare": "bare: holds no images (",
     "infer none": "none: does not exist (",
-    "infer x.jpg x.mask.png --out .": "x.mask.png: is one of the pictures (",
+    "infer x.jpg x.mask.png --out .": "x.mask.png: is one of the images (",
     "infer x.jpg x.png": "x.jpg and x.png: both would write ",
     "infer x.jpg --out x.png": "x.png: cannot be made a folder: File exists (",
     "infer x.jpg --out x.png/below": "x.png/below: cannot be made a folder: ",
@@ -69,7 +69,7 @@ def test_a_mistake_is_one_line_before_any_work(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("x.jpg", "x.png", "x.mask.png"):
-        save_picture(tmp_path / name)
+        save_image(tmp_path / name)
     (tmp_path / "bare").mkdir()
     (tmp_path / "loop").symlink_to("loop")
     before = bytes_in(tmp_path)

@@ -9,7 +9,7 @@ Content = str | bytes | np.ndarray | Image.Image
 
 
 def write(path: Path, content: Content) -> Path:
-    """Write text, bytes, an array of numbers or a picture, by the ending."""
+    """Write text, bytes, an array of numbers or an image, by the ending."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if isinstance(content, np.ndarray) and path.suffix == ".npy":
         np.save(path, content, allow_pickle=True)

@@ -17,7 +17,7 @@ NAMES = [name for _, name, _ in COLOURS32]
 
 
 def write_frame(root: Path, name: str, images: str = "images", labels: str = "labels") -> None:
-    """A picture of 32 by 1 pixels that shows every colour once, in the table's order."""
+    """An image of 32 by 1 pixels that shows every colour once, in the table's order."""
     colours = np.array([colour for colour, _, _ in COLOURS32], np.uint8)[None]
     write(root / images / f"{name}.png", np.zeros_like(colours))
     write(root / labels / f"{name}_L.png", colours)

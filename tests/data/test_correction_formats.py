@@ -9,7 +9,7 @@ import pytest
 
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.correction_formats import FORMATS, picture_of
+from roadtorch.data.correction_formats import FORMATS, image_of
 from roadtorch.data.corrections import Correction
 from roadtorch.data.events import LABELS
 from tests.data.conftest import write
@@ -56,15 +56,15 @@ def test_labels_come_back_pixel_by_pixel(name: str, case: str, tmp_path: Path) -
     labels = CASES[case]
     FORMATS[name].write([correction(labels)], tmp_path)
     shape = (labels.shape[0], labels.shape[1])
-    by_picture = FORMATS[name].read(tmp_path, {"sub/a.jpg": shape, "b.jpg": (5, 5)})
-    assert by_picture.keys() == {"sub/a.jpg"}
-    assert (by_picture["sub/a.jpg"] == labels).all()
+    by_image = FORMATS[name].read(tmp_path, {"sub/a.jpg": shape, "b.jpg": (5, 5)})
+    assert by_image.keys() == {"sub/a.jpg"}
+    assert (by_image["sub/a.jpg"] == labels).all()
 
 
-def test_two_pictures_that_would_have_one_file_are_refused(tmp_path: Path) -> None:
+def test_two_images_that_would_have_one_file_are_refused(tmp_path: Path) -> None:
     pair, labels = ["sub/a.jpg", "sub/a.png"], np.ones(SIZE, np.uint8)
     with pytest.raises(DatasetError, match=r"sub/a\.jpg and sub/a\.png: have one file, sub/a, in"):
-        FORMATS["png"].write([correction(labels, picture) for picture in pair], tmp_path)
+        FORMATS["png"].write([correction(labels, image) for image in pair], tmp_path)
     assert not list(tmp_path.rglob("a.*"))
     FORMATS["png"].write([correction(labels, pair[0])], tmp_path)
     with pytest.raises(DatasetError, match="have one file"):
@@ -148,9 +148,9 @@ def test_a_coco_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
     ],
 )
 def test_the_image_of_a_whole_name(file: str, names: list[str], expected: str | None) -> None:
-    assert picture_of(file, names) == expected
+    assert image_of(file, names) == expected
 
 
-def test_an_upload_of_two_pictures_of_one_name_is_refused() -> None:
+def test_an_upload_of_two_images_of_one_name_is_refused() -> None:
     with pytest.raises(ValueError, match=r"1\.jpg could be a/1\.jpg or b/1\.jpg"):
-        picture_of("images/1f2e3d4c-1.jpg", ["b/1.jpg", "a/1.jpg"])
+        image_of("images/1f2e3d4c-1.jpg", ["b/1.jpg", "a/1.jpg"])

@@ -37,9 +37,9 @@ def box(identity: str, saying: str, left: int, top: int, right: int, bottom: int
     )
 
 
-def log(folder: Path, picture: str, *events: AnyEvent) -> Path:
-    path = log_path(folder, picture)
-    head = LogHead(picture=f"../{picture}", height=SIZE[0], width=SIZE[1])
+def log(folder: Path, image: str, *events: AnyEvent) -> Path:
+    path = log_path(folder, image)
+    head = LogHead(image=f"../{image}", height=SIZE[0], width=SIZE[1])
     for event in events:
         EventLog(path, head).add(event)
     return path
@@ -79,12 +79,12 @@ def test_runs_are_the_mask() -> None:
 @pytest.mark.parametrize(
     "runs", [(1,), (599, 2), (0, 601), (10**9, 1), (0, 2, 1, 2), (2**31, 2**31)]
 )
-def test_runs_of_another_picture_are_refused(runs: tuple[int, ...]) -> None:
+def test_runs_of_another_image_are_refused(runs: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="runs"):
         mask_of(runs, SIZE)
 
 
-def test_a_brush_is_round_and_stays_in_the_picture() -> None:
+def test_a_brush_is_round_and_stays_in_the_image() -> None:
     stroke = BrushStroke(kind="brush", id="b", saying="road", points=((0.0, 0.0),), radius=3.0)
     mask = stroke_mask(stroke, SIZE)
     assert (mask[0, 3], mask[3, 0], mask[3, 3]) == (True, True, False)
@@ -164,16 +164,16 @@ def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
     stroke = box("a", "road", 0, 10, 29, 19).model_copy(update={"seconds": 4.0})
     log(tmp_path / "corrections", "sub/a.jpg", stroke, box("b", "sky", 0, 0, 29, 4))
     (correction,) = read_corrections(tmp_path / "corrections")
-    assert (correction.name, correction.picture) == ("sub/a.jpg", tmp_path / "sub/a.jpg")
+    assert (correction.name, correction.image) == ("sub/a.jpg", tmp_path / "sub/a.jpg")
     assert (correction.seconds, correction.clicks, correction.confirmed) == (4.0, 2, False)
     assert correction.road.dtype == correction.layout.dtype == np.uint8
     assert correction.road[[15, 2, 7], 0].tolist() == [1, 0, 255]
     assert correction.layout[[15, 2, 7], 0].tolist() == [2, 0, 255]
     assert correction.says_road[[15, 2, 7], 0].tolist() == [True, True, False]
     (moved,) = read_corrections(tmp_path / "corrections", tmp_path / "elsewhere")
-    assert moved.picture == tmp_path / "elsewhere/sub/a.jpg"
+    assert moved.image == tmp_path / "elsewhere/sub/a.jpg"
 
 
-def test_a_picture_on_which_all_was_taken_back_is_left_out(tmp_path: Path) -> None:
+def test_a_image_on_which_all_was_taken_back_is_left_out(tmp_path: Path) -> None:
     log(tmp_path, "a.jpg", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a"))
     assert read_corrections(tmp_path) == []

@@ -52,7 +52,7 @@ def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- files -------------------------------------------------------------------------------
 
 
-def test_pictures_are_grouped_by_category(kitti):
+def test_images_are_grouped_by_category(kitti):
     dataset = open_kitti_road(kitti, "road")
 
     names = [item.name for item in dataset.items]
@@ -110,7 +110,7 @@ def test_cells_without_a_pixel_are_void(kitti):
     assert pickle.loads(pickle.dumps(dataset.view)) == dataset.view  # it travels to other processes
 
 
-def test_a_missing_calibration_costs_its_picture_only(kitti, tmp_path):
+def test_a_missing_calibration_costs_its_image_only(kitti, tmp_path):
     first, second, *_ = open_kitti_road(kitti, "road").items
     view, values = BirdsEye(tmp_path), torch.zeros(HEIGHT, WIDTH)
     write(tmp_path / "um_000000.txt", (kitti / "calib/um_000000.txt").read_bytes())

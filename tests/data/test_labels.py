@@ -27,9 +27,9 @@ GREY = np.array([[0, 255], [255, 0]], np.uint8)
 MASKS = NumberLabels(road=(1, 255), void=(), values=(0, 1, 255))
 
 
-def saved(path: Path, picture: np.ndarray | Image.Image) -> LabelledItem:
+def saved(path: Path, image: np.ndarray | Image.Image) -> LabelledItem:
     path.parent.mkdir(parents=True, exist_ok=True)
-    image = picture if isinstance(picture, Image.Image) else Image.fromarray(picture)
+    image = image if isinstance(image, Image.Image) else Image.fromarray(image)
     image.save(path)
     return LabelledItem(path.stem, path, path)
 
@@ -39,9 +39,9 @@ PALETTE = Image.fromarray(ROW).convert("P")
 PALETTE.putpalette([200, 30, 10] * 256)
 
 
-@pytest.mark.parametrize("picture", [ROW, ROW.astype(np.uint16), PALETTE], ids=["8", "16", "P"])
-def test_what_the_numbers_mean(tmp_path, picture):
-    truth = NUMBERS.truth(saved(tmp_path / "a.png", picture))
+@pytest.mark.parametrize("image", [ROW, ROW.astype(np.uint16), PALETTE], ids=["8", "16", "P"])
+def test_what_the_numbers_mean(tmp_path, image):
+    truth = NUMBERS.truth(saved(tmp_path / "a.png", image))
 
     assert truth.road[0].tolist() == [False, True, True, False, False]
     assert truth.valid[0].tolist() == [True, True, True, True, False]
@@ -59,8 +59,8 @@ def test_grey_in_other_clothes(tmp_path, mode):
 
 def test_what_the_colours_mean(tmp_path):
     pixels = np.array([[[255, 0, 255], [1, 2, 3], [0, 0, 0]]], np.uint8)
-    for picture in (Image.fromarray(pixels), Image.fromarray(pixels).quantize(3)):
-        truth = COLOURS.truth(saved(tmp_path / "a.png", picture))
+    for image in (Image.fromarray(pixels), Image.fromarray(pixels).quantize(3)):
+        truth = COLOURS.truth(saved(tmp_path / "a.png", image))
 
         assert truth.road[0].tolist() == [True, False, False]
         assert truth.valid[0].tolist() == [True, False, True]
@@ -82,7 +82,7 @@ def test_pairs_in_the_order_of_their_names(tmp_path):
 RAMP = np.linspace(0, 1, 24).reshape(4, 6)
 
 
-def test_8_and_16_bit_pictures_and_numpy_files_are_read_alike(tmp_path):
+def test_8_and_16_bit_images_and_numpy_files_are_read_alike(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.round(RAMP * 255).astype(np.uint8))
     cv2.imwrite(str(tmp_path / "b.likelihood.png"), np.round(RAMP * 65535).astype(np.uint16))
     np.save(tmp_path / "c.npy", RAMP)
@@ -100,7 +100,7 @@ def test_8_and_16_bit_pictures_and_numpy_files_are_read_alike(tmp_path):
 SIZE = (12, 16)
 corners = st.lists(
     st.tuples(st.integers(-8, 24), st.integers(-8, 20)), min_size=3, max_size=6
-)  # beyond the picture too
+)  # beyond the image too
 
 
 Fill = Callable[[np.ndarray, np.ndarray, int], None]

@@ -27,7 +27,7 @@ Read = Callable[[Path], object]
 Rows = Sequence[tuple[Read, Files, str, str]]
 """The reader, the files of its folder, where something is wrong (the end of it), and what."""
 
-# --- label pictures ---------------------------------------------------------------------
+# --- label images ---------------------------------------------------------------------
 
 NUMBERS = NumberLabels(road=(1, 5), void=(9,), values=(0, 1, 5, 7, 9))
 COLOURS = ColourLabels(
@@ -47,10 +47,10 @@ def grey(*values: int, kind: type = np.uint8) -> np.ndarray:
 BLACK = np.zeros((1, 1, 3), np.uint8)
 GREEN = np.array([3, 9, 1], np.uint8)
 
-LABEL_PICTURES: Rows = [
+LABEL_IMAGES: Rows = [
     (partial(truth, NUMBERS), {"a.png": grey(0, 3, 77, 77, 255)}, "a.png",
      r"values 77 \(2 pixels\), 3 \(1 pixels\), 255 .*\(known: 0, 1, 5, 7, 9"),
-    (partial(truth, NUMBERS), {"a.png": BLACK + GREEN}, "a.png", "a colour picture"),
+    (partial(truth, NUMBERS), {"a.png": BLACK + GREEN}, "a.png", "a colour image"),
     (partial(truth, COLOURS), {"a.png": BLACK + GREEN}, "a.png",
      r"colours 3 9 1 \(1 pixels\)"),
     (lambda root: [*pairs(root / "images", root / "labels", "_L.png")],
@@ -76,7 +76,7 @@ KITTI = {"image_2/um_000000.png": BLACK, "gt_image_2/um_road_000000.png": BLACK}
 SETS: Rows = [
     (partial(open_dataset, "camvid32"), {}, "", "no CamVid in 32 colours .*LabeledApproved_full"),
     (lambda folder: open_dataset("camvid32", folder, "test"), FRAME, "",
-     "holds no pictures of the split test"),
+     "holds no images of the split test"),
     (partial(open_dataset, "camvid32"), FRAME | STREET, "street_1",
      "is not the name of a CamVid frame"),
     (partial(first_truth, "idd-lite"),
@@ -88,9 +88,9 @@ SETS: Rows = [
      {"images/a.png": BLACK, "road/a.png": grey(0, 1), "layout/a.png": grey(0, 1, 2)},
      "layout/a.png", r"is 3 by 1 pixels, unlike a\.png"),
     (partial(open_dataset, "cityscapes"), {"leftImg8bit/val/x": "", "gtFine/val/x": ""},
-     "leftImg8bit/val", r"holds no pictures CITY/\*_leftImg8bit\.png"),
+     "leftImg8bit/val", r"holds no images CITY/\*_leftImg8bit\.png"),
     (partial(open_dataset, "kitti-road"), {**KITTI, "image_2/thumb.png": BLACK},
-     "thumb", "is not the name of a KITTI road picture"),
+     "thumb", "is not the name of a KITTI road image"),
     (lambda folder: birds_eye(open_dataset("kitti-road", folder)), KITTI, "calib",
      "does not exist"),
 ]  # fmt: skip
@@ -102,10 +102,10 @@ CAMERAS = {f"{name}/{part}/{file}.png": BLACK for name, file in ("na", "fa", "fb
 TABLE = "name,file,condition\nn,a.png,day\nf,b.png,night\n"
 
 CONDITIONS: Rows = [
-    (partial(open_dataset, "folder"), {**CAMERAS, "pictures.csv": text}, where, what)
-    for text, where, what in [
+    (partial(open_dataset, "folder"), {**CAMERAS, "pictures.csv": text}, where, problem)
+    for text, where, problem in [
         ("name,file\nn,a.png\n", "csv", r"has no column condition \(its first line has to name"),
-        (TABLE + "f,a.jpg,day\n", "line 4", r"there is no picture f/a.jpg \(did.*f/a.png"),
+        (TABLE + "f,a.jpg,day\n", "line 4", r"there is no image f/a.jpg \(did.*f/a.png"),
         (TABLE + "f,b.png,day\n", "line 4", r"names f/b.png a second time \(keep one"),
     ]
 ]
@@ -118,7 +118,7 @@ def read_format(name: str, folder: Path) -> object:
 
 
 def coco(region: Mapping[str, object] | None = None, **more: object) -> str:
-    """A file for the picture a.jpg of two pixels, with a region or without."""
+    """A file for the image a.jpg of two pixels, with a region or without."""
     image = {"id": 1, "file_name": "a.jpg", "height": 1, "width": 2}
     known = {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]}
     parts = {
@@ -134,9 +134,9 @@ def image(file: str, **more: object) -> dict[str, object]:
 
 
 COCO: Rows = [
-    (partial(read_format, "coco"), {"coco.json": text}, "coco.json", what)
-    for text, what in [
-        (coco(images=[image("other.jpg")]), "no image for any of the pictures"),
+    (partial(read_format, "coco"), {"coco.json": text}, "coco.json", problem)
+    for text, problem in [
+        (coco(images=[image("other.jpg")]), "no image for any of the images"),
         (coco(images=[image("one/a.jpg"), image("two/a.jpg")]), r"two images are a\.jpg"),
         (coco(images=[image("a.jpg", width=3)]), r"a\.jpg is for 3 by 1 pixels, .* has 2 by 1"),
         (coco({"category_id": 2}), "category 'cat' on a.jpg says nothing .* use road"),
@@ -148,7 +148,7 @@ COCO: Rows = [
     ]
 ]  # fmt: skip
 
-LOG, HEAD = "a.jpg.strokes.jsonl", {"picture": "a", "height": 1, "width": 1}
+LOG, HEAD = "a.jpg.strokes.jsonl", {"image": "a", "height": 1, "width": 1}
 BROUGHT = {"kind": "brought", "id": "a", "labels": {"road": [0, 1]}}
 
 
@@ -157,8 +157,8 @@ def log(*lines: Mapping[str, object]) -> str:
 
 
 LOGS: Rows = [
-    (read_corrections, {LOG: text}, where, what)
-    for text, where, what in [
+    (read_corrections, {LOG: text}, where, problem)
+    for text, where, problem in [
         (log(HEAD | {"height": 10**6, "width": 10**6}), LOG, "more than 100 megapixels"),
         (log({"roadtorch": 1, **HEAD}) + "nonsense\n", f"{LOG}:2", "is no event"),
         (log(HEAD, BROUGHT | {"labels": {"road": [0, 9]}}), LOG, "an event that does not fit"),
@@ -169,8 +169,8 @@ LOGS: Rows = [
     (partial(read_format, "png"), {"labels/a.png": grey(8, 7)}, "labels/a.png",
      r"has other values than 0 to 7 \(0 is untouched, 1 road"),
     (partial(read_format, "png"), {"labels/a.png": grey(0, 0, 0)}, "labels/a.png",
-     r"has 3 by 1 pixels \(its picture has 2 by 1"),
-    (partial(read_format, "png"), {}, "", "has no file for any of the pictures"),
+     r"has 3 by 1 pixels \(its image has 2 by 1"),
+    (partial(read_format, "png"), {}, "", "has no file for any of the images"),
 ]  # fmt: skip
 
 # --- maps -------------------------------------------------------------------------------
@@ -183,8 +183,8 @@ def read_map(folder: Path) -> object:
 
 
 MAPS: Rows = [
-    (read_map, {"m.npy": content}, "m.npy", what)
-    for content, what in [
+    (read_map, {"m.npy": content}, "m.npy", problem)
+    for content, problem in [
         (np.where(RAMP > 0.9, np.nan, RAMP), "has values from nan to nan"),
         (RAMP * 1.5, r"has values from 0 to 1\.5"),
         (RAMP[:3], r"is 6 by 3 pixels \(it should be 6 by 4\)"),
@@ -213,26 +213,26 @@ OPTIONS: Rows = [
 ]  # fmt: skip
 
 REFUSALS = [
-    *((DatasetError, row) for row in (*LABEL_PICTURES, *SETS, *CONDITIONS, *COCO, *LOGS)),
+    *((DatasetError, row) for row in (*LABEL_IMAGES, *SETS, *CONDITIONS, *COCO, *LOGS)),
     *((InputError, row) for row in MAPS),
     *((ConfigError, row) for row in OPTIONS),
 ]
 
 
 @pytest.mark.parametrize(
-    ("error", "row"), REFUSALS, ids=[f"{row[2]}: {row[3]}"[:60] for _, row in REFUSALS]
+    ("kind", "row"), REFUSALS, ids=[f"{row[2]}: {row[3]}"[:60] for _, row in REFUSALS]
 )
 def test_a_mistake_is_refused_with_its_name(
-    error: type[RoadtorchError], row: tuple[Read, Files, str, str], tmp_path: Path
+    kind: type[RoadtorchError], row: tuple[Read, Files, str, str], tmp_path: Path
 ) -> None:
-    read, files, where, what = row
+    read, files, where, problem = row
     for name, content in files.items():
         write(tmp_path / name, content)
 
-    with pytest.raises(error) as caught:
+    with pytest.raises(kind) as caught:
         read(tmp_path)
 
-    problem = caught.value
-    assert type(problem) is error
-    assert problem.where.endswith(where)
-    assert re.search(what, f"{problem.what} ({problem.remedy})")
+    error = caught.value
+    assert type(error) is kind
+    assert error.where.endswith(where)
+    assert re.search(problem, f"{error.problem} ({error.hint})")

@@ -28,7 +28,7 @@ CITY_LAYOUT = [{7: 2, 8: 2, 22: 2, 23: 0}.get(n, 1) if n in SCORED else 255 for 
 
 
 @pytest.mark.parametrize(
-    ("name", "picture", "label", "pixels", "road", "void", "layout"),
+    ("name", "image", "label", "pixels", "road", "void", "layout"),
     [
         ("camvid", "train/0001TP_1", "trainannot/0001TP_1", range(12), [3], [11],
          [0, 1, 1, 2, 2, *[1] * 6, 255]),
@@ -43,8 +43,8 @@ CITY_LAYOUT = [{7: 2, 8: 2, 22: 2, 23: 0}.get(n, 1) if n in SCORED else 255 for 
          [(255, 0, 255), (255, 0, 0), (0, 0, 0), (0, 0, 255)], [0], [2, 3], None),
     ],
 )  # fmt: skip
-def test_what_the_labels_of_a_set_mean(tmp_path, name, picture, label, pixels, road, void, layout):
-    write(tmp_path / f"{picture}.png", np.zeros((1, len(pixels), 3), np.uint8))
+def test_what_the_labels_of_a_set_mean(tmp_path, name, image, label, pixels, road, void, layout):
+    write(tmp_path / f"{image}.png", np.zeros((1, len(pixels), 3), np.uint8))
     write(tmp_path / f"{label}.png", np.array([pixels], np.uint8))
     for part in ("val", "valannot") if name == "camvid" else ():
         (tmp_path / part).symlink_to(tmp_path / part.replace("val", "train"))
@@ -61,10 +61,10 @@ def test_what_the_labels_of_a_set_mean(tmp_path, name, picture, label, pixels, r
 
 
 def grouped_set(root: Path) -> Dataset:
-    """Two cameras: one with masks, one with road, void and the layout of one of its pictures."""
-    picture = np.zeros((1, 3, 3), np.uint8)
+    """Two cameras: one with masks, one with road, void and the layout of one of its images."""
+    image = np.zeros((1, 3, 3), np.uint8)
     for name in ("near/images/a", "far/images/a", "far/images/b"):
-        write(root / f"{name}.png", picture)
+        write(root / f"{name}.png", image)
     write(root / "near/masks/a.png", np.array([[0, 255, 127]], np.uint8))
     for name in ("a", "b"):
         write(root / f"far/road/{name}.png", np.array([[0, 1, 255]], np.uint8))
@@ -73,7 +73,7 @@ def grouped_set(root: Path) -> Dataset:
     return open_dataset("folder", root)
 
 
-def test_folders_of_pictures_and_labels_are_the_groups(tmp_path):
+def test_folders_of_images_and_labels_are_the_groups(tmp_path):
     found = grouped_set(tmp_path)
 
     assert [(item.name, item.group) for item in found.items] == [
@@ -100,7 +100,7 @@ far,b.png,,night rain night,3x1
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two cameras; ``a`` is a picture of both."""
+    """Two cameras; ``a`` is an image of both."""
     folder = tmp_path_factory.mktemp("set")
     for name in ("near/{}/a", "far/{}/a", "far/{}/b", "far/{}/c"):
         for part in ("images", "masks"):
@@ -246,7 +246,7 @@ def test_other_packages_add_sets(monkeypatch, tmp_path):
     assert (dataset.split, dataset.levels, dataset.view) == ("day", 65_536, None)
     assert image.shape == (3, 4, 6)
     assert truth.road.sum() == 12
-    with pytest.raises(DatasetError, match="holds no pictures of the split night"):
+    with pytest.raises(DatasetError, match="holds no images of the split night"):
         open_dataset("theirs", tmp_path, "night")
 
 

@@ -22,11 +22,11 @@ from roadtorch.base.image import overlay_pixels, read_image
 from roadtorch.detectors.detection import to_pandas
 from roadtorch.detectors.detector import Detection, lean
 from roadtorch.imaging import slic as superpixels
-from roadtorch.imaging.resize import at_picture_size, averaging_bands
+from roadtorch.imaging.resize import at_image_size, averaging_bands
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import axes_of
 from roadtorch.oneclass.density import floor_of
-from roadtorch.testing.scenes import write_picture
+from roadtorch.testing.scenes import write_image
 from tests.streets import scene
 
 
@@ -58,7 +58,7 @@ def test_cues_are_enlarged_when_asked_for_and_cross_processes_small() -> None:
     for name, cue in sent.cues.items():
         assert cue.shape[-2:] == (48, 64)
         assert sent.cues.maps[name].shape[-2:] != (48, 64)
-        assert torch.equal(cue, at_picture_size(evidence.analysed[name], (48, 64)))
+        assert torch.equal(cue, at_image_size(evidence.analysed[name], (48, 64)))
     with pytest.raises(KeyError, match="missing"):
         sent.cues["missing"]
 
@@ -112,13 +112,13 @@ def test_a_network_can_be_compiled_and_a_detector_says_so() -> None:
     assert same(detector(image), before)
 
 
-# --- pictures in --------------------------------------------------------------------------
+# --- images in --------------------------------------------------------------------------
 
 BGR = [
     (255 * scene(seed, 48, 64).image[:, :, 4 * seed :]).byte().numpy()[::-1].transpose(1, 2, 0)
     for seed in range(4)
 ]
-"""Pictures of four sizes, as OpenCV has them."""
+"""Images of four sizes, as OpenCV has them."""
 
 
 def same(one: Detection, other: Detection) -> bool:
@@ -127,10 +127,10 @@ def same(one: Detection, other: Detection) -> bool:
     )
 
 
-def test_several_pictures_give_what_each_gives_by_itself() -> None:
+def test_several_images_give_what_each_gives_by_itself() -> None:
     detector = load_detector("fusion:untrained", order="bgr")
-    singles = [detector.detect(picture) for picture in BGR]
-    square = [picture[:, :50] for picture in BGR[:2]]
+    singles = [detector.detect(image) for image in BGR]
+    square = [image[:, :50] for image in BGR[:2]]
     alike = detector(square)
     images = torch.stack([detection.image for detection in alike])  # type: ignore[misc]
 
@@ -145,9 +145,9 @@ def test_several_pictures_give_what_each_gives_by_itself() -> None:
     assert detector([]) == []
 
 
-def test_the_bytes_of_a_file_and_the_open_file_are_pictures(tmp_path: Path) -> None:
+def test_the_bytes_of_a_file_and_the_open_file_are_images(tmp_path: Path) -> None:
     path, detector = tmp_path / "street.png", load_detector("prior:triangle")
-    write_picture(path, scene(1, 48, 64))
+    write_image(path, scene(1, 48, 64))
 
     with path.open("rb") as file:
         found = [
@@ -159,15 +159,15 @@ def test_the_bytes_of_a_file_and_the_open_file_are_pictures(tmp_path: Path) -> N
     assert all(same(detection, detector(path)) for detection in found)
 
 
-def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wrong() -> None:
+def test_a_generator_is_asked_when_a_image_is_needed_and_left_where_one_is_wrong() -> None:
     asked = []
 
-    def pictures() -> Iterator[Any]:
-        for number, picture in enumerate([*BGR[:2], None, BGR[3]]):
+    def images() -> Iterator[Any]:
+        for number, image in enumerate([*BGR[:2], None, BGR[3]]):
             asked.append(number)
-            yield picture
+            yield image
 
-    found = load_detector("prior:rows", order="bgr").detect_many(pictures())
+    found = load_detector("prior:rows", order="bgr").detect_many(images())
 
     assert asked == []
     assert [next(found).mask.shape[1], next(found).mask.shape[1]] == [64, 60]
@@ -178,7 +178,7 @@ def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wro
 
 
 @pytest.mark.parametrize(
-    ("pictures", "options", "what"),
+    ("images", "options", "problem"),
     [
         ("x.jpg", {}, "x.jpg: does not exist"),
         (None, {}, "image: is None"),
@@ -190,13 +190,13 @@ def test_a_generator_is_asked_when_a_picture_is_needed_and_left_where_one_is_wro
     ],
 )
 def test_other_values_are_refused_as_given(
-    pictures: Any, options: dict[str, Any], what: str
+    images: Any, options: dict[str, Any], problem: str
 ) -> None:
-    with pytest.raises((InputError, ConfigError), match=re.escape(what)):
-        load_detector("prior:rows")(pictures, **options)
+    with pytest.raises((InputError, ConfigError), match=re.escape(problem)):
+        load_detector("prior:rows")(images, **options)
 
 
-def test_one_picture_is_no_list_and_an_order_is_checked_at_once() -> None:
+def test_one_image_is_no_list_and_an_order_is_checked_at_once() -> None:
     detector = load_detector("prior:rows")
     with pytest.raises(InputError, match=r"images: are str \(give a list"):
         detector.detect_many("street.jpg")

@@ -1,4 +1,4 @@
-"""The fused detector and the labeller as a detector: cues, awkward pictures, settings."""
+"""The fused detector and the labeller as a detector: cues, awkward images, settings."""
 
 from functools import cache, partial
 
@@ -14,7 +14,7 @@ from roadtorch.detectors.fusion import RoadCalibration, calibrated
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.weights import FOR_PICTURES, load_network, shipped_weights
+from roadtorch.layout.weights import FOR_IMAGES, load_network, shipped_weights
 from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segment_road
 from tests.streets import lost_highlights
 
@@ -72,7 +72,7 @@ def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> 
 def test_the_likelihood_is_the_mean_of_the_looks_of_the_network_calibrated(cuts: tuple) -> None:
     usual = {"centre": 0.5, "temperature": 2.0}
     plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
-    image, network = street(), load_network(shipped_weights(FOR_PICTURES))
+    image, network = street(), load_network(shipped_weights(FOR_IMAGES))
     assert isinstance(network, BackboneNetwork)
 
     found = load_detector("fusion", cuts=cuts, **plain).detect(image)
@@ -117,7 +117,7 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
 
 
 def test_weights_for_patches_are_refused() -> None:
-    with pytest.raises(WeightsError, match="a network for patches, not for pictures"):
+    with pytest.raises(WeightsError, match="a network for patches, not for images"):
         load_detector("fusion", weights={"file": "cnn-7"})
 
 

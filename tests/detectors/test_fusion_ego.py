@@ -67,7 +67,7 @@ def test_an_ego_car_that_is_told_counts_beside_the_one_found(weights: Path) -> N
 
 
 def test_the_ego_car_is_the_mean_of_all_looks(tmp_path: Path) -> None:
-    bottom, cut = 0.4, 0.3  # of what a look sees, so of a closer one the lowest 28 % of the picture
+    bottom, cut = 0.4, 0.3  # of what a look sees, so of a closer one the lowest 28 % of the image
     weights = {"file": str(write_ego_network(tmp_path / "seeing.safetensors", bottom))}
     detector = load_detector("fusion", weights=weights, cuts=(cut, cut))  # two against one
 
@@ -81,7 +81,9 @@ def test_road_that_does_not_reach_the_ego_car_is_isolated(seed: int, weights: Pa
     """These have some; the seed area is in the ground that the ego car hides."""
     image, last = scene(seed, 96, 128).image, 71  # the row above the ego car
 
-    kept, dropped = (fusion(weights, isolated=what).detect(image).mask for what in ("keep", "drop"))
+    kept, dropped = (
+        fusion(weights, isolated=problem).detect(image).mask for problem in ("keep", "drop")
+    )
 
     assert (dropped & ~kept).sum() == 0
     regions, found = cv2.connectedComponents(dropped.byte().numpy(), connectivity=4)
@@ -92,7 +94,9 @@ def test_road_that_does_not_reach_the_ego_car_is_isolated(seed: int, weights: Pa
 def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(weights: Path) -> None:
     image = scene(1, 96, 128).image
 
-    kept, dropped = (fusion(weights, isolated=what).detect(image).mask for what in ("keep", "drop"))
+    kept, dropped = (
+        fusion(weights, isolated=problem).detect(image).mask for problem in ("keep", "drop")
+    )
 
     assert kept.any()
     assert torch.equal(dropped, kept)

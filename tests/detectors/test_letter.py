@@ -1,4 +1,4 @@
-"""What is called ``:paper`` equals the paper, written down slowly, on a real picture."""
+"""What is called ``:paper`` equals the paper, written down slowly, on a real image."""
 
 from collections.abc import Callable
 from functools import cache
@@ -21,21 +21,21 @@ from tests.reference import alvarez2012, alvarez2014, zhang2016
 STEPS = Path(__file__).resolve().parents[2] / "docs/pictures/steps.jpg"
 
 
-PICTURES = {"motorway": np.s_[18:198, 40:280], "street": np.s_[256:496, :320]}
-"""Where two of README's pictures are: Udacity's, and one of MCubeS with a lane mark ahead (MIT)."""
+IMAGES = {"motorway": np.s_[18:198, 40:280], "street": np.s_[256:496, :320]}
+"""Where two of README's images are: Udacity's, and one of MCubeS with a lane mark ahead (MIT)."""
 
 
 @cache
-def picture(name: str, width: int, height: int) -> Tensor:
-    """A real picture with 8-bit levels: float64 (3,H,W)."""
+def real_image(name: str, width: int, height: int) -> Tensor:
+    """A real image with 8-bit levels: float64 (3,H,W)."""
     steps = cv2.imread(str(STEPS))
     assert steps is not None
-    small = cv2.resize(steps[PICTURES[name]], (width, height), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(steps[IMAGES[name]], (width, height), interpolation=cv2.INTER_AREA)
     return torch.from_numpy(small[..., ::-1].copy()).permute(2, 0, 1).double() / 255
 
 
 def test_ufl_paper_is_the_text_of_zhang_et_al() -> None:
-    image = picture("motorway", 80, 60)
+    image = real_image("motorway", 80, 60)
     start = start_dictionary(torch.zeros(1, 108).double(), DictionarySettings())
 
     found = load_detector("ufl:paper", working={"rows": 60}).analysis(image)["likelihood"] >= 0.5
@@ -47,7 +47,7 @@ def test_ufl_paper_is_the_text_of_zhang_et_al() -> None:
 
 @pytest.mark.parametrize(("name", "seed"), [("fusion:paper", 0), ("layout:paper", 1)])
 def test_equation_4_and_cnn_7_of_alvarez_et_al_at_single_pixels(name: str, seed: int) -> None:
-    image = picture("motorway", 96, 72)
+    image = real_image("motorway", 96, 72)
     detector = load_detector(name)
     network = detector.analysis.get_submodule("network")
     assert isinstance(network, PatchNetwork)
@@ -87,7 +87,7 @@ def test_oneclass_paper_is_the_text_of_alvarez_et_al(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(mixture, "TOLERANCE", 0.0)  # both climb to the top, whence ever they start
-    image = picture("street", 240, 180)
+    image = real_image("street", 240, 180)
     samples = road_samples(image.float(), ("R", "G", "B"), SampleSettings()).double().numpy()
 
     name = f"oneclass:{literal.__name__}:RGB:paper"

@@ -64,19 +64,19 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "what"),
+    ("name", "settings", "problem"),
     [
         ("gaussian:RGB:paper", {}, ":gaussian:RGB:paper: is P3's to the letter without that"),
         ("pca:R", {}, ":pca:R: one plane has a single principal component, .* .choose another"),
         ("kmeans:RGB", {"classifier": {"centre": 1}}, r"^classifier\.centre"),
     ],
 )
-def test_what_there_is_not_is_refused(name: str, settings: dict[str, Any], what: str) -> None:
-    with pytest.raises(ConfigError, match=what):
+def test_what_there_is_not_is_refused(name: str, settings: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
         load_detector(f"oneclass:{name}", **settings)
 
 
-def test_all_of_them_are_registered_and_look_at_a_picture() -> None:
+def test_all_of_them_are_registered_and_look_at_a_image() -> None:
     image = render_scene(3, 24, 24).image
 
     with image_cache():

@@ -120,14 +120,14 @@ def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
 
 
 @cache
-def pictures() -> tuple[Tensor, ...]:
+def images() -> tuple[Tensor, ...]:
     """The street, and coloured blocks, in which whatever is found lies scattered."""
     blocks = (torch.rand(3, 8, 8, generator=torch.Generator().manual_seed(seed)) for seed in (1, 3))
     return street(), *(block.repeat_interleave(8, 1).repeat_interleave(8, 2) for block in blocks)
 
 
 def maps(name: str, number: int, values: dict) -> list[Tensor]:
-    detection = load_detector(name, **values).detect(pictures()[number])
+    detection = load_detector(name, **values).detect(images()[number])
     doubt = torch.tensor(bool(detection.doubt))
     return [detection.likelihood, detection.mask, doubt, *detection.cues.values()]
 
@@ -155,7 +155,7 @@ def usual(name: str, number: int, need: str, threshold: float) -> list[Tensor]:
 
 
 def reaches(name: str, path: tuple[str, ...], value: Any) -> bool:
-    """Whether a value changes what a detector finds, in one of the pictures, at one threshold."""
+    """Whether a value changes what a detector finds, in one of the images, at one threshold."""
     need = need_of(name, path)
 
     def changes(number: int, threshold: float) -> bool:
@@ -169,7 +169,7 @@ def reaches(name: str, path: tuple[str, ...], value: Any) -> bool:
     of_mask = path[0] in ("isolated", "seed_area")
     return any(
         changes(number, threshold)
-        for number in range(len(pictures()))[:: -1 if of_mask else 1]
+        for number in range(len(images()))[:: -1 if of_mask else 1]
         for threshold in thresholds(name, number, need)[slice(None) if of_mask else slice(1)]
     )
 

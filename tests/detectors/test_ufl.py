@@ -1,4 +1,4 @@
-"""The detectors of ``ufl``: what they compose, sizes, settings, and awkward pictures."""
+"""The detectors of ``ufl``: what they compose, sizes, settings, and awkward images."""
 
 from functools import cache
 from typing import Any
@@ -28,7 +28,7 @@ def street() -> Tensor:
     return render_scene(3, 96, 128).image
 
 
-def test_the_cues_show_every_stage_at_the_size_of_the_picture() -> None:
+def test_the_cues_show_every_stage_at_the_size_of_the_image() -> None:
     cues = detector("ufl").detect(street()).cues
 
     assert set(cues) == {

@@ -174,7 +174,7 @@ def test_a_page_without_a_list_is_listed(tmp_path: Path, monkeypatch: pytest.Mon
     assert parts.contents(["optional?", "none?"]).splitlines()[3:] == ["/optional", "```"]
 
 
-def test_the_pictures_were_made_with_the_weights_and_settings_that_ship() -> None:
+def test_the_images_were_made_with_the_weights_and_settings_that_ship() -> None:
     """Else: python scripts/readme_pictures.py DATA."""
     made = ROOT / "docs" / "pictures" / "made.json"
     assert json.loads(made.read_text(encoding="utf-8")) == made_with()

@@ -1,4 +1,4 @@
-"""docs/research/index.md: the command of every figure and table runs, on a picture of each set."""
+"""docs/research/index.md: the command of every figure and table runs, on an image of each set."""
 
 import re
 import shlex
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from scripts.figures import FIGURES, __main__, p1, p3_light, p3_table3
 from tests.command import Call
 from tests.data.test_kitti import add_frame, street
@@ -41,12 +41,12 @@ WRITTEN = {
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder like that of the data, with a picture of each drive and category."""
+    """A folder like that of the data, with an image of each drive and category."""
     root = tmp_path_factory.mktemp("data")
     write_drives(root)
     (root / "kitti_road/image_2").mkdir(parents=True)
     add_frame(root / "kitti_road", "um_000000", street())
-    write_picture(root / "street.png", render_scene(1, 96, 128))
+    write_image(root / "street.png", render_scene(1, 96, 128))
     return root
 
 
@@ -70,7 +70,7 @@ def test_the_command_of_a_figure_makes_it(
     monkeypatch: pytest.MonkeyPatch,
     call: Call,
 ) -> None:
-    places = {"PICTURE": str(data / "street.png"), "OUT": str(tmp_path / "out")}
+    places = {"IMAGE": str(data / "street.png"), "OUT": str(tmp_path / "out")}
     words = [places.get(word, word.replace("DATA", str(data))) for word in shlex.split(command)]
 
     if words[0] == "roadtorch":

@@ -22,7 +22,7 @@ from tests.streets import write_camvid
 GROUPS = ("0001TP", "0006R0", "0016E5")
 
 Answer = Callable[[str], Tensor]
-"""What a detector says about the picture of that name."""
+"""What a detector says about the image of that name."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,7 +56,7 @@ def looking(likelihood: Answer, **cues: Answer) -> Look:
 
 
 def counted(dataset: Dataset, look: Look) -> Tally:
-    """What is counted of one detector on every picture of a set."""
+    """What is counted of one detector on every image of a set."""
     total = Tally()
     for result in score(dataset, [Contender("it", lambda _: look)]):
         assert not result.failure

@@ -1,4 +1,4 @@
-"""`evaluate` from Python: who is scored, by which thresholds, on which pictures."""
+"""`evaluate` from Python: who is scored, by which thresholds, on which images."""
 
 import json
 from dataclasses import replace
@@ -18,7 +18,7 @@ from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.report.files import document
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import WHOLE
-from roadtorch.testing.scenes import write_picture
+from roadtorch.testing.scenes import write_image
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 
 
@@ -34,7 +34,7 @@ def plain(tmp_path_factory) -> Dataset:
     root = tmp_path_factory.mktemp("set") / "folder"
     (root / "masks").mkdir(parents=True)
     for name, scene in SCENES.items():
-        write_picture(root / "images" / f"{name}.png", scene)
+        write_image(root / "images" / f"{name}.png", scene)
         mask = torch.where(scene.void, 127, 255 * scene.road).to(torch.uint8)
         cv2.imwrite(str(root / "masks" / f"{name}.png"), mask.numpy())
     return open_dataset("folder", root)
@@ -93,7 +93,7 @@ def test_sets_without_groups_use_the_default_or_another_threshold(found, camvid,
         assert given[name].headline["threshold"] == found.detectors[name].best_threshold
 
 
-def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_picture_alone(camvid, tmp_path):
+def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid, tmp_path):
     for name in list(SCENES)[1:]:
         road = (SCENES[name].road * 255).to(torch.uint8)
         cv2.imwrite(str(tmp_path / f"{name}.png"), road.numpy())
@@ -109,7 +109,7 @@ def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_picture_alone(camv
     assert theirs.images == 5
 
 
-def test_maps_may_lie_as_the_pictures_do_in_the_set(plain, tmp_path):
+def test_maps_may_lie_as_the_images_do_in_the_set(plain, tmp_path):
     (tmp_path / "images").mkdir()
     for name, scene in SCENES.items():
         cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), 255 * scene.road.numpy())
@@ -160,14 +160,14 @@ def test_what_can_be_refused_is_refused_before_the_run(
         evaluate(camvid, [detector], **options)
 
 
-def test_when_no_picture_can_be_scored_there_is_one_error(camvid, tmp_path):
+def test_when_no_image_can_be_scored_there_is_one_error(camvid, tmp_path):
     root = write_set(tmp_path / "camvid")
     for path in root.glob("*/*.png"):
         if "annot" not in path.parent.name:
             path.write_bytes(b"x")
     first = leave_out(camvid, [GROUPS[0]])
 
-    with pytest.raises(DatasetError, match="none of its 6 pictures"):
+    with pytest.raises(DatasetError, match="none of its 6 images"):
         evaluate(open_dataset("camvid", root), ["prior:rows"])
     with pytest.raises(DatasetError, match="all groups are left out"):
         evaluate(first, ["prior:rows"], limit=1)
@@ -176,8 +176,8 @@ def test_when_no_picture_can_be_scored_there_is_one_error(camvid, tmp_path):
 def test_labels_without_any_road_are_no_score_of_nought(tmp_path):
     for folder in ("images", "masks"):
         (tmp_path / folder).mkdir()
-        picture = next(iter(SCENES.values())).image
-        write_colours(tmp_path / folder / "a.png", picture if folder == "images" else 0 * picture)
+        image = next(iter(SCENES.values())).image
+        write_colours(tmp_path / folder / "a.png", image if folder == "images" else 0 * image)
 
     with pytest.raises(UnscorableError, match="there is no road in any label") as caught:
         evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
@@ -214,7 +214,7 @@ def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
     assert document(found, "")["left_out"] == [out]
 
 
-def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid):
+def test_a_condition_has_the_figures_of_its_images_whatever_their_group(camvid):
     rainy = {"0001TP_0": ("rain",), "0006R0_1": ("rain", "dusk"), "0016E5_2": ("dusk",)}
     items = tuple(replace(one, conditions=rainy.get(one.name, ())) for one in camvid.items)
     chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))
@@ -239,7 +239,7 @@ def test_a_condition_has_the_figures_of_its_pictures_whatever_their_group(camvid
     assert rain["f"] == pytest.approx(float(metrics.f_measure(f[0] + f[1])))
 
 
-def test_a_condition_without_a_picture_that_could_be_scored_has_no_figures(camvid, tmp_path):
+def test_a_condition_without_a_image_that_could_be_scored_has_no_figures(camvid, tmp_path):
     root = write_set(tmp_path / "camvid")
     first = camvid.items[0]
     (root / "train" / first.image.name).write_bytes(b"x")

@@ -16,7 +16,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs/evaluation.md"
 def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
     know_oracle()
     dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
-    wrong = Measure("seen", "seen", "Pictures.", lambda part: part.pictures and 1.0, interval=True)
+    wrong = Measure("seen", "seen", "Images.", lambda part: part.images and 1.0, interval=True)
 
     with pytest.raises(TypeError, match="the formula of seen needs what draws do not have"):
         evaluate(dataset, ["prior:rows"], measures=(MAXF, wrong))

@@ -10,7 +10,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import candidates, contenders, mean_masks, resize
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.road.fusion import prior_rows
 from tests.evaluation.conftest import GROUPS
@@ -21,7 +21,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Weights, a config and a folder of maps in the working directory."""
     for name in ("mine", "theirs", "prior:rows"):
         (tmp_path / name).mkdir()
-    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
+    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
     save_network(tmp_path / "mine/weights.safetensors", network, {})
     (tmp_path / "mine/a=b.toml").write_text('detector = "cpf"\nthreshold = 0.25\n')
     monkeypatch.chdir(tmp_path)

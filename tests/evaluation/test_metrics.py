@@ -206,16 +206,16 @@ def test_what_is_not_defined_is_nan():
 
 
 @pytest.mark.parametrize(
-    ("scores", "what"),
+    ("scores", "problem"),
     [
         *((torch.tensor([[0.5, wrong]]), "likelihood") for wrong in (math.nan, 1.5, -0.1)),
         (torch.zeros(2, 1), r"\(2, 1\).*\(1, 2\)"),
     ],
 )
-def test_values_that_are_no_likelihood_and_other_sizes_are_refused(scores, what):
+def test_values_that_are_no_likelihood_and_other_sizes_are_refused(scores, problem):
     road = torch.tensor([[False, True]])
 
-    with pytest.raises(InputError, match=what):
+    with pytest.raises(InputError, match=problem):
         metrics.count_levels(scores, road, torch.ones_like(road))
 
 

@@ -176,7 +176,7 @@ def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
 
 
 def trusting(scenes, trusts: Mapping[str, float | None]):
-    """Finds less and less of the road from picture to picture, and says how much it trusts that."""
+    """Finds less and less of the road from image to image, and says how much it trusts that."""
     order = {name: place for place, name in enumerate(scenes)}
 
     def look(image, item):
@@ -187,7 +187,7 @@ def trusting(scenes, trusts: Mapping[str, float | None]):
     return look
 
 
-def test_trust_is_measured_on_all_pictures_together_and_by_group(dataset, scenes):
+def test_trust_is_measured_on_all_images_together_and_by_group(dataset, scenes):
     knowing = {name: 1 - place / 10 for place, name in enumerate(scenes)}
 
     tally = counted(dataset, trusting(scenes, knowing))
@@ -201,12 +201,12 @@ def test_trust_is_measured_on_all_pictures_together_and_by_group(dataset, scenes
     assert figures.headline["trust/aurc_random"] == pytest.approx(float((1 - f).mean()))
     assert figures.headline["trust/error"] == pytest.approx(float((trusts - f).abs().mean()))
     assert figures.groups["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
-    assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two pictures a group
+    assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two images a group
     assert blind["trust/aurc"] == pytest.approx(blind["trust/aurc_random"])
     assert math.isnan(blind["trust/rank_correlation"])
 
 
-def test_pictures_without_trust_are_left_out_and_detectors_without_any_have_no_figure(
+def test_images_without_trust_are_left_out_and_detectors_without_any_have_no_figure(
     dataset, scenes
 ):
     first, *others = scenes
@@ -220,7 +220,7 @@ def test_pictures_without_trust_are_left_out_and_detectors_without_any_have_no_f
     assert not any(key.startswith("trust/") for key in (*never.headline, *never.pooled))
 
 
-# --- single pictures -----------------------------------------------------------------------------
+# --- single images -----------------------------------------------------------------------------
 
 
 def test_a_row_holds_f_and_iou_of_the_mask_and_its_trust(dataset, scenes):

@@ -20,14 +20,14 @@ def look(image, item) -> Detection:
     return Detection(image.mean(0), image.mean(0) > 0.5, {"layout": image})
 
 
-def test_one_picture_more_costs_little_memory(dataset):
+def test_one_image_more_costs_little_memory(dataset):
     tally = counted(dataset, look)
     size = sum(tensor[0].nbytes for tensor in tally.columns.values())
 
     assert size < 2500  # bytes: 256 levels of road and of background, 4 each
 
 
-def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(dataset):
+def test_images_with_and_without_layout_may_be_mixed_in_any_order(dataset):
     item, tally = dataset.items[0], Tally()
     shown = next(score(dataset, [Contender("it", lambda _: look)])).scores["it"]
     assert shown.layout is not None
@@ -46,7 +46,7 @@ def test_pictures_with_and_without_layout_may_be_mixed_in_any_order(dataset):
     assert torch.equal(layout.flatten(1).sum(1) > 0, (torch.arange(200) // 10) == 9)
 
 
-def test_pictures_come_group_by_group_when_groups_are_asked_for(dataset):
+def test_images_come_group_by_group_when_groups_are_asked_for(dataset):
     tally = counted(dataset, look)
 
     found = tally.kept(GROUPS[2:0:-1])
@@ -109,7 +109,7 @@ def test_two_processes_give_the_results_of_one(dataset):
 
 @dataclass(frozen=True)
 class LowerHalf:
-    """A view that sees the lower half of a picture, twice as large."""
+    """A view that sees the lower half of an image, twice as large."""
 
     name: ClassVar[str] = "the lower half"
 

@@ -21,7 +21,7 @@ from tests.reports import made_contender, scored
 TENTHS = st.integers(0, 10).map(lambda tenths: tenths / 10)  # few values: many are equal
 
 
-def pictures(most: int):
+def images(most: int):
     return st.lists(st.tuples(TENTHS, TENTHS), min_size=1, max_size=most)
 
 
@@ -31,7 +31,7 @@ def columns(pairs: list[tuple[float, float]]) -> tuple[torch.Tensor, torch.Tenso
 
 
 @settings(deadline=None, max_examples=40)
-@given(pictures(30))
+@given(images(30))
 def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
     trusts, f = columns(pairs)
     bad = f < 0.6
@@ -45,7 +45,7 @@ def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
 
 
 @settings(deadline=None, max_examples=20)
-@given(pictures(6))
+@given(images(6))
 def test_the_risk_of_equals_is_the_mean_over_their_orders(pairs):
     trusts, f = columns(pairs)
 
@@ -91,7 +91,7 @@ def test_nothing_to_tell_apart_is_nan():
 
 
 def change(number: int, differs: float, before: float = 0.5, after: float = 0.6) -> Disagreement:
-    item = LabelledItem(f"picture_{number:02d}", Path("x.png"), Path("x.png"))
+    item = LabelledItem(f"image_{number:02d}", Path("x.png"), Path("x.png"))
     return Disagreement(item, differs, 0.3, 0.3 + differs, before, after)
 
 
@@ -109,15 +109,15 @@ def test_half_changed_most_and_the_others_are_spread_down_to_the_least() -> None
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 10, 11])
-@pytest.mark.parametrize("pictures", [1, 2, 7, 10, 11, 12])
-def test_no_picture_is_chosen_twice_and_none_is_missing(pictures: int, count: int) -> None:
-    ranked = [change(number, number / 100) for number in reversed(range(pictures))]
+@pytest.mark.parametrize("images", [1, 2, 7, 10, 11, 12])
+def test_no_image_is_chosen_twice_and_none_is_missing(images: int, count: int) -> None:
+    ranked = [change(number, number / 100) for number in reversed(range(images))]
     chosen = numbers(most_and_spread(ranked, count))
-    assert len(chosen) == len(set(chosen)) == min(pictures, count)
-    assert chosen[0] == pictures - 1
+    assert len(chosen) == len(set(chosen)) == min(images, count)
+    assert chosen[0] == images - 1
 
 
-def test_the_means_leave_out_pictures_without_trust() -> None:
+def test_the_means_leave_out_images_without_trust() -> None:
     found = [change(0, 0.1, 0.5, 0.7), change(1, 0.3, 0.6, 0.3), change(2, 0.2, math.nan, math.nan)]
 
     both = made_contender("before"), made_contender("after")
@@ -129,6 +129,6 @@ def test_the_means_leave_out_pictures_without_trust() -> None:
     assert rows == {
         "share of road": [("30.0 %", ""), ("50.0 %", ""), ("+20.0 points", "")],
         "trust": [
-            ("0.550", ""), ("0.500", ""), (f"{minus}0.050", "rose on 1, fell on 1 pictures")
+            ("0.550", ""), ("0.500", ""), (f"{minus}0.050", "rose on 1, fell on 1 images")
         ],
     }  # fmt: skip

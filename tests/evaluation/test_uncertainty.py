@@ -117,7 +117,7 @@ def test_pairs_are_signed_share_their_draws_and_have_the_figures_of_both(dataset
 
     assert found["again"]["maxf"].value == 0
     assert found["again"]["maxf"].interval == (0, 0)
-    assert found["poor"]["maxf"].interval.high < 0  # worse on every picture
+    assert found["poor"]["maxf"].interval.high < 0  # worse on every image
     assert found["poor"]["brier"].interval.low > 0
     low, high = found["poor"]["maxf"].interval
     assert low < found["poor"]["maxf"].value < high

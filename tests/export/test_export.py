@@ -42,7 +42,7 @@ ROOT = Path(__file__).parents[2]
 SIZES = ((16, 16), (33, 200), (131, 77), (240, 320))
 
 
-def pictures(height: int, width: int, count: int = 1) -> np.ndarray:
+def images(height: int, width: int, count: int = 1) -> np.ndarray:
     return np.stack([to_pixels(street(height, width, seed)) for seed in range(count)])
 
 
@@ -61,13 +61,13 @@ def cnn7(folder: Path) -> Exported:
 
 def test_a_file_says_what_the_network_says_at_any_size_and_batch(fusion: Exported) -> None:
     steps = exportable(load_detector(NAME)).steps
-    batches = [pictures(*size, count=2) for size in SIZES]
+    batches = [images(*size, count=2) for size in SIZES]
 
     apart = parity(open_onnx(fusion.files[0], 1), steps, batches)
 
     assert apart.most < BOUND
     assert apart.mean < apart.most
-    assert apart.pictures == 2 * len(SIZES)
+    assert apart.images == 2 * len(SIZES)
 
 
 def test_a_file_of_cnn7_says_what_the_detector_says(cnn7: Exported) -> None:
@@ -75,8 +75,8 @@ def test_a_file_of_cnn7_says_what_the_detector_says(cnn7: Exported) -> None:
     run = open_onnx(cnn7.files[0], 1)
 
     for height, width in (*SIZES, (300, 400)):  # the last above the size at which it thinks
-        maps = run(pictures(height, width))
-        detection = detector.detect(pictures(height, width)[0], order="rgb")
+        maps = run(images(height, width))
+        detection = detector.detect(images(height, width)[0], order="rgb")
         expected = {"likelihood": detection.likelihood, "layout": detection.cues["layout"]}
         for name, values in expected.items():
             assert np.abs(maps[name][0] - values.numpy()).max() < BOUND
@@ -144,7 +144,7 @@ def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Expor
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "out", "what"),
+    ("name", "settings", "out", "problem"),
     [
         ("lbp", {}, "a.onnx", "lbp: cannot be exported"),
         ("fusion:untrained", {}, "a.onnx", "cannot be exported"),
@@ -153,9 +153,9 @@ def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Expor
     ],
 )
 def test_what_cannot_be_exported_is_told_before_any_work(
-    tmp_path: Path, name: str, settings: dict[str, Any], out: str, what: str
+    tmp_path: Path, name: str, settings: dict[str, Any], out: str, problem: str
 ) -> None:
-    with pytest.raises(ConfigError, match=what):
+    with pytest.raises(ConfigError, match=problem):
         export_detector(load_detector(name, **settings), tmp_path / out)
 
     assert not any(tmp_path.iterdir())
@@ -179,7 +179,7 @@ def test_parity_counts_what_is_no_number_as_endlessly_far() -> None:
     def run(_: np.ndarray) -> dict[str, np.ndarray]:
         return {"likelihood": np.full((1, 16, 20), np.nan, np.float32)}
 
-    apart = parity(run, lambda _: {"likelihood": torch.zeros(16, 20)}, [pictures(16, 20)])
+    apart = parity(run, lambda _: {"likelihood": torch.zeros(16, 20)}, [images(16, 20)])
 
     assert apart.most == float("inf")
     assert apart.where == "likelihood at 20×16"
@@ -204,12 +204,12 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def test_the_example_needs_neither_torch_nor_roadtorch(fusion: Exported, tmp_path: Path) -> None:
-    source = tmp_path / "pictures" / "sub"
+    source = tmp_path / "images" / "sub"
     source.mkdir(parents=True)
     for name in ("a.jpg", "b.png"):
-        Image.fromarray(pictures(48, 64)[0]).save(source / name)
+        Image.fromarray(images(48, 64)[0]).save(source / name)
     script = ROOT / "docs" / "examples" / "infer.py"
-    words = [sys.executable, "-c", ALONE, script, fusion.files[0], tmp_path / "pictures"]
+    words = [sys.executable, "-c", ALONE, script, fusion.files[0], tmp_path / "images"]
 
     for pattern in ([], ["*.png"]):
         subprocess.run([*words, tmp_path / "maps", *pattern], check=True, cwd=tmp_path)
@@ -243,14 +243,14 @@ def test_the_example_in_cpp_says_what_python_says(fusion: Exported, tmp_path: Pa
     linked = [str(library), "-o", str(program)]
     (tmp_path / "libonnxruntime.so.1").symlink_to(library)  # the name that it has for programs
     subprocess.run([*compiler, *linked], check=True)
-    (picture,) = pictures(120, 160)
-    Image.fromarray(picture).save(tmp_path / "street.ppm")
+    (image,) = images(120, 160)
+    Image.fromarray(image).save(tmp_path / "street.ppm")
 
     words = [str(program), str(fusion.files[0]), str(tmp_path / "street.ppm"), str(map_)]
     environment = {**os.environ, "LD_LIBRARY_PATH": str(tmp_path)}
     said = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
 
-    outputs = open_onnx(fusion.files[0], 1)(picture[None])
+    outputs = open_onnx(fusion.files[0], 1)(image[None])
     share, trust = (outputs["likelihood"] >= 0.5).mean(), float(outputs["trust"][0])
     assert said.stdout == f"160x120, road {int(100 * share)} %, trust {round(trust, 2):g}\n"
     read = np.asarray(Image.open(map_)) / 255

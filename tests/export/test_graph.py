@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from roadtorch.imaging.color import Exposure, brightened
 from roadtorch.imaging.levels import above, at_least
-from roadtorch.imaging.resize import WorkingSize, at_picture_size, at_work, resized
+from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, resized
 from roadtorch.layout.patch_network import Normalisation, normalise
 from roadtorch.road.ego import continued, ego_found
 from roadtorch.road.fusion import log_odds
@@ -54,11 +54,11 @@ STEPS: dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]] = {
     "at_least": (partial(at_least, level=0.5), (IMAGES,)),
     "smaller": (partial(resized, size=(33, 20)), (IMAGES,)),
     "larger": (partial(resized, size=(90, 200)), (IMAGES,)),
-    "labels": (partial(at_picture_size, size=(90, 20)), (EGO > 0.5,)),
+    "labels": (partial(at_image_size, size=(90, 20)), (EGO > 0.5,)),
     "at_work": (partial(at_work, working=WorkingSize(pixels=1000)), (IMAGES,)),
     "brightened": (partial(brightened, exposure=Exposure()), (IMAGES,)),
     "fixed": (partial(normalised, "fixed"), (IMAGES,)),
-    "picture": (partial(normalised, "brightened picture"), (IMAGES,)),
+    "image": (partial(normalised, "brightened image"), (IMAGES,)),
     "ego_found": (ego_found, (EGO,)),
     "continued": (continued, (IMAGES, EGO > 0.5)),
     "likely_seed_area": (partial(likely_seed_area, share=0.05), (log_odds(ROAD),)),

@@ -116,10 +116,10 @@ def test_the_camera_by_keyboard_and_what_cannot_be_looked_at(page: "Page", tmp_p
     assert page.is_hidden("#stop")
 
     text, large = tmp_path / "notes.jpg", tmp_path / "large.png"
-    text.write_text("no picture")
+    text.write_text("no image")
     Image.new("1", (11_000, 10_000)).save(large)
     for path, message in (
-        (text, "notes.jpg is no picture or video that this browser reads."),
+        (text, "notes.jpg is no image or video that this browser reads."),
         (large, "large.png has 110 megapixels: more than 100. Make it smaller."),
     ):
         page.set_input_files("#file", path)
@@ -127,18 +127,18 @@ def test_the_camera_by_keyboard_and_what_cannot_be_looked_at(page: "Page", tmp_p
 
 
 @pytest.mark.parametrize(
-    ("name", "what"),
+    ("name", "problem"),
     [
         ("layout:cnn-7", "layout:cnn-7: has no page"),
         ("fusion", r"is not there or incomplete \(npm install onnxruntime-web@"),
     ],
 )
 def test_what_has_no_page_is_told_before_any_work(
-    name: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_module, "RUNTIME_FOLDER", tmp_path / "nowhere")
 
-    with pytest.raises(ConfigError, match=what):
+    with pytest.raises(ConfigError, match=problem):
         export_page(load_detector(name), tmp_path / "page")
 
     assert not (tmp_path / "page").exists()

@@ -30,8 +30,8 @@ def makes_sense(source: Source, is_right: Callable[[np.ndarray], bool]) -> bool:
     for frame in source.items():
         try:
             pixels = frame.read().mul(255).round().permute(1, 2, 0).numpy()
-        except InputError as problem:
-            if problem.where != frame.origin:
+        except InputError as error:
+            if error.where != frame.origin:
                 return False
         else:
             if not is_right(pixels):

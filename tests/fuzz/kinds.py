@@ -29,8 +29,8 @@ from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_m
 from roadtorch.data.polygons import labelme_document, read_outlined_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.evaluation.methods import Contender, named_detector, with_thresholds
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.road.ego import Ego, ego_car, read_ego_mask
 from roadtorch.run.folder import result_folder
@@ -41,16 +41,16 @@ from roadtorch.train.folder import CHECKPOINT, FORMAT, RUN, RunFolder
 from tests.data.conftest import write
 from tests.fuzz.tampered import (
     OF_BYTES,
-    OF_PICTURES,
+    OF_IMAGES,
     OF_TEXT,
     PIECES,
     Draw,
     one_of,
-    read_picture,
+    reads_image,
     tampered,
     tampered_json,
     tampered_safetensors,
-    whole_picture,
+    whole_image,
     written,
 )
 
@@ -92,8 +92,8 @@ def told_of(path: Path, build: Callable[[], object]) -> bool:
     """Build settings; a refusal that names their key names their file too, as a user knows it."""
     try:
         build()
-    except ConfigError as problem:
-        raise ConfigError(f"{path} {problem.where}", problem.what, problem.remedy) from None
+    except ConfigError as error:
+        raise ConfigError(f"{path} {error.where}", error.problem, error.hint) from None
     return True
 
 
@@ -101,7 +101,7 @@ def told_of(path: Path, build: Callable[[], object]) -> bool:
 
 NETWORKS = (
     PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
-    PictureNetwork(PictureNetworkSettings(height=40, width=48, narrow=8, wide=8)),
+    ImageNetwork(ImageNetworkSettings(height=40, width=48, narrow=8, wide=8)),
 )
 
 
@@ -130,13 +130,13 @@ RECORD: dict[str, Any] = {
     "config": as_values(PatchTraining()),
     "count": 0,
     "corrections": None,
-    "keys": {"settings": "0" * 32, "pictures": "0" * 32, "corrections": "0" * 32},
+    "keys": {"settings": "0" * 32, "images": "0" * 32, "corrections": "0" * 32},
 }
 
 
 def read_record(path: Path) -> bool:
-    """Begin a run where there is one; it is refused, as this one has other pictures."""
-    other = {**RECORD, "keys": {**RECORD["keys"], "pictures": "1" * 32}}
+    """Begin a run where there is one; it is refused, as this one has other images."""
+    other = {**RECORD, "keys": {**RECORD["keys"], "images": "1" * 32}}
     return not told_of(path, lambda: RunFolder(path.parent).check(other))
 
 
@@ -186,7 +186,7 @@ def read_camera(path: Path) -> bool:
     camera, image = Camera.read(path), torch.rand(3, 48, 64)
     try:
         camera.check(image)
-    except InputError:  # of the picture: it is not of that camera
+    except InputError:  # of the image: it is not of that camera
         return True
     return not bool(ego_car(image, camera.ego).all())
 
@@ -200,11 +200,11 @@ def make_outlines(draw: Draw, _: Path) -> bytes:
 
 
 def make_labels(draw: Draw, _: Path) -> bytes:
-    """A label picture of a set of one's own, or a picture of the ego car."""
+    """A label image of a set of one's own, or an image of the ego car."""
     values, data = np.array([0, 255, 127], np.uint8)[np.arange(HEIGHT * WIDTH) % 3], io.BytesIO()
     mode = one_of(draw, "L", "P", "RGB", "I;16", "1")
     Image.fromarray(values.reshape(HEIGHT, WIDTH)).convert(mode).save(data, "PNG")
-    return tampered(draw, data.getvalue(), OF_PICTURES)
+    return tampered(draw, data.getvalue(), OF_IMAGES)
 
 
 def read_labels(path: Path) -> bool:
@@ -220,7 +220,7 @@ def make_colours(draw: Draw, _: Path) -> bytes:
     colours, data = np.array([colour for colour, _, _ in COLOURS32], np.uint8), io.BytesIO()
     mode = one_of(draw, "RGB", "P", "RGBA")
     Image.fromarray(colours.reshape(4, 8, 3)).convert(mode).save(data, "PNG")
-    return tampered(draw, data.getvalue(), OF_PICTURES)
+    return tampered(draw, data.getvalue(), OF_IMAGES)
 
 
 def read_colours(path: Path) -> bool:
@@ -250,7 +250,7 @@ def imported(name: str, file: str) -> Kind:
 
 
 EVENTS = (
-    {"picture": "../a.png", "height": HEIGHT, "width": WIDTH},
+    {"image": "../a.png", "height": HEIGHT, "width": WIDTH},
     {"id": "a", "kind": "superpixel", "saying": "road", "segments": [1], "runs": [0, 9, 40, 3]},
     {"id": "b", "kind": "polygon", "saying": "sky", "points": [[1, 1], [9, 1], [9, 8]]},
     {"id": "c", "kind": "brush", "saying": "void", "points": [[3, 4]], "radius": 2.5},
@@ -368,10 +368,10 @@ def read_thresholds(path: Path) -> bool:
 
 
 KINDS: Mapping[str, Kind] = {
-    "pictures": Kind(
-        "picture.bin",
-        lambda draw, _: tampered(draw, whole_picture(draw), OF_PICTURES),
-        read_picture,
+    "images": Kind(
+        "image.bin",
+        lambda draw, _: tampered(draw, whole_image(draw), OF_IMAGES),
+        reads_image,
     ),
     "weights": Kind("net.safetensors", make_network, read_network),
     "arrays": Kind(
@@ -406,11 +406,11 @@ KINDS: Mapping[str, Kind] = {
     "index": Kind("index.csv", of_file(lambda path: write_index(path, INDEX), OF_TEXT), read_rows),
     "results": Kind(CONFIG, of_text(RESULTS), read_results),
     "maps": Kind("a.npy", make_map, read_maps),
-    "map pictures": Kind(
+    "map images": Kind(
         "a.png",
         of_file(
             lambda path: Image.fromarray((MAP * 255).astype(np.uint8)).save(path, "PNG"),
-            OF_PICTURES,
+            OF_IMAGES,
         ),
         read_maps,
     ),

@@ -105,7 +105,7 @@ def _changed(draw: Draw, data: bytearray, kind: str) -> bytearray:
 
 
 def _resize(draw: Draw, data: bytearray) -> None:
-    """Large or odd numbers where a picture's format keeps width and height."""
+    """Large or odd numbers where an image's format keeps width and height."""
     of_jpeg = max(data.find(b"\xff\xc0"), data.find(b"\xff\xc2"), 0) + 5
     places = {b"\xff\xd8": of_jpeg, b"\x89P": 18, b"BM": 18, b"RI": 26}
     at = places.get(bytes(data[:2])) or draw(st.integers(0, len(data) - 1))
@@ -176,7 +176,7 @@ def _tampered_text(draw: Draw, text: str) -> str:
 
 # --- images ----------------------------------------------------------------------
 
-OF_PICTURES = (*OF_BYTES, "size")
+OF_IMAGES = (*OF_BYTES, "size")
 SIZES = ((64, 48), (1, 1), (1, 90), (90, 1), (320, 240))
 
 
@@ -187,28 +187,28 @@ def scene(seed: int) -> Image.Image:
     return Image.fromarray(np.ascontiguousarray(pixels))
 
 
-def whole_picture(draw: Draw) -> bytes:
-    """A picture of some size, mode, format and EXIF; one in six has frames."""
+def whole_image(draw: Draw) -> bytes:
+    """An image of some size, mode, format and EXIF; one in six has frames."""
     size, data = one_of(draw, *SIZES), io.BytesIO()
     if one_of(draw, *range(6)) == 0:
         frames = [scene(number).resize(size) for number in range(one_of(draw, 2, 5))]
         kind = one_of(draw, "PNG", "WEBP", "TIFF", "GIF")
         frames[0].save(data, kind, save_all=True, append_images=frames[1:])
         return data.getvalue()
-    picture = scene(one_of(draw, *range(4))).resize(size)
+    image = scene(one_of(draw, *range(4))).resize(size)
     exif = Image.Exif()
     exif[274] = one_of(draw, *range(12))
     options = one_of(draw, {}, {"exif": exif}, {"exif": b"no exif"}, {"progressive": True})
     kind = one_of(draw, "JPEG", "PNG", "TIFF", "WEBP", "BMP")
     try:
         mode = one_of(draw, "RGB", "L", "P", "RGBA", "1", "CMYK", "I;16")
-        picture.convert(mode).save(data, kind, **options)
+        image.convert(mode).save(data, kind, **options)
     except Exception:  # Pillow raises anything where a format knows no such mode or metadata
         data = io.BytesIO()
-        picture.save(data, "PNG")
+        image.save(data, "PNG")
     return data.getvalue()
 
 
-def read_picture(path: Path) -> bool:
+def reads_image(path: Path) -> bool:
     image = read_image(path)
     return bool((image >= 0).all() and (image <= 1).all()) and image.ndim == 3

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from roadtorch.base.compute import forget_peak, peak_mebibytes
 from roadtorch.base.errors import InputError, RoadtorchError
-from tests.command import Call, files_in, save_picture
+from tests.command import Call, files_in, save_image
 from tests.fuzz.footage import FOOTAGE
 from tests.fuzz.kinds import KINDS
 from tests.fuzz.tampered import Draw, scene, unhurried
@@ -34,14 +34,14 @@ LONGEST = 1_500  # letters of a refusal, its file's name left out
 STDERR = 2  # whatever sys.stderr is meanwhile
 
 
-def check_line(problem: RoadtorchError, path: Path) -> None:
+def check_line(error: RoadtorchError, path: Path) -> None:
     """Assert that a refusal is one line: the file or its folder, what is wrong, what to do."""
-    text = str(problem)
-    assert path.name in problem.where or problem.where == str(path.parent), "the name is missing"
-    assert problem.what, "it does not say what is wrong"
-    assert problem.remedy, "it does not say what to do"
+    text = str(error)
+    assert path.name in error.where or error.where == str(path.parent), "the name is missing"
+    assert error.problem, "it does not say what is wrong"
+    assert error.hint, "it does not say what to do"
     assert len(text) <= LONGEST + 3 * len(str(path)), "a refusal without end"
-    assert len(f"{problem.what}{problem.remedy}".splitlines()) == 1, "several lines"
+    assert len(f"{error.problem}{error.hint}".splitlines()) == 1, "several lines"
 
 
 def verdict(path: Path, read: Read) -> str:
@@ -54,8 +54,8 @@ def verdict(path: Path, read: Read) -> str:
     refusal = None
     try:
         assert read(path), "what was read makes no sense"
-    except RoadtorchError as problem:
-        refusal = problem
+    except RoadtorchError as error:
+        refusal = error
     finally:
         faulthandler.cancel_dump_traceback_later()
     assert peak_mebibytes() < GIBIBYTES * 2**10
@@ -94,14 +94,14 @@ FOREIGN: Mapping[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo,
     "device": lambda path: path.symlink_to("/dev/zero"),
     "loop": lambda path: path.symlink_to(path.name),
-    "picture": lambda path: scene(0).save(path, "PNG"),
+    "image": lambda path: scene(0).save(path, "PNG"),
     "page": lambda path: path.write_text("<!DOCTYPE html>\n<html><body>404</body></html>\n"),
     "values": lambda path: path.write_text('{"a": [1, 2, {}], "detectors": 3}'),
     "settings": lambda path: path.write_text('detector = "none"\n[network]\nwide = -1\n'),
     "noise": lambda path: path.write_bytes(bytes(range(256)) * 40),
 }
 HARMLESS: Mapping[str, set[str]] = {
-    "pictures": {"picture"},
+    "images": {"image"},
     "configs": {"empty"},
     "sets": {*FOREIGN} - {"page", "settings", "noise"},  # texts, not files
     "journals": {"missing", "empty", "values"},  # a line without its end is that of a crash
@@ -143,21 +143,21 @@ def test_a_refusal_that_is_wrong_is_found(refusal: tuple[str, str, str], wrong: 
 
 PRIOR = "--detector prior:rows"
 COMMANDS: Mapping[str, set[str]] = {
-    f"infer @a.png {PRIOR}": {"picture"},
-    f"infer @a.mp4 {PRIOR}": {"picture"},  # FFmpeg goes by the content
+    f"infer @a.png {PRIOR}": {"image"},
+    f"infer @a.mp4 {PRIOR}": {"image"},  # FFmpeg goes by the content
     f"infer @a.bag {PRIOR}": set(),
     f"infer @a.mcap {PRIOR}": set(),
-    "infer PICTURE --config @a.toml": {"empty"},
-    f"infer PICTURE {PRIOR} --camera @camera.toml": set(),
-    f"infer PICTURE {PRIOR} --set ego.mask=@ego.png": {"picture"},
-    "infer PICTURE --detector layout:cnn-7 --set weights.file=@a.safetensors": set(),
-    "label @a.png": {"picture"},
-    f"grid PICTURE {PRIOR} --camera-info @info.yaml --height 1": set(),
-    f"grid PICTURE {PRIOR} --calibration @calib.txt": set(),
+    "infer IMAGE --config @a.toml": {"empty"},
+    f"infer IMAGE {PRIOR} --camera @camera.toml": set(),
+    f"infer IMAGE {PRIOR} --set ego.mask=@ego.png": {"image"},
+    "infer IMAGE --detector layout:cnn-7 --set weights.file=@a.safetensors": set(),
+    "label @a.png": {"image"},
+    f"grid IMAGE {PRIOR} --camera-info @info.yaml --height 1": set(),
+    f"grid IMAGE {PRIOR} --calibration @calib.txt": set(),
     "camera @a.mp4": set(),
-    "train --images @a.png --config cnn7": {"picture"},
-    "train --images PICTURE --config @a.toml": {"empty"},
-    "train --images PICTURE --config cnn7 --corrections @corrections": set(),
+    "train --images @a.png --config cnn7": {"image"},
+    "train --images IMAGE --config @a.toml": {"empty"},
+    "train --images IMAGE --config cnn7 --corrections @corrections": set(),
     "adapt @a.mp4": set(),
     f"evaluate camvid @camvid {PRIOR}": set(),
     f"evaluate camvid CAMVID {PRIOR} --conditions @a.csv": set(),
@@ -172,11 +172,11 @@ COMMANDS: Mapping[str, set[str]] = {
 def places(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
     """What commands need beside the file that is wrong."""
     folder = tmp_path_factory.mktemp("inputs")
-    picture = save_picture(folder / "folder" / "street.png")
+    image = save_image(folder / "folder" / "street.png")
     write_drives(folder)
     return {
-        "PICTURE": str(picture),
-        "FOLDER": str(picture.parent),
+        "IMAGE": str(image),
+        "FOLDER": str(image.parent),
         "CAMVID": str(folder / "camvid"),
     }
 

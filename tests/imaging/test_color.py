@@ -109,7 +109,7 @@ def test_the_representations_are_thirteen_planes_and_six_combinations():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (241, 323)])
 @pytest.mark.parametrize("name", ["nr", "ng", "O1", "O2", "a", "b", "H", "S"])
-def test_chromatic_planes_of_grey_pictures_are_constant_to_the_bit(name, size, dtype):
+def test_chromatic_planes_of_grey_images_are_constant_to_the_bit(name, size, dtype):
     grey = torch.rand(1, *size, generator=torch.Generator().manual_seed(2), dtype=dtype)
 
     values = plane(grey.expand(3, -1, -1).contiguous(), name)
@@ -119,13 +119,13 @@ def test_chromatic_planes_of_grey_pictures_are_constant_to_the_bit(name, size, d
 
 
 @pytest.mark.parametrize(
-    ("shape", "names", "what"),
+    ("shape", "names", "problem"),
     [
         ((3, 4, 4), ("R", "nrr"), "nrr: unknown plane .*nr"),
         ((4, 20, 20), ("R", "S"), r"image: has the shape .* \(give RGB as"),
         ((20, 20), ("R", "S"), r"image: has the shape .* \(give RGB as"),
     ],
 )
-def test_unknown_planes_and_what_is_no_image_are_refused(shape, names, what):
-    with pytest.raises((ConfigError, InputError), match=what):
+def test_unknown_planes_and_what_is_no_image_are_refused(shape, names, problem):
+    with pytest.raises((ConfigError, InputError), match=problem):
         planes(torch.zeros(shape), names)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
-from roadtorch.imaging.motion import dense_flow, flow_picture, forward_backward_error, warp
-from roadtorch.imaging.resize import SHORTEST, WorkingSize, at_picture_size, resized, working_size
+from roadtorch.imaging.motion import dense_flow, flow_image, forward_backward_error, warp
+from roadtorch.imaging.resize import SHORTEST, WorkingSize, at_image_size, resized, working_size
 from roadtorch.testing.scenes import render_scene
 
 SIDES = st.integers(16, 4000)
@@ -45,7 +45,7 @@ def test_averaging_is_torchs_antialiased_filter(height: int, tall: int, seed: in
 def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) -> None:
     labels = torch.arange(130).reshape(10, 13)
 
-    result, mask = at_picture_size(labels, size), at_picture_size(labels > 64, size)
+    result, mask = at_image_size(labels, size), at_image_size(labels > 64, size)
 
     assert result.shape == mask.shape == size
     assert result.dtype == torch.int64
@@ -69,12 +69,12 @@ def test_values_come_from_where_the_flow_points() -> None:
     assert torch.equal(warp(plane, everywhere(3, -2))[2:, :-3], plane[:-2, 3:])
     # Between pixels they are interpolated; outside, those at the edge.
     assert warp(row, everywhere(0.5, 0, 3, 3))[1].tolist() == pytest.approx([0.5, 2.5, 4.0])
-    # A flow of another size moves by the same share of the picture.
+    # A flow of another size moves by the same share of the image.
     moved = warp(large, everywhere(2, 1))
     assert torch.allclose(moved[:-2, :-4], large[2:, 4:], atol=1e-6)
 
 
-def test_a_round_trip_closes_misses_or_leaves_the_picture() -> None:
+def test_a_round_trip_closes_misses_or_leaves_the_image() -> None:
     there, back, off = everywhere(4, 0), everywhere(-4, 0), everywhere(-4, 3)
 
     closed, missed = forward_backward_error(there, back), forward_backward_error(there, off)
@@ -85,7 +85,7 @@ def test_a_round_trip_closes_misses_or_leaves_the_picture() -> None:
 
 
 def test_the_flow_of_a_shifted_street_is_the_shift() -> None:
-    street = flow_picture(render_scene(1, 120, 160, noise=0.0).image, 160)
+    street = flow_image(render_scene(1, 120, 160, noise=0.0).image, 160)
     here, there = street[:, :-6].contiguous(), street[:, 6:].contiguous()
 
     # What is at column x of ``here`` is at column x - 6 of ``there``.
@@ -100,10 +100,10 @@ def test_the_flow_of_a_shifted_street_is_the_shift() -> None:
     ("size", "wanted"),
     [((270, 480), (135, 240)), ((33, 40), (33, 40)), ((16, 900), (32, 240)), ((16, 16), (32, 32))],
 )
-def test_small_pictures_keep_their_shape_and_enough_rows_for_the_flow(size, wanted) -> None:
+def test_small_images_keep_their_shape_and_enough_rows_for_the_flow(size, wanted) -> None:
     image = torch.full((3, *size), 0.5)
 
-    grey = flow_picture(image, 240)
+    grey = flow_image(image, 240)
 
     assert tuple(grey.shape) == wanted
     assert grey.dtype == torch.uint8

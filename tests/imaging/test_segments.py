@@ -222,7 +222,7 @@ def test_segments_of_any_image_are_connected_and_numbered(height: int, width: in
 
 @pytest.mark.parametrize("grey", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize(("height", "width"), [(16, 16), (64, 96)])
-def test_a_flat_picture_is_cut_into_even_pieces(grey: float, height: int, width: int) -> None:
+def test_a_flat_image_is_cut_into_even_pieces(grey: float, height: int, width: int) -> None:
     labels = slic(torch.full((3, height, width), grey), segments=12)
 
     count = check_segments(labels)
@@ -240,7 +240,7 @@ def test_about_as_many_segments_as_asked_for(height: int, width: int, segments: 
 
 
 @pytest.mark.parametrize(("height", "width"), [(48, 64), (33, 47)])
-def test_a_batch_gives_the_segments_of_each_picture_alone(height: int, width: int) -> None:
+def test_a_batch_gives_the_segments_of_each_image_alone(height: int, width: int) -> None:
     images = torch.stack(
         [textured(height, width, 1), torch.zeros(3, height, width), textured(height, width, 2)]
     )

@@ -81,13 +81,13 @@ def write_bag(path: Path, topics: Mapping[str, Sequence[Any]], form: str = "mcap
     return path
 
 
-def write_drive(folder: Path, form: str, pictures: Sequence[np.ndarray], focal: float) -> Path:
-    """The bag ``drive`` or ``drive.bag`` of pictures uint8 (H,W,3) by a pinhole on /camera."""
+def write_drive(folder: Path, form: str, images: Sequence[np.ndarray], focal: float) -> Path:
+    """The bag ``drive`` or ``drive.bag`` of images uint8 (H,W,3) by a pinhole on /camera."""
     store = ROS1 if form == "bag" else ROS2
-    images = [
+    messages = [
         raw_image(store, pixels, "rgb8", FIRST + STEP * number + 7)
-        for number, pixels in enumerate(pictures)
+        for number, pixels in enumerate(images)
     ]
-    info = calibration(store, FIRST, focal, pictures[0].shape[:2], (0.0,) * 5)
-    topics = {"/camera/image_raw": images, "/camera/camera_info": [info]}
+    info = calibration(store, FIRST, focal, images[0].shape[:2], (0.0,) * 5)
+    topics = {"/camera/image_raw": messages, "/camera/camera_info": [info]}
     return write_bag(folder / ("drive.bag" if form == "bag" else "drive"), topics, form)

@@ -103,7 +103,7 @@ UNKNOWN = {TOPIC: IMAGES, "/camera/camera_info": [calibration(ROS2, 0, 0.0)]}
 
 
 @pytest.mark.parametrize(
-    ("read", "topics", "topic", "problem"),
+    ("read", "topics", "topic", "error"),
     [
         (bag_source, TWO, None, r"has 2 topics with images \(--topic: give one of /left/image, /r"),
         (bag_source, TWO, "/right/imag", r"/right/imag: unknown topic \(did you mean /right/image"),
@@ -114,11 +114,11 @@ UNKNOWN = {TOPIC: IMAGES, "/camera/camera_info": [calibration(ROS2, 0, 0.0)]}
     ],
 )
 def test_what_is_not_there_or_has_to_be_chosen(
-    tmp_path: Path, read: Callable[..., object], topics: Topics, topic: str | None, problem: str
+    tmp_path: Path, read: Callable[..., object], topics: Topics, topic: str | None, error: str
 ) -> None:
     path = str(write_bag(tmp_path / "bag", topics))
 
-    with pytest.raises((InputError, ConfigError), match=problem):
+    with pytest.raises((InputError, ConfigError), match=error):
         read(path, topic)
 
 
@@ -223,7 +223,7 @@ def test_a_cut_bag_names_its_mending(tmp_path: Path, form: str, inside: bool, co
         deque(bag_source(given).items(), maxlen=0)
 
     assert caught.value.where == given
-    assert f"if its end is missing: {command}" in caught.value.remedy
+    assert f"if its end is missing: {command}" in caught.value.hint
     assert "\n" not in str(caught.value)
 
 

@@ -11,8 +11,8 @@ import torch
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.urls import slug
 from roadtorch.inputs.find import camera_number, find_inputs, open_source
+from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item, Selection, Source, spread
-from roadtorch.inputs.pictures import find_pictures
 from tests.videos import write_video
 
 NAMES = ["b.jpg", "a.PNG", "c[1].jpg", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"]
@@ -39,7 +39,7 @@ ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
 
 
 @pytest.mark.parametrize(
-    ("ends", "apart", "pictures", "videos"),
+    ("ends", "apart", "images", "videos"),
     [
         ([""], "loop.png", ALL, ["drive", "sub/late"]),
         (["[sx]*/d*/**"], "none", ["sub/deep/d"], []),
@@ -55,30 +55,32 @@ ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
     ],
 )
 def test_folders_and_globs(
-    footage: Path, ends: list[str], apart: str, pictures: list[str], videos: list[str]
+    footage: Path, ends: list[str], apart: str, images: list[str], videos: list[str]
 ) -> None:
     inputs = find_inputs([f"{footage}/{end}" for end in ends], apart=footage / apart)
 
-    assert [picture.name for picture in inputs.pictures] == pictures
+    assert [image.name for image in inputs.images] == images
     assert [source.name for source in inputs.sources] == videos
     assert {source.rate for source in inputs.sources if source.name == "drive"} <= {10}
 
 
 @pytest.mark.parametrize(
-    ("end", "what"),
-    [("bare", "holds no pictures"), ("*.gif", "holds no pictures"), ("none.jpg", "does not exist")],
+    ("end", "problem"),
+    [("bare", "holds no images"), ("*.gif", "holds no images"), ("none.jpg", "does not exist")],
 )
-def test_nothing_found_is_an_error_that_names_the_input(footage: Path, end: str, what: str) -> None:
+def test_nothing_found_is_an_error_that_names_the_input(
+    footage: Path, end: str, problem: str
+) -> None:
     with pytest.raises(InputError) as caught:
-        find_pictures([footage / end])
+        find_images([footage / end])
 
-    assert (caught.value.where, caught.value.what) == (str(footage / end), what)
+    assert (caught.value.where, caught.value.problem) == (str(footage / end), problem)
 
 
 def test_pipes_are_listed_and_never_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.png")
 
-    (item,) = find_pictures([tmp_path])
+    (item,) = find_images([tmp_path])
 
     with pytest.raises(InputError, match="it is a pipe or a device"):
         item.read()
@@ -92,22 +94,22 @@ def test_names_come_from_standard_input_and_lists(footage: Path, tmp_path: Path)
     listed.write_text("b.png\n\nother.mp4\r\n")
     given = ["-", f"@{listed}", str(footage / "b.jpg")]
 
-    pictures, sources = find_inputs(given, names=io.StringIO("0\na.jpg\n"))
+    images, sources = find_inputs(given, names=io.StringIO("0\na.jpg\n"))
 
-    assert [str(one.origin) for one in pictures] == ["a.jpg", "b.png", given[-1]]
+    assert [str(one.origin) for one in images] == ["a.jpg", "b.png", given[-1]]
     assert [one.origin for one in sources] == ["camera:0", "other.mp4"]
 
 
 @pytest.mark.parametrize(
-    ("given", "text", "problem"),
+    ("given", "text", "error"),
     [
         ("@none.txt", "", "none.txt: cannot be read"),
         ("-", "\n", "-: names nothing"),
         ("-", "\udcff\udcd8\udcff\udce0\0\x10JFIF", "-: takes names of files, not their bytes"),
     ],
 )
-def test_a_list_that_is_missing_or_empty_is_told(given: str, text: str, problem: str) -> None:
-    with pytest.raises(InputError, match=problem):
+def test_a_list_that_is_missing_or_empty_is_told(given: str, text: str, error: str) -> None:
+    with pytest.raises(InputError, match=error):
         find_inputs([given], names=io.StringIO(text))
 
 
@@ -131,10 +133,10 @@ def test_addresses_give_names_without_passwords() -> None:
 
 def test_one_source_of_an_input(footage: Path) -> None:
     assert open_source(str(footage / "drive.mp4"), Selection()).rate == 10
-    pictures = open_source(str(footage / "b.jpg"), Selection())
-    assert (pictures.rate, pictures.count) == (None, 1)
-    assert [frame.name for frame in pictures.items()] == ["b"]
-    with pytest.raises(ConfigError, match="holds 2 videos and pictures"):
+    images = open_source(str(footage / "b.jpg"), Selection())
+    assert (images.rate, images.count) == (None, 1)
+    assert [frame.name for frame in images.items()] == ["b"]
+    with pytest.raises(ConfigError, match="holds 2 videos and images"):
         open_source(str(footage), Selection())
 
 
@@ -185,10 +187,10 @@ def test_selections(selection: Selection, clock: bool, expected: list[int]) -> N
     assert [one.number for one in selection.of(items)] == expected
 
 
-def test_pictures_have_no_time_and_values_are_spread() -> None:
-    assert Selection(every=2, limit=2).of_pictures("abcdef") == "ac"
-    with pytest.raises(ConfigError, match="pictures have no time"):
-        Selection(start=1).of_pictures("abc")
+def test_images_have_no_time_and_values_are_spread() -> None:
+    assert Selection(every=2, limit=2).of_images("abcdef") == "ac"
+    with pytest.raises(ConfigError, match="images have no time"):
+        Selection(start=1).of_images("abc")
     assert [*spread(range(10), 3)] == [0, 4, 8]
     assert [*spread(range(2), 3)] == [0, 1]
 

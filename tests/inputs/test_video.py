@@ -32,8 +32,8 @@ def read_until_problem(path: Path) -> tuple[list[bool], str]:
             frames.append(False)
             with suppress(InputError):
                 frames[-1] = frame.read() is not None
-    except InputError as problem:
-        return frames, problem.what if problem.where == str(path) else str(problem)
+    except InputError as error:
+        return frames, error.problem if error.where == str(path) else str(error)
     return frames, ""
 
 
@@ -98,10 +98,10 @@ def test_a_cut_video_is_read_to_its_end(suffix: str, codec: str, tmp_path: Path)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 6 // 10])
 
-    frames, problem = read_until_problem(path)
+    frames, error = read_until_problem(path)
 
     assert 5 < sum(frames) < 40
-    assert re.match(r"ends after \d\.\d (of \d\.\d seconds|seconds: Invalid data)", problem)
+    assert re.match(r"ends after \d\.\d (of \d\.\d seconds|seconds: Invalid data)", error)
     assert len(list(islice(video_frames(path, "drive"), 5))) == 5  # who stops before is not told
 
 
@@ -113,10 +113,10 @@ def test_damage_in_the_middle(suffix: str, is_told: bool, tmp_path: Path) -> Non
     start, end = len(data) * 45 // 100, len(data) * 55 // 100
     path.write_bytes(data[:start] + bytes(end - start) + data[end:])
 
-    frames, problem = read_until_problem(path)
+    frames, error = read_until_problem(path)
 
     assert len(frames) > 20
-    assert problem.startswith("ends after 4.0 seconds: ") if is_told else not all(frames)
+    assert error.startswith("ends after 4.0 seconds: ") if is_told else not all(frames)
 
 
 @pytest.mark.parametrize(
@@ -152,9 +152,9 @@ def test_half_a_second_may_be_missing_at_the_end(
     path = write_video(tmp_path / "drive.mp4", FORTY)
     monkeypatch.setattr(video, "declared_seconds", lambda *_: 4.0 + missing / 10)
 
-    problem = read_until_problem(path)[1]
+    error = read_until_problem(path)[1]
 
-    assert problem == (f"ends after 4.0 of {4 + missing / 10:.1f} seconds" if is_told else "")
+    assert error == (f"ends after 4.0 of {4 + missing / 10:.1f} seconds" if is_told else "")
 
 
 def test_damaged_vp8_shows_the_same_on_any_number_of_threads(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_damaged_vp8_shows_the_same_on_any_number_of_threads(tmp_path: Path) -> 
             alone, reformatter = [], VideoReformatter()
             for packet in container.demux(video=0):
                 with suppress(FFmpegError):
-                    alone += [video.upright(reformatter, picture) for picture in packet.decode()]
+                    alone += [video.upright(reformatter, image) for image in packet.decode()]
         read = []
         with suppress(InputError):  # behind the last frame
             for frame in video_frames(path, "a"):
@@ -186,14 +186,14 @@ def test_too_many_pixels_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(
-    ("name", "start", "what"),
+    ("name", "start", "problem"),
     [
-        ("song.mp4", 0.0, "has sound and no moving pictures"),
+        ("song.mp4", 0.0, "has sound and no moving images"),
         ("codec.avi", 0.0, "is of a codec that FFmpeg cannot decode"),
         ("late.avi", 20.0, "has no frame from 20 s on"),
     ],
 )
-def test_what_has_no_pictures_to_give(name: str, start: float, what: str, tmp_path: Path) -> None:
+def test_what_has_no_images_to_give(name: str, start: float, problem: str, tmp_path: Path) -> None:
     path = tmp_path / name
     if name == "song.mp4":
         write_sound(path)
@@ -205,4 +205,4 @@ def test_what_has_no_pictures_to_give(name: str, start: float, what: str, tmp_pa
     with pytest.raises(InputError) as caught:
         chosen(path, start=start)
 
-    assert (caught.value.where, caught.value.what) == (str(path), what)
+    assert (caught.value.where, caught.value.problem) == (str(path), problem)

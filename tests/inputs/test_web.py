@@ -13,12 +13,12 @@ from roadtorch.base import urls
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import decode_image, png_bytes, read_image, to_pixels
 from roadtorch.inputs.find import find_inputs
-from roadtorch.inputs.pictures import find_pictures
+from roadtorch.inputs.images import find_images
 from roadtorch.testing import street
 from tests.servers import Answer, send, serving
 
 
-def picture() -> bytes:
+def image() -> bytes:
     return png_bytes(to_pixels(street(48, 64, 1)), 64)
 
 
@@ -31,18 +31,18 @@ def moved(handler: BaseHTTPRequestHandler) -> None:
 def locked(handler: BaseHTTPRequestHandler) -> None:
     told = base64.b64encode(b"me:s:cret").decode()
     if handler.headers["Authorization"] == f"Basic {told}":
-        send(picture(), "image/png")(handler)
+        send(image(), "image/png")(handler)
     else:
         handler.send_error(401)
 
 
 ANSWERS: dict[str, Answer] = {
-    "/a.png": send(picture(), "image/png"),
-    "/snapshot": send(picture(), "image/png"),
-    "/plain.png": send(picture(), "application/octet-stream"),
+    "/a.png": send(image(), "image/png"),
+    "/snapshot": send(image(), "image/png"),
+    "/plain.png": send(image(), "application/octet-stream"),
     "/moved.png": moved,
     "/locked.png": locked,
-    "/cut.png": send(picture(), "image/png", 10**6),
+    "/cut.png": send(image(), "image/png", 10**6),
     "/long.png": send(bytes(10**6 + 1), "image/png"),
     "/late.png": lambda _: time.sleep(1),
     "/camera.png": send(b"", "multipart/x-mixed-replace; boundary=x", 0),
@@ -88,7 +88,7 @@ def test_detectors_and_streams_take_an_address(host: str) -> None:
 def test_addresses_of_no_server_are_refused(url: str) -> None:
     with pytest.raises(InputError, match=f"{url}: is not of the web"):
         read_image(url)
-    for find in (find_inputs, find_pictures):
+    for find in (find_inputs, find_images):
         with pytest.raises(InputError, match=f"{url}: is an address that is not read"):
             find([url])
 
@@ -103,14 +103,14 @@ def test_a_password_is_sent_and_told_nosend(host: str) -> None:
 
 
 def test_what_does_not_end_is_a_stream(host: str) -> None:
-    pictures, sources = find_inputs([f"http://{host}/{path}" for path in ("camera.png", "live")])
+    images, sources = find_inputs([f"http://{host}/{path}" for path in ("camera.png", "live")])
 
-    assert pictures == []
+    assert images == []
     assert [source.live for source in sources] == [True, True]
 
 
 @pytest.mark.parametrize(
-    ("url", "problem"),
+    ("url", "error"),
     [
         ("http://{host}/none.png", "is answered with 404 Not Found"),
         ("http://{host}/cut.png", "cannot be fetched: it is cut after"),
@@ -119,17 +119,17 @@ def test_what_does_not_end_is_a_stream(host: str) -> None:
         ("http://127.0.0.1:9/a.png", "cannot be fetched: "),
     ],
 )
-def test_server_faults(url: str, problem: str, host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_faults(url: str, error: str, host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(urls, "ANSWER", 0.2)
     monkeypatch.setattr(urls, "MAX_BYTES", 10**6)
     url = url.format(host=host)
 
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError) as raised:
         read_image(url)
 
-    assert str(error.value).startswith(f"{url}: {problem}")
-    assert "\n" not in str(error.value)
+    assert str(raised.value).startswith(f"{url}: {error}")
+    assert "\n" not in str(raised.value)
 
 
 def street_as_png() -> torch.Tensor:
-    return decode_image(picture(), "street")
+    return decode_image(image(), "street")

@@ -29,7 +29,7 @@ from tests.streets import scene
 
 
 def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the look of the sky, what is not like the top of the picture becomes a wall."""
+    """Without the look of the sky, what is not like the top of the image becomes a wall."""
     street = scene(0, dusk=0.0)
     sky = truth(street) == SKY
     top = (torch.arange(sky.shape[0])[:, None] < 0.2 * sky.shape[0])[None]
@@ -92,7 +92,7 @@ def test_long_columns_do_not_underflow() -> None:
     torch.testing.assert_close(belief.sum(1), torch.ones(1000))
 
 
-# --- pictures -----------------------------------------------------------------------------
+# --- images -----------------------------------------------------------------------------
 
 
 @cache

@@ -53,7 +53,7 @@ def test_the_default_is_cnn_7() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "what", "near"),
+    ("values", "problem", "near"),
     [
         ({"size3": 5}, "ends in 3×3", "size3=7 would end in it"),
         ({"patch": 64}, "ends in 17×17", "smaller patch"),
@@ -62,11 +62,11 @@ def test_the_default_is_cnn_7() -> None:
         ({"connections": 5}, "is 5, and the first layer has 4 kernels", "give 0 to 4"),
     ],
 )
-def test_sizes_that_do_not_fit_are_refused(values: dict[str, int], what: str, near: str) -> None:
+def test_sizes_that_do_not_fit_are_refused(values: dict[str, int], problem: str, near: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_settings(PatchNetworkSettings, {"topology": values})
-    assert what in caught.value.what
-    assert near in caught.value.remedy
+    assert problem in caught.value.problem
+    assert near in caught.value.hint
 
 
 def test_a_partial_table_gives_each_kernel_its_maps_and_each_map_its_share() -> None:
@@ -120,35 +120,34 @@ def test_a_patch_gives_what_the_layers_say_one_by_one(topology: Topology) -> Non
 
 @pytest.mark.parametrize("topology", SHAPES, ids=str)
 def test_dense_equals_the_network_patch_by_patch(topology: Topology) -> None:
-    network, picture = network_of(topology), pixels(3, 5, 8)
+    network, image = network_of(topology), pixels(3, 5, 8)
     places = [(0, 0), (4, 7), (2, 6), (3, 6)]
     around = [
-        reference.patch_around(picture.numpy(), row, column, topology.patch)
-        for row, column in places
+        reference.patch_around(image.numpy(), row, column, topology.patch) for row, column in places
     ]
 
-    dense = network.dense(picture)
+    dense = network.dense(image)
 
     # Every position, cut by unfolding; and some whose patches are cut pixel by pixel.
-    cut = reflected(picture, topology.patch).unfold(1, topology.patch, 1)
+    cut = reflected(image, topology.patch).unfold(1, topology.patch, 1)
     cut = cut.unfold(2, topology.patch, 1).permute(1, 2, 0, 3, 4).flatten(0, 1)
     torch.testing.assert_close(dense.flatten(1), network(cut).T, atol=1e-5, rtol=0)
     some = network(torch.from_numpy(np.stack(around)).float())
     rows, columns = zip(*places, strict=True)
     torch.testing.assert_close(dense[:, rows, columns], some.T, atol=1e-5, rtol=0)
-    # Of several pictures, and of one pixel.
-    torch.testing.assert_close(network.dense(picture.expand(2, -1, -1, -1))[1], dense)
-    assert network.dense(picture[:, :1, :1]).shape == (3, 1, 1)
+    # Of several images, and of one pixel.
+    torch.testing.assert_close(network.dense(image.expand(2, -1, -1, -1))[1], dense)
+    assert network.dense(image[:, :1, :1]).shape == (3, 1, 1)
 
 
-# --- pictures --------------------------------------------------------------------------------
+# --- images --------------------------------------------------------------------------------
 
 
-def test_a_picture_less_its_mean_over_its_deviation_forgets_light_and_cast() -> None:
+def test_an_image_less_its_mean_over_its_deviation_forgets_light_and_cast() -> None:
     image = scene(2).image * 0.6 + 0.1
     cast = image * 0.5 + torch.tensor([0.05, 0.1, 0.2])[:, None, None]
 
-    one, two = (normalise(picture, Normalisation(kind="picture")) for picture in (image, cast))
+    one, two = (normalise(image, Normalisation(kind="image")) for image in (image, cast))
 
     torch.testing.assert_close(one.pixels, two.pixels, atol=1e-4, rtol=0)
     assert two.gain == pytest.approx(2 * one.gain, rel=1e-4)

@@ -179,17 +179,17 @@ def test_what_is_not_finite_is_no_sample(classifier: Classifier) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "what"),
+    ("values", "problem"),
     [
         *((torch.rand(size), r"have the shape .* \(give \(number, 3\)") for size in WRONG),
         (torch.randint(256, (90, 3)), r"are torch\.int64"),
     ],
 )
-def test_another_shape_or_type_is_refused_in_one_line(values: Tensor, what: str) -> None:
+def test_another_shape_or_type_is_refused_in_one_line(values: Tensor, problem: str) -> None:
     classifier = CLASSIFIERS["gaussian"]
-    with pytest.raises(InputError, match=f"^samples: {what}"):
+    with pytest.raises(InputError, match=f"^samples: {problem}"):
         fit(classifier, values, RGB)
-    with pytest.raises(InputError, match=f"^pixels: {what}"):
+    with pytest.raises(InputError, match=f"^pixels: {problem}"):
         of_asphalt(classifier).distance(values)
 
 

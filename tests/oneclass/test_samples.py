@@ -25,7 +25,7 @@ ALL = AllSampleSettings()
 
 
 def eight_bit(levels: int = 12) -> Tensor:
-    """A picture of few colours, as read_image gives it."""
+    """An image of few colours, as read_image gives it."""
     steps = torch.randint(levels, (3, 96, 128), generator=seeded(), dtype=torch.uint8)
     return (steps * (255 // levels)).to(torch.float32).div_(255)
 
@@ -52,7 +52,7 @@ def test_the_area_scales_with_the_image(size: tuple[int, int], shape: tuple[int,
 # --- distinct colours -----------------------------------------------------------------------------
 
 
-def test_distinct_colours_are_the_pictures_own_to_the_bit() -> None:
+def test_distinct_colours_are_the_images_own_to_the_bit() -> None:
     for image in (eight_bit(), random(3, 20, 30, dtype=torch.float32)):
         found = colours(image)
 

@@ -1,6 +1,6 @@
 """P2's road likelihood of single pixels, slow and obvious: layout times texture (eqs. 1 to 4).
 
-Superpixels and the normalised picture are given; the constants that P2 leaves open (ridge, levels
+Superpixels and the normalised image are given; the constants that P2 leaves open (ridge, levels
 and their range) are those of docs/research/papers.md.
 """
 

@@ -23,7 +23,7 @@ def turn(pitch: float, yaw: float, roll: float) -> np.ndarray:
 def made_up_rows(
     pitch: float = 0.02, yaw: float = -0.01, roll: float = 0.005, shift: float = 0.06
 ) -> dict[str, np.ndarray]:
-    """The matrices of a camera of our own, for pictures of 160 by 120 pixels.
+    """The matrices of a camera of our own, for images of 160 by 120 pixels.
 
     It stands 1.6 m above the road; with no angles and no shift it is a plain pinhole.
     """

@@ -1,4 +1,4 @@
-"""Naive Bayes by the product formula, and the road of a picture one segment at a time."""
+"""Naive Bayes by the product formula, and the road of an image one segment at a time."""
 
 import math
 from collections.abc import Sequence

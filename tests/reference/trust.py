@@ -4,7 +4,7 @@ from itertools import pairwise, permutations
 
 
 def risks(trust: list[float], f: list[float]) -> list[float]:
-    """Mean 1 - F of the first 1, 2, … pictures, over all orders that put no trust before more."""
+    """Mean 1 - F of the first 1, 2, … images, over all orders that put no trust before more."""
     found = []
     for order in permutations(range(len(trust))):
         if all(trust[a] >= trust[b] for a, b in pairwise(order)):

@@ -1,4 +1,4 @@
-"""P1's text from picture to mask, slow and obvious, in NumPy's double precision.
+"""P1's text from image to mask, slow and obvious, in NumPy's double precision.
 
 What the text leaves open is the program's, as docs/research/papers.md lists: the blur's windows,
 the constants of contrast and whitening, empty clusters, the dilation.

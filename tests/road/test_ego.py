@@ -51,7 +51,7 @@ def test_what_any_of_the_three_says_counts(tmp_path: Path) -> None:
     assert not car[:36, 5:35].any()
 
 
-def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
+def test_the_mask_is_read_once_for_all_images(tmp_path: Path) -> None:
     file = mask_file(tmp_path, bonnet(30, 40))
     detector = load_detector("prior:rows", ego={"mask": file})
     Path(file).unlink()
@@ -64,7 +64,7 @@ def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "what"),
+    ("call", "problem"),
     [
         (
             lambda folder: ego_car(
@@ -84,12 +84,12 @@ def test_the_mask_is_read_once_for_all_pictures(tmp_path: Path) -> None:
         ),
         (
             lambda _: load_detector("prior:rows", ego={"outline": (0.01, 0.05)}),
-            "ego.outline: .*leave at least 10% of the picture free",
+            "ego.outline: .*leave at least 10% of the image free",
         ),
     ],
 )
-def test_nonsense_is_refused(call: Callable[[Path], object], what: str, tmp_path: Path) -> None:
-    with pytest.raises((ConfigError, InputError), match=what):
+def test_nonsense_is_refused(call: Callable[[Path], object], problem: str, tmp_path: Path) -> None:
+    with pytest.raises((ConfigError, InputError), match=problem):
         call(tmp_path)
 
 
@@ -153,7 +153,7 @@ def test_road_that_reaches_the_ego_car_is_not_isolated() -> None:
     assert detection.mask[150:175, 120:200].float().mean() > 0.9
 
 
-# --- found in the picture -------------------------------------------------------------------
+# --- found in the image -------------------------------------------------------------------
 
 HEIGHT, WIDTH = 40, 60
 EVERY = slice(None)

@@ -1,4 +1,4 @@
-"""Naive Bayes over cues, and the road of whole pictures."""
+"""Naive Bayes over cues, and the road of whole images."""
 
 import pytest
 import torch
@@ -95,7 +95,7 @@ def test_the_distance_adds_up_along_the_way_even_to_what_looks_the_same() -> Non
         image[:, :, labels[0] == stripe] = grey
     segments = measure_segments(image, labels)
     contrast = segments.contrast_between  # of the pairs (0, 1), (1, 2), (2, 3), (3, 4)
-    step = contrast / (contrast.quantile(0.25) + FAINTEST)  # in faint borders of this picture
+    step = contrast / (contrast.quantile(0.25) + FAINTEST)  # in faint borders of this image
 
     distance = seed_distance(segments, torch.tensor([2]))
 
@@ -158,7 +158,7 @@ def test_the_triangle_covers_the_seed_area_and_no_sky(height: int, width: int) -
     assert triangle[: int(0.45 * height)].max() == 0
 
 
-# --- pictures -----------------------------------------------------------------------------
+# --- images -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

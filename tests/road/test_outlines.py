@@ -31,7 +31,7 @@ def halves(height: int, width: int) -> Tensor:
     return (0.4 + colour * side).clamp(0, 1)
 
 
-def test_stairs_become_the_line_that_the_picture_has() -> None:
+def test_stairs_become_the_line_that_the_image_has() -> None:
     image, small = halves(480, 640), resized(halves(480, 640), (180, 240))
     road = image[0] > 0.5
     stairs = small[0, 6::12, 6::12].repeat_interleave(12, 0).repeat_interleave(12, 1)
@@ -53,7 +53,7 @@ def test_what_is_an_affine_function_of_colour_stays_itself() -> None:
 
 
 @given(st.integers(16, 70), st.integers(16, 70), st.floats(0, 1), st.integers(0, 99))
-def test_what_says_the_same_everywhere_says_it_in_any_picture(height, width, value, seed):
+def test_what_says_the_same_everywhere_says_it_in_any_image(height, width, value, seed):
     image = torch.rand(3, height, width, generator=torch.Generator().manual_seed(seed))
 
     found = followed(torch.full((height, width), value), image, image)
@@ -88,7 +88,7 @@ ROAD_LEVEL, OTHER_LEVEL = 0.8, 0.1
     [
         ((slice(60, 110), slice(80, 83)), True),  # a line
         ((slice(60, 110), slice(80, 130)), False),  # a car
-        ((slice(100, 120), slice(80, 83)), True),  # a line that leaves the picture
+        ((slice(100, 120), slice(80, 83)), True),  # a line that leaves the image
         ((slice(20, 110), slice(80, 83)), False),  # what is thin and joins the background
     ],
 )
@@ -126,7 +126,7 @@ def signs(
 
 def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
     assert signs() == pytest.approx(BEST, abs=1e-6)
-    # A quarter of the picture, a hundred pixels of it at the low threshold, is undecided: of the
+    # A quarter of the image, a hundred pixels of it at the low threshold, is undecided: of the
     # 200 pixels of the mask 175 are road, and 50 beside it.
     undecided = BEST._replace(steady=150 / 250, vague=0.25, expected=2 * 175 / (200 + 200))
     assert signs(likelihood=UNSURE_ABOVE) == pytest.approx(undecided, abs=1e-6)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.imaging.motion import flow_picture
+from roadtorch.imaging.motion import flow_image
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.steady import Steady, SteadySettings, flow_confidence, smoothed
 from roadtorch.testing.scenes import render_scene
@@ -30,7 +30,7 @@ def noisy(frames: int) -> Tensor:
 def steadied(
     likelihoods: Iterable[Tensor], steady: Steady | None = None, image: Tensor = STREET
 ) -> list[Tensor]:
-    """The likelihoods of a still picture."""
+    """The likelihoods of a still image."""
     steady = steadier() if steady is None else steady
     return [steady(image, likelihood) for likelihood in likelihoods]
 
@@ -47,7 +47,7 @@ def test_the_first_frame_and_a_constant_stay_as_they_are_and_so_does_what_is_giv
     assert torch.equal(likelihood, kept)
 
 
-def test_a_still_picture_averages_its_first_frames_evenly() -> None:
+def test_a_still_image_averages_its_first_frames_evenly() -> None:
     *_, last = steadied(noisy(4))
 
     assert torch.allclose(log_odds(last), log_odds(noisy(4)).mean(0), atol=1e-3)
@@ -62,7 +62,7 @@ def test_the_variance_of_noise_falls_to_that_of_a_fading_memory() -> None:
     assert float(log_odds(last).var()) == pytest.approx(1 / (2 * memory + 1), rel=0.05)
 
 
-def test_what_moves_with_the_picture_stays_where_it_belongs() -> None:
+def test_what_moves_with_the_image_stays_where_it_belongs() -> None:
     wide = render_scene(1, 120, 240, noise=0.0)
     steady, shift = steadier(), 4
     generator = torch.Generator().manual_seed(0)
@@ -88,7 +88,7 @@ def test_a_cut_and_another_size_begin_anew(image: Tensor) -> None:
 
 
 def test_what_looks_different_is_not_believed_and_a_change_of_light_is_no_difference() -> None:
-    grey = flow_picture(STREET * 0.8, 240)
+    grey = flow_image(STREET * 0.8, 240)
     covered, still = grey.clone(), torch.zeros(*grey.shape, 2)
     covered[60:100, 60:100] = 255 - covered[60:100, 60:100]
 
@@ -138,7 +138,7 @@ def test_an_ego_car_is_never_road_not_even_where_a_frame_misses_it() -> None:
 )
 def test_smoothed_frames_are_means_up_to_a_cut(images: list[Tensor], of: list[range]) -> None:
     odds = [log_odds(likelihood) for likelihood in noisy(4)]
-    greys = [flow_picture(image, 160) for image in images]
+    greys = [flow_image(image, 160) for image in images]
 
     found = smoothed(greys, odds, SteadySettings(memory=20.0))
 

@@ -50,7 +50,7 @@ def test_without_a_ridge_the_nine_planes_of_the_paper_fuse_to_nothing():
         fused_plane(stack, minimum_variance_weights(samples, ridge)) for ridge in (0.0, 3e-3)
     )
 
-    # (R - G - √2·O1) / -√2 has weights that sum to 1, and is 0 in every picture.
+    # (R - G - √2·O1) / -√2 has weights that sum to 1, and is 0 in every image.
     assert collapsed.std() < 1e-3
     assert kept.std() > 10 * collapsed.std()
 
@@ -124,7 +124,7 @@ def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black(pixel, i
 
 
 @pytest.mark.filterwarnings("ignore:Applying `local_binary_pattern` to floating-point")
-def test_patterns_are_those_of_scikit_image_and_turn_with_the_picture():
+def test_patterns_are_those_of_scikit_image_and_turn_with_the_image():
     grey = random(30, 41)
     expected = local_binary_pattern(grey.numpy(), 8, 1, "uniform")[1:-1, 1:-1]
 

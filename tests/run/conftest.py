@@ -1,4 +1,4 @@
-"""The command line called in this process, on a folder of pictures."""
+"""The command line called in this process, on a folder of images."""
 
 from functools import partial
 from pathlib import Path
@@ -16,5 +16,5 @@ def out(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def run(call: Call, footage: Path, out: Path) -> Call:
-    """``infer`` on the three pictures with the quickest detector, into ``out``."""
+    """``infer`` on the three images with the quickest detector, into ``out``."""
     return partial(call, "infer", footage, *ROWS, "--out", out)

@@ -17,21 +17,21 @@ from roadtorch.annotate.session import opened_session
 from roadtorch.base.image import write_colours, write_mask
 from roadtorch.camera.camera import Camera, Ego
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from roadtorch.train.run import TrainingRun
 from tests.command import Call, bytes_in, files_in
 from tests.reference import bev
 from tests.streets import drive
-from tests.train.runs import PICTURES
+from tests.train.runs import IMAGES
 
 SIZE = (48, 64)
 
 
 def write_network(path: Path, seed: int) -> None:
     torch.manual_seed(seed)
-    save_network(path, PictureNetwork(PictureNetworkSettings(**SHAPE)), {})
+    save_network(path, ImageNetwork(ImageNetworkSettings(**SHAPE)), {})
 
 
 SHAPE: dict[str, Any] = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
@@ -42,18 +42,18 @@ def root(tmp_path: Path) -> Path:
     """All that any command reads, below one folder."""
     root = tmp_path / "in"
     for seed, name in enumerate(("um_000000", "umm_000003")):
-        write_picture(root / "image_2" / f"{name}.png", render_scene(seed, 120, 160))
+        write_image(root / "image_2" / f"{name}.png", render_scene(seed, 120, 160))
         (root / "calib").mkdir(exist_ok=True)
         rows = bev.made_up_rows(pitch=0.02)
         (root / "calib" / f"{name}.txt").write_text(bev.calibration_text(rows))
-        write_picture(root / "streets" / f"street_{seed}.png", render_scene(seed, *SIZE))
+        write_image(root / "streets" / f"street_{seed}.png", render_scene(seed, *SIZE))
     (root / "drive").mkdir()
     write_mask(root / "ego.png", torch.arange(48)[:, None].expand(SIZE) > 40)
     camera = Camera(width=64, height=48, frames=10, horizon=0.4, seed_row=0.9, ego=Ego(bottom=0.2))
     camera.write(root / "camera.toml")
     (root / "config.toml").write_text('detector = "prior:rows"\nthreshold = 0.4\n')
     (root / "lens.yaml").write_text(LENS)
-    (root / "train.toml").write_text(PICTURES)
+    (root / "train.toml").write_text(IMAGES)
     write_network(root / "weights.safetensors", 0)
     return root
 
@@ -95,7 +95,7 @@ def words_of(root: Path, line: str) -> list[str]:
     return line.replace("@", f"{root}/").split()
 
 
-# --- a picture at a time -----------------------------------------------------------------
+# --- an image at a time -----------------------------------------------------------------
 
 EGO = "--set ego.mask=@ego.png"
 WEIGHTS = "--detector fusion --set weights.file=@weights.safetensors"
@@ -168,9 +168,9 @@ ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96
 
 
 @pytest.mark.parametrize(
-    ("line", "name", "problem"),
+    ("line", "name", "error"),
     [
-        (TRAIN, "streets/street_0.png", "holds a run with other pictures"),
+        (TRAIN, "streets/street_0.png", "holds a run with other images"),
         (
             f"{TRAIN} --set teacher.detector=fusion --set teacher.weights=@weights.safetensors",
             "weights.safetensors",
@@ -196,7 +196,7 @@ def test_a_training_with_another_file_is_refused(
     monkeypatch: pytest.MonkeyPatch,
     line: str,
     name: str,
-    problem: str,
+    error: str,
 ) -> None:
     for number, frame in enumerate(drive()):
         write_colours(root / f"drive/{number:02d}.png", frame)
@@ -210,7 +210,7 @@ def test_a_training_with_another_file_is_refused(
     again = call(*words)
 
     assert again.exit_code == 2
-    assert problem in again.stderr
+    assert error in again.stderr
 
 
 @pytest.mark.parametrize("name", ["streets/street_0.png", "weights.safetensors", "ego.png"])

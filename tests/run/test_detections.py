@@ -17,7 +17,7 @@ from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.run.loop import FrameResult, Inference, detections
 from roadtorch.run.workers import Workers
-from tests.command import save_picture
+from tests.command import save_image
 from tests.streets import scene
 from tests.videos import write_video
 
@@ -63,9 +63,9 @@ def test_detections_have_names_time_stamps_and_images(tmp_path: Path) -> None:
         assert torch.equal(frame.mask, GREY.detect(frame.image).mask)
 
 
-def test_pictures_are_a_source_that_does_not_move(tmp_path: Path) -> None:
-    save_picture(tmp_path / "b.png")
-    save_picture(tmp_path / "sub" / "a.jpg")
+def test_images_are_a_source_that_does_not_move(tmp_path: Path) -> None:
+    save_image(tmp_path / "b.png")
+    save_image(tmp_path / "sub" / "a.jpg")
 
     frames = list(detect_stream(tmp_path, ROWS))
 
@@ -93,8 +93,8 @@ def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
     progress: list[tuple[int, float | None]] = []
     missed: list[str] = []
 
-    def note(item: Item, problem: RoadtorchError) -> None:
-        missed.append(f"{item.name} {problem.what}")
+    def note(item: Item, error: RoadtorchError) -> None:
+        missed.append(f"{item.name} {error.problem}")
 
     source = of_scenes(3, bad=1)
     frames = list(

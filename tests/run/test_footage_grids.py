@@ -86,7 +86,7 @@ def test_all_frames_have_the_median_of_their_pitches(call: Call, drive: Path, ou
 
 def test_neither_jobs_nor_a_second_run_change_grids(call: Call, tmp_path: Path) -> None:
     video = write_video(tmp_path / "drive.mp4", size=(HEIGHT, WIDTH))
-    run = ("grid", video, *VIEW, "--every", 4, "--likelihood", "--picture", "--out")
+    run = ("grid", video, *VIEW, "--every", 4, "--likelihood", "--image", "--out")
     results = [call(*run, tmp_path / jobs, "--jobs", jobs) for jobs in "12"]
 
     assert [result.exit_code for result in results] == [0, 0], results[0].stderr
@@ -102,8 +102,8 @@ def test_neither_jobs_nor_a_second_run_change_grids(call: Call, tmp_path: Path) 
 
 
 def test_a_frame_of_another_shape_costs_itself_alone(call: Call, tmp_path: Path, out: Path) -> None:
-    pictures = [street(3), street(4)[:60], street(5)]
-    drive = write_drive(tmp_path, "mcap", pictures, FOCAL)
+    images = [street(3), street(4)[:60], street(5)]
+    drive = write_drive(tmp_path, "mcap", images, FOCAL)
 
     result = call("grid", drive, *MAP, "--pitch", 3, *TRIANGLE, "--out", out)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadtorch.camera.camera import Camera
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import Call, rows_of
 from tests.run.writers.test_files import loaded
 
@@ -19,12 +19,12 @@ TRIANGLE = ("--detector", "prior:triangle")
 def street(tmp_path: Path) -> Path:
     """Two rendered streets in a folder, one in a folder below."""
     for name, seed in (("a", 3), ("sub/b", 4)):
-        write_picture(tmp_path / "street" / f"{name}.png", render_scene(seed, 120, 160))
+        write_image(tmp_path / "street" / f"{name}.png", render_scene(seed, 120, 160))
     return tmp_path / "street"
 
 
-def test_every_picture_gives_a_map(call: Call, street: Path, out: Path) -> None:
-    result = call("grid", street, "--out", out, *VIEW, "--likelihood", "--picture")
+def test_every_image_gives_a_map(call: Call, street: Path, out: Path) -> None:
+    result = call("grid", street, "--out", out, *VIEW, "--likelihood", "--image")
 
     assert result.exit_code == 0, result.stderr
     cells, values = loaded(out / "sub" / "b.grid.yaml")

@@ -1,4 +1,4 @@
-"""roadtorch infer on pictures: what is written, when it is written again, what is refused."""
+"""roadtorch infer on images: what is written, when it is written again, what is refused."""
 
 import os
 import struct
@@ -17,9 +17,9 @@ from roadtorch.base.image import read_image, write_jpeg
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Inference
-from roadtorch.run.writers.maps import cue_picture
+from roadtorch.run.writers.maps import cue_image
 from roadtorch.testing.scenes import render_scene
-from tests.command import ROWS, Call, files_in, rows_of, save_picture
+from tests.command import ROWS, Call, files_in, rows_of, save_image
 
 GREY = ("--detector", "grey-uniformity")
 
@@ -50,12 +50,12 @@ def test_a_folder_gives_three_files_an_image(run: Call, footage: Path, out: Path
 
 
 def test_files_hold_what_the_library_says(call: Call, tmp_path: Path, out: Path) -> None:
-    picture = save_picture(tmp_path / "x.png")
+    image = save_image(tmp_path / "x.png")
     kinds = "likelihood,mask,overlay,cues, npy"
 
-    call("infer", picture, *GREY, "--save", kinds, "--depth", "16", "--out", out)
+    call("infer", image, *GREY, "--save", kinds, "--depth", "16", "--out", out)
 
-    detection = load_detector("grey-uniformity").detect(read_image(picture))
+    detection = load_detector("grey-uniformity").detect(read_image(image))
     stored = np.asarray(Image.open(out / "x.likelihood.png"))
     assert stored.dtype == np.uint16
     assert np.array_equal(stored, (detection.likelihood.double() * 65535).round().numpy())
@@ -69,8 +69,8 @@ def test_files_hold_what_the_library_says(call: Call, tmp_path: Path, out: Path)
         assert np.array_equal(np.load(out / f"x.{name}.npy"), cue.numpy())
 
 
-def test_cue_pictures() -> None:
-    shown = cue_picture
+def test_cue_images() -> None:
+    shown = cue_image
     ramp = torch.linspace(-3, 5, 12).view(3, 4)
     layout = torch.zeros(3, 2, 2)
     layout[0] = 1
@@ -84,9 +84,9 @@ def test_cue_pictures() -> None:
     labels = shown("layout_labels", torch.tensor([[0, 255]]))
     assert torch.equal(labels[:, 0, 0] * 255, sky)
     assert not labels[:, 0, 1].any()
-    picture = torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0))
-    low, high = picture.aminmax()  # one range for all channels
-    torch.testing.assert_close(shown("dictionary", picture * 2 - 1), (picture - low) / (high - low))
+    image = torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0))
+    low, high = image.aminmax()  # one range for all channels
+    torch.testing.assert_close(shown("dictionary", image * 2 - 1), (image - low) / (high - low))
     assert torch.equal(shown("maps", torch.stack([ramp, -ramp])), torch.zeros(3, 3, 4))
     segments = shown("segments", torch.arange(30).view(5, 6)).flatten(1)
     assert len({tuple(colour) for colour in segments.T.tolist()}) == 30
@@ -127,7 +127,7 @@ def test_what_is_done_is_skipped_until_overwrite(run: Call, footage: Path, out: 
     run()
     (out / "a.mask.png").unlink()
     (out / "b.mask.png").write_bytes(b"marked")
-    save_picture(footage / "d.png")
+    save_image(footage / "d.png")
 
     again = run()
     assert again.stderr == f"roadtorch: 2 done, 2 skipped (done before); results in {out}\n"
@@ -140,7 +140,7 @@ def test_what_is_done_is_skipped_until_overwrite(run: Call, footage: Path, out: 
     assert (out / "b.mask.png").read_bytes() != b"marked"
 
 
-def test_results_beside_the_pictures_are_not_taken_for_pictures(call: Call, footage: Path) -> None:
+def test_results_beside_the_images_are_not_taken_for_images(call: Call, footage: Path) -> None:
     for _ in range(2):
         result = call("infer", footage, *ROWS, "--out", footage, "--save", "mask,cues")
         assert result.exit_code == 0
@@ -157,23 +157,23 @@ def test_broken_images_become_failed_rows_beside_others(
     whole = (footage / "a.jpg").read_bytes()
     (footage / "cut.jpg").write_bytes(whole[: len(whole) // 2])
     (footage / "empty.png").touch()
-    (footage / "text.png").write_text("not a picture")
-    save_picture(footage / "tiny.png", size=(1, 1))
+    (footage / "text.png").write_text("not an image")
+    save_image(footage / "tiny.png", size=(1, 1))
 
     result = call("infer", footage, footage / "none.jpg", *ROWS, "--out", out, "--jobs", "2")
 
     assert result.exit_code == 1
     assert result.stderr.splitlines()[-1] == f"roadtorch: 3 done, 5 failed; results in {out}"
     rows = rows_of(out)
-    for file, what in [
+    for file, problem in [
         ("cut.jpg", "cannot be decoded"),
         ("empty.png", "is empty"),
-        ("text.png", "is not a picture"),
+        ("text.png", "is not an image"),
         ("tiny.png", "is 1×1 pixels"),
         ("none.jpg", "does not exist"),
     ]:
         assert rows[file]["status"].startswith("failed: ")
-        assert what in rows[file]["status"]
+        assert problem in rows[file]["status"]
         assert file in result.stderr
     assert rows["a.jpg"]["status"] == "done"
     assert not any(name.endswith(".part") for name in files_in(out))
@@ -181,16 +181,16 @@ def test_broken_images_become_failed_rows_beside_others(
 
 
 @pytest.mark.parametrize(
-    ("problem", "told"),
+    ("error", "told"),
     [
         (ZeroDivisionError("oh\nno"), "ZeroDivisionError: oh no (report it)"),
-        (MemoryError(), "b.png: needs more memory than there is (give smaller pictures"),
+        (MemoryError(), "b.png: needs more memory than there is (give smaller images"),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), "needs more mem"),
         (ImportError("x.so: failed to map segment from shared object"), "needs more memory"),
     ],
 )
 def test_a_detector_that_trips_costs_one_row(
-    problem: Exception,
+    error: Exception,
     told: str,
     run: Call,
     footage: Path,
@@ -201,7 +201,7 @@ def test_a_detector_that_trips_costs_one_row(
 
     def trips(self: Inference, image: torch.Tensor) -> Detection:
         if torch.equal(image, read_image(footage / "b.png")):
-            raise problem
+            raise error
         return real(self, image)
 
     monkeypatch.setattr(Inference, "__call__", trips)

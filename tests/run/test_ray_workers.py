@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from roadtorch.cli import main
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import bytes_in, rows_of
 
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
@@ -25,20 +25,20 @@ LONGEST = 180.0  # seconds for what takes ten on an idle machine
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of 16 small rendered streets, and a file that is no picture."""
-    folder = tmp_path_factory.mktemp("pictures")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of 16 small rendered streets, and a file that is no image."""
+    folder = tmp_path_factory.mktemp("images")
     for seed in range(16):
-        write_picture(folder / f"{seed:02}.png", render_scene(seed, 60, 80))
-    (folder / "bad.png").write_bytes(b"no picture")
+        write_image(folder / f"{seed:02}.png", render_scene(seed, 60, 80))
+    (folder / "bad.png").write_bytes(b"no image")
     return folder
 
 
 @pytest.fixture(scope="module")
-def expected(pictures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def expected(images: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What processes of this machine make of them."""
     out = tmp_path_factory.mktemp("expected")
-    CliRunner().invoke(main, ["infer", str(pictures), *WORK, "--out", str(out)])
+    CliRunner().invoke(main, ["infer", str(images), *WORK, "--out", str(out)])
     return out
 
 
@@ -86,9 +86,9 @@ def without_ms(out: Path) -> dict[str, dict[str, str]]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for the worker in /proc")
-def test_a_killed_worker_costs_one_picture(pictures: Path, expected: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_costs_one_image(images: Path, expected: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run = start(pictures, *WORK, "--out", out, *RAY)
+    run = start(images, *WORK, "--out", out, *RAY)
     wait_for_a_mask(out, run)
     os.kill(next(actors_of(run)), signal.SIGKILL)
 
@@ -101,21 +101,21 @@ def test_a_killed_worker_costs_one_picture(pictures: Path, expected: Path, tmp_p
     assert lines[-1] == f"roadtorch: 15 done, 2 failed; results in {out}"
     assert failed.pop("bad.png")["status"] in lines[0] + lines[1]
     ((name, row),) = failed.items()
-    assert f"{pictures}/{name}: a worker died over it" in row["status"]
+    assert f"{images}/{name}: a worker died over it" in row["status"]
     assert row["status"] in lines[0] + lines[1]
     done = {file: data for file, data in bytes_in(expected).items() if name[:2] != file[:2]}
     assert {file: data for file, data in bytes_in(out).items() if name[:2] != file[:2]} == done
 
-    CliRunner().invoke(main, ["infer", str(pictures), *WORK, "--out", str(out)])
+    CliRunner().invoke(main, ["infer", str(images), *WORK, "--out", str(out)])
 
     assert bytes_in(out) == bytes_in(expected)
     assert without_ms(out) == without_ms(expected)
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_keeps_its_rows(pictures: Path, expected: Path, tmp_path: Path) -> None:
+def test_an_interrupted_run_keeps_its_rows(images: Path, expected: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run = start(pictures, *WORK, "--out", out, *RAY)
+    run = start(images, *WORK, "--out", out, *RAY)
     wait_for_a_mask(out, run)
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: Ray's processes get it too
 
@@ -125,14 +125,14 @@ def test_an_interrupted_run_keeps_its_rows(pictures: Path, expected: Path, tmp_p
     assert run.returncode == 130, told
     assert told.endswith("roadtorch: interrupted; what was finished is kept\n")
     assert 0 < len(kept) < 17
-    subprocess.run([*COMMAND, pictures, *WORK, "--out", out], capture_output=True, check=False)
+    subprocess.run([*COMMAND, images, *WORK, "--out", out], capture_output=True, check=False)
     assert bytes_in(out) == bytes_in(expected)
     assert without_ms(out) == without_ms(expected)
 
 
 @pytest.mark.slow
-def test_no_cluster_at_the_address_is_one_line(pictures: Path, tmp_path: Path) -> None:
-    run = start(pictures, *WORK, "--out", tmp_path / "out", "--engine", "127.0.0.1:9")
+def test_no_cluster_at_the_address_is_one_line(images: Path, tmp_path: Path) -> None:
+    run = start(images, *WORK, "--out", tmp_path / "out", "--engine", "127.0.0.1:9")
 
     told = run.communicate(timeout=LONGEST)[1]
 

@@ -25,7 +25,7 @@ BeforeEach = Callable[[Callable[[Item], None]], AbstractContextManager[None]]
 
 @pytest.fixture
 def before_each(monkeypatch: pytest.MonkeyPatch) -> BeforeEach:
-    """``with before_each(act):`` within the block, ``infer`` acts before each picture."""
+    """``with before_each(act):`` within the block, ``infer`` acts before each image."""
     real = Task.__call__
 
     @contextmanager
@@ -59,17 +59,17 @@ def test_other_options_are_not_done_before(
         assert nothing_new.stderr.startswith("roadtorch: 0 done, 3 skipped")
 
 
-@pytest.mark.parametrize("what", ["settings", "version"])
+@pytest.mark.parametrize("problem", ["settings", "version"])
 def test_results_made_otherwise_are_done_anew_even_without_their_config(
-    run: Call, out: Path, monkeypatch: pytest.MonkeyPatch, what: str
+    run: Call, out: Path, monkeypatch: pytest.MonkeyPatch, problem: str
 ) -> None:
     run()
-    if what == "settings":
+    if problem == "settings":
         (out / "config.toml").unlink()
     else:
         monkeypatch.setattr(memo, "__version__", "99.0")
 
-    again = run(*(("--threshold", "0.9") if what == "settings" else ()))
+    again = run(*(("--threshold", "0.9") if problem == "settings" else ()))
 
     assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
 
@@ -138,12 +138,12 @@ def test_what_is_in_hand_is_finished_when_a_signal_ends_the_run(
     assert {name: row["status"] for name, row in rows_of(out).items()} == dict.fromkeys(
         ["a.jpg", "b.png"][:jobs], "done"
     )
-    assert record["pictures"]["not_tried"] == 3 - jobs
+    assert record["images"]["not_tried"] == 3 - jobs
     assert "roadtorch: interrupted; what was finished is kept" in stopped.stderr
     assert run().stderr.startswith(f"roadtorch: {3 - jobs} done, {jobs} skipped")
 
 
-def test_a_death_costs_its_picture_alone_and_is_told(
+def test_a_death_costs_its_image_alone_and_is_told(
     call: Call, footage: Path, tmp_path: Path, out: Path, before_each: BeforeEach
 ) -> None:
     run = ("infer", footage, *ROWS, "--jobs", 2, "--out")

@@ -17,20 +17,20 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.polygons import read_outlined_mask
 from roadtorch.run.folder import result_folder
 from roadtorch.run.ledger import has_result
-from roadtorch.testing.scenes import render_scene, write_picture
-from tests.command import ROWS, Call, bytes_in, rows_of, save_picture
+from roadtorch.testing.scenes import render_scene, write_image
+from tests.command import ROWS, Call, bytes_in, rows_of, save_image
 from tests.videos import write_video
 
 # --- polygons and facts -----------------------------------------------------------------
 
 
 def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out: Path) -> None:
-    pictures = tmp_path / "in"
+    images = tmp_path / "in"
     for seed in (1, 2):
-        write_picture(pictures / f"{seed}.png", render_scene(seed, 60, 80))
+        write_image(images / f"{seed}.png", render_scene(seed, 60, 80))
 
     cocos = []
-    for given in (pictures / "1.png", pictures):
+    for given in (images / "1.png", images):
         call("infer", given, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
         cocos.append(json.loads((out / "coco.json").read_text()))
 
@@ -59,7 +59,7 @@ def test_an_image_does_not_depend_on_the_run(call: Call, footage: Path, tmp_path
 
 
 def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: Path) -> None:
-    (footage / "bad.png").write_bytes(b"no picture")
+    (footage / "bad.png").write_bytes(b"no image")
 
     before = Threads.of_now()
     try:
@@ -72,7 +72,7 @@ def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: 
     assert record["threads"] == {"torch": 2, "opencv": 2}
     assert record["detector"] == "prior:rows"
     assert record["settings"]["threshold"] == 0.4
-    assert record["pictures"] == {"all": 4, "done": 3, "doubtful": 0, "failed": 1, "not_tried": 0}
+    assert record["images"] == {"all": 4, "done": 3, "doubtful": 0, "failed": 1, "not_tried": 0}
     assert record["exit_status"] == 1
     assert record["index_sha256"] == sha256((out / "index.csv").read_bytes()).hexdigest()
     assert record["started"] < record["ended"]
@@ -127,12 +127,12 @@ def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:
 
 
 def write_inputs(root: Path, names: Sequence[str]) -> Path:
-    """Pictures and videos in a folder."""
+    """Images and videos in a folder."""
     for seed, name in enumerate(names):
         if name.endswith(".mp4"):
             write_video(root / name)
         else:
-            save_picture(root / name, seed)
+            save_image(root / name, seed)
     return root
 
 

@@ -19,7 +19,7 @@ from roadtorch.base.compute import Threads
 from roadtorch.base.errors import InputError
 from roadtorch.run import workers
 from roadtorch.run.workers import AHEAD, MIN_ITEMS, Workers, processors, workers_for
-from tests.command import ROWS, save_picture
+from tests.command import ROWS, save_image
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 
@@ -85,7 +85,7 @@ def test_what_a_task_or_the_items_raise_is_raised_behind_the_results_before(jobs
     of_task = Workers(jobs).map(partial(divmod, 1), [2, 1, 0, 3], lambda _: (0, 0))
     of_items = Workers(jobs).map(work, failing_behind(7), died)
 
-    assert [str(problem) for problem in returned] == ["a", "b"]
+    assert [str(error) for error in returned] == ["a", "b"]
     assert [next(of_task) for _ in range(2)] == [(0, 1), (1, 0)]
     with pytest.raises(ZeroDivisionError):
         next(of_task)
@@ -118,10 +118,10 @@ def test_a_worker_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -
     assert time.monotonic() - start < 60
 
 
-@pytest.mark.parametrize("problem", [BlockingIOError(11, "try again"), RuntimeError("try again")])
-def test_no_process_is_one_line(monkeypatch: pytest.MonkeyPatch, problem: Exception) -> None:
+@pytest.mark.parametrize("error", [BlockingIOError(11, "try again"), RuntimeError("try again")])
+def test_no_process_is_one_line(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
     def refuse(*_: object) -> None:
-        raise problem
+        raise error
 
     monkeypatch.setattr(ProcessPoolExecutor, "submit", refuse)
 
@@ -154,7 +154,7 @@ def test_a_users_file_is_no_module_of_workers_that_are_started_anew(
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)  # of a command in this process
     (tmp_path / "types.py").write_text("x = 1  # notes\n")
     for name in "ab":
-        save_picture(tmp_path / f"{name}.jpg")
+        save_image(tmp_path / f"{name}.jpg")
     code = "import sys; sys.path.remove(''); from roadtorch.cli import main; main()"
     words = ["infer", ".", *ROWS, "--out", "out", "--jobs", "2", "--threads", "2"]
 

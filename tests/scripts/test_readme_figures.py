@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from scripts import readme_figures
 from scripts.readme_figures import restate, rewrite, unbound_numbers
 
@@ -145,7 +145,7 @@ def test_an_evaluation_becomes_flat_records() -> None:
 
 def test_the_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.S)
-    write_picture(tmp_path / "street.png", render_scene(1, 96, 128))
+    write_image(tmp_path / "street.png", render_scene(1, 96, 128))
     (tmp_path / "street.png").rename(tmp_path / "street.jpg")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}

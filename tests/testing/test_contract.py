@@ -15,7 +15,7 @@ ANSWERS: dict[str, Callable[[Tensor], dict[str, Tensor]]] = {
     "": lambda image: {"likelihood": image.mean(0)},
     r"gives \(15, 16\) for 16×16 pixels": lambda image: {"likelihood": image.mean(0)[:-1]},
     r"leaves \[0, 1\]": lambda image: {"likelihood": image.sum(0)},
-    "gives a cue odds that is not finite for a black picture": lambda image: {
+    "gives a cue odds that is not finite for a black image": lambda image: {
         "likelihood": image.mean(0),
         "odds": image.mean(0).logit(),
     },
@@ -84,15 +84,15 @@ class DrawnAtLoading(nn.Module):
 
 
 @pytest.mark.parametrize(
-    ("build", "what"),
+    ("build", "problem"),
     [
-        *((lambda _, what=what: Answer(what), what) for what in ANSWERS if what),
+        *((lambda _, problem=problem: Answer(problem), problem) for problem in ANSWERS if problem),
         (Closure, "not use its own weights after copy"),
         (DrawnAtLoading, "says two things of one image$"),
     ],
 )
-def test_what_it_says_is_checked(build: Callable[[Any], nn.Module], what: str) -> None:
-    with pytest.raises(BrokenPromiseError, match=f"theirs.* {what}"):
+def test_what_it_says_is_checked(build: Callable[[Any], nn.Module], problem: str) -> None:
+    with pytest.raises(BrokenPromiseError, match=f"theirs.* {problem}"):
         check_detector(entry_of(build))
 
 

@@ -1,4 +1,4 @@
-"""Footage, labelled pictures and a finished run that the tests of training share."""
+"""Footage, labelled images and a finished run that the tests of training share."""
 
 import shutil
 from collections.abc import Callable
@@ -22,13 +22,13 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Labelled pictures are shared by the tests: one folder a kind."""
+    """Labelled images are shared by the tests: one folder a kind."""
     return tmp_path_factory.mktemp("kept")
 
 
 @pytest.fixture(scope="module")
 def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    """``trained("pictures", "descent.ema=0.9", out="one")``: a run on the streets.
+    """``trained("images", "descent.ema=0.9", out="one")``: a run on the streets.
 
     Its folder is new unless ``out`` names one of this module.
     """

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.settings import merge, parse_assignments
-from roadtorch.testing.scenes import write_picture
+from roadtorch.testing.scenes import write_image
 from roadtorch.train.config import Training, build_training
 from tests.streets import scene
 
@@ -35,8 +35,8 @@ rule = "epochs"
 epochs = 2
 """
 
-PICTURES = """
-kind = "pictures"
+IMAGES = """
+kind = "images"
 
 [network]
 height = 32
@@ -66,13 +66,13 @@ epochs = 2
 """
 
 
-CONFIGS = {"patches": PATCHES, "pictures": PICTURES}
+CONFIGS = {"patches": PATCHES, "images": IMAGES}
 
 
 def write_streets(folder: Path, count: int) -> Path:
-    """A folder with pictures of rendered streets."""
+    """A folder with images of rendered streets."""
     for seed in range(count):
-        write_picture(folder / f"street_{seed}.png", scene(seed, 60, 80))
+        write_image(folder / f"street_{seed}.png", scene(seed, 60, 80))
     return folder
 
 
@@ -89,7 +89,7 @@ def write_bonnets(folder: Path, count: int) -> Path:
     for seed in range(count):
         street = scene(seed, 60, 80, horizon=0.45)
         seen = torch.where(bonnet(60, 80), paint, street.image)
-        write_picture(folder / f"bonnet_{seed}.png", replace(street, image=seen))
+        write_image(folder / f"bonnet_{seed}.png", replace(street, image=seen))
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Whole pictures in other frames and another light; ego cars laid over other streets."""
+"""Whole images in other frames and another light; ego cars laid over other streets."""
 
 import math
 from collections import Counter
@@ -50,7 +50,7 @@ def sides(images: list[Tensor], wanted: Tensor, atol: float = 1e-5) -> list[int]
 # --- frames --------------------------------------------------------------------------------
 
 
-def test_without_shift_a_frame_is_the_picture_or_its_mirror_image() -> None:
+def test_without_shift_a_frame_is_the_image_or_its_mirror_image() -> None:
     maps = torch.rand(2, 9, 12, generator=seeded(1))
     frames = draw_frames(6, (9, 12), STILL, seeded(2))
     images = reframed(maps.expand(6, -1, -1, -1), frames, "border")
@@ -66,13 +66,13 @@ def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     assert torch.allclose(images[:, 0, -1], torch.ones(8, 60), atol=0.02)
     assert ((images[:, 0, 0] >= -0.01) & (images[:, 0, 0] <= 0.51)).all()
     assert images[:, 0, 0].max() > 0.2
-    assert frames[:, 0, 0].abs().max() <= 1  # nothing beside the picture is seen
+    assert frames[:, 0, 0].abs().max() <= 1  # nothing beside the image is seen
 
 
 # --- light ---------------------------------------------------------------------------------
 
 
-def test_light_changes_the_picture_and_stays_in_range() -> None:
+def test_light_changes_the_image_and_stays_in_range() -> None:
     images = torch.stack([scene(seed, 60, 80).image for seed in range(4)])
     lit = relit(images, LightAugmentation(), seeded(3))
     assert 0 <= lit.min() <= lit.max() <= 1
@@ -205,7 +205,7 @@ def test_a_varied_car_covers_the_lower_edge_in_bounds_and_is_larger_or_brighter(
 
 
 def write_frame(path: Path, level: int) -> Path:
-    """A prepared picture of one grey: unknown above, free in the middle, ego car below."""
+    """A prepared image of one grey: unknown above, free in the middle, ego car below."""
     ego = torch.tensor([128, 0, 255], dtype=torch.uint8)[:, None].expand(3, 4).contiguous()
     image = torch.full((3, 3, 4), level, dtype=torch.uint8)
     write_arrays(path, {"image": image, "ego": ego})

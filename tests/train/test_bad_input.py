@@ -17,21 +17,21 @@ from tests.command import Call
 from tests.train.runs import PATCHES, write_config, write_streets
 
 
-def test_broken_pictures_are_skipped_and_listed(call: Call, tmp_path: Path) -> None:
+def test_broken_images_are_skipped_and_listed(call: Call, tmp_path: Path) -> None:
     footage, out = write_streets(tmp_path / "footage", 1), tmp_path / "run"
-    (footage / "broken.jpg").write_bytes(b"not a picture")
+    (footage / "broken.jpg").write_bytes(b"not an image")
     (footage / "cut.png").write_bytes((footage / "street_0.png").read_bytes()[:500])
     config = write_config(tmp_path / "c.toml", PATCHES)
 
     result = call("train", "--config", config, "--images", footage, "--out", out)
 
     assert result.exit_code == 1
-    assert f"roadtorch: skipped: {footage}/broken.jpg: is not a picture (" in result.stderr
-    assert "2 skipped, see pictures.csv" in result.stderr
-    with (out / "pictures.csv").open(newline="") as file:
+    assert f"roadtorch: skipped: {footage}/broken.jpg: is not an image (" in result.stderr
+    assert "2 skipped, see images.csv" in result.stderr
+    with (out / "images.csv").open(newline="") as file:
         status = {row["file"]: row["status"] for row in csv.DictReader(file)}
     assert status["street_0.png"] == "used"
-    assert "is not a picture" in status["broken.jpg"]
+    assert "is not an image" in status["broken.jpg"]
     assert "cannot be decoded" in status["cut.png"]
 
 
@@ -44,7 +44,7 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
 ) -> None:
     training, request = finished
     values = training.model_dump()
-    pictures, other = build_training({"kind": "pictures"}), build_training({**values, "mix": 3})
+    whole, other = build_training({"kind": "images"}), build_training({**values, "mix": 3})
     images = str(write_streets(tmp_path / "other", 2))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "log.csv").write_text("mine")
@@ -53,9 +53,9 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
     start = build_training({**values, "start": str(tmp_path / "network")})
     new = Request(str(streets), tmp_path / "new")
     rows: list[tuple[Training, Request, type[RoadtorchError], str]] = [
-        (pictures, request, ConfigError, "holds a run with other settings"),
+        (whole, request, ConfigError, "holds a run with other settings"),
         (other, request, ConfigError, "holds a run with other settings"),
-        (training, replace(request, images=images), ConfigError, "holds a run with other pictures"),
+        (training, replace(request, images=images), ConfigError, "holds a run with other images"),
         (training, mine, ConfigError, r"holds log.csv, which is not of a run"),
         (start, new, WeightsError, "holds a network with other settings"),
     ]
@@ -103,16 +103,16 @@ def test_the_defaults_are_p2s() -> None:
     assert (training.stopping.rule, training.stopping.min_delta) == ("plateau", 0.001)
 
 
-BACKBONE = {"kind": "pictures", "network": {"heads": 1}}
-EGO_CARS = {"kind": "pictures", "augmentation": {"ego_car": {"share": 0.5}}}
+BACKBONE = {"kind": "images", "network": {"heads": 1}}
+EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"share": 0.5}}}
 
 
 @pytest.mark.parametrize(
     ("values", "told"),
     [
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
-        ({"kind": "pictures", "mix": 3}, "mix: unknown setting"),
-        ({"kind": "pictures", "rounds": {"count": 2}}, "rounds.count: 2 was given"),
+        ({"kind": "images", "mix": 3}, "mix: unknown setting"),
+        ({"kind": "images", "rounds": {"count": 2}}, "rounds.count: 2 was given"),
         ({"augmentation": {"min_scale": 2.0}}, "min_scale: 2 was given, and .*max_scale is 1.4"),
         ({"network": {"topology": {"size1": 9}}}, "topology: .* cannot halve"),
         (BACKBONE | {"network": {"heads": 1, "width": 80}}, "network.width: .* multiple of 32"),

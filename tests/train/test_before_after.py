@@ -9,17 +9,17 @@ import pytest
 import torch
 
 from roadtorch.cli.train import train as train_command
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.run.memo import write_arrays
-from roadtorch.testing.scenes import write_picture
-from roadtorch.train.config import PictureTraining
+from roadtorch.testing.scenes import write_image
+from roadtorch.train.config import ImageTraining
 from roadtorch.train.teachers import teacher_agreement
 from tests.command import invoked
 from tests.streets import scene
-from tests.train.runs import PICTURES, training_of, write_config
+from tests.train.runs import IMAGES, training_of, write_config
 
-NETWORK = PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)
+NETWORK = ImageNetworkSettings(height=32, width=40, narrow=8, wide=8)
 HOSTILE = "<img src=x onerror=alert(1)>"
 
 
@@ -27,7 +27,7 @@ HOSTILE = "<img src=x onerror=alert(1)>"
 def start(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("start") / "first.safetensors"
-    save_network(path, PictureNetwork(NETWORK), {})
+    save_network(path, ImageNetwork(NETWORK), {})
     return path
 
 
@@ -35,14 +35,14 @@ run = partial(invoked, train_command)
 
 
 def words(out: Path, images: Path, *more: object) -> list[object]:
-    config = write_config(out.with_suffix(".toml"), PICTURES)
+    config = write_config(out.with_suffix(".toml"), IMAGES)
     own = ("--set", "rounds.start=continued")
     return ["--config", config, "--images", images, "--out", out, *own, *more]
 
 
 def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> None:
     images = tmp_path / "footage"
-    write_picture(images / "plain.png", scene(0, 60, 80))
+    write_image(images / "plain.png", scene(0, 60, 80))
     for name in (HOSTILE, "third"):
         shutil.copy(images / "plain.png", images / f"{name}.png")
     given = words(tmp_path / "run", images, "--set", f"start={start}")
@@ -54,7 +54,7 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     page = path.read_text()
     assert page.count("data:image/jpeg;base64") == 3
     for text in (
-        *("The same 3 pictures", "agrees with the teacher on layout", "detector labeller"),
+        *("The same 3 images", "agrees with the teacher on layout", "detector labeller"),
         *('alt="Mean loss of the epochs"', 'alt="Trust before and after"', "default-src 'none'"),
         "&lt;img src=x onerror=alert(1)&gt;",
     ):
@@ -70,14 +70,14 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
 
 
 def test_a_run_from_new_weights_has_no_before(streets: Path, kept: Path, tmp_path: Path) -> None:
-    run(*words(tmp_path / "run", streets, "--prepared", kept / "pictures"))
+    run(*words(tmp_path / "run", streets, "--prepared", kept / "images"))
     assert not (tmp_path / "run" / "adaptation.html").exists()
 
 
 def test_agreement_counts_the_pixels_where_the_teacher_is_sure(tmp_path: Path) -> None:
-    training = training_of("pictures")
-    assert isinstance(training, PictureTraining)
-    network = PictureNetwork(NETWORK).eval()
+    training = training_of("images")
+    assert isinstance(training, ImageTraining)
+    network = ImageNetwork(NETWORK).eval()
     for weight in network.parameters():
         torch.nn.init.zeros_(weight)  # it says sky, and no road, nowhere more than elsewhere
     maps = torch.zeros(4, 32, 40, dtype=torch.uint8)
@@ -90,7 +90,7 @@ def test_agreement_counts_the_pixels_where_the_teacher_is_sure(tmp_path: Path) -
 
     agreement = teacher_agreement(network, [tmp_path / "a.npz"] * 2, training)
 
-    assert agreement.pictures == 2
+    assert agreement.images == 2
     assert agreement.layout == pytest.approx(16 / 24)
     # Odds of nothing are 0.5, which is road: right in the last quarter without the ego car.
     assert agreement.road == pytest.approx(8 * 36 / (32 * 40))

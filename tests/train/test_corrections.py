@@ -15,11 +15,11 @@ from roadtorch.base.settings import read_settings_file
 from roadtorch.cli.train import train as command_of_train
 from roadtorch.data.corrections import Correction, EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.layout.weights import corrected_pictures, load_network, people_behind
+from roadtorch.layout.weights import corrected_images, load_network, people_behind
 from roadtorch.train.config import PatchTraining, Training, build_training
 from roadtorch.train.corrections import write_corrected
+from roadtorch.train.images import corrected_shares, corrected_targets
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, corrected_centres, repeated
-from roadtorch.train.pictures import corrected_shares, corrected_targets
 from roadtorch.train.run import FUSION, Outcome, Request, recipe_of, train
 from roadtorch.train.teachers import Targets
 from tests.train.conftest import Trained
@@ -28,8 +28,8 @@ from tests.train.runs import PATCHES, training_of, write_config
 UNTOUCHED, ROAD, NOT_ROAD, VOID, SKY = range(5)
 
 
-def correction(labels: np.ndarray, picture: Path = Path("street.png")) -> Correction:
-    return Correction(picture, picture.name, labels.astype(np.uint8), False, 1.0, 1, Path("log"))
+def correction(labels: np.ndarray, image: Path = Path("street.png")) -> Correction:
+    return Correction(image, image.name, labels.astype(np.uint8), False, 1.0, 1, Path("log"))
 
 
 def quarters(height: int = 8, width: int = 8) -> np.ndarray:
@@ -54,7 +54,7 @@ def machine(size: int = 8) -> Targets:
 
 def planes(labels: np.ndarray) -> torch.Tensor:
     """Of eight times eight cells."""
-    recipe = recipe_of(training_of("pictures", "network.height=32", "network.width=32"))
+    recipe = recipe_of(training_of("images", "network.height=32", "network.width=32"))
     large = labels.repeat(8, 0).repeat(8, 1)
     return recipe.shrink(correction(large))["planes"][None, :, ::4, ::4] / 255
 
@@ -85,7 +85,7 @@ def test_void_counts_for_nothing_and_nothing_said_changes_nothing() -> None:
     assert all(map(torch.equal, same, machine()))
 
 
-def test_corrected_pictures_get_their_share_of_the_visits() -> None:
+def test_corrected_images_get_their_share_of_the_visits() -> None:
     shares, corrected = torch.tensor([1.0, 3.0, 2.0, 2.0]), torch.tensor([1, 0, 0, 1]).bool()
 
     moved = corrected_shares(shares, corrected, 0.7)
@@ -133,34 +133,34 @@ def street(streets: Path) -> Correction:
 def runs(trained: Trained, street: Correction) -> dict[str, Outcome]:
     return {
         kind: trained(kind, out=f"corrected-{kind}", corrections=[street])
-        for kind in ("patches", "pictures")
+        for kind in ("patches", "images")
     }
 
 
-def test_a_run_paces_its_steps_by_the_corrected_pictures(
+def test_a_run_paces_its_steps_by_the_corrected_images(
     trained: Trained, runs: dict[str, Outcome], street: Correction
 ) -> None:
-    """One corrected picture and a far halfway: next to no step is taken."""
-    slow = trained("pictures", "corrections.halfway=1e6", out="slow", corrections=[street])
-    slowly, fast = (load_network(run.weights or "") for run in (slow, runs["pictures"]))
-    start = recipe_of(training_of("pictures")).network(None).state_dict()
+    """One corrected image and a far halfway: next to no step is taken."""
+    slow = trained("images", "corrections.halfway=1e6", out="slow", corrections=[street])
+    slowly, fast = (load_network(run.weights or "") for run in (slow, runs["images"]))
+    start = recipe_of(training_of("images")).network(None).state_dict()
     for name, weight in start.items():
         torch.testing.assert_close(slowly.state_dict()[name], weight, atol=1e-6, rtol=0)
     assert any(not fast.state_dict()[name].allclose(weight) for name, weight in start.items())
 
 
-@pytest.mark.parametrize("kind", ["patches", "pictures"])
-def test_weights_say_that_people_corrected_pictures(kind: str, runs: dict[str, Outcome]) -> None:
+@pytest.mark.parametrize("kind", ["patches", "images"])
+def test_weights_say_that_people_corrected_images(kind: str, runs: dict[str, Outcome]) -> None:
     weights = runs[kind].weights
     assert weights is not None
     (summary,) = people_behind(weights)
-    assert (summary["pictures"], summary["pixels"]) == (1, 3 * 60 * 80 // 4)
+    assert (summary["images"], summary["pixels"]) == (1, 3 * 60 * 80 // 4)
     assert "not label-free" in weights.with_suffix(".md").read_text()
-    assert corrected_pictures({"weights": {"file": str(weights)}}) == 1
-    assert corrected_pictures({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
+    assert corrected_images({"weights": {"file": str(weights)}}) == 1
+    assert corrected_images({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
     assert json.loads((weights.parent / "run.json").read_text())["corrections"] == summary
     config = weights.parent / FUSION
-    assert config.exists() == (kind == "pictures")
+    assert config.exists() == (kind == "images")
     if config.exists():
         values = read_settings_file(config)
         assert (values["detector"], values["weights"]) == ("fusion", {"file": str(weights)})
@@ -176,17 +176,17 @@ def test_what_starts_there_is_not_label_free(trained: Trained, runs: dict[str, O
 
 def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_path: Path) -> None:
     name, logs = "street_1.png", tmp_path / "corrections"
-    head = LogHead(picture=f"elsewhere/{name}", height=60, width=80)
+    head = LogHead(image=f"elsewhere/{name}", height=60, width=80)
     EventLog(log_path(logs, name), head).add(import_event(quarters(60, 80).astype(np.uint8)))
     config = write_config(tmp_path / "train.toml", PATCHES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
-    words += ["--corrections", logs, "--pictures", streets, "--prepared", kept / "patches"]
+    words += ["--corrections", logs, "--corrected-images", streets, "--prepared", kept / "patches"]
 
     result = CliRunner().invoke(command_of_train, [str(word) for word in words])
 
     assert result.exit_code == 0, result.output
     (summary,) = people_behind(tmp_path / "run" / "weights.safetensors")
-    assert summary["pictures"] == 1
+    assert summary["images"] == 1
 
 
 def test_other_corrections_are_refused(

@@ -41,7 +41,7 @@ def training_of(**values: object) -> PatchTraining:
 # --- where ---------------------------------------------------------------------------------
 
 
-def test_centres_are_centroids_and_places_around_them_inside_the_picture() -> None:
+def test_centres_are_centroids_and_places_around_them_inside_the_image() -> None:
     segments = torch.zeros(9, 20, dtype=torch.int64)
     segments[:, 11:] = 1  # centroids (4, 5) and (4, 15)
 
@@ -126,7 +126,7 @@ def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Three prepared pictures with 7, 40 and 0 patches; the class is the row modulo 3."""
+    """Three prepared images with 7, 40 and 0 patches; the class is the row modulo 3."""
     folder, generator = tmp_path_factory.mktemp("prepared"), seeded(9)
     for number, count in enumerate((7, 40, 0)):
         image = torch.randint(256, (3, 30, 40), generator=generator).to(torch.uint8)

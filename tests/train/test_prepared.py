@@ -11,18 +11,18 @@ import torch
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.signals import Stop
+from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import find_pictures
 from roadtorch.run.memo import Arrays, key_of, read_arrays, write_arrays
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings
-from roadtorch.train.prepared import Preparation, PreparedPicture, prepare
+from roadtorch.train.prepared import Preparation, PreparedImage, prepare
 from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of, shape_of
 from tests.train.runs import bonnet, write_bonnets, write_streets
 
 
 class Maker:
-    """Remembers the names of the pictures that it was asked to make ready."""
+    """Remembers the names of the images that it was asked to make ready."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
@@ -33,49 +33,49 @@ class Maker:
 
 
 @pytest.fixture
-def pictures(tmp_path: Path) -> list[Item]:
-    return find_pictures([str(write_streets(tmp_path / "footage", 3))])
+def images(tmp_path: Path) -> list[Item]:
+    return find_images([str(write_streets(tmp_path / "footage", 3))])
 
 
-def key_with(settings: dict[str, int], picture: Item) -> str:
-    return key_of(settings, picture.path)
+def key_with(settings: dict[str, int], image: Item) -> str:
+    return key_of(settings, image.path)
 
 
 def prepared(
     path: Path,
-    pictures: list[Item],
+    images: list[Item],
     make: Callable[[torch.Tensor, str], Arrays],
     stop: Stop | None = None,
     **settings: int,
-) -> list[PreparedPicture]:
+) -> list[PreparedImage]:
     preparation = Preparation(path / "kept", partial(key_with, settings), make)
-    return prepare(pictures, preparation, stop or Stop(), quiet=True)
+    return prepare(images, preparation, stop or Stop(), quiet=True)
 
 
-def test_pictures_are_made_ready_once(tmp_path: Path, pictures: list[Item]) -> None:
+def test_images_are_made_ready_once(tmp_path: Path, images: list[Item]) -> None:
     make = Maker()
 
-    first, second = (prepared(tmp_path, pictures, make) for _ in range(2))
+    first, second = (prepared(tmp_path, images, make) for _ in range(2))
 
-    assert make.names == [picture.name for picture in pictures] == [f"street_{i}" for i in range(3)]
+    assert make.names == [image.name for image in images] == [f"street_{i}" for i in range(3)]
     assert first == second
     assert [item.name for item in first] == ["street_0.png", "street_1.png", "street_2.png"]
     assert all(item.file and read_arrays(item.file, "mean")["mean"].shape == (3,) for item in first)
 
 
-def test_changed_images_and_settings_are_made_again(tmp_path: Path, pictures: list[Item]) -> None:
+def test_changed_images_and_settings_are_made_again(tmp_path: Path, images: list[Item]) -> None:
     make = Maker()
-    prepared(tmp_path, pictures, make)
-    pictures[0].path.write_bytes(pictures[1].path.read_bytes())
-    prepared(tmp_path, pictures, make)
+    prepared(tmp_path, images, make)
+    images[0].path.write_bytes(images[1].path.read_bytes())
+    prepared(tmp_path, images, make)
     assert make.names[3:] == ["street_0"]
-    prepared(tmp_path, pictures, make, around=1)
-    assert make.names[4:] == [picture.name for picture in pictures]
+    prepared(tmp_path, images, make, around=1)
+    assert make.names[4:] == [image.name for image in images]
 
 
-def test_a_file_damaged_anywhere_is_made_again(tmp_path: Path, pictures: list[Item]) -> None:
+def test_a_file_damaged_anywhere_is_made_again(tmp_path: Path, images: list[Item]) -> None:
     make, file = Maker(), tmp_path / "kept" / "street_0.png.npz"
-    prepared(tmp_path, pictures[:1], make)
+    prepared(tmp_path, images[:1], make)
     whole, mean = file.read_bytes(), read_arrays(file, "mean")["mean"]
     damaged = [
         whole[:at] + bytes([whole[at] ^ 255]) + whole[at + 1 :] for at in range(0, len(whole), 7)
@@ -84,13 +84,13 @@ def test_a_file_damaged_anywhere_is_made_again(tmp_path: Path, pictures: list[It
     for data in [b"PK", *damaged]:
         calls = len(make.names)
         file.write_bytes(data)
-        prepared(tmp_path, pictures[:1], make)
+        prepared(tmp_path, images[:1], make)
         again = read_arrays(file, "mean")["mean"]
         assert len(make.names) == calls + 1 or torch.equal(again, mean)
 
 
-def test_a_detector_that_trips_costs_one_picture_a_wrong_setting_everything(
-    tmp_path: Path, pictures: list[Item], capsys: pytest.CaptureFixture[str]
+def test_a_detector_that_trips_costs_one_image_a_wrong_setting_everything(
+    tmp_path: Path, images: list[Item], capsys: pytest.CaptureFixture[str]
 ) -> None:
     def trips(image: torch.Tensor, name: str) -> Arrays:
         if name == "street_0":
@@ -100,11 +100,11 @@ def test_a_detector_that_trips_costs_one_picture_a_wrong_setting_everything(
     def wrong(_: torch.Tensor, __: str) -> Arrays:
         raise ConfigError("teacher.detector", "has no layout", "use another")
 
-    made = prepared(tmp_path, pictures, trips)
+    made = prepared(tmp_path, images, trips)
     assert [item.file is None for item in made] == [True, False, False]
     assert "street_0.png: ZeroDivisionError: in a hurry (report it)" in capsys.readouterr().err
     with pytest.raises(ConfigError):
-        prepared(tmp_path, pictures, wrong)
+        prepared(tmp_path, images, wrong)
 
 
 # --- arrays -------------------------------------------------------------------------------
@@ -157,8 +157,8 @@ def footage(tmp_path_factory: pytest.TempPathFactory) -> list[Item]:
     """Eight frames with a bonnet, one that cannot be read, and two of another camera."""
     folder = tmp_path_factory.mktemp("cameras")
     write_bonnets(folder, 8)
-    (folder / "bonnet_9.png").write_bytes(b"not a picture")
-    return find_pictures([str(write_streets(folder, 2))])
+    (folder / "bonnet_9.png").write_bytes(b"not an image")
+    return find_images([str(write_streets(folder, 2))])
 
 
 def test_the_ego_car_of_a_recording_is_found_cut_to_each_size_and_not_looked_for_again(
@@ -214,7 +214,7 @@ def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
         image = torch.full((900, 1200, 3), 20 * number).byte()
         cv2.imwrite(str(tmp_path / f"cam_{number}.png"), image.numpy())
 
-    find_ego_cars(find_pictures([str(tmp_path)]), tmp_path / "kept", FEW, *ALONE)
+    find_ego_cars(find_images([str(tmp_path)]), tmp_path / "kept", FEW, *ALONE)
 
     (frames,) = shown
     assert [round(float(frame.mean()) * 255 / 20) for frame in frames] == [0, 3, 6]

@@ -13,13 +13,13 @@ from torch import nn
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import Stop
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
 from roadtorch.run.memo import read_arrays
-from roadtorch.train.config import Descent, PictureTraining, Stopping, Training
+from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
 from roadtorch.train.folder import RunFolder
+from roadtorch.train.images import image_loss
 from roadtorch.train.loop import WARM_UP_STEPS, Batch, Loop, MovingAverage, TrainingProgress
-from roadtorch.train.pictures import picture_loss
 from roadtorch.train.run import Outcome, Request, recipe_of, train
 from roadtorch.train.teachers import PLANES
 from tests.command import Call
@@ -38,7 +38,7 @@ def folder_of(outcome: Outcome) -> Path:
     return outcome.weights.parent
 
 
-WHOLE = {"patches": "descent.momentum=0.9", "pictures": "descent.ema=0.7"}
+WHOLE = {"patches": "descent.momentum=0.9", "images": "descent.ema=0.7"}
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +60,12 @@ def test_a_run_leaves_weights_a_log_a_curve_and_a_list(finished: tuple[Training,
     assert load_network(out / "weights.safetensors").settings == training.network
     origin = read_origin(out / "weights.safetensors")
     assert origin["config"]["network"]["topology"]["k2"] == 4
-    assert (origin["pictures"], origin["epochs"], origin["finished"]) == (5, 2, True)
+    assert (origin["images"], origin["epochs"], origin["finished"]) == (5, 2, True)
     rows = rows_of(out)
     assert [(row["round"], row["epoch"]) for row in rows] == [("1", "1"), ("1", "2")]
     assert float(rows[1]["loss"]) < float(rows[0]["loss"])
     assert (out / "curve.png").read_bytes().startswith(b"\x89PNG")
-    assert (out / "pictures.csv").read_text().count("used") == 5
+    assert (out / "images.csv").read_text().count("used") == 5
     assert not list(out.rglob("*.part"))
 
 
@@ -84,11 +84,11 @@ def test_a_loss_of_nan_is_refused(trained: Trained, monkeypatch: pytest.MonkeyPa
 
 def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Trained) -> None:
     changes = ("stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
-    out = folder_of(trained("pictures", *changes))
+    out = folder_of(trained("images", *changes))
 
     # One step: the mean keeps one eleventh of the weights before it.
     last = torch.load(out / "checkpoint.pt", weights_only=True)["network"]
-    begun = new_network("pictures", *changes).state_dict()
+    begun = new_network("images", *changes).state_dict()
     assert not torch.equal(last["heads.bias"], begun["heads.bias"])
     for name, weight in load_network(out / "weights.safetensors").state_dict().items():
         torch.testing.assert_close(weight, (begun[name] + 10 * last[name]) / 11)
@@ -103,7 +103,7 @@ def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path
         folder.mkdir(parents=True, exist_ok=True)
         (folder / ".roadtorch.0123abcd.part").touch()
 
-    trained("pictures", *changes, images=str(footage), prepared=kept, out=tmp_path / "run")
+    trained("images", *changes, images=str(footage), prepared=kept, out=tmp_path / "run")
 
     assert not list(tmp_path.rglob("*.part"))
     for number in range(8):
@@ -114,18 +114,18 @@ def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("kind", "size"), [("patches", None), ("pictures", (32, 40)), ("pictures", (40, 48))]
+    ("kind", "size"), [("patches", None), ("images", (32, 40)), ("images", (40, 48))]
 )
 def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at(
     kind: str, size: tuple[int, int] | None, trained: Trained, tmp_path: Path
 ) -> None:
     network = new_network(kind, "random_seed=5")
     if size is not None:
-        sides = PictureNetworkSettings(height=size[0], width=size[1], narrow=8, wide=8)
-        network = PictureNetwork(sides)
+        sides = ImageNetworkSettings(height=size[0], width=size[1], narrow=8, wide=8)
+        network = ImageNetwork(sides)
     save_network(tmp_path / "first", network, {})
     changes = [f"start={json.dumps(str(tmp_path / 'first'))}", "descent.learning_rate=1e-9"]
-    changes += ["rounds.start=continued"] if kind == "pictures" else []
+    changes += ["rounds.start=continued"] if kind == "images" else []
 
     run = folder_of(trained(kind, *changes, "stopping.epochs=1"))
 
@@ -133,9 +133,9 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
     after = load_network(run / "weights.safetensors")
     for name, weight in network.state_dict().items():
         torch.testing.assert_close(after.state_dict()[name], weight, atol=1e-6, rtol=0)
-    if isinstance(after, PictureNetwork):
+    if isinstance(after, ImageNetwork):
         assert (after.settings.height, after.settings.width) == (32, 40)
-    assert (run / "labels-1").exists() == (kind == "pictures")
+    assert (run / "labels-1").exists() == (kind == "images")
 
 
 # --- cut short -------------------------------------------------------------------------------
@@ -189,12 +189,12 @@ def test_the_status_of_the_command_names_the_signal(
 # --- a step --------------------------------------------------------------------------------
 
 
-def stepped(precision: str) -> tuple[float, PictureNetwork]:
-    """The loss of one step on random pictures, and the network after it."""
+def stepped(precision: str) -> tuple[float, ImageNetwork]:
+    """The loss of one step on random images, and the network after it."""
     torch.manual_seed(0)
-    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8))
+    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
     descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})
-    loss = partial(picture_loss, training=PictureTraining())
+    loss = partial(image_loss, training=ImageTraining())
     no_samples = (1, lambda *_: iter(()))
     last = (TrainingProgress(), RunFolder(Path()), Stop())
     targets = torch.rand(2, sum(PLANES), 32, 40, generator=seeded(1))

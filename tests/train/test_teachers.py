@@ -1,4 +1,4 @@
-"""The targets of a network for whole pictures: where they come from, and where they count."""
+"""The targets of a network for whole images: where they come from, and where they count."""
 
 from pathlib import Path
 
@@ -12,17 +12,17 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 from roadtorch.imaging.levels import otsu_threshold
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.picture_network import OUTPUTS, PictureNetwork, PictureNetworkSettings
+from roadtorch.layout.image_network import OUTPUTS, ImageNetwork, ImageNetworkSettings
 from roadtorch.road.fusion import log_odds
 from roadtorch.run.memo import read_arrays, write_arrays
-from roadtorch.train.config import PictureTraining, Rounds, Teacher, build_training
+from roadtorch.train.config import ImageTraining, Rounds, Teacher, build_training
 from roadtorch.train.teachers import (
     Targets,
     centred_as,
     label_with_network,
     lends_ego,
     network_maps,
-    prepare_picture,
+    prepare_image,
     targets_of,
     teacher_maps,
 )
@@ -39,7 +39,7 @@ def maps_of(*pixels: tuple[float, ...]) -> torch.Tensor:
 
 
 def ego_of(*pixels: float) -> torch.Tensor:
-    """The ego car (1,1,1,n) as a prepared picture has it, in bytes."""
+    """The ego car (1,1,1,n) as a prepared image has it, in bytes."""
     return (torch.tensor(pixels) * 255).round().reshape(1, 1, 1, -1) / 255
 
 
@@ -57,7 +57,7 @@ def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
     assert float(odds) == pytest.approx((0.2 / 0.8) / (0.39 / 0.61), rel=1e-4)
 
 
-def test_in_each_picture_the_cut_that_parts_it_best_becomes_one_half() -> None:
+def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
     """The same road seen by two cameras, one of them timid."""
     odds = torch.randn(1, 1, 20, 30, generator=seeded(3)).repeat(2, 1, 1, 1)
     odds[:, :, 10:] += 4
@@ -66,8 +66,8 @@ def test_in_each_picture_the_cut_that_parts_it_best_becomes_one_half() -> None:
 
     fixed, own, half = (centred_as(cameras, Teacher(centre=share)) for share in (0.0, 1.0, 0.5))
 
-    for moved, picture in zip(own, map(log_odds, cameras), strict=True):
-        torch.testing.assert_close(moved, (picture - otsu_threshold(picture)).sigmoid())
+    for moved, image in zip(own, map(log_odds, cameras), strict=True):
+        torch.testing.assert_close(moved, (image - otsu_threshold(image)).sigmoid())
     assert torch.equal(own[0] >= 0.5, own[1] >= 0.5)
     assert 0.4 < (own[0] >= 0.5).float().mean() < 0.6
     shared = (log_odds(fixed) + log_odds(own)) / 2
@@ -165,7 +165,7 @@ def test_the_teacher_gives_layout_and_road() -> None:
 
 
 def test_a_vote_with_the_mirror_image_has_no_side() -> None:
-    network = PictureNetwork(PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)).eval()
+    network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8)).eval()
     image = torch.rand(3, 32, 40, generator=seeded(6))
 
     vote = network_maps(network, image)
@@ -175,13 +175,13 @@ def test_a_vote_with_the_mirror_image_has_no_side() -> None:
     torch.testing.assert_close(vote[:CLASSES].sum(0), torch.ones(32, 40))
 
 
-# --- prepared pictures --------------------------------------------------------------------
+# --- prepared images --------------------------------------------------------------------
 
 
-def small_training(**teacher: object) -> PictureTraining:
-    values = {"kind": "pictures", "network": {"height": 32, "width": 48}, "teacher": teacher}
+def small_training(**teacher: object) -> ImageTraining:
+    values = {"kind": "images", "network": {"height": 32, "width": 48}, "teacher": teacher}
     training = build_training(values)
-    assert isinstance(training, PictureTraining)
+    assert isinstance(training, ImageTraining)
     return training
 
 
@@ -203,7 +203,7 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
     ego = bonnet(64, 96)
     image = torch.where(ego, torch.tensor(1.0), 0.5 * scene(1, 64, 96).image)
 
-    arrays = prepare_picture(image, ego, teacher, small_training(views=views))
+    arrays = prepare_image(image, ego, teacher, small_training(views=views))
 
     seen = teacher.analysis.seen
     assert isinstance(seen, list)
@@ -218,7 +218,7 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
 def test_a_prepared_image_has_the_networks_size(tmp_path: Path) -> None:
     image, teacher = scene(1, 60, 80).image, load_detector("labeller")
 
-    arrays = prepare_picture(image, None, teacher, small_training())
+    arrays = prepare_image(image, None, teacher, small_training())
 
     sizes = {"image": (3, 32, 48), "maps": (4, 32, 48), "ego": (32, 48)}
     assert {name: tuple(value.shape) for name, value in arrays.items()} == sizes
@@ -242,8 +242,8 @@ def test_ego_cars_of_full_width_are_lent(
 
 
 def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
-    settings = PictureNetworkSettings(height=32, width=40, narrow=8, wide=8)
-    network, files = PictureNetwork(settings).eval(), [tmp_path / f"{n}.npz" for n in range(2)]
+    settings = ImageNetworkSettings(height=32, width=40, narrow=8, wide=8)
+    network, files = ImageNetwork(settings).eval(), [tmp_path / f"{n}.npz" for n in range(2)]
     for file in files:
         write_arrays(file, {"image": torch.zeros(3, 32, 40, dtype=torch.uint8)})
 

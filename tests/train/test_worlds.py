@@ -62,7 +62,7 @@ def test_beyond_the_circle_of_a_fisheye_the_image_is_black_and_void() -> None:
         light, np.full((72, 96), ROAD, np.uint8), "sun", np.random.default_rng(0), circle=circle
     )
     assert (look.truth == np.where(circle, ROAD, VOID)).all()
-    assert look.picture[:4, :4].max() < 60 < look.picture[30:40, 40:50].min()
+    assert look.image[:4, :4].max() < 60 < look.image[30:40, 40:50].min()
 
 
 def test_a_pixel_is_vertical_from_a_third_on() -> None:

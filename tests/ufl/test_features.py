@@ -131,7 +131,7 @@ def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, reach: 
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_equalisation_does_not_see_how_bright_a_picture_is() -> None:
+def test_equalisation_does_not_see_how_bright_a_image_is() -> None:
     image = 0.2 + 0.5 * random(3, 20, 24)
 
     bright, dark = (preprocess.equalised(image * gain, preprocess.Smoothing()) for gain in (1, 0.1))
@@ -150,7 +150,7 @@ def test_black_stays_black_where_the_program_divides_0_by_0() -> None:
 
 
 @pytest.mark.parametrize("size", [(10, 15), (37, 61), (20, 60)])
-def test_bicubic_keeps_flat_pictures_and_8_bits(size: tuple[int, int]) -> None:
+def test_bicubic_keeps_flat_images_and_8_bits(size: tuple[int, int]) -> None:
     flat = torch.full((3, 20, 30), 77 / 255, dtype=torch.float64)
 
     assert preprocess.bicubic(flat, (20, 30)) is flat

@@ -28,7 +28,7 @@ class Golden:
     def __init__(self, name: str) -> None:
         self.arrays: Mapping[str, Any] = np.load(GOLDEN / f"{name}.npz")
         self.image = read_image(GOLDEN / f"{name}_160x120.png").double()
-        self.picture = read_image(GOLDEN / f"{name}_480x360.png")
+        self.full = read_image(GOLDEN / f"{name}_480x360.png")
         self.order = self.arrays["unfold_from_program"].astype(int)
         rows, columns = self.arrays["patch_rows_rc"].astype(int).T
         self.rows = torch.from_numpy(rows * MAP[1] + columns)
@@ -57,7 +57,7 @@ def close(found: Tensor, stored: Tensor, atol: float = STORED) -> None:
 
 @cache
 def equalised(golden: Golden, dtype: torch.dtype = torch.float64) -> Tensor:
-    """From the picture: what is stored of this stage is rounded, and normalising magnifies that."""
+    """From the image: what is stored of this stage is rounded, and normalising magnifies that."""
     return preprocess.equalised(golden.image.to(dtype), preprocess.Smoothing())
 
 
@@ -79,8 +79,8 @@ def selected(golden: Golden) -> maps.FeatureMaps:
     return maps.select_maps(white(golden), dictionary, MAP, maps.MapSettings())
 
 
-def test_from_the_picture_to_white_patches(golden: Golden) -> None:
-    assert torch.equal(preprocess.bicubic(golden.picture, (120, 160)).double(), golden.image)
+def test_from_the_image_to_white_patches(golden: Golden) -> None:
+    assert torch.equal(preprocess.bicubic(golden.full, (120, 160)).double(), golden.image)
     smooth = preprocess.blur(golden.image, 1.5, 3)
     close(smooth.permute(1, 2, 0), golden["blurred"], 1e-7)
     close(preprocess.brightness(smooth, 0.5, 2), golden["brightness"], 1e-7)

@@ -55,7 +55,7 @@ def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None
     angle, sure = vanishing.dominant_orientation(responses)
 
     assert angle.tolist() == [[175.0, 175.0]]
-    assert sure.tolist() == [[0.0, 1.0]]  # scaled to the picture
+    assert sure.tolist() == [[0.0, 1.0]]  # scaled to the image
 
 
 # --- the vote ---------------------------------------------------------------------------
@@ -99,7 +99,7 @@ def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
 
 
 def wedge(first: float, second: float) -> Tensor:
-    """A picture (3,H,W) of a grey road between two rays from the point, green elsewhere."""
+    """An image (3,H,W) of a grey road between two rays from the point, green elsewhere."""
     angle = vanishing.angles_from(POINT, SIZE)
     road = (angle > first) & (angle < second)
     grey, green = torch.full((3, 1, 1), 0.5), torch.tensor([0.2, 0.5, 0.2])[:, None, None]

@@ -143,7 +143,7 @@ def develop_world(stage: Stage, number: int, light: np.ndarray, place: Path, fil
     circle = image_circle(stage.lens) if stage.lens else None
     truth = render_truth(stage, place)
     look = develop(light, truth, stage.hour, at, stage.falling, circle)
-    cv2.imwrite(str(file), look.picture, [cv2.IMWRITE_JPEG_QUALITY, look.quality])
+    cv2.imwrite(str(file), look.image, [cv2.IMWRITE_JPEG_QUALITY, look.quality])
     return look
 
 
@@ -191,12 +191,12 @@ def sheet(out: Path, first: int, last: int, columns: int = 8) -> np.ndarray:
         if first <= int(file.name[:5]) < last:
             known = str(out / "truth" / f"{file.stem}.png")
             truth = np.asarray(cv2.imread(known, cv2.IMREAD_UNCHANGED))
-            picture = np.asarray(cv2.imread(str(file)))
-            drawn = picture.copy()
+            image = np.asarray(cv2.imread(str(file)))
+            drawn = image.copy()
             for what, tone in TONES.items():
                 drawn[truth == what] = drawn[truth == what] * 0.55 + np.array(tone) * 0.45
             cv2.putText(drawn, file.stem, (4, 14), 0, 0.45, (255, 255, 255), 1)
-            tiles.append(np.concatenate([picture, drawn], 0))
+            tiles.append(np.concatenate([image, drawn], 0))
     tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
     rows = [np.concatenate(tiles[k : k + columns], 1) for k in range(0, len(tiles), columns)]
     return np.concatenate(rows, 0)

@@ -1,6 +1,6 @@
-"""Pictures with no road in them: rooms, table tops, walls, fields and water.
+"""Images with no road in them: rooms, table tops, walls, fields and water.
 
-What they teach is that a picture need not have a road. Floors are ground, and so are fields and
+What they teach is that an image need not have a road. Floors are ground, and so are fields and
 water; whatever stands on them is vertical.
 """
 
@@ -149,7 +149,7 @@ def _things(stage: Stage) -> tuple[Point, Point]:
 
 
 def _wall(stage: Stage) -> tuple[Point, Point]:
-    """A front, a page or a fabric that fills the picture."""
+    """A front, a page or a fabric that fills the image."""
     at, half = stage.at, stage.at.uniform(0.5, 15)
     look = facade(stage, drawn(stage, WALLS)) if half > 3 else _any_surface(stage)
     stage.put(stage.mesh([(box((0, 6, 0), (6 * half, 0.5, 6 * half)), look)]), VERTICAL)

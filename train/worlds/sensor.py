@@ -1,4 +1,4 @@
-"""From linear light to a picture: lens errors, dirty glass, exposure, tone, noise, JPEG."""
+"""From linear light to an image: lens errors, dirty glass, exposure, tone, noise, JPEG."""
 
 from typing import NamedTuple
 
@@ -11,9 +11,9 @@ Random = np.random.Generator
 
 
 class Look(NamedTuple):
-    """A developed picture uint8 (H,W,3) BGR, its truth uint8 (H,W), the quality it is stored at."""
+    """A developed image uint8 (H,W,3) BGR, its truth uint8 (H,W), the quality it is stored at."""
 
-    picture: np.ndarray
+    image: np.ndarray
     truth: np.ndarray
     quality: int
 

@@ -1,10 +1,10 @@
-// The road in one picture by an exported network, with ONNX Runtime: no Python.
+// The road in one image by an exported network, with ONNX Runtime: no Python.
 //
 //   roadtorch export fusion --out road.onnx
 //   g++ -std=c++17 -O2 infer.cpp -I ORT/include -L ORT/lib -lonnxruntime -o infer
 //   ./infer road.onnx street.ppm road.pgm
 //
-// ORT is a release of ONNX Runtime (Debian 13: libonnxruntime-dev). Pictures are binary PPM (P6), which any program for pictures
+// ORT is a release of ONNX Runtime (Debian 13: libonnxruntime-dev). Images are binary PPM (P6), which any program for images
 // writes, so that nothing else is needed; with OpenCV, image.data of a cv::Mat in RGB takes the
 // place of `rgb`.
 
@@ -20,27 +20,27 @@
 #include <string>
 #include <vector>
 
-struct Picture {
+struct Image {
     int64_t height = 0, width = 0;
     std::vector<uint8_t> rgb;  // row by row, red, green, blue
 };
 
-Picture read_ppm(const std::string& path) {
+Image read_ppm(const std::string& path) {
     std::ifstream file(path, std::ios::binary);
     std::string kind;
     int64_t levels = 0;
-    Picture picture;
-    file >> kind >> picture.width >> picture.height >> levels;
+    Image image;
+    file >> kind >> image.width >> image.height >> levels;
     file.get();
     if (!file || kind != "P6" || levels != 255) throw std::runtime_error(path + ": no binary PPM");
-    picture.rgb.resize(picture.height * picture.width * 3);
-    file.read(reinterpret_cast<char*>(picture.rgb.data()), picture.rgb.size());
+    image.rgb.resize(image.height * image.width * 3);
+    file.read(reinterpret_cast<char*>(image.rgb.data()), image.rgb.size());
     if (!file) throw std::runtime_error(path + ": is cut");
-    return picture;
+    return image;
 }
 
 int main(int count, char** words) try {
-    if (count != 4) throw std::runtime_error("usage: infer MODEL.onnx PICTURE.ppm MAP.pgm");
+    if (count != 4) throw std::runtime_error("usage: infer MODEL.onnx IMAGE.ppm MAP.pgm");
 
     Ort::Env environment(ORT_LOGGING_LEVEL_ERROR, "roadtorch");
     Ort::SessionOptions options;
@@ -52,11 +52,11 @@ int main(int count, char** words) try {
         session.GetModelMetadata().LookupCustomMetadataMapAllocated("threshold", allocator);
     if (!threshold) throw std::runtime_error(std::string(words[1]) + ": not of roadtorch export");
 
-    Picture picture = read_ppm(words[2]);
-    const std::array<int64_t, 4> shape = {1, picture.height, picture.width, 3};
+    Image image = read_ppm(words[2]);
+    const std::array<int64_t, 4> shape = {1, image.height, image.width, 3};
     auto memory = Ort::MemoryInfo::CreateCpu(OrtArenaAllocator, OrtMemTypeDefault);
     auto input = Ort::Value::CreateTensor<uint8_t>(
-        memory, picture.rgb.data(), picture.rgb.size(), shape.data(), shape.size());
+        memory, image.rgb.data(), image.rgb.size(), shape.data(), shape.size());
 
     const char* given[] = {"image"};
     const char* wanted[] = {"likelihood", "trust"};  // trust: of fusion and fusion:large alone
@@ -65,14 +65,14 @@ int main(int count, char** words) try {
     const float trust = found[1].GetTensorData<float>()[0];
 
     std::ofstream map(words[3], std::ios::binary);
-    map << "P5\n" << picture.width << " " << picture.height << "\n255\n";
-    const int64_t pixels = picture.height * picture.width;
+    map << "P5\n" << image.width << " " << image.height << "\n255\n";
+    const int64_t pixels = image.height * image.width;
     int64_t road = 0;
     for (int64_t at = 0; at < pixels; ++at) {
         road += likelihood[at] >= std::atof(threshold.get());
         map.put(static_cast<char>(likelihood[at] * 255 + 0.5f));
     }
-    std::cout << picture.width << "x" << picture.height << ", road " << 100 * road / pixels
+    std::cout << image.width << "x" << image.height << ", road " << 100 * road / pixels
               << " %, trust " << std::round(100 * trust) / 100 << "\n";
 } catch (const std::exception& problem) {
     std::cerr << "infer: error: " << problem.what() << "\n";

@@ -31,7 +31,7 @@ let wanted = null; // the image that was asked for last
 
 function load(name) {
   if (!loaded.has(name)) {
-    const bitmap = ask("picture", { name }).then((answer) => answer.blob()).then(createImageBitmap);
+    const bitmap = ask("image", { name }).then((answer) => answer.blob()).then(createImageBitmap);
     const superpixels = ask("superpixels", { name }).then((answer) => answer.arrayBuffer());
     loaded.set(name, Promise.all([bitmap, superpixels]));
     loaded.get(name).catch(() => loaded.delete(name));
@@ -97,7 +97,7 @@ function show(found) {
   ];
   by("facts").textContent = facts.filter(Boolean).join(" · ");
   document.body.dataset.version = found.version;
-  document.body.dataset.picture = found.name;
+  document.body.dataset.image = found.name;
   by("undo").disabled = !found.events.length;
   by("redo").disabled = !found.redo.length;
 }
@@ -132,12 +132,12 @@ function failed(problem) {
 async function refresh() {
   try {
     if (outbox.waiting.length) await outbox.send();
-    const answer = await ask("pictures", { stamp });
+    const answer = await ask("images", { stamp });
     if (by("notice").textContent.startsWith("No answer")) notice("");
     if (answer.status === 204) return;
     const found = await answer.json();
     ({ stamp, learn } = found);
-    await update(found.pictures);
+    await update(found.images);
   } catch (problem) {
     failed(problem);
   }
@@ -155,7 +155,7 @@ async function update(found) {
   const known = images.filter((image) => image.trust !== null).length;
   const looked = known < images.length ? `, ${known} looked at` : "";
   by("progress").textContent = `${right} of ${images.length} right${looked}`;
-  if (!images.length) notice("The folder holds no pictures.");
+  if (!images.length) notice("The folder holds no images.");
   const name = current?.name;
   const listed = images.find((image) => image.name === name);
   if (name && !listed) notice(`${name} is no longer in the folder.`);

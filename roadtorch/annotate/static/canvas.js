@@ -1,4 +1,4 @@
-// The picture on the screen: where it lies, what is drawn over it, and where a pointer is on it.
+// The image on the screen: where it lies, what is drawn over it, and where a pointer is on it.
 
 const SKY = [204, 121, 167]; // not blue, which is road
 const SAID = {
@@ -8,7 +8,7 @@ const LAYOUT = [SKY, [230, 159, 0], [0, 120, 106]];
 const ROAD = [86, 180, 233]; // as infer draws it
 
 const TINT = 120, TINT_OF_DARK = 220; // of 255, of the machine's road
-const DARK = 60; // mean grey level of a picture below which a weak tint is not seen
+const DARK = 60; // mean grey level of an image below which a weak tint is not seen
 
 function isDark(bitmap) {
   const pen = new OffscreenCanvas(16, 16).getContext("2d");
@@ -20,7 +20,7 @@ function isDark(bitmap) {
 export class Stage {
   constructor(canvas) {
     Object.assign(this, {
-      canvas, pen: canvas.getContext("2d"), picture: null, zoom: 1, left: 0, top: 0, opacity: 0.5,
+      canvas, pen: canvas.getContext("2d"), image: null, zoom: 1, left: 0, top: 0, opacity: 0.5,
       sight: "road", borders: false, hidden: false, cross: null, hover: -1, drag: new Set(),
       drawn: [], pending: [], polygon: [], radius: 12, tool: "superpixel",
     });
@@ -30,19 +30,19 @@ export class Stage {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
   }
 
-  // picture: {bitmap, size [W,H], shape [w,h], superpixels Uint16Array}; layers: Uint8Array.
-  show(picture, layers) {
-    const same = this.picture === picture;
-    Object.assign(this, { picture, layers });
+  // image: {bitmap, size [W,H], shape [w,h], superpixels Uint16Array}; layers: Uint8Array.
+  show(image, layers) {
+    const same = this.image === image;
+    Object.assign(this, { image, layers });
     for (const one of [this.over, this.light]) {
-      if (one.width !== picture.shape[0] || one.height !== picture.shape[1]) {
-        [one.width, one.height] = picture.shape;
+      if (one.width !== image.shape[0] || one.height !== image.shape[1]) {
+        [one.width, one.height] = image.shape;
       }
     }
     if (!same) {
       Object.assign(this, { hover: -1, drag: new Set(), drawn: [], polygon: [], pending: [] });
-      this.tinted = isDark(picture.bitmap) ? TINT_OF_DARK : TINT;
-      this.cross = [picture.size[0] / 2, picture.size[1] * 0.75];
+      this.tinted = isDark(image.bitmap) ? TINT_OF_DARK : TINT;
+      this.cross = [image.size[0] / 2, image.size[1] * 0.75];
       this.fit();
     }
     this.tint();
@@ -55,12 +55,12 @@ export class Stage {
     const fitted = this.fitted;
     this.canvas.width = Math.max(1, Math.round(width * ratio));
     this.canvas.height = Math.max(1, Math.round(height * ratio));
-    if (this.picture && fitted !== false) this.fit();
+    if (this.image && fitted !== false) this.fit();
     this.draw();
   }
 
   fit() {
-    const [width, height] = this.picture.size;
+    const [width, height] = this.image.size;
     const { width: across, height: down } = this.canvas;
     this.zoom = Math.min(across / width, down / height);
     this.left = (across - width * this.zoom) / 2;
@@ -71,7 +71,7 @@ export class Stage {
 
   // Zoom by a factor about a point of the canvas, by default its middle.
   zoomBy(factor, x = this.canvas.width / 2, y = this.canvas.height / 2) {
-    if (!this.picture) return;
+    if (!this.image) return;
     const zoom = Math.min(Math.max(this.zoom * factor, 0.05), 40);
     this.left = x - ((x - this.left) * zoom) / this.zoom;
     this.top = y - ((y - this.top) * zoom) / this.zoom;
@@ -94,24 +94,24 @@ export class Stage {
     return [(event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio];
   }
 
-  // The picture's pixel, whole numbers at pixel centres, at a canvas pixel.
-  onPicture([x, y]) {
+  // The image's pixel, whole numbers at pixel centres, at a canvas pixel.
+  onImage([x, y]) {
     return [(x - this.left) / this.zoom - 0.5, (y - this.top) / this.zoom - 0.5];
   }
 
-  // The superpixel at a picture's pixel; -1 outside.
+  // The superpixel at an image's pixel; -1 outside.
   superpixel([x, y]) {
-    const [width, height] = this.picture.size;
-    const [across, down] = this.picture.shape;
+    const [width, height] = this.image.size;
+    const [across, down] = this.image.shape;
     const column = Math.floor(((x + 0.5) / width) * across);
     const row = Math.floor(((y + 0.5) / height) * down);
     if (column < 0 || row < 0 || column >= across || row >= down) return -1;
-    return this.picture.superpixels[row * across + column];
+    return this.image.superpixels[row * across + column];
   }
 
   // Colour the layers. A byte: three bits of what was said, one of road, two of layout.
   tint() {
-    const [width, height] = this.picture.shape;
+    const [width, height] = this.image.shape;
     const image = new ImageData(width, height);
     const { layers } = this;
     for (let i = 0; i < layers.length; i++) {
@@ -138,7 +138,7 @@ export class Stage {
 
   // Superpixels in sight: those dragged over, the one under the pointer, and all borders on demand.
   lit() {
-    const { superpixels, shape } = this.picture;
+    const { superpixels, shape } = this.image;
     const [width, height] = shape;
     const image = new ImageData(width, height);
     const hover = this.tool === "superpixel" ? this.hover : -1;
@@ -161,14 +161,14 @@ export class Stage {
   }
 
   paint() {
-    const { pen, canvas, picture } = this;
+    const { pen, canvas, image } = this;
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.clearRect(0, 0, canvas.width, canvas.height);
-    if (!picture) return;
-    const [width, height] = picture.size;
+    if (!image) return;
+    const [width, height] = image.size;
     pen.setTransform(this.zoom, 0, 0, this.zoom, this.left, this.top);
     pen.imageSmoothingEnabled = this.zoom < 3;
-    pen.drawImage(picture.bitmap, 0, 0, width, height);
+    pen.drawImage(image.bitmap, 0, 0, width, height);
     pen.imageSmoothingEnabled = false;
     if (!this.hidden) {
       pen.globalAlpha = this.opacity;

@@ -1,7 +1,7 @@
-// The hand on the picture: tools, and the pointers and keys that use them.
+// The hand on the image: tools, and the pointers and keys that use them.
 
 export class Hand {
-  // stage: what is drawn on. send(act): what a tool made. ready(): whether a picture is shown.
+  // stage: what is drawn on. send(act): what a tool made. ready(): whether an image is shown.
   constructor(stage, send, ready) {
     Object.assign(this, { stage, send, ready, saying: "road", drawing: false, panning: false });
     this.pointers = new Map();
@@ -90,7 +90,7 @@ export class Hand {
       this.spread = this.distance();
     } else if (!this.panning) {
       this.drawing = true;
-      this.move(stage.onPicture(stage.at(event)));
+      this.move(stage.onImage(stage.at(event)));
       this.begin(stage.cross);
     }
     event.preventDefault();
@@ -107,12 +107,12 @@ export class Hand {
     const point = stage.at(event);
     const before = pointers.get(event.pointerId);
     if (before && this.panning) return this.drag(event, point, before);
-    this.move(stage.onPicture(point));
+    this.move(stage.onImage(point));
     if (this.drawing) this.goOn(stage.cross);
     stage.draw();
   }
 
-  // Move the picture with one pointer, zoom with two.
+  // Move the image with one pointer, zoom with two.
   drag(event, point, before) {
     const { stage, pointers } = this;
     stage.pan((point[0] - before[0]) / pointers.size, (point[1] - before[1]) / pointers.size);
@@ -136,7 +136,7 @@ export class Hand {
   nudge(x, y, fine) {
     if (!this.ready()) return;
     const { stage } = this;
-    const [width, height] = stage.picture.size;
+    const [width, height] = stage.image.size;
     const step = fine ? 1 : width / 80;
     const inside = (value, most) => Math.min(Math.max(value, 0), most - 1);
     this.move([inside(stage.cross[0] + x * step, width), inside(stage.cross[1] + y * step, height)]);

@@ -1,1 +1,1 @@
-"""What a run leaves behind: tables on the screen, files, a page, sheets of pictures."""
+"""What a run leaves behind: tables on the screen, files, a page, sheets of images."""

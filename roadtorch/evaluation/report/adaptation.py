@@ -34,8 +34,8 @@ from roadtorch.evaluation.report.table import (
 class Adaptation:
     """What a run changed.
 
-    seen: the pictures as the detectors before and after see them; files: their weights. shown:
-    the pictures on the page. taught: None for networks without a teacher's maps. rows: round,
+    seen: the images as the detectors before and after see them; files: their weights. shown:
+    the images on the page. taught: None for networks without a teacher's maps. rows: round,
     epoch and error of each epoch. verdict: whether to adopt it, and why; empty where nobody judged.
     """
 
@@ -49,12 +49,12 @@ class Adaptation:
 
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
     """Write the page: one file that asks for no other."""
-    items = [picture.item for picture in adaptation.shown]
+    items = [image.item for image in adaptation.shown]
     caption = "only before blue, only after orange"
     sheets = both_sheets(adaptation.seen, items, caption)
-    is_part = len(items) < len(adaptation.seen.pictures)
+    is_part = len(items) < len(adaptation.seen.images)
     loss_chart = svg_uri(WIDTH, 260, partial(draw_losses, rows=adaptation.rows))
-    differs = [picture.differs for picture in adaptation.seen.pictures]
+    differs = [image.differs for image in adaptation.seen.images]
     values = {
         "one": adaptation,
         "mean": statistics.fmean(differs),
@@ -95,22 +95,20 @@ def differing(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.n
 
 def summary_table(adaptation: Adaptation) -> Table:
     """What can be said without a label: road, trust and agreement before and after."""
-    pictures, rows = adaptation.seen.pictures, {}
-    road = [(picture.first, picture.second) for picture in pictures]
+    images, rows = adaptation.seen.images, {}
+    road = [(image.first, image.second) for image in images]
     rows["share of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
-    if trusts := [
-        (picture.first_trust, picture.second_trust) for picture in pictures if picture.has_trust
-    ]:
+    if trusts := [(image.first_trust, image.second_trust) for image in images if image.has_trust]:
         before, after = map(statistics.fmean, zip(*trusts, strict=True))
         rose = sum(second > first for first, second in trusts)
         fell = sum(second < first for first, second in trusts)
-        change = Cell(signed(after - before), note=f"rose on {rose}, fell on {fell} pictures")
+        change = Cell(signed(after - before), note=f"rose on {rose}, fell on {fell} images")
         rows["trust"] = (Cell(share(before)), Cell(share(after)), change)
     if adaptation.taught is not None:
         before, after = adaptation.taught.before, adaptation.taught.after
         rows["agrees with the teacher on road"] = _row(before.road, after.road)
         rows["agrees with the teacher on layout"] = _row(before.layout, after.layout)
-    table = Table("mean over the pictures", list(rows))
+    table = Table("mean over the images", list(rows))
     for place, header in enumerate(("before", "after", "change")):
         table.add(header, [row[place] for row in rows.values()])
     return table
@@ -143,9 +141,9 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
 def trust_chart(adaptation: Adaptation) -> str:
     """Return a chart of trust after over trust before, a mark an image; empty without trust."""
     pairs = [
-        (picture.first_trust, picture.second_trust)
-        for picture in adaptation.seen.pictures
-        if picture.has_trust
+        (image.first_trust, image.second_trust)
+        for image in adaptation.seen.images
+        if image.has_trust
     ]
     if not pairs:
         return ""

@@ -93,7 +93,7 @@ def document(evaluation: Evaluation, command: str) -> dict[str, Any]:
         "void": "ignored",
         "command": command,
         "levels": dataset.levels,
-        "view": "the picture" if dataset.view is None else dataset.view.name,
+        "view": "the image" if dataset.view is None else dataset.view.name,
         "left_out": evaluation.left_out,
         "failed": [
             {"image": failure.image, "reason": failure.reason} for failure in evaluation.failures

@@ -1,4 +1,4 @@
-"""Sheets of pictures to look at: what a detector saw, and what it made of it."""
+"""Sheets of images to look at: what a detector saw, and what it made of it."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -14,8 +14,8 @@ from roadtorch.base.image import to_pixels, write_pixels
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation.methods import Look
-from roadtorch.evaluation.result import Evaluation, best_median_worst, pictures_by_f
-from roadtorch.evaluation.scoring import LabelledPicture
+from roadtorch.evaluation.result import Evaluation, best_median_worst, images_by_f
+from roadtorch.evaluation.scoring import LabelledImage
 from roadtorch.evaluation.tally import WHOLE
 from roadtorch.layout.classes import layout_colours
 
@@ -44,11 +44,11 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
     for name in shown[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
         look = detectors[name].contender.prepare(evaluation.dataset)
-        order = pictures_by_f(evaluation.tallies[name], detectors[name])
-        for part, pictures in best_median_worst(order, count).items():
-            if pictures:
+        order = images_by_f(evaluation.tallies[name], detectors[name])
+        for part, images in best_median_worst(order, count).items():
+            if images:
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
-                made = sheet(evaluation.dataset, look, pictures, thresholds)
+                made = sheet(evaluation.dataset, look, images, thresholds)
                 write_pixels(path, made)
                 sheets.setdefault(name, {})[part] = jpeg_uri(_small(made))
     return sheets
@@ -60,7 +60,7 @@ def sheet(
     chosen: Sequence[tuple[float, str]],
     thresholds: Mapping[str, float],
 ) -> np.ndarray:
-    """One sheet, uint8 RGB (H,W,3): a row of tiles for each chosen (F, picture name)."""
+    """One sheet, uint8 RGB (H,W,3): a row of tiles for each chosen (F, image name)."""
     by_name = {item.name: item for item in dataset.items}
     rows = []
     for value, name in chosen:
@@ -81,7 +81,7 @@ def sheet_row(
     image, truth = dataset.read(item)
     shown, detection = image, look(image, item)
     if detection.likelihood.shape != truth.road.shape:
-        scene = LabelledPicture(dataset, item, image, truth)
+        scene = LabelledImage(dataset, item, image, truth)
         shown, truth = scene.seen(image), scene.seen_truth()
     decided = detection.likelihood >= threshold
     tiles = {

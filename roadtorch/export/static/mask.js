@@ -19,7 +19,7 @@ function reached(area, start, width) {
   return kept;
 }
 
-// The minimum over `side` pixels along one axis; what is outside the picture is background.
+// The minimum over `side` pixels along one axis; what is outside the image is background.
 function eroded(area, width, height, side, step, length) {
   const out = new Uint8Array(area.length), before = side >> 1;
   for (let line = 0; line < area.length / length; line++) {

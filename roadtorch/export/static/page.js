@@ -1,12 +1,12 @@
-// The page: pictures, videos and the camera to the worker, and what it found to the canvas.
+// The page: images, videos and the camera to the worker, and what it found to the canvas.
 
 const MAX_MEGAPIXELS = 100; // of a file
-const STILL = 2e6, MOVING = 160e3; // pixels that are looked at: of a picture, of a frame
+const STILL = 2e6, MOVING = 160e3; // pixels that are looked at: of an image, of a frame
 const TINT = [86, 180, 233, 0.5], EDGE = [230, 159, 0, 1]; // as roadtorch draws road
 
 const $ = (id) => document.getElementById(id);
-const canvas = $("picture"), context = canvas.getContext("2d", { willReadFrequently: true });
-let shown = null; // what is on the canvas: the picture's bytes, likelihood, mask, trust
+const canvas = $("image"), context = canvas.getContext("2d", { willReadFrequently: true });
+let shown = null; // what is on the canvas: the image's bytes, likelihood, mask, trust
 let playing = null; // the video element that is being looked at
 
 function tell(text, wrong = false) {
@@ -46,7 +46,7 @@ async function start() {
   for (const id of ["file", "camera", "example"]) $(id).disabled = false;
 }
 
-// --- pictures ---------------------------------------------------------------------------
+// --- images ---------------------------------------------------------------------------
 
 // Looks at what can be drawn, reduced to so many pixels at most.
 async function detect(drawable, width, height, most) {
@@ -61,7 +61,7 @@ async function detect(drawable, width, height, most) {
   draw();
 }
 
-async function openPicture(file, name) {
+async function openImage(file, name) {
   const address = URL.createObjectURL(file), image = new Image();
   try {
     image.src = address;
@@ -77,7 +77,7 @@ async function openPicture(file, name) {
     tell(name);
   } catch (problem) {
     const known = problem instanceof Error && !(problem instanceof DOMException);
-    tell(known ? `${name}: ${problem.message}` : `${name} is no picture or video that this browser reads.`, true);
+    tell(known ? `${name}: ${problem.message}` : `${name} is no image or video that this browser reads.`, true);
   } finally {
     URL.revokeObjectURL(address);
   }
@@ -85,7 +85,7 @@ async function openPicture(file, name) {
 
 async function open(file) {
   stop();
-  if (!file.type.startsWith("video/")) return openPicture(file, file.name);
+  if (!file.type.startsWith("video/")) return openImage(file, file.name);
   const video = document.createElement("video");
   video.src = URL.createObjectURL(file);
   video.loop = true;
@@ -101,7 +101,7 @@ async function play(video, name) {
     await video.play();
   } catch {
     if (playing === video) stop();
-    return tell(`${name} is no picture or video that this browser reads.`, true);
+    return tell(`${name} is no image or video that this browser reads.`, true);
   }
   $("stop").hidden = false;
   tell(name);
@@ -163,7 +163,7 @@ function draw() {
   $("share").textContent = `${(100 * share).toFixed(1)} %`;
   $("trust").textContent = `${trust.toFixed(2)}${trust < 0.6 ? ", doubtful" : ""}`;
   $("time").textContent = `${Math.round(ms)} ms`;
-  canvas.setAttribute("aria-label", `${share ? `Road on ${Math.round(100 * share)} % of the picture` : "No road found"}, trust ${trust.toFixed(2)}`);
+  canvas.setAttribute("aria-label", `${share ? `Road on ${Math.round(100 * share)} % of the image` : "No road found"}, trust ${trust.toFixed(2)}`);
 }
 
 async function changeThreshold() {
@@ -179,7 +179,7 @@ async function changeThreshold() {
 $("file").onchange = ({ target }) => { if (target.files[0]) open(target.files[0]); target.value = ""; };
 $("camera").onclick = openCamera;
 $("stop").onclick = () => { stop(); tell("Stopped."); };
-$("example").onclick = async () => { stop(); openPicture(await (await fetch("street.jpg")).blob(), "A rendered street"); };
+$("example").onclick = async () => { stop(); openImage(await (await fetch("street.jpg")).blob(), "A rendered street"); };
 $("threshold").oninput = changeThreshold;
 $("views").onchange = () => { if (shown) draw(); };
 addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("over"); });

@@ -11,9 +11,9 @@ async function load() {
   return { threads: ort.env.wasm.numThreads };
 }
 
-let latest; // maps of the picture that was looked at last
+let latest; // maps of the image that was looked at last
 
-// rgba: a picture's bytes. Gives likelihood, mask, trust, and milliseconds.
+// rgba: an image's bytes. Gives likelihood, mask, trust, and milliseconds.
 async function detect({ rgba, width, height, threshold }) {
   const start = performance.now(), rgb = new Uint8Array(width * height * 3);
   for (let at = 0, to = 0; to < rgb.length; at += 4) for (let c = 0; c < 3; c++) rgb[to++] = rgba[at + c];

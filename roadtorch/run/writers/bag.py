@@ -68,11 +68,11 @@ class BagWriter:
         try:
             self.types = message_types(self._generation)
         except ImportError:
-            what = "cannot be written without the package rosbags"
-            raise ConfigError(str(path), what, "pip install 'roadtorch[bags]'") from None
+            problem = "cannot be written without the package rosbags"
+            raise ConfigError(str(path), problem, "pip install 'roadtorch[bags]'") from None
         if path.exists() and not is_result(path):
-            what = "exists already, and is no bag of ours"
-            raise InputError(path, what, "remove it, or give another name")
+            problem = "exists already, and is no bag of ours"
+            raise InputError(path, problem, "remove it, or give another name")
         make_folder(path.absolute().parent)
         self.path, self._frame_id, self._threshold, self._draw = path, frame_id, threshold, draw
         self._folder = path.with_name(f"{path.name}.{secrets.token_hex(4)}.unfinished")
@@ -89,9 +89,9 @@ class BagWriter:
             info = types[LABEL_INFO](header(self.types, stamp, ""), names, self._threshold)
             self._add(LABELS, LABEL_INFO, stamp, info)
         mask, confidence = pixels_of(detection)
-        pictures = {MASK: mask, CONFIDENCE: confidence}
-        pictures |= {OVERLAY: self._draw(detection)} if self._draw else {}
-        for topic, pixels in pictures.items():
+        images = {MASK: mask, CONFIDENCE: confidence}
+        images |= {OVERLAY: self._draw(detection)} if self._draw else {}
+        for topic, pixels in images.items():
             image = types[IMAGE](
                 header=header(self.types, stamp, self._frame_id),
                 height=pixels.shape[0],
@@ -129,8 +129,8 @@ class BagWriter:
             if self.path.exists():
                 os.replace(self.path, self._folder / "earlier")
             os.replace(self._folder / self.path.name, self.path)
-        except OSError as problem:
-            raise self._unwritable(problem) from None
+        except OSError as error:
+            raise self._unwritable(error) from None
         shutil.rmtree(self._folder, ignore_errors=True)
 
     # --- inside -------------------------------------------------------------------------
@@ -143,8 +143,8 @@ class BagWriter:
             is_ros1 = self._generation == 1
             pack = self.types.serialize_ros1 if is_ros1 else self.types.serialize_cdr
             writer.write(self._links[topic], stamp, pack(message, kind))
-        except OSError as problem:
-            raise self._unwritable(problem) from None
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def _begin(self) -> Any:
         hexadecimal = "[0-9a-f]" * 8
@@ -178,10 +178,10 @@ class BagWriter:
             options = {"offered_qos_profiles": [profile]}
         return self._writer.add_connection(topic, kind, typestore=self.types, **options)
 
-    def _unwritable(self, problem: OSError) -> InputError:
-        error = unwritable(self.path, problem)
+    def _unwritable(self, error: OSError) -> InputError:
+        refusal = unwritable(self.path, error)
         rest = f"; what there is lies in {self._folder}" if self._folder.exists() else ""
-        return InputError(self.path, error.what + rest, error.remedy)
+        return InputError(self.path, refusal.problem + rest, refusal.hint)
 
 
 def is_result(path: Path) -> bool:

@@ -22,7 +22,7 @@ from roadtorch.run.writers.grid import Grids
 from roadtorch.run.writers.maps import CUE_SUFFIXES, SUFFIXES, Maps
 from roadtorch.run.writers.video import VideoWriter
 
-OF_PICTURES, OF_FOOTAGE, OF_BAGS = (
+OF_IMAGES, OF_FOOTAGE, OF_BAGS = (
     ("likelihood", "mask", "overlay"),
     ("overlay",),
     ("overlay", "bag"),
@@ -83,8 +83,8 @@ def bag_suffix(source: Source, suffix: str) -> str:
 class MapOutput:
     """What ``infer`` writes of a source: videos, bags, and files for each frame.
 
-    maps: of a picture. asked: the kinds of ``--save``, None where it is not given: of a
-    source ``overlay`` is a video and ``overlay-frames`` are pictures. topic: of the images in
+    maps: of an image. asked: the kinds of ``--save``, None where it is not given: of a
+    source ``overlay`` is a video and ``overlay-frames`` are images. topic: of the images in
     bags; None where they have one. view: what else gets the frames of sources.
     """
 
@@ -134,7 +134,7 @@ class MapOutput:
 class GridOutput:
     """What ``grid`` writes of a source: a grid a frame, in bags also as messages; one pitch.
 
-    grids: of a picture. infer: what finds the road. topic: of bags.
+    grids: of an image. infer: what finds the road. topic: of bags.
     """
 
     grids: Grids
@@ -158,7 +158,7 @@ class GridOutput:
             matrix, bent = info.matrix.ravel().tolist(), info.distortion.tolist()
             size = (info.width, info.height)
             placing = placing.through(lens_of_info(source.origin, size, matrix, bent, info.model))
-        if placing.asks_pictures:
+        if placing.asks_images:
             placing = steadied(placing, self.infer, source)
         if suffixes:
             stem = self.grids.folder / source.name
@@ -174,7 +174,7 @@ def steadied(placing: Placing, infer: Inference, source: Source) -> Placing:
     InputError when no frame tells it.
     """
     pitches: list[Pitch] = []
-    problem: RoadtorchError | None = None
+    error: RoadtorchError | None = None
     with closing(detections(source.sampled(MEDIAN_FRAMES), infer, Workers())) as frames:
         for frame in frames:
             try:
@@ -183,9 +183,9 @@ def steadied(placing: Placing, infer: Inference, source: Source) -> Placing:
                 assert image is not None
                 pitches.append(placing(image, layout)[1])
             except RoadtorchError as raised:
-                problem = raised
+                error = raised
     if pitches:
         return replace(placing, pitch=median_pitch(pitches))
-    if problem is None:
+    if error is None:
         return placing
-    raise fault(source.origin, problem)
+    raise fault(source.origin, error)

@@ -1,4 +1,4 @@
-"""coco.json: the masks of all pictures whose outlines are kept, as one COCO file."""
+"""coco.json: the masks of all images whose outlines are kept, as one COCO file."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -13,11 +13,11 @@ from roadtorch.run.folder import COCO
 from roadtorch.run.ledger import INDEX, has_result, read_index
 
 POLYGONS = ".labelme.json"
-"""How the name of the annotation file of a picture ends."""
+"""How the name of the annotation file of an image ends."""
 
 
 def write_coco(folder: Path) -> None:
-    """Write the pictures whose polygons are kept, sorted by file, as one COCO file.
+    """Write the images whose polygons are kept, sorted by file, as one COCO file.
 
     A second run makes it anew of all that is there, so that it is whole whatever was
     interrupted. Raises InputError when it cannot be written, DatasetError for an annotation
@@ -30,8 +30,8 @@ def write_coco(folder: Path) -> None:
         for row in sorted(saved, key=lambda row: row.file)
         if has_result(folder, _annotation(folder, row.file))
     }
-    pictures = [
-        CocoPicture(
+    images = [
+        CocoImage(
             row.file,
             (int(row.width), int(row.height)),
             float(row.trust) if row.trust else None,
@@ -40,51 +40,49 @@ def write_coco(folder: Path) -> None:
     ]
 
     def mask_of(file: str) -> np.ndarray:
-        """bool (H,W), as the annotation of a picture draws it."""
+        """bool (H,W), as the annotation of an image draws it."""
         size = int(ready[file].height), int(ready[file].width)
         return read_outlined_mask(folder / _annotation(folder, file), size)
 
     with atomic(folder / COCO) as temporary, temporary.open("w", encoding="utf-8") as text:
-        text.writelines(coco_text(pictures, mask_of))
+        text.writelines(coco_text(images, mask_of))
 
 
 def _annotation(folder: Path, file: str) -> str:
-    """The outline of what index.csv calls ``file``: a frame, without suffix, or a picture."""
-    of_picture = PurePath(file).with_suffix("").as_posix() + POLYGONS
-    return file + POLYGONS if has_result(folder, file + POLYGONS) else of_picture
+    """The outline of what index.csv calls ``file``: a frame, without suffix, or an image."""
+    of_image = PurePath(file).with_suffix("").as_posix() + POLYGONS
+    return file + POLYGONS if has_result(folder, file + POLYGONS) else of_image
 
 
-class CocoPicture(NamedTuple):
-    """A picture in a COCO file: its name, (width, height) and trust, where there is one."""
+class CocoImage(NamedTuple):
+    """An image in a COCO file: its name, (width, height) and trust, where there is one."""
 
     file: str
     size: tuple[int, int]
     trust: float | None = None
 
 
-def coco_text(
-    pictures: Iterable[CocoPicture], mask_of: Callable[[str], np.ndarray]
-) -> Iterator[str]:
-    """A COCO file, in pieces: one annotation of category 1, road, for each picture with road.
+def coco_text(images: Iterable[CocoImage], mask_of: Callable[[str], np.ndarray]) -> Iterator[str]:
+    """A COCO file, in pieces: one annotation of category 1, road, for each image with road.
 
-    mask_of: gives the mask bool (H,W) of a file; each is asked for once, in order. Pictures and
+    mask_of: gives the mask bool (H,W) of a file; each is asked for once, in order. Images and
     their annotations are numbered from 1 in the order given. ``score`` is the trust, as in COCO's
     results.
     """
-    pictures = list(pictures)
+    images = list(images)
     yield '{"info": {"description": "roads found by roadtorch"}, "licenses": [],\n'
     yield '"categories": [{"id": 1, "name": "road", "supercategory": ""}],\n"images": ['
-    for number, picture in enumerate(pictures, 1):
-        width, height = picture.size
-        image = {"id": number, "file_name": picture.file, "width": width, "height": height}
-        yield ("\n" if number == 1 else ",\n") + json.dumps(image)
+    for number, image in enumerate(images, 1):
+        width, height = image.size
+        entry = {"id": number, "file_name": image.file, "width": width, "height": height}
+        yield ("\n" if number == 1 else ",\n") + json.dumps(entry)
     yield '],\n"annotations": ['
     separator = "\n"
-    for number, picture in enumerate(pictures, 1):
-        mask = mask_of(picture.file)
+    for number, image in enumerate(images, 1):
+        mask = mask_of(image.file)
         if not mask.any():
             continue
-        score = {} if picture.trust is None else {"score": picture.trust}
+        score = {} if image.trust is None else {"score": image.trust}
         yield separator + json.dumps(coco_region(mask, number, number, 1) | score)
         separator = ",\n"
     yield "]}\n"

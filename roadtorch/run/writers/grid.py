@@ -31,7 +31,7 @@ SUFFIXES = {
     "yaml": ".grid.yaml",
     "npy": ".grid.npy",
     "likelihood": ".grid.likelihood.npy",
-    "picture": ".grid.jpg",
+    "image": ".grid.jpg",
 }
 
 UNSURE = 2.0
@@ -42,8 +42,8 @@ FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 OCCUPIED_FROM, FREE_UP_TO = 0.65, 0.196
 
 
-def map_picture(grid: Grid) -> np.ndarray:
-    """A grid as map_server's picture, uint8: x to the right, y upwards, the first row on top."""
+def map_image(grid: Grid) -> np.ndarray:
+    """A grid as map_server's image, uint8: x to the right, y upwards, the first row on top."""
     cells = grid.cells.cpu().numpy()
     grey = np.full(cells.shape, UNKNOWN_GREY, np.uint8)
     grey[cells == FREE] = FREE_GREY
@@ -57,14 +57,14 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
     comment: one line for the YAML. Raises InputError when one cannot be written.
     """
     stem = Path(stem)
-    grey, picture = map_picture(grid), stem.with_name(stem.name + ".grid.pgm")
-    with atomic(picture) as temporary:
+    grey, image = map_image(grid), stem.with_name(stem.name + ".grid.pgm")
+    with atomic(image) as temporary:
         head = f"P5\n{grey.shape[1]} {grey.shape[0]}\n255\n"
         temporary.write_bytes(head.encode() + grey.tobytes())
     write_npy(stem.with_name(stem.name + ".grid.npy"), grid.cells)
     lines = [f"# {comment}"] if comment else []
     lines += [
-        f"image: {json.dumps(picture.name)}",
+        f"image: {json.dumps(image.name)}",
         "mode: trinary",
         f"resolution: {grid.resolution:g}",
         f"origin: [{grid.origin[0]:g}, {grid.origin[1]:g}, 0]",
@@ -78,7 +78,7 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
 
 @dataclass(frozen=True)
 class Grids:
-    """The grid of each picture, and the same in a bag where there is one.
+    """The grid of each image, and the same in a bag where there is one.
 
     placing: where the camera is. kinds: of files, see ``SUFFIXES``. frame_id: of the robot.
     """
@@ -96,14 +96,14 @@ class Grids:
         return [SUFFIXES[kind] for kind in self.kinds]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the grid of a picture; its road share is that of free cells.
+        """Write the grid of an image; its road share is that of free cells.
 
         Raises what ``placing`` and ``ground_grid`` raise.
         """
         try:
             grid, doubt = self._written(item, detection)
-        except RoadtorchError as problem:
-            raise fault(item.origin, problem) from None
+        except RoadtorchError as error:
+            raise fault(item.origin, error) from None
         if self.bag is not None:
             cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
             self.bag.write_grid(cells, grid.resolution, (x, y), item.nanoseconds, self.frame_id)
@@ -132,18 +132,18 @@ class Grids:
         write_grid(stem, grid, f"pitch {pitch.degrees:.2f} degrees, {pitch.reason}")
         if "likelihood" in self.kinds:
             write_npy(stem.with_name(stem.name + SUFFIXES["likelihood"]), grid.likelihood)
-        if "picture" in self.kinds:
+        if "image" in self.kinds:
             both = beside(image, detection.mask, grid)
-            write_jpeg(stem.with_name(stem.name + SUFFIXES["picture"]), both)
+            write_jpeg(stem.with_name(stem.name + SUFFIXES["image"]), both)
         return grid, f"pitch unsure by {pitch.spread:.1f} degrees" if pitch.spread > UNSURE else ""
 
 
 def beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:
-    """The picture with its road tinted and the grid, x upwards, at its right: (3,h,w) in [0,1]."""
-    picture = tint_mask(to_pixels(image), mask.cpu().numpy())
-    upright = cv2.rotate(map_picture(grid), cv2.ROTATE_90_COUNTERCLOCKWISE)
-    height = picture.shape[0]
+    """The image with its road tinted and the grid, x upwards, at its right: (3,h,w) in [0,1]."""
+    tinted = tint_mask(to_pixels(image), mask.cpu().numpy())
+    upright = cv2.rotate(map_image(grid), cv2.ROTATE_90_COUNTERCLOCKWISE)
+    height = tinted.shape[0]
     width = max(1, round(upright.shape[1] * height / upright.shape[0]))
     upright = cv2.resize(upright, (width, height), interpolation=cv2.INTER_AREA)
-    both = np.hstack([picture, np.repeat(upright[..., None], 3, 2)])
+    both = np.hstack([tinted, np.repeat(upright[..., None], 3, 2)])
     return torch.from_numpy(both).permute(2, 0, 1) / 255

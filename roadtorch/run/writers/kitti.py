@@ -13,8 +13,8 @@ from roadtorch.camera.birds_eye import to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.data.kitti import result_name
 from roadtorch.detectors.detector import Detection
+from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import find_pictures
 from roadtorch.run.ledger import DONE
 
 ARCHIVE = "submission.zip"
@@ -22,11 +22,11 @@ SUFFIX = ".png"
 READABLE_BY_ALL = 0o644 << 16  # where zip keeps the Unix permissions
 
 
-def pictures_to_submit(images: Path, calib: Path, out: Path) -> list[Item]:
-    """The pictures of a folder of KITTI road, named as the server wants their results.
+def images_to_submit(images: Path, calib: Path, out: Path) -> list[Item]:
+    """The images of a folder of KITTI road, named as the server wants their results.
 
-    The calibration file of each, in ``calib``, is part of its bytes. Raises what ``find_pictures``
-    raises, and DatasetError for a picture that is not named CATEGORY_NUMBER.
+    The calibration file of each, in ``calib``, is part of its bytes. Raises what ``find_images``
+    raises, and DatasetError for an image that is not named CATEGORY_NUMBER.
     """
     return [
         replace(
@@ -34,7 +34,7 @@ def pictures_to_submit(images: Path, calib: Path, out: Path) -> list[Item]:
             name=result_name(item.name),
             digest=partial(_digest, item.path, calib / f"{item.path.stem}.txt"),
         )
-        for item in find_pictures([images], out)
+        for item in find_images([images], out)
     ]
 
 
@@ -57,7 +57,7 @@ class BirdsEyeMaps:
         return [SUFFIX]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the map of one picture."""
+        """Write the map of one image."""
         calibration = read_calibration(self.calib / f"{item.path.stem}.txt")
         birds_eye = to_birds_eye(detection.likelihood, calibration)
         write_map(self.folder / f"{item.name}{SUFFIX}", birds_eye)

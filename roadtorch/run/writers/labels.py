@@ -1,4 +1,4 @@
-"""Machine labels of the scene layout, as pictures of labels."""
+"""Machine labels of the scene layout, as images of labels."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from roadtorch.layout.classes import HORIZONTAL, layout_colours
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 
 SUFFIXES = {"labels": ".png", "overlay": ".overlay.jpg"}
-LAYOUT_SHARE = 0.5  # of the class's colour; the picture keeps the rest
+LAYOUT_SHARE = 0.5  # of the class's colour; the image keeps the rest
 LABELS = "layout_labels"
 
 
 @dataclass(frozen=True)
 class Labelling:
-    """What labels a picture: sky 0, vertical 1, horizontal 2, unlabelled 255."""
+    """What labels an image: sky 0, vertical 1, horizontal 2, unlabelled 255."""
 
     settings: LabellerSettings
 
@@ -35,7 +35,7 @@ class Labelling:
 
 @dataclass(frozen=True)
 class Labels:
-    """The files of a labelled picture; kinds: see ``SUFFIXES``."""
+    """The files of a labelled image; kinds: see ``SUFFIXES``."""
 
     folder: Path
     kinds: Sequence[str]
@@ -46,7 +46,7 @@ class Labels:
         return [SUFFIXES[kind] for kind in self.kinds]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the labels, and the picture tinted by class; what is unlabelled is darkened."""
+        """Write the labels, and the image tinted by class; what is unlabelled is darkened."""
         labels, image = detection.cues[LABELS], detection.image
         assert image is not None
         write_labels(self.folder / f"{item.name}{SUFFIXES['labels']}", labels)

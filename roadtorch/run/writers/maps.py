@@ -1,4 +1,4 @@
-"""What is written of one picture: likelihood, mask, overlay, cues, outlines, figures."""
+"""What is written of one image: likelihood, mask, overlay, cues, outlines, figures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels ov
 
 @dataclass(frozen=True)
 class Maps:
-    """The files of a picture.
+    """The files of an image.
 
     kinds: see ``SUFFIXES`` and ``CUE_SUFFIXES``. detector, threshold: what made them. depth: bits
     of likelihoods.
@@ -54,7 +54,7 @@ class Maps:
         return [table[kind] for table in tables for kind in table if kind in self.kinds]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the files; the names of the cues of a picture that stands alone."""
+        """Write the files; the names of the cues of an image that stands alone."""
         kinds, stem = self.kinds, self.folder / item.name
 
         def path(suffix: str) -> Path:
@@ -73,7 +73,7 @@ class Maps:
             write_npy(path(SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items() if kinds & CUE_SUFFIXES.keys() else ():
             if "cues" in kinds:
-                write_colours(path(CUE_SUFFIXES["cues"].format(name)), cue_picture(name, cue.cpu()))
+                write_colours(path(CUE_SUFFIXES["cues"].format(name)), cue_image(name, cue.cpu()))
             if "npy" in kinds:
                 write_npy(path(CUE_SUFFIXES["npy"].format(name)), cue)
         if "polygons" in kinds:
@@ -84,7 +84,7 @@ class Maps:
         return {} if item.digest is None else {"cues": "/".join(detection.cues)}
 
     def _figures(self, file: str, detection: Detection) -> dict[str, object]:
-        """The figures of a picture alone; nothing in them depends on the run."""
+        """The figures of an image alone; nothing in them depends on the run."""
         height, width = detection.mask.shape
         return {
             "file": file,
@@ -99,7 +99,7 @@ class Maps:
         }
 
 
-def cue_picture(name: str, cue: Tensor) -> Tensor:
+def cue_image(name: str, cue: Tensor) -> Tensor:
     """A cue (H,W), (C,H,W) or labels int (H,W) as an image (3,H,W) to look at.
 
     ``layout_labels`` and three potentials named ``layout…`` get the colours of sky, vertical

@@ -62,8 +62,8 @@ class VideoWriter:
             self._last = max(round((seconds - self._first) * TICKS), self._last + 1)
             frame.pts, frame.time_base = self._last, self._stream.time_base
             self._container.mux(self._stream.encode(frame))
-        except OSError as problem:
-            raise unwritable(self.path, problem) from None
+        except OSError as error:
+            raise unwritable(self.path, error) from None
         return {}
 
     def close(self) -> None:
@@ -89,8 +89,8 @@ class VideoWriter:
     def _encoder(self, width: int, height: int):
         name = next(name for name in ENCODERS if name in self._av.codecs_available)
         if name != "libx264":
-            what = f"{self.path.name}: PyAV has no libx264 here; written as {name}"
-            warnings.warn(what, stacklevel=2)
+            problem = f"{self.path.name}: PyAV has no libx264 here; written as {name}"
+            warnings.warn(problem, stacklevel=2)
         rate = Fraction(self._rate).limit_denominator(1001)
         stream = self._container.add_stream(name, rate=rate, options=ENCODERS[name])
         stream.width, stream.height = width + width % 2, height + height % 2

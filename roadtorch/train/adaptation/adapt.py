@@ -17,12 +17,12 @@ from roadtorch.base.atomic import remove_leftovers, write_text
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import stop_on_signals
 from roadtorch.camera.footage import StillError, camera_of
-from roadtorch.imaging.motion import flow_picture
+from roadtorch.imaging.motion import flow_image
 from roadtorch.inputs.item import spread
 from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.picture_network import ROAD
+from roadtorch.layout.image_network import ROAD
 from roadtorch.layout.weights import (
-    WholePictureNetwork,
+    WholeImageNetwork,
     load_network,
     read_origin,
     save_network,
@@ -39,10 +39,10 @@ from roadtorch.train.adaptation.verdict import (
     unknown,
     verdict_of,
 )
-from roadtorch.train.config import PictureTraining
+from roadtorch.train.config import ImageTraining
 from roadtorch.train.corrections import card_of, corrections_behind
 from roadtorch.train.folder import WEIGHTS, RunFolder
-from roadtorch.train.pictures import PictureRecipe
+from roadtorch.train.images import ImageRecipe
 from roadtorch.train.prepared import from_bytes, to_bytes
 from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import Outcome, Request, made_ready, train
@@ -76,7 +76,7 @@ class Adapted:
 
 
 def adapt(
-    inputs: Sequence[str], out: Path, training: PictureTraining, most: int, quiet: bool = False
+    inputs: Sequence[str], out: Path, training: ImageTraining, most: int, quiet: bool = False
 ) -> Adapted:
     """Adapt the network that ``training`` starts from to footage; results in the folder ``out``.
 
@@ -86,11 +86,11 @@ def adapt(
     with RunFolder(out).held():
         remove_leftovers([out, out / FRAMES])
         frames = keep_frames(inputs, out / FRAMES, most, quiet)
-        problem = _camera_problem(frames, out / CAMERA, inputs[0])
-        missing = [f"no {CAMERA}: {problem.where} {problem.what}"] if problem else []
+        error = _camera_problem(frames, out / CAMERA, inputs[0])
+        missing = [f"no {CAMERA}: {error.where} {error.problem}"] if error else []
         if not frames.moving:
-            missing.append("pictures have no times: they are taken in the order of their names")
-        adapted = partial(Adapted, frames, None if problem else out / CAMERA, missing)
+            missing.append("images have no times: they are taken in the order of their names")
+        adapted = partial(Adapted, frames, None if error else out / CAMERA, missing)
         if stopped := write_taught(frames, out / LOOKS, out / PREPARED, training, quiet):
             return adapted(Outcome(None, stopped, 0))
         skipped = 0
@@ -102,7 +102,7 @@ def adapt(
                 return adapted(outcome)
             skipped += outcome.skipped
         halves = _write_mean(frames, out, training, quiet)
-        if isinstance(problem, StillError):
+        if isinstance(error, StillError):
             reason = "the footage stands still: both halves show the same"
             verdict = unknown(reason, frames.count)
         else:
@@ -110,42 +110,40 @@ def adapt(
             judged = []
             for half, other in zip(HALVES, reversed(halves), strict=True):
                 weights = (before, other, out / WEIGHTS)
-                pictures = frames.pictures(half)
-                judged.append(judged_half(pictures, weights, out / PREPARED, training, quiet))
+                images = frames.images(half)
+                judged.append(judged_half(images, weights, out / PREPARED, training, quiet))
             verdict = verdict_of(judged)
         return adapted(Outcome(out / WEIGHTS, None, skipped), verdict)
 
 
 def write_taught(
-    frames: KeptFrames, looks: Path, prepared: Path, training: PictureTraining, quiet: bool = False
+    frames: KeptFrames, looks: Path, prepared: Path, training: ImageTraining, quiet: bool = False
 ) -> Signals | None:
     """Write what training needs of all frames into the folder ``prepared``.
 
     The teacher's predictions waver from frame to frame, and a place that ten frames show is
     predicted ten times, from near and from far. So log odds of road are carried there and back
-    along the motion of the picture (``road.steady``), and averaged. Frames that are not
+    along the motion of the image (``road.steady``), and averaged. Frames that are not
     consecutive keep their own predictions. Ours.
 
     looks: the folder of the teacher's predictions; what is in either, of these frames and
     settings, is kept. Returns the signal that cut it short. Memory is linear in the frames, 0.5 MB
     each.
     """
-    pictures = frames.pictures()
+    images = frames.images()
     with stop_on_signals() as stop:
-        recipe = PictureRecipe(training)
-        made = made_ready(recipe, pictures, looks, stop, quiet)
+        recipe = ImageRecipe(training)
+        made = made_ready(recipe, images, looks, stop, quiet)
         if stop.asked:
             return stop.signal or SIGTERM
     files = {
-        item.file: picture
-        for picture, item in zip(pictures, made, strict=True)
-        if item.file is not None
+        item.file: image for image, item in zip(images, made, strict=True) if item.file is not None
     }
     taught = {look: prepared / look.relative_to(looks) for look in files}
-    keys = [recipe.key(picture) for picture in files.values()]
+    keys = [recipe.key(image) for image in files.values()]
     if all(kept(file, key) for file, key in zip(taught.values(), keys, strict=True)):
         return None
-    greys = [flow_picture(picture.read(), MOTION.width) for picture in files.values()]
+    greys = [flow_image(image.read(), MOTION.width) for image in files.values()]
     roads = (from_bytes(read_arrays(look, "maps")["maps"][CLASSES]) for look in files)
     smooth = smoothed(greys, [log_odds(road) for road in roads], MOTION)
     for (look, file), key, odds in zip(taught.items(), keys, smooth, strict=True):
@@ -155,9 +153,7 @@ def write_taught(
     return None
 
 
-def _write_mean(
-    frames: KeptFrames, out: Path, training: PictureTraining, quiet: bool
-) -> list[Path]:
+def _write_mean(frames: KeptFrames, out: Path, training: ImageTraining, quiet: bool) -> list[Path]:
     """Write the mean of the halves' calibrated networks, its card and its log.
 
     Returns the files of the calibrated networks, in the order of the halves.
@@ -165,7 +161,7 @@ def _write_mean(
     files, rows = [out / half / CALIBRATED for half in HALVES], []
     for number, (half, file) in enumerate(zip(HALVES, files, strict=True), 1):
         learned = file.with_name(WEIGHTS)
-        bias = fitted_bias(frames.pictures(half), learned, out / PREPARED, training, quiet)
+        bias = fitted_bias(frames.images(half), learned, out / PREPARED, training, quiet)
         write_shifted(learned, file, bias)
         rows += [{**row, "round": number} for row in RunFolder(out / half).read_log()]
     networks = [load_network(file) for file in files]
@@ -174,7 +170,7 @@ def _write_mean(
         for name, value in networks[0].state_dict().items()
     }
     networks[0].load_state_dict(mean)
-    save_network(out / WEIGHTS, networks[0], {**read_origin(files[0]), "pictures": frames.count})
+    save_network(out / WEIGHTS, networks[0], {**read_origin(files[0]), "images": frames.count})
     if behind := corrections_behind(training):
         write_text((out / WEIGHTS).with_suffix(".md"), card_of(behind))
     RunFolder(out).write_log(rows)
@@ -184,7 +180,7 @@ def _write_mean(
 def write_shifted(learned: Path, file: Path, bias: float) -> None:
     """Write a network with so much more log odds of road everywhere."""
     network = load_network(learned)
-    assert isinstance(network, WholePictureNetwork)
+    assert isinstance(network, WholeImageNetwork)
     with torch.no_grad():
         for layer in network.last_layers():
             assert layer.bias is not None
@@ -194,9 +190,9 @@ def write_shifted(learned: Path, file: Path, bias: float) -> None:
 
 def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | None:
     """Write the file of the camera; why there is none, where there is none."""
-    some = spread(frames.pictures(), MAX_FRAMES)
+    some = spread(frames.images(), MAX_FRAMES)
     try:
-        camera_of((picture.read() for picture in some), where).write(file)
-    except InputError as problem:
-        return problem
+        camera_of((image.read() for image in some), where).write(file)
+    except InputError as error:
+        return error
     return None

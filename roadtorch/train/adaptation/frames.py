@@ -21,8 +21,8 @@ from roadtorch.base.image import write_jpeg
 from roadtorch.base.progress import Progress
 from roadtorch.imaging.resize import at_work
 from roadtorch.inputs.find import Inputs, find_inputs
+from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import find_pictures
 from roadtorch.run.memo import key_of
 from roadtorch.train.recordings import SEEN
 
@@ -55,9 +55,9 @@ class KeptFrames(NamedTuple):
         """The number of frames."""
         return sum(self.halves)
 
-    def pictures(self, half: str = "*") -> list[Item]:
+    def images(self, half: str = "*") -> list[Item]:
         """The kept frames, or those of a half, in order."""
-        return find_pictures([self.glob(half)])
+        return find_images([self.glob(half)])
 
     def glob(self, half: str = "*") -> str:
         """The quoted glob that stands for a half; all frames have one name in any of them."""
@@ -67,12 +67,12 @@ class KeptFrames(NamedTuple):
 def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = False) -> KeptFrames:
     """Keep at most ``most`` frames of footage in a folder; what was kept before is taken as it is.
 
-    Of videos and bags a frame each ``SECONDS``, of pictures all; of long footage stretches. Memory
+    Of videos and bags a frame each ``SECONDS``, of images all; of long footage stretches. Memory
     does not grow with the footage. Raises ConfigError where the folder holds frames of other
     footage, InputError where the footage has fewer than two frames that can be read.
     """
-    pictures, sources = find_inputs(inputs)
-    digests = [item.digest() if item.digest else "" for item in [*pictures, *sources]]
+    images, sources = find_inputs(inputs)
+    digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
     known, key = folder / LIST, key_of(digests, most)
     if not known.exists():
         if folder.exists() and any(folder.iterdir()):
@@ -83,7 +83,7 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
     if kept is None:
         for file in folder.glob("*.jpg"):  # of a run that was cut short
             file.unlink()
-        kept = _keep(Inputs(pictures, sources), folder, most, quiet)
+        kept = _keep(Inputs(images, sources), folder, most, quiet)
         if kept.count < 2:  # nothing that the next run should take as it is
             raise InputError(inputs[0], f"has {kept.count} frames", "give some minutes of a drive")
         rest = {"halves": kept.halves, "moving": kept.moving, "skipped": kept.skipped}
@@ -145,12 +145,12 @@ def _thinned(
 
 
 def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, Tensor]]:
-    """Every picture, and frames ``SECONDS`` apart of every video and bag, with their seconds."""
-    for picture in inputs.pictures:
+    """Every image, and frames ``SECONDS`` apart of every video and bag, with their seconds."""
+    for image in inputs.images:
         try:
-            yield None, picture.read()
-        except RoadtorchError as problem:
-            skipped.append(str(problem))
+            yield None, image.read()
+        except RoadtorchError as error:
+            skipped.append(str(error))
     for source in inputs.sources:
         if source.live:
             raise ConfigError(source.origin, "is live, and has no end", "record some minutes of it")
@@ -163,5 +163,5 @@ def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, 
                     if frame.clock > due - 1e-3:  # times are rounded
                         due = frame.clock + SECONDS
                         yield frame.seconds, frame.read()
-                except RoadtorchError as problem:  # behind it the frames go on, or end
-                    skipped.append(str(problem))
+                except RoadtorchError as error:  # behind it the frames go on, or end
+                    skipped.append(str(error))

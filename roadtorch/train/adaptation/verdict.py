@@ -35,7 +35,7 @@ from roadtorch.imaging.resize import resized, size_of
 from roadtorch.inputs.item import Item, spread
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.adaptation.frames import STRETCH
-from roadtorch.train.config import PictureTraining
+from roadtorch.train.config import ImageTraining
 from roadtorch.train.prepared import from_bytes, name_of
 from roadtorch.train.teachers import targets_of
 
@@ -97,16 +97,16 @@ class Verdict(NamedTuple):
 
 
 def judged_half(
-    pictures: Sequence[Item],
+    images: Sequence[Item],
     weights: tuple[Path, Path, Path],
     prepared: Path,
-    training: PictureTraining,
+    training: ImageTraining,
     quiet: bool = False,
 ) -> Judged:
     """How the masks with the weights of ``Judged`` fit the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
     counts: list[list[Tensor]] = [[] for _ in weights]
-    for image, road, sure in _taught_frames(pictures, prepared, training, "judging", quiet):
+    for image, road, sure in _taught_frames(images, prepared, training, "judging", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
             mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
             rows.append(torch.stack(tuple(count_mask(mask, road, sure))))
@@ -114,10 +114,10 @@ def judged_half(
 
 
 def fitted_bias(
-    pictures: Sequence[Item],
+    images: Sequence[Item],
     file: Path,
     prepared: Path,
-    training: PictureTraining,
+    training: ImageTraining,
     quiet: bool = False,
 ) -> float:
     """The log odds of road that a network lacks for its mask to fit the teacher's best, by F. Ours.
@@ -130,7 +130,7 @@ def fitted_bias(
     settings = detector.settings
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
-    for image, road, sure in _taught_frames(pictures, prepared, training, "calibrating", quiet):
+    for image, road, sure in _taught_frames(images, prepared, training, "calibrating", quiet):
         likelihood = resized(detector.detect(image).likelihood[None], size_of(road))[0]
         counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
     if not counts:
@@ -143,18 +143,18 @@ def fitted_bias(
 
 
 def _taught_frames(
-    pictures: Sequence[Item], prepared: Path, training: PictureTraining, title: str, quiet: bool
+    images: Sequence[Item], prepared: Path, training: ImageTraining, title: str, quiet: bool
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Frames (3,H,W), and of each the teacher's road and where it is sure of it, bool (h,w)."""
-    some = spread(pictures, MAX_JUDGED)
-    for picture in Progress(some, desc=title, unit="frame", quiet=quiet):
-        file = prepared / f"{name_of(picture)}.npz"
+    some = spread(images, MAX_JUDGED)
+    for image in Progress(some, desc=title, unit="frame", quiet=quiet):
+        file = prepared / f"{name_of(image)}.npz"
         if not file.exists():
             continue  # it was skipped, and reported
         arrays = read_arrays(file, "maps", "ego")
         maps, ego = (from_bytes(arrays[name])[None] for name in ("maps", "ego"))
         targets = targets_of(maps, ego[None], None, training.teacher, training.rounds)
-        yield picture.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
+        yield image.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
 
 
 def _f_measure(counts: Tensor) -> Tensor:

@@ -18,9 +18,9 @@ from roadtorch.base.image import read_image
 from roadtorch.camera.ground_grid import Grid
 from roadtorch.data.polygons import coco_polygons, labelme_document, read_outlined_mask
 from roadtorch.layout.labeller import LabellerSettings, label_layout
-from roadtorch.run.writers.coco import CocoPicture, coco_text
+from roadtorch.run.writers.coco import CocoImage, coco_text
 from roadtorch.run.writers.grid import write_grid
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import Call
 
 CELLS = torch.tensor([[0, 100, -1], [-1, -1, 0]], dtype=torch.int8)
@@ -49,12 +49,12 @@ def test_map_server_reads_the_same_three_values(tmp_path: Path) -> None:
     assert values["origin"] == [0.5, -1, 0]
 
 
-def test_pictures_have_y_upwards_and_numpy_has_the_rows_from_the_right(tmp_path: Path) -> None:
+def test_images_have_y_upwards_and_numpy_has_the_rows_from_the_right(tmp_path: Path) -> None:
     write_grid(str(tmp_path / "a"), GRID)
 
-    picture, cells = (tmp_path / "a.grid.pgm").read_bytes(), np.load(tmp_path / "a.grid.npy")
+    image, cells = (tmp_path / "a.grid.pgm").read_bytes(), np.load(tmp_path / "a.grid.npy")
 
-    assert picture == b"P5\n3 2\n255\n" + bytes([205, 205, 254, 254, 0, 205])
+    assert image == b"P5\n3 2\n255\n" + bytes([205, 205, 254, 254, 0, 205])
     assert cells.dtype == np.int8
     assert cells.tolist() == CELLS.tolist()
     assert len(list(tmp_path.iterdir())) == 3
@@ -70,7 +70,7 @@ def test_labels_are_bytes(
     call: Call, tmp_path: Path, out: Path, support: str, values: set[int]
 ) -> None:
     street = tmp_path / "in" / "sub" / "street.png"
-    write_picture(street, render_scene(1, 96, 128))
+    write_image(street, render_scene(1, 96, 128))
 
     result = call(
         "label", tmp_path / "in", "--out", out, "--set", f"support={support}", "--overlay"
@@ -86,13 +86,13 @@ def test_labels_are_bytes(
     assert read_image(out / "sub" / "street.overlay.jpg").shape == (3, 96, 128)
 
 
-def test_labels_never_replace_the_pictures(call: Call, footage: Path) -> None:
+def test_labels_never_replace_the_images(call: Call, footage: Path) -> None:
     before = (footage / "b.png").read_bytes()
 
     result = call("label", footage, "--out", footage)
 
     assert result.exit_code == 2
-    assert "b.png: is one of the pictures" in result.stderr
+    assert "b.png: is one of the images" in result.stderr
     assert (footage / "b.png").read_bytes() == before
 
 
@@ -145,11 +145,11 @@ def test_a_rectangle_has_four_corners() -> None:
 
 
 @given(st.lists(MASKS, max_size=3))
-def test_coco_files_have_an_annotation_for_each_picture_with_road(masks: list[np.ndarray]) -> None:
+def test_coco_files_have_an_annotation_for_each_image_with_road(masks: list[np.ndarray]) -> None:
     by_file = {f"{at}.png": mask for at, mask in enumerate(masks)}
-    pictures = [CocoPicture(file, mask.shape[::-1], 0.5) for file, mask in by_file.items()]
+    images = [CocoImage(file, mask.shape[::-1], 0.5) for file, mask in by_file.items()]
 
-    document = json.loads("".join(coco_text(pictures, by_file.__getitem__)))
+    document = json.loads("".join(coco_text(images, by_file.__getitem__)))
 
     assert [one["id"] for one in document["images"]] == list(range(1, len(masks) + 1))
     areas = {one["image_id"]: one["area"] for one in document["annotations"]}

@@ -9,7 +9,7 @@ from PIL import Image
 
 from roadtorch.base.image import read_image
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import Call, rows_of
 from tests.reference import bev as reference
 
@@ -21,11 +21,11 @@ MAPS = ["um_road_000000.png", "umm_road_000003.png", "uu_road_000012.png"]
 
 @pytest.fixture
 def kitti(tmp_path: Path) -> Path:
-    """ROOT/image_2 and ROOT/calib with a picture of each category."""
+    """ROOT/image_2 and ROOT/calib with an image of each category."""
     root = tmp_path / "kitti"
     (root / "calib").mkdir(parents=True)
     for seed, name in enumerate(("um_000000", "umm_000003", "uu_000012")):
-        write_picture(root / "image_2" / f"{name}.png", render_scene(seed, HEIGHT, WIDTH))
+        write_image(root / "image_2" / f"{name}.png", render_scene(seed, HEIGHT, WIDTH))
         rows = reference.made_up_rows(pitch=0.02 + 0.01 * seed)
         (root / "calib" / f"{name}.txt").write_text(reference.calibration_text(rows))
     return root
@@ -56,21 +56,21 @@ def test_maps_are_the_detectors_from_above(call: Call, kitti: Path, out: Path) -
 
     image = read_image(kitti / "image_2/umm_000003.png")
     likelihood = load_detector("grey-uniformity").detect(image).likelihood.double().numpy()
-    picture = np.round(255 * likelihood).astype(np.uint8)
+    levels = np.round(255 * likelihood).astype(np.uint8)
     with Image.open(out / "umm_road_000003.png") as written:
         assert (written.mode, written.size) == ("L", (400, 800))
         cells = np.asarray(written)
     rows = reference.made_up_rows(pitch=0.03)
     places = [(r, c) for r in range(0, 800, 19) for c in range(0, 400, 17)]
-    expected = [int(reference.cell_value(picture, rows, r, c)) for r, c in places]
+    expected = [int(reference.cell_value(levels, rows, r, c)) for r, c in places]
     assert [int(cells[place]) for place in places] == expected
     assert len(set(expected)) > 10
 
 
 def test_broken_images_are_mended_by_a_second_run(call: Call, kitti: Path, out: Path) -> None:
-    picture, calibration = kitti / "image_2/um_000000.png", kitti / "calib/uu_000012.txt"
-    whole, text = picture.read_bytes(), calibration.read_text()
-    picture.write_bytes(whole[:1000])
+    image, calibration = kitti / "image_2/um_000000.png", kitti / "calib/uu_000012.txt"
+    whole, text = image.read_bytes(), calibration.read_text()
+    image.write_bytes(whole[:1000])
     calibration.unlink()
 
     result = call(*SUBMIT, kitti, *GREY, "--out", out)
@@ -84,7 +84,7 @@ def test_broken_images_are_mended_by_a_second_run(call: Call, kitti: Path, out: 
     assert [path.name for path in out.iterdir() if path.suffix in (".png", ".zip")] == MAPS[1:2]
     assert rows_of(out)["uu_road_000012.png"]["status"].startswith("failed: ")
 
-    picture.write_bytes(whole)
+    image.write_bytes(whole)
     calibration.write_text(text)
     again = call(*SUBMIT, kitti, *GREY, "--out", out)
 

@@ -1,4 +1,4 @@
-"""Frames are kept in stretches, in halves, from pictures and videos, and once."""
+"""Frames are kept in stretches, in halves, from images and videos, and once."""
 
 from pathlib import Path
 
@@ -7,16 +7,16 @@ import torch
 
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import read_image, write_jpeg
-from roadtorch.testing.scenes import render_scene, write_picture
+from roadtorch.testing.scenes import render_scene, write_image
 from roadtorch.train.adaptation.frames import KeptFrames, keep_frames
 from tests.videos import write_video
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drive")
     for seed in range(10):
-        write_picture(folder / f"{seed:02d}.png", render_scene(seed, 32, 48))
+        write_image(folder / f"{seed:02d}.png", render_scene(seed, 32, 48))
     return folder
 
 
@@ -24,20 +24,20 @@ def kept_of(footage: Path, folder: Path, most: int = 100) -> KeptFrames:
     return keep_frames([str(footage)], folder / "kept", most, quiet=True)
 
 
-def test_pictures_are_halved_in_their_order_once(pictures: Path, tmp_path: Path) -> None:
+def test_images_are_halved_in_their_order_once(images: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run[1]"  # no glob
-    kept = kept_of(pictures, folder)
+    kept = kept_of(images, folder)
 
     assert kept.halves == (5, 5)
     assert not kept.moving
-    names = [frame.path.stem for frame in kept.pictures("second")]
+    names = [frame.path.stem for frame in kept.images("second")]
     assert names == [f"second_{number:06d}" for number in range(5, 10)]
-    last, own = read_image(kept.pictures()[-1].path), read_image(pictures / "09.png")
+    last, own = read_image(kept.images()[-1].path), read_image(images / "09.png")
     assert float((last - own).abs().mean()) < 0.02  # but for JPEG
 
-    times = [frame.path.stat().st_mtime_ns for frame in kept.pictures()]
-    assert kept_of(pictures, folder) == kept
-    assert [frame.path.stat().st_mtime_ns for frame in kept.pictures()] == times
+    times = [frame.path.stat().st_mtime_ns for frame in kept.images()]
+    assert kept_of(images, folder) == kept
+    assert [frame.path.stat().st_mtime_ns for frame in kept.images()] == times
 
 
 def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
 
     kept = kept_of(drive, tmp_path, 20)
 
-    numbers = [round(float(frame.read().mean()) * 60) for frame in kept.pictures()]
+    numbers = [round(float(frame.read().mean()) * 60) for frame in kept.images()]
     assert numbers == [first + step for first in (0, 10, 30, 40) for step in range(5)]
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == kept.count
 
@@ -60,10 +60,10 @@ def test_of_a_video_some_frames_a_second_are_kept(tmp_path: Path) -> None:
     assert kept.count == 7  # at 0, .4, .8 … 2.4 of its 2.5 seconds
 
 
-def test_a_picture_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> None:
+def test_a_image_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> None:
     for name in ("00.png", "02.png"):
-        write_picture(tmp_path / "drive" / name, render_scene(1, 32, 48))
-    (tmp_path / "drive/01.png").write_bytes(b"no picture")
+        write_image(tmp_path / "drive" / name, render_scene(1, 32, 48))
+    (tmp_path / "drive/01.png").write_bytes(b"no image")
 
     kept = kept_of(tmp_path / "drive", tmp_path)
 
@@ -73,7 +73,7 @@ def test_a_picture_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> N
 
 
 def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
-    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path, _: object) -> None:
         if path.stem.endswith("7"):
@@ -82,34 +82,34 @@ def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
 
     monkeypatch.setattr("roadtorch.train.adaptation.frames.write_jpeg", full)
     with pytest.raises(KeyboardInterrupt):
-        kept_of(pictures, tmp_path)
+        kept_of(images, tmp_path)
     monkeypatch.undo()
 
-    assert kept_of(pictures, tmp_path).count == 10
+    assert kept_of(images, tmp_path).count == 10
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == 10
 
 
 def test_too_few_frames_are_not_taken_as_they_are_by_the_next_run(
-    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
         "roadtorch.train.adaptation.frames._frames", lambda *_: iter(())
     )  # all vanish
     with pytest.raises(InputError, match="has 0 frames"):
-        kept_of(pictures, tmp_path)
+        kept_of(images, tmp_path)
     monkeypatch.undo()
 
-    assert kept_of(pictures, tmp_path).count == 10
+    assert kept_of(images, tmp_path).count == 10
 
 
-def test_other_footage_and_other_files_are_refused(pictures: Path, tmp_path: Path) -> None:
+def test_other_footage_and_other_files_are_refused(images: Path, tmp_path: Path) -> None:
     (tmp_path / "mine/kept").mkdir(parents=True)
     (tmp_path / "mine/kept/01.jpg").touch()
-    kept_of(pictures, tmp_path)
+    kept_of(images, tmp_path)
     refusals: list[tuple[Path, Path, int, type[RoadtorchError], str]] = [
-        (pictures, tmp_path, 50, ConfigError, "other footage"),
-        (pictures, tmp_path / "mine", 100, ConfigError, "holds files that are not of a run"),
-        (pictures / "00.png", tmp_path / "one", 100, InputError, "has 1 frame"),
+        (images, tmp_path, 50, ConfigError, "other footage"),
+        (images, tmp_path / "mine", 100, ConfigError, "holds files that are not of a run"),
+        (images / "00.png", tmp_path / "one", 100, InputError, "has 1 frame"),
     ]
     for footage, folder, most, error, message in refusals:
         with pytest.raises(error, match=message):

@@ -10,8 +10,8 @@ from roadtorch import load_detector
 from roadtorch.base.image import write_jpeg
 from roadtorch.base.settings import config_file, merge, read_settings_file
 from roadtorch.evaluation.metrics import Decisions, f_measure
+from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.inputs.pictures import find_pictures
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.weights import weights_path
 from roadtorch.run.memo import read_arrays, write_arrays
@@ -19,16 +19,16 @@ from roadtorch.testing.scenes import render_scene
 from roadtorch.train.adaptation.adapt import write_shifted, write_taught
 from roadtorch.train.adaptation.frames import keep_frames
 from roadtorch.train.adaptation.verdict import Judged, fitted_bias, judged_half, verdict_of
-from roadtorch.train.config import PictureTraining, build_training
+from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.prepared import from_bytes, name_of, to_bytes
 from tests.draws import seeded
 
 SHIPPED = weights_path("backbone-free")
 
 
-def training_of(**changes: object) -> PictureTraining:
+def training_of(**changes: object) -> ImageTraining:
     training = build_training(merge(read_settings_file(config_file("adapt")), changes))
-    assert isinstance(training, PictureTraining)
+    assert isinstance(training, ImageTraining)
     return training
 
 
@@ -70,27 +70,27 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
     (folder / "prepared").mkdir()
     for number in range(2):
         write_jpeg(folder / f"{number}.jpg", render_scene(number, 96, 128).image)
-    pictures = find_pictures([str(folder / "*.jpg")])
-    for picture in pictures:
-        road = teacher.detect(picture.read()).mask.float()[None]
+    images = find_images([str(folder / "*.jpg")])
+    for image in images:
+        road = teacher.detect(image.read()).mask.float()[None]
         layout = torch.cat([torch.zeros(2, 96, 128), torch.ones(1, 96, 128)])
         arrays = {"maps": to_bytes(torch.cat([layout, road])), "ego": to_bytes(0 * road[0])}
-        write_arrays(folder / "prepared" / f"{name_of(picture)}.npz", arrays)
-    return pictures, folder / "prepared"
+        write_arrays(folder / "prepared" / f"{name_of(image)}.npz", arrays)
+    return images, folder / "prepared"
 
 
 @pytest.mark.parametrize("shift", [-2.0, 2.0], ids=["timid", "bold"])
 def test_bias_undoes_shift(shift: float, streets: tuple[list[Item], Path], tmp_path: Path) -> None:
     shifted, mended = tmp_path / "s.file", tmp_path / "m.file"
-    pictures, prepared = streets
+    images, prepared = streets
     write_shifted(SHIPPED, shifted, shift)
 
-    bias = fitted_bias(pictures, shifted, prepared, training_of(), quiet=True)
+    bias = fitted_bias(images, shifted, prepared, training_of(), quiet=True)
     write_shifted(shifted, mended, bias)
 
     assert bias == pytest.approx(-shift, abs=1)
     files = (shifted, mended, mended)
-    judged = judged_half(pictures, files, prepared, training_of(), quiet=True)
+    judged = judged_half(images, files, prepared, training_of(), quiet=True)
     before, after, _ = (float(f_measure(Decisions(*rows.sum(0)))) for rows in judged)
     assert after > max(before, 0.97)
 

@@ -12,8 +12,8 @@ from torch.nn import functional as F
 from roadtorch.base.atomic import digest_of
 from roadtorch.base.errors import WeightsError
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, SamePadded
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, scaled
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
-from roadtorch.layout.picture_network import PictureNetwork, PictureNetworkSettings, scaled
 from roadtorch.layout.weights import (
     LayoutNetwork,
     card_of,
@@ -28,7 +28,7 @@ from roadtorch.layout.weights import (
 )
 from tests.draws import seeded
 
-SMALL = PictureNetworkSettings(height=48, width=64, narrow=8, wide=16)
+SMALL = ImageNetworkSettings(height=48, width=64, narrow=8, wide=16)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def backbone() -> BackboneNetwork:
 
 @pytest.mark.parametrize("size", [(16, 16), (50, 61), (100, 333)])
 def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: BackboneNetwork) -> None:
-    for network in (backbone, PictureNetwork(SMALL)):
+    for network in (backbone, ImageNetwork(SMALL)):
         cues = network.cues(torch.rand(3, *size, generator=seeded(0)))
         assert cues["layout"].shape == (3, *size)
         assert cues["road"].shape == cues["ego"].shape == size
@@ -51,8 +51,8 @@ def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: Backbo
 # --- ours ----------------------------------------------------------------------------------
 
 
-def test_the_same_weights_see_pictures_of_another_size() -> None:
-    network = PictureNetwork(SMALL).eval()
+def test_the_same_weights_see_images_of_another_size() -> None:
+    network = ImageNetwork(SMALL).eval()
     pixels = torch.rand(1, 3, 64, 88, generator=seeded(0))
 
     other = network_at(network, 64, 88)
@@ -114,7 +114,7 @@ def test_multiples_of_32_pixels(size: tuple[int, int], scale: float, seen: tuple
 
 NETWORKS = [
     PatchNetwork(PatchNetworkSettings(topology=Topology(k1=6, potentials="softmax"))),
-    PictureNetwork(PictureNetworkSettings(height=40, width=48, narrow=8, wide=8)),
+    ImageNetwork(ImageNetworkSettings(height=40, width=48, narrow=8, wide=8)),
 ]
 
 
@@ -214,7 +214,7 @@ def test_the_free_weights_began_with_nothing_else() -> None:
     origin = read_origin(shipped_weights("layout-free"))
     config = origin["config"]
     assert config["start"] == config["teacher"]["weights"] == "runs/free-3/weights.safetensors"
-    assert origin["pictures"] == 640 + 390 + 49
+    assert origin["images"] == 640 + 390 + 49
 
 
 def test_weights_without_a_card_state_no_terms(weights: Path) -> None:

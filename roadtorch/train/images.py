@@ -1,4 +1,4 @@
-"""How networks for whole pictures are trained: varied pictures with their targets. Ours."""
+"""How networks for whole images are trained: varied images with their targets. Ours."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,20 +17,20 @@ from roadtorch.imaging.resize import resized
 from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
-from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.picture_network import (
+from roadtorch.layout.image_network import (
     EGO,
     ROAD,
-    PictureNetwork,
-    PictureNetworkSettings,
+    ImageNetwork,
+    ImageNetworkSettings,
     scaled,
 )
-from roadtorch.layout.weights import LayoutNetwork, WholePictureNetwork
+from roadtorch.layout.patch_network import normalise
+from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, file_digests, key_of
 from roadtorch.train import augmentation
-from roadtorch.train.config import HeadWeights, PictureTraining
+from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.loop import (
-    PICTURE_ORDER,
+    IMAGE_ORDER,
     VARIATION,
     Batch,
     TrainingInputs,
@@ -46,20 +46,20 @@ from roadtorch.train.teachers import (
     label_with_network,
     lends_ego,
     load_teacher,
-    prepare_picture,
+    prepare_image,
     targets_of,
 )
 
 EGO_CARS = "ego-cars"
-"""The folder, beside the prepared pictures, with what recordings show of the ego car."""
+"""The folder, beside the prepared images, with what recordings show of the ego car."""
 
 
 # --- samples ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class PictureSamples:
-    """Prepared pictures in varied batches; a chunk is one batch.
+class ImageSamples:
+    """Prepared images in varied batches; a chunk is one batch.
 
     files: image, teacher's maps and ego car of each. labels: the maps of the network that
     the run starts from, in the same order, if any. shares: how often each is visited, against the
@@ -67,7 +67,7 @@ class PictureSamples:
     file.
     """
 
-    training: PictureTraining
+    training: ImageTraining
     files: Sequence[Path]
     labels: Sequence[Path]
     shares: Tensor
@@ -77,7 +77,7 @@ class PictureSamples:
 
     @property
     def count(self) -> int:
-        """Pictures of one epoch."""
+        """Images of one epoch."""
         return self.training.samples_per_epoch or len(self.files)
 
     @property
@@ -86,9 +86,9 @@ class PictureSamples:
         return max(1, round(self.count / self.training.descent.batch))
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """The varied pictures of one batch. Targets are the ``Targets``, eight planes."""
+        """The varied images of one batch. Targets are the ``Targets``, eight planes."""
         training = self.training
-        generator = generator_at(training.random_seed, PICTURE_ORDER, 0, epoch)
+        generator = generator_at(training.random_seed, IMAGE_ORDER, 0, epoch)
         order = draw_members(self.shares, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
@@ -105,7 +105,7 @@ class PictureSamples:
         yield Batch(images, targets, torch.ones(len(images)))
 
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
-        """One varied picture (1,3,H,W), normalised, and its targets (1,8,H,W)."""
+        """One varied image (1,3,H,W), normalised, and its targets (1,8,H,W)."""
         training, at = self.training, torch.Generator().manual_seed(seed)
         vary = training.augmentation
         image, targets = self._unvaried(member)
@@ -137,7 +137,7 @@ class PictureSamples:
         return normalise(image[0], training.network.normalisation).pixels[None], planes
 
     def _unvaried(self, member: int) -> tuple[Tensor, Targets]:
-        """A prepared picture (1,3,H,W) in [0,1], and its targets."""
+        """A prepared image (1,3,H,W) in [0,1], and its targets."""
         training, file, network = self.training, self.files[member], None
         arrays = self.read(file, "image", "maps", "ego")
         image, maps, ego = (from_bytes(arrays[name])[None] for name in ("image", "maps", "ego"))
@@ -173,7 +173,7 @@ HALF = 0.5
 def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
     """Targets in which what people said replaces the machine's.
 
-    planes: (B,6,H,W) in [0,1], of ``PictureRecipe.shrink``. Where they are void, neither counts;
+    planes: (B,6,H,W) in [0,1], of ``ImageRecipe.shrink``. Where they are void, neither counts;
     where they are road there is no ego car.
     """
     road, other, void, layout = planes.split((1, 1, 1, CLASSES), 1)
@@ -196,9 +196,9 @@ def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Target
 
 
 def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
-    """Shares (n,) of visits of which the corrected pictures, bool (n,), get ``share`` together.
+    """Shares (n,) of visits of which the corrected images, bool (n,), get ``share`` together.
 
-    Unchanged where all pictures are corrected, or none.
+    Unchanged where all images are corrected, or none.
     """
     if not corrected.any() or corrected.all():
         return shares
@@ -209,8 +209,8 @@ def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
 # --- loss -------------------------------------------------------------------------------
 
 
-def picture_loss(network: nn.Module, batch: Batch, training: PictureTraining) -> Tensor:
-    """Sum over the batch's pictures of their mean loss; targets as they are, or of one class."""
+def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Tensor:
+    """Sum over the batch's images of their mean loss; targets as they are, or of one class."""
     scores = network(batch.inputs).float()
     small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
     targets = Targets(*small.split(PLANES, 1))
@@ -222,7 +222,7 @@ def picture_loss(network: nn.Module, batch: Batch, training: PictureTraining) ->
 
 
 def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
-    """Cross-entropy of scores (B,5,H,W), summed over pictures, mean over all their pixels."""
+    """Cross-entropy of scores (B,5,H,W), summed over images, mean over all their pixels."""
 
     def binary(scores: Tensor, targets: Tensor) -> Tensor:
         return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
@@ -241,12 +241,12 @@ TEACHER_PARTS = {"detector", "weights", "views", "working"}
 """Settings of a teacher that its maps depend on."""
 
 
-class PictureRecipe:
-    """A network for whole pictures."""
+class ImageRecipe:
+    """A network for whole images."""
 
-    def __init__(self, training: PictureTraining) -> None:
+    def __init__(self, training: ImageTraining) -> None:
         self._training = training
-        self.loss = partial(picture_loss, training=training)
+        self.loss = partial(image_loss, training=training)
         self._teacher = load_teacher(training.teacher)
         self._recordings: Mapping[str, Path] = {}
         self._prepared = Path()
@@ -257,19 +257,19 @@ class PictureRecipe:
             "recordings": training.recordings.model_dump(include={"separator", "least"}),
         }
 
-    def key(self, picture: Item) -> str:
-        """Of a picture made ready; ``survey`` comes first."""
-        return key_of(self.preparation, picture.path, self._recordings.get(picture.name))
+    def key(self, image: Item) -> str:
+        """Of an image made ready; ``survey`` comes first."""
+        return key_of(self.preparation, image.path, self._recordings.get(image.name))
 
-    def survey(self, pictures: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
+    def survey(self, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Find the ego cars that recordings show; ``folder`` keeps what is found."""
         self._prepared, settings = folder, self._training.recordings
-        self._recordings = find_ego_cars(pictures, folder / EGO_CARS, settings, stop, quiet)
+        self._recordings = find_ego_cars(images, folder / EGO_CARS, settings, stop, quiet)
 
     def make(self, image: Tensor, name: str) -> Arrays:
-        """The picture at the network's size, with the teacher's maps and the ego car."""
+        """The image at the network's size, with the teacher's maps and the ego car."""
         ego = ego_of(self._recordings.get(name), image)
-        return prepare_picture(image, ego, self._teacher, self._training)
+        return prepare_image(image, ego, self._teacher, self._training)
 
     def shrink(self, correction: Correction) -> Arrays:
         """Corrections at the network's size.
@@ -284,21 +284,21 @@ class PictureRecipe:
         stacked = torch.stack(planes).to(torch.float32)
         return {"planes": to_bytes(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
-    def network(self, start: LayoutNetwork | None) -> WholePictureNetwork:
+    def network(self, start: LayoutNetwork | None) -> WholeImageNetwork:
         """A new network, or the one to start from."""
         settings = self._training.network
         if isinstance(start, BackboneNetwork):
             return start
-        if isinstance(start, PictureNetwork) and self._training.rounds.start == "continued":
+        if isinstance(start, ImageNetwork) and self._training.rounds.start == "continued":
             return start
-        assert isinstance(settings, PictureNetworkSettings)  # a backbone has weights to start from
+        assert isinstance(settings, ImageNetworkSettings)  # a backbone has weights to start from
         with seeded(self._training.random_seed, 0):
-            return PictureNetwork(settings)
+            return ImageNetwork(settings)
 
-    def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> PictureSamples:
-        """Varied pictures; with what the network to start from says of them, if any."""
+    def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
+        """Varied images; with what the network to start from says of them, if any."""
         training, files, labels = self._training, given.files, list[Path]()
-        if isinstance(given.start, WholePictureNetwork):
+        if isinstance(given.start, WholeImageNetwork):
             network = given.start.eval()
             labels = label_with_network(files, given.labels, network, stop, quiet)
         names = []
@@ -312,4 +312,4 @@ class PictureRecipe:
         shares = torch.tensor([sizes[name] ** -training.recordings.evenness for name in names])
         corrected = torch.tensor([file in given.corrected for file in files])
         shares = corrected_shares(shares, corrected, training.corrections.share)
-        return PictureSamples(training, files, labels, shares, cars, given.corrected)
+        return ImageSamples(training, files, labels, shares, cars, given.corrected)

@@ -1,4 +1,4 @@
-"""Which picture next: two rules, and batches that do not repeat a scene."""
+"""Which image next: two rules, and batches that do not repeat a scene."""
 
 from typing import Any
 
@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from roadtorch.annotate.machine import PictureView
-from roadtorch.annotate.next_pictures import APART, RULES, Candidates, PictureOrder, view_features
+from roadtorch.annotate.machine import ImageView
+from roadtorch.annotate.next_images import APART, RULES, Candidates, ImageOrder, view_features
 from roadtorch.annotate.session import Session, look_at_all
 from roadtorch.data.events import Confirm
 
@@ -24,14 +24,14 @@ def candidates(count: int, seed: int = 0) -> Candidates:
 
 @settings(max_examples=40)
 @given(st.sampled_from(sorted(RULES)), st.integers(0, 30), st.integers(0, 40), st.data())
-def test_a_batch_has_no_picture_twice_and_none_that_is_corrected(
-    rule: str, pictures: int, count: int, data: st.DataObject
+def test_a_batch_has_no_image_twice_and_none_that_is_corrected(
+    rule: str, images: int, count: int, data: st.DataObject
 ) -> None:
-    corrected = data.draw(st.sets(st.integers(0, pictures - 1))) if pictures else set()
-    found = RULES[rule](candidates(pictures), corrected, count)
-    assert len(found) == min(count, pictures - len(corrected)) == len(set(found))
+    corrected = data.draw(st.sets(st.integers(0, images - 1))) if images else set()
+    found = RULES[rule](candidates(images), corrected, count)
+    assert len(found) == min(count, images - len(corrected)) == len(set(found))
     assert not set(found) & corrected
-    assert found == RULES[rule](candidates(pictures), corrected, count)
+    assert found == RULES[rule](candidates(images), corrected, count)
 
 
 def from_all_distances(known: Candidates, corrected: list[int], count: int) -> list[int]:
@@ -83,20 +83,20 @@ def test_features_tell_what_stands_where() -> None:
     image, labels = torch.zeros(3, 40, 50), torch.arange(80).reshape(8, 10)
     image[:, 20:] = 1
     layout = torch.zeros(80, 3)
-    view = PictureView(
+    view = ImageView(
         (40, 50), torch.zeros(8, 10), labels, labels[0], csr_matrix((80, 80)), layout, None
     )
-    same, turned = (view_features(picture, view) for picture in (image, image.flip(-2)))
+    same, turned = (view_features(image, view) for image in (image, image.flip(-2)))
     assert same.shape == (7 * 20,)  # colours, road, layout in 4 by 5 cells
     assert float((same - turned).norm()) > 1
 
 
-def test_the_page_is_told_turns_once_pictures_were_looked_at(session: Session) -> None:
-    session.order = PictureOrder("random")
+def test_the_page_is_told_turns_once_images_were_looked_at(session: Session) -> None:
+    session.order = ImageOrder("random")
     assert [one["turn"] for one in session.listing()] == [None, None, None]
 
     class Once:
-        """Stops the looking after one time through all pictures."""
+        """Stops the looking after one time through all images."""
 
         def is_set(self) -> bool:
             return len(session.trusts) == 3

@@ -1,8 +1,8 @@
-"""A small network that sees the whole picture: layout, road and ego car at once. Ours.
+"""A small network that sees the whole image: layout, road and ego car at once. Ours.
 
 A patch network sees 32 pixels and does not know where they are. This one works on a small
-copy of the whole picture with two more planes, the place: three stages that halve the
-picture, a middle of dilated convolutions that see all of it, and back from an eighth to a
+copy of the whole image with two more planes, the place: three stages that halve the
+image, a middle of dilated convolutions that see all of it, and back from an eighth to a
 half of the size with what the early stages kept (added, after Lin et al., "Feature Pyramid
 Networks", 2017). One head says sky, vertical, horizontal, the others road and ego car.
 """
@@ -21,7 +21,7 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import Normalisation, normalise
 
 DILATIONS = (1, 2, 4, 8, 1)
-"""Of the middle's convolutions, in eighths of the picture: 15×20 cells are seen whole."""
+"""Of the middle's convolutions, in eighths of the image: 15×20 cells are seen whole."""
 
 GROUP = 8
 """Channels that are normalised together; widths are multiples of it."""
@@ -32,18 +32,18 @@ ROAD, EGO = CLASSES, CLASSES + 1
 OUTPUTS = CLASSES + 2
 
 NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
-"""Of the size at which a network sees pictures, against that for which it is written."""
+"""Of the size at which a network sees images, against that for which it is written."""
 
 STEP = 32
-"""Pixels by which the sides differ at which networks see pictures: halved five times."""
+"""Pixels by which the sides differ at which networks see images: halved five times."""
 
 
-class PictureNetworkSettings(Settings):
-    """The network for whole pictures: the size it works at, and its width."""
+class ImageNetworkSettings(Settings):
+    """The network for whole images: the size it works at, and its width."""
 
     height: int = Field(default=120, ge=32, le=1024, multiple_of=8, description="rows it works at")
     width: int = Field(
-        default=160, ge=32, le=1024, multiple_of=8, description="columns; pictures are stretched"
+        default=160, ge=32, le=1024, multiple_of=8, description="columns; images are stretched"
     )
     narrow: int = Field(
         default=16, ge=8, le=256, multiple_of=GROUP, description="channels of the first stage"
@@ -54,18 +54,18 @@ class PictureNetworkSettings(Settings):
     normalisation: Normalisation = Normalisation()
 
 
-class PictureNetwork(nn.Module):
-    """Layout, road and ego car of whole pictures.
+class ImageNetwork(nn.Module):
+    """Layout, road and ego car of whole images.
 
-    Groups of channels are normalised within one picture, so that a batch of any size, cut in
+    Groups of channels are normalised within one image, so that a batch of any size, cut in
     any way, gives the same gradients.
     """
 
-    kind: ClassVar[str] = "pictures"
+    kind: ClassVar[str] = "images"
 
-    def __init__(self, settings: PictureNetworkSettings | None = None) -> None:
+    def __init__(self, settings: ImageNetworkSettings | None = None) -> None:
         super().__init__()
-        self.settings = settings or PictureNetworkSettings()
+        self.settings = settings or ImageNetworkSettings()
         narrow, wide = self.settings.narrow, self.settings.wide
         self.first = Stage(3 + 2, narrow, stride=2)
         self.second = nn.Sequential(Stage(narrow, 2 * narrow, stride=2), Residual(2 * narrow))
@@ -82,7 +82,7 @@ class PictureNetwork(nn.Module):
         return [self.heads]
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Scores (B,5,H/2,W/2) of normalised pictures (B,3,H,W): three classes, road, ego.
+        """Scores (B,5,H/2,W/2) of normalised images (B,3,H,W): three classes, road, ego.
 
         H and W are multiples of 8. ``potentials_of`` turns scores into potentials.
         """
@@ -158,7 +158,7 @@ def _doubled(maps: Tensor) -> Tensor:
 
 
 def place_planes(pixels: Tensor) -> Tensor:
-    """|x| and y (B,2,H,W) of pictures (B,3,H,W), from -1 to 1: a mirrored street is a street."""
+    """|x| and y (B,2,H,W) of images (B,3,H,W), from -1 to 1: a mirrored street is a street."""
     batch, _, height, width = pixels.shape
     rows, columns = (
         torch.linspace(1 / side - 1, 1 - 1 / side, side, dtype=pixels.dtype, device=pixels.device)

@@ -20,7 +20,7 @@ from roadtorch.base.image import READABLE, SUFFIXES, decode_image, read_image
 from roadtorch.base.urls import answer, scheme_of, slug, url_bytes, without_password
 from roadtorch.inputs.item import Item
 
-RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never pictures to look at
+RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never images to look at
 
 
 class File(NamedTuple):
@@ -80,14 +80,14 @@ def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
         yield from (os.path.join(top, name) for name in sorted(names))
 
 
-def names_picture(name: str) -> bool:
+def names_image(name: str) -> bool:
     """Return whether a file of that name is an image to look at: not hidden, no result of ours."""
     name = name.lower()
     is_ours = name.endswith(RESULTS) or ".cue." in name
     return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
 
 
-def picture_item(path: Path, name: str) -> Item:
+def image_item(path: Path, name: str) -> Item:
     """Make an item of an image file."""
     read, digest = partial(read_image, path), partial(digest_of, path)
     return Item(name, str(path), read, digest, path.suffix, path)
@@ -96,14 +96,14 @@ def picture_item(path: Path, name: str) -> Item:
 # --- images by http ---------------------------------------------------------------------
 
 
-def web_picture(url: str) -> Item | None:
+def web_image(url: str) -> Item | None:
     """Return the image behind an address; None where the server calls it something else.
 
     A camera's endless series of images (``multipart/…``) is none. Raises InputError where there
     is no answer and the name is an image's; other addresses may be streams, which are waited for.
     """
     path = PurePosixPath(urlsplit(url).path)
-    name, is_named = slug(path.with_suffix("").as_posix()), names_picture(path.name)
+    name, is_named = slug(path.with_suffix("").as_posix()), names_image(path.name)
     try:
         with answer(url) as response:
             kind = response.headers.get_content_maintype()
@@ -137,18 +137,16 @@ def _digest_remote(url: str) -> str:
 # --- several ----------------------------------------------------------------------------
 
 
-def pictures_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
+def images_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
     """Return the images of a folder or glob, none where it holds none; a file is one as it is."""
-    files = files_at(given, names_picture, apart)
+    files = files_at(given, names_image, apart)
     return [
-        picture_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
+        image_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
         for file in (files if isinstance(files, list) else [files])
     ]
 
 
-def find_pictures(
-    inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None
-) -> list[Item]:
+def find_images(inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None) -> list[Item]:
     """Return the images that files, folders and quoted globs stand for, in a settled order.
 
     Folders are searched with all that is below them, hidden names and earlier results
@@ -159,16 +157,16 @@ def find_pictures(
         InputError: naming the input, for a folder or glob without images, and when nothing that
             was named exists.
     """
-    pictures: list[Item] = []
+    images: list[Item] = []
     for given in inputs:
-        pictures += (here := pictures_at(given, apart))
+        images += (here := images_at(given, apart))
         if not here:
-            raise InputError(given, "holds no pictures", f"give {READABLE} files")
-    return each_once(pictures)
+            raise InputError(given, "holds no images", f"give {READABLE} files")
+    return each_once(images)
 
 
-def each_once(pictures: Sequence[Item]) -> list[Item]:
+def each_once(images: Sequence[Item]) -> list[Item]:
     """Drop repeated images; InputError when there are some and none of them exists."""
-    if pictures and not any(item.file is None or item.file.exists() for item in pictures):
-        raise InputError(pictures[0].origin, "does not exist", "check the name")
-    return list(dict.fromkeys(pictures))
+    if images and not any(item.file is None or item.file.exists() for item in images):
+        raise InputError(images[0].origin, "does not exist", "check the name")
+    return list(dict.fromkeys(images))

@@ -1,8 +1,8 @@
-"""The free pictures that the weights learned from, gathered into one folder.
+"""The free images that the weights learned from, gathered into one folder.
 
-    python -m train.free_pictures DATA --out PICTURES [--count 500] [--without RECORDING ...]
+    python -m train.free_images DATA --out IMAGES [--count 500] [--without RECORDING ...]
 
-train/free_pictures.csv has each picture with its SHA-256, source and licence. DATA is searched for
+train/free_images.csv has each image with its SHA-256, source and licence. DATA is searched for
 files of those names; one with other bytes does not count. They are dealt from one recording after
 the other until there are enough, so that no long recording outweighs the others, and are called
 RECORDING_NUMBER, as ``roadtorch train`` tells recordings apart. It ends with 1 where one is
@@ -41,7 +41,7 @@ def dealt(
 
 
 def gathered(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str]]]) -> list[str]:
-    """Copy pictures from wherever they lie below a folder; the files that are not there."""
+    """Copy images from wherever they lie below a folder; the files that are not there."""
     there: dict[str, list[Path]] = {}
     for path in data.rglob("*.*"):
         there.setdefault(path.name, []).append(path)
@@ -62,7 +62,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Gather; the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("data", type=Path, metavar="DATA")
-    parser.add_argument("--out", type=Path, required=True, metavar="PICTURES")
+    parser.add_argument("--out", type=Path, required=True, metavar="IMAGES")
     parser.add_argument("--count", type=int)
     parser.add_argument("--without", nargs="*", default=[], metavar="RECORDING")
     given = parser.parse_args(words)

@@ -1,4 +1,4 @@
-"""The free pictures: gathered by their bytes, dealt recording by recording."""
+"""The free images: gathered by their bytes, dealt recording by recording."""
 
 from hashlib import sha256
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from roadtorch.layout.weights import read_origin, shipped_weights
-from train import free_pictures
-from train.free_pictures import dealt, main, recordings
+from train import free_images
+from train.free_images import dealt, main, recordings
 
 
 @pytest.fixture
 def manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Three pictures of one recording, two of a folder; data in which one of them has changed."""
+    """Three images of one recording, two of a folder; data in which one of them has changed."""
     files = {"one_1.jpg": b"a", "one_2.jpg": b"b", "one_3.jpg": b"c", "two/x.jpg": b"d"}
     rows = [f"{name},{sha256(data).hexdigest()},r,p,MIT" for name, data in files.items()]
     path = tmp_path / "told.csv"
@@ -21,7 +21,7 @@ def manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         place = tmp_path / "data" / "deep" / name
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_bytes(b"changed" if name == "one_3.jpg" else data)
-    monkeypatch.setattr(free_pictures, "recordings", lambda: recordings(path))
+    monkeypatch.setattr(free_images, "recordings", lambda: recordings(path))
     return tmp_path
 
 
@@ -37,5 +37,5 @@ def test_they_are_gathered_by_recording(manifest: Path, capsys: pytest.CaptureFi
 def test_the_weights_to_the_letter_saw_as_many_as_the_paper_has() -> None:
     chosen = list(dealt(recordings(), 500, {"vineyard_it", "dnit_br", "comma10k"}))
 
-    assert read_origin(shipped_weights("cnn-7-paper"))["pictures"] == len(chosen) == 500
+    assert read_origin(shipped_weights("cnn-7-paper"))["images"] == len(chosen) == 500
     assert sum("/" in row["file"] for _, row in chosen) == 142

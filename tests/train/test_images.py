@@ -1,4 +1,4 @@
-"""Whole pictures: varied batches with their targets, how often each comes, the loss."""
+"""Whole images: varied batches with their targets, how often each comes, the loss."""
 
 from pathlib import Path
 
@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from roadtorch.base.signals import Stop
 from roadtorch.run.memo import write_arrays
-from roadtorch.train.config import HeadWeights, PictureTraining, build_training
-from roadtorch.train.loop import Batch, TrainingInputs
-from roadtorch.train.pictures import (
-    PictureRecipe,
-    PictureSamples,
+from roadtorch.train.config import HeadWeights, ImageTraining, build_training
+from roadtorch.train.images import (
+    ImageRecipe,
+    ImageSamples,
     draw_members,
-    picture_loss,
+    image_loss,
     target_loss,
 )
+from roadtorch.train.loop import Batch, TrainingInputs
 from roadtorch.train.teachers import PLANES, Targets
 from tests.draws import seeded
 
@@ -25,17 +25,17 @@ SAME_LIGHT = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise"
 SAME_FRAME = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "move": 0.0}
 
 
-def training_of(**values: object) -> PictureTraining:
+def training_of(**values: object) -> ImageTraining:
     network = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
     usual = {"network": network, "descent": {"batch": 2}, "recordings": {"separator": "_"}}
-    training = build_training({"kind": "pictures", **usual, **values})
-    assert isinstance(training, PictureTraining)
+    training = build_training({"kind": "images", **usual, **values})
+    assert isinstance(training, ImageTraining)
     return training
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Five prepared pictures, each of one grey; the last shows an ego car."""
+    """Five prepared images, each of one grey; the last shows an ego car."""
     folder = tmp_path_factory.mktemp("prepared")
     paths = [folder / f"{number}.npz" for number in range(5)]
     for number, path in enumerate(paths):
@@ -48,17 +48,15 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
-def samples_of(
-    files: list[Path], training: PictureTraining, shows_ego: bool = False
-) -> PictureSamples:
+def samples_of(files: list[Path], training: ImageTraining, shows_ego: bool = False) -> ImageSamples:
     cars = {"drive": files[4:]} if shows_ego else {}
-    return PictureSamples(training, files, [], torch.ones(5), cars, {})
+    return ImageSamples(training, files, [], torch.ones(5), cars, {})
 
 
 # --- batches -------------------------------------------------------------------------------
 
 
-def test_an_epoch_has_every_picture_once(files: list[Path]) -> None:
+def test_an_epoch_has_every_image_once(files: list[Path]) -> None:
     samples = samples_of(files, training_of(augmentation={"light": SAME_LIGHT}))
 
     batches = [batch for chunk in range(samples.chunks) for batch in samples.batches(0, chunk)]
@@ -78,14 +76,14 @@ def test_epochs_draw_differently(files: list[Path]) -> None:
 
 
 def targets_with(files: list[Path], share: float, shows_ego: bool = True) -> Targets:
-    """The targets of an epoch whose pictures stay in their frame."""
+    """The targets of an epoch whose images stay in their frame."""
     varied = {"geometry": SAME_FRAME, "ego_car": {"share": share}}
     training = training_of(augmentation=varied, descent={"batch": 5})
     (batch,) = samples_of(files, training, shows_ego=shows_ego).batches(0, 0)
     return Targets(*batch.targets.split(PLANES, 1))
 
 
-def test_every_picture_can_get_an_ego_car(files: list[Path]) -> None:
+def test_every_image_can_get_an_ego_car(files: list[Path]) -> None:
     targets = targets_with(files, 1.0)
     assert (targets.ego[:, :, -1] == 1).all()
     assert (targets.ego_weight[:, :, -1] == 1).all()
@@ -117,7 +115,7 @@ NAMES = ("a_1", "a_2", "a_3", "b", "c")
 
 @pytest.mark.parametrize(("evenness", "share"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
 def test_recordings_follow_from_names(evenness: float, share: float, tmp_path: Path) -> None:
-    """The kept folder's own name has the separator; the names of two pictures have none."""
+    """The kept folder's own name has the separator; the names of two images have none."""
     folder = tmp_path / "kept_here"
     folder.mkdir()
     files = [folder / f"{name}.png.npz" for name in NAMES]
@@ -125,7 +123,7 @@ def test_recordings_follow_from_names(evenness: float, share: float, tmp_path: P
         level = 128 if file == files[0] else 255
         write_arrays(file, {"ego": torch.full((2, 2), level, dtype=torch.uint8)})
     recordings = {"separator": "_", "evenness": evenness}
-    recipe = PictureRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
+    recipe = ImageRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
     recipe.survey([], folder, Stop(), True)
     samples = recipe.samples(TrainingInputs(files, {}, None, tmp_path), Stop(), True)
@@ -160,7 +158,7 @@ def test_targets_are_the_best_class_or_the_potentials(kind: str) -> None:
     planes = torch.tensor([0.6, 0.3, 0.1, 1.0, 0.7, 1.0, 0.8, 1.0]).reshape(1, 8, 1, 1)
     scores = torch.zeros(1, 5, 1, 1, requires_grad=True)
 
-    picture_loss(torch.nn.Identity(), Batch(scores, planes, torch.ones(1)), training).backward()
+    image_loss(torch.nn.Identity(), Batch(scores, planes, torch.ones(1)), training).backward()
 
     assert scores.grad is not None
     wanted = [1.0, 0, 0, 1.0] if kind == "hard" else [0.6, 0.3, 0.1, 0.7]
@@ -174,7 +172,7 @@ def test_targets_are_averaged_to_the_size_of_the_scores() -> None:
     fine = torch.rand(2, 8, 6, 8, generator=seeded(0))
     scores = torch.randn(2, 5, 3, 4, generator=seeded(1))
 
-    loss = picture_loss(torch.nn.Identity(), Batch(scores, fine, torch.ones(2)), training)
+    loss = image_loss(torch.nn.Identity(), Batch(scores, fine, torch.ones(2)), training)
 
     small = fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split(PLANES, 1)
     torch.testing.assert_close(loss, target_loss(scores, Targets(*small), training.heads))

@@ -1,6 +1,6 @@
-"""Which pictures to correct next: the least trusted, or at random.
+"""Which images to correct next: the least trusted, or at random.
 
-The rules are pure functions of what is known of n pictures. A batch does not repeat one scene:
+The rules are pure functions of what is known of n images. A batch does not repeat one scene:
 neighbouring frames of a recording teach a network nearly the same, and cost a person as much.
 """
 
@@ -14,20 +14,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.annotate.machine import PictureView
+from roadtorch.annotate.machine import ImageView
 from roadtorch.base.image import read_image
 from roadtorch.imaging.resize import resized
 from roadtorch.imaging.segments import paint
 from roadtorch.layout.classes import CLASSES
 
 GRID = (4, 5)
-"""Rows and columns of the cells over which a picture's features are averaged."""
+"""Rows and columns of the cells over which an image's features are averaged."""
 
 BATCH = 20
-"""Pictures that have a turn; the rest follows by trust."""
+"""Images that have a turn; the rest follows by trust."""
 
 APART = 0.5
-"""Share of the median distance between pictures from which two are different scenes."""
+"""Share of the median distance between images from which two are different scenes."""
 
 SAMPLE = 1000
 """Images of which the median distance is taken; all where there are no more."""
@@ -37,14 +37,14 @@ CHUNK = 256
 
 
 class Candidates(NamedTuple):
-    """What is known of n pictures. trust: (n,), NaN unknown; features: (n,d), see below."""
+    """What is known of n images. trust: (n,), NaN unknown; features: (n,d), see below."""
 
     trust: Tensor
     features: Tensor
 
 
-def view_features(image: Tensor, view: PictureView) -> Tensor:
-    """What a picture looks like, (d,): colours of an image (3,H,W), and road and layout in it.
+def view_features(image: Tensor, view: ImageView) -> Tensor:
+    """What an image looks like, (d,): colours of an image (3,H,W), and road and layout in it.
 
     All in [0,1]: means over the cells of a coarse grid, so that distance is about what stands
     where. Ours.
@@ -59,7 +59,7 @@ Rule = Callable[[Candidates, Collection[int], int], list[int]]
 """What is known, which are corrected, and how many are wanted → places, the first first."""
 
 
-def random_pictures(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
+def random_images(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
     """So many of those that are not corrected, at random; the rule that others have to beat."""
     generator = torch.Generator().manual_seed(0)
     order = torch.randperm(len(candidates.trust), generator=generator).tolist()
@@ -111,7 +111,7 @@ def median_distance(features: Tensor) -> float:
 
 RULES: Mapping[str, Rule] = {
     "least-trust": least_trust_first,
-    "random": random_pictures,
+    "random": random_images,
 }
 
 
@@ -119,25 +119,25 @@ RULES: Mapping[str, Rule] = {
 
 
 @dataclass
-class PictureOrder:
-    """The order by a rule of ``RULES``; trust and features by the picture's name, as they come."""
+class ImageOrder:
+    """The order by a rule of ``RULES``; trust and features by the image's name, as they come."""
 
     rule: str
     features: dict[str, Tensor] = field(default_factory=dict)
     _turns: tuple[object, dict[str, int]] = field(default=(None, {}), repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
-    def learn(self, name: str, picture: Path, view: PictureView) -> None:
-        """Keep the features of a picture; InputError where it cannot be read."""
-        self.features[name] = view_features(read_image(picture), view)
+    def learn(self, name: str, image: Path, view: ImageView) -> None:
+        """Keep the features of an image; InputError where it cannot be read."""
+        self.features[name] = view_features(read_image(image), view)
 
     def turns(
         self, names: Collection[str], trusts: Mapping[str, float], corrected: Collection[str]
     ) -> dict[str, int]:
-        """The turn, from 0, of the pictures of the next batch.
+        """The turn, from 0, of the images of the next batch.
 
         names: of the folder. trusts: NaN where there is none. corrected: on which somebody worked.
-        Pictures that nobody looked at yet have no turn.
+        Images that nobody looked at yet have no turn.
         """
         known = [name for name in names if name in self.features]
         done = {place for place, name in enumerate(known) if name in corrected}
