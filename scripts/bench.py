@@ -50,15 +50,15 @@ LRASPP = "LRASPP (torchvision)"
 SEGMENTS = 400
 SLIC, SKIMAGE = f"slic, {SEGMENTS} segments", f"slic, {SEGMENTS} segments (scikit-image)"
 PEERS = {LRASPP: "LRASPP", SLIC: "slic", SKIMAGE: "slic-skimage"}
-"""Peers, and the names of their records."""
+"""Peers, with the names of their records."""
 
 BEFORE = ", before"
 WARM_UP = 2  # rounds that are not counted
 
 Calls = Mapping[str, Callable[[], Any]]
-"""What is timed once a round, by name."""
+"""Functions to time once a round, by name."""
 Times = dict[str, list[float]]
-"""Milliseconds by name, a number a round."""
+"""Milliseconds by name, a number for each round."""
 
 
 def interleaved(calls: Calls, rounds: int) -> Times:
@@ -135,7 +135,7 @@ def contestants(names: Sequence[str], image: Tensor, before: Path | None = None)
 
 
 def table(times: Times) -> str:
-    """Format a row a contestant, with its ratio to LRASPP and to the other checkout."""
+    """Format a row for each contestant, with its ratio to LRASPP and to the other checkout."""
     lines = ["| one thread | ms | of LRASPP | of before |", "|---|---:|---:|---:|"]
     for name, values in times.items():
         shares = [f"{ratio(values, times[LRASPP]):.2f}"]

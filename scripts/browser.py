@@ -54,7 +54,7 @@ def wait_for_status(page: "Page", begins: str) -> None:
 
 
 def looked_at(page: "Page", path: Path) -> dict[str, Any]:
-    """Return what the page finds in a file: mask bool (H,W), trust, and ms that it took."""
+    """Return the page's result for a file: mask bool (H, W), trust, and milliseconds."""
     page.set_input_files("#file", path)
     wait_for_status(page, path.name)
     script = "(({mask, width, trust, ms}) => ({mask: [...mask], width, trust, ms}))"

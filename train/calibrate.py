@@ -1,15 +1,15 @@
-"""Choose the calibration of `fusion`, and what tells a good mask.
+"""Choose the calibration of `fusion` and the weights of trust.
 
     python -m train.calibrate calibration DATA [--detector fusion:large] [--weights FILE]
     python -m train.calibrate trust DATA --worlds WORLDS [--detector fusion:large]
     python -m train.calibrate threshold DATA --detector layout:cnn-7
 
-DATA holds ``many/`` and ``camvid/``. A camera is a folder of many/ or a drive of CamVid (every
-fourth frame); each counts the same, and what is said of a camera was chosen on the others. IDD
-has no part. ``calibration`` chooses ``calibration.centre`` by the mean F of masks at .5, and
-``calibration.temperature`` by the cross-entropy of pixels; ``trust`` fits the weights of
-``roadtorch.road.trust``, on the kinds of rendered worlds as well, places without road among them,
-which no network learned from; ``threshold`` is for detectors without a calibration.
+DATA contains ``many/`` and ``camvid/``. A camera is a folder of many/ or a drive of CamVid (every
+fourth frame); all cameras count the same, and a camera is scored with what the others choose. IDD
+is not used. ``calibration`` chooses ``calibration.centre`` by the mean F of masks at .5, and
+``calibration.temperature`` by the cross-entropy of pixels. ``trust`` fits the weights of
+``roadtorch.road.trust``, also on the kinds of rendered worlds that no network was trained on, among
+them places without road. ``threshold`` is for detectors without a calibration.
 """
 
 import argparse
@@ -46,26 +46,26 @@ from roadtorch.evaluation.trust import (
 from roadtorch.road.trust import ENOUGH, Signs, signs_of
 
 EVERY = 4
-"""Every how many-th frame of CamVid is used."""
+"""Step between the frames of CamVid."""
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
-"""CamVid's, beside the folders of many/."""
+"""Drives of CamVid, cameras beside the folders of many/."""
 
 TOO_FEW = ("india_zed",)
-"""Folders of many/ that its README leaves out of means."""
+"""Folders of many/ that its README excludes from means."""
 
 PLACES = ("room", "things", "wall", "field", "water")
-"""Of ``train.worlds`` without road."""
+"""Kinds of ``train.worlds`` without road."""
 
 ROAD, VOID = 3, 255
-"""In their truth."""
+"""Codes in the truth of worlds."""
 
 LEVELS = np.arange(-40, 40.01, 0.25)
-"""Of log odds, between which pixels are counted."""
+"""Edges of the histograms of log odds."""
 
 
 def images(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
-    """Camera, detection and truth of every image of many/ and every fourth of CamVid."""
+    """Yield camera, detection and truth of each image of many/ and every fourth of CamVid."""
     many, camvid = open_dataset("folder", root / "many"), open_dataset("camvid", root / "camvid")
     items = [(many, item) for item in many.items if item.group not in TOO_FEW]
     items += [(camvid, item) for item in camvid.items[::EVERY]]
@@ -75,7 +75,7 @@ def images(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Tru
 
 
 def rendered(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
-    """The same of worlds of ``train.worlds``; a camera is a kind of them."""
+    """Yield the same for worlds of ``train.worlds``, whose kinds are the cameras."""
     for file in tqdm(sorted((root / "images").glob("*.jpg")), disable=None):
         code = np.asarray(Image.open(root / "truth" / f"{file.stem}.png"))
         road, valid = (torch.from_numpy(part) for part in (code == ROAD, code != VOID))
@@ -105,34 +105,34 @@ def choose_calibration(root: Path, name: str, settings: dict[str, Any]) -> None:
 
 
 def counts_by_odds(found: Detection, truth: Truth) -> np.ndarray:
-    """Pixels (2,levels + 1) of road and of background between LEVELS; the ego car is lowest."""
+    """Count pixels by log odds, (2, levels + 1): road and background; ego pixels are lowest."""
     odds = torch.logit(found.likelihood, eps=1e-7)
     return counts_between(torch.where(found.cues["ego"], -torch.inf, odds), truth)
 
 
 def counts_between(odds: Tensor, truth: Truth) -> np.ndarray:
-    """The same of log odds (H,W)."""
+    """Count pixels by log odds (H, W), (2, levels + 1): road and background."""
     edges = np.concatenate([[-np.inf], LEVELS, [np.inf]])
     parts = (truth.valid & truth.road, truth.valid & ~truth.road)
     return np.stack([np.histogram(odds[part].numpy(), edges)[0] for part in parts]).astype(float)
 
 
 def f_by_level(counts: np.ndarray) -> np.ndarray:
-    """F (cameras,levels) of road from each of LEVELS on, by counts (cameras,2,levels + 1)."""
+    """Compute F (cameras, levels) of road at each level, by counts (cameras, 2, levels + 1)."""
     hits, alarms = counts[..., ::-1].cumsum(-1)[..., ::-1][..., 1:].swapaxes(0, 1)
     return 2 * hits / (hits + alarms + counts[:, 0].sum(-1)[:, None])
 
 
 def as_others_choose(table: np.ndarray) -> np.ndarray:
-    """F of each camera (k,) at the level that has the best mean on the others."""
+    """Return F of each camera (k,) at the level with the best mean over the others."""
     rows = range(len(table))
     return np.array([table[k, np.delete(table, k, 0).mean(0).argmax()] for k in rows])
 
 
 def temperature_of(counts: np.ndarray, centre: float) -> float:
-    """By which log odds less ``centre`` are divided so that they say how often road is there.
+    """Fit the temperature that divides log odds less ``centre``, by the least cross-entropy.
 
-    counts: (cameras,2,levels + 1); every camera counts the same. By the least cross-entropy.
+    counts: (cameras, 2, levels + 1); every camera counts the same.
     """
     shares = (counts / counts.sum((1, 2), keepdims=True)).mean(0)[:, 1:-1]
     odds = (LEVELS[1:] + LEVELS[:-1]) / 2 - centre
@@ -148,7 +148,7 @@ def temperature_of(counts: np.ndarray, centre: float) -> float:
 
 
 def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
-    """Print the threshold with the best mean F over the cameras, and what it is worth."""
+    """Print the threshold with the best mean F over the cameras, and the held-out F."""
     seen: dict[str, RoadCounts] = {}
     for camera, found, truth in images(root, load_detector(name, **settings)):
         counts = count_levels(found.likelihood, truth.road, truth.valid)
@@ -168,7 +168,7 @@ def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
 
 
 class Judged(NamedTuple):
-    """n images: signs (n,k), F of their masks (n,), cameras (n,)."""
+    """n images: signs (n, k), F of their masks (n,), cameras (n,)."""
 
     signs: np.ndarray
     f: np.ndarray
@@ -176,9 +176,9 @@ class Judged(NamedTuple):
 
 
 def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path | None) -> None:
-    """Print the weights of the signs of trust, and their worth on cameras left out.
+    """Print the weights of the signs of trust, and their quality on held-out cameras.
 
-    An image without a mask says so itself, and has no part.
+    Images with an empty mask are left out.
     """
     rows, detector = [], load_detector(name, **settings)
     sources = [images(root, detector)] + ([rendered(worlds, detector)] if worlds else [])
@@ -215,28 +215,28 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
 
 
 THERE, EXPECTED = [0, 3], [0, 1, 2]
-"""The signs that tell whether there is a road, and how good its mask is."""
+"""Signs that predict whether there is a road, and those that predict F of its mask."""
 
 NONE_WEIGHS = 3.0
-"""A place without road against a camera."""
+"""Weight of a place without road against a camera."""
 
 
 def road_there(judged: Judged, none: np.ndarray, chosen: np.ndarray) -> LogisticRegression:
-    """Whether there is a road, by the signs of the chosen images."""
+    """Fit whether there is a road to the signs of the chosen images."""
     weight = weights_of(judged.camera[chosen]) * np.where(none[chosen], NONE_WEIGHS, 1)
     signs = judged.signs[chosen][:, THERE]
     return LogisticRegression(C=10.0).fit(signs, ~none[chosen], sample_weight=weight)
 
 
 def fitted(judged: Judged, chosen: np.ndarray) -> Ridge:
-    """F by the signs of the chosen images."""
+    """Fit F to the signs of the chosen images."""
     weight = weights_of(judged.camera[chosen])
     signs = judged.signs[chosen][:, EXPECTED]
     return Ridge(alpha=0.05).fit(signs, judged.f[chosen], sample_weight=weight)
 
 
 def weights_of(cameras: np.ndarray) -> np.ndarray:
-    """Every camera weighs the square root of its size."""
+    """Return weights such that a camera weighs the square root of its size."""
     return np.array([1 / np.sqrt((cameras == camera).sum()) for camera in cameras])
 
 

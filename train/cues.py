@@ -1,11 +1,11 @@
-"""What each cue of the single image brings beside the network of `fusion`, and what it costs.
+"""What each cue of the image adds to the network of `fusion`, and what it costs.
 
     python -m train.cues DATA/many [--weights FILE]
 
-The network alone at several sizes, and naive Bayes of it with layout, texture, distance, place,
-look and neighbours, as `fusion:scratch` has them, one cue left out at a time. F of the mask on
-each camera at the centre that the other cameras choose, at the working size; the difference to
-the network alone with 95 % over images drawn anew within cameras; the median milliseconds.
+The network alone at several sizes, and naive Bayes of it with layout, texture, distance, position,
+appearance and neighbours, as in `fusion:scratch`, leaving out one cue at a time. F of the mask on
+each camera at the centre that the other cameras choose, at the working size; the difference to the
+network alone with a 95 % interval over images resampled within cameras; the median milliseconds.
 """
 
 import argparse
@@ -41,17 +41,17 @@ from roadtorch.road.seed_area import likely_seed
 from train.calibrate import TOO_FEW, as_others_choose, counts_between, f_by_level
 
 SCALES = (0.67, 1.0, 1.33)
-"""Of the size that the network is written for."""
+"""Sizes relative to that of the network's settings."""
 
 DETAIL = 4.0
-"""Weight of the network's log odds pixel by pixel, beside those in the mean of a superpixel."""
+"""Weight of the network's log odds by pixel against their mean over a superpixel."""
 
 ALONE = "network alone"
 DRAWS = 500
 
 
 class Variant(NamedTuple):
-    """Which cues count: likelihoods of .5 say nothing."""
+    """The cues that are used; the others are .5 everywhere."""
 
     layout: bool = True
     texture: bool = True
@@ -69,7 +69,7 @@ VARIANTS = {"all cues": Variant()} | {
 def odds_of(
     image: Tensor, networks: Mapping[float, WholeImageNetwork]
 ) -> Iterator[tuple[str, Tensor, float]]:
-    """Name, log odds (h,w) and seconds of each way to find the road of an image (3,h,w).
+    """Yield name, log odds (h, w) and seconds of each way to find the road of an image (3, h, w).
 
     networks: by scale.
     """
@@ -114,12 +114,12 @@ def odds_of(
 
 
 def hidden(cues: Mapping[str, Tensor]) -> Tensor:
-    """The network's log odds of road, none where it finds the ego car."""
+    """Return the network's log odds of road, -inf on the ego car."""
     return torch.where(ego_found(cues["ego"]), -torch.inf, log_odds(cues["road"]))
 
 
 class Counted(NamedTuple):
-    """Pixels of n images by log odds (n,2,levels + 1), their seconds (n,)."""
+    """Pixels of n images by log odds (n, 2, levels + 1), and their seconds (n,)."""
 
     counts: np.ndarray
     seconds: np.ndarray
@@ -127,7 +127,7 @@ class Counted(NamedTuple):
 
 @torch.no_grad()
 def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
-    """Pixels of road and not, by log odds of each way; the cameras of the images (n,)."""
+    """Count road and background by log odds of each way; return counts and cameras (n,)."""
     network = image_network_of(WeightsFile(file=weights), FOR_IMAGES)
     size = (network.settings.height, network.settings.width)
     networks = {scale: network_at(network, *scaled(*size, scale)) for scale in SCALES}
@@ -149,13 +149,13 @@ def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
 
 
 def table_of(counts: np.ndarray, cameras: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """F by camera and level; each image counts so many times, weights (n,)."""
+    """Compute F by camera and level with weights (n,) of the images."""
     weighed = counts * weights[:, None, None]
     return f_by_level(np.array([weighed[cameras == each].sum(0) for each in np.unique(cameras)]))
 
 
 def drawn_anew(cameras: np.ndarray, at: np.random.Generator) -> np.ndarray:
-    """How often each image is drawn (n,), with replacement within its camera."""
+    """Count how often each image is resampled (n,), with replacement within its camera."""
     weights = np.zeros(len(cameras))
     for camera in np.unique(cameras):
         mine = np.flatnonzero(cameras == camera)

@@ -1,4 +1,4 @@
-"""The groups of a labelled set as folder sets of their own, to judge adaptation by.
+"""Write the groups of a labelled set as folder sets of their own, to evaluate adaptation.
 
     python train/footages.py camvid:DATA/camvid --out FOOTAGES
     for one in FOOTAGES/* MANY/* DRIVES/*; do
@@ -7,8 +7,8 @@
       roadtorch evaluate folder $one --detector $run/weights.safetensors --against fusion --out $run
     done
 
-writes FOOTAGES/GROUP/images, links, and masks (255 road, 0 not, 128 uncertain). Labels score, and
-neither teach nor choose. MANY's cameras and rendered drives (train/worlds) have this form already.
+writes FOOTAGES/GROUP/images, links, and masks (255 road, 0 not, 128 uncertain). Labels only
+evaluate. MANY's cameras and rendered drives (train/worlds) have this form already.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from roadtorch.data.catalogue import open_named
 
 
 def main() -> None:
-    """Lay the groups out."""
+    """Write the groups."""
     parser = argparse.ArgumentParser(description="Groups of a labelled set as folder sets.")
     parser.add_argument("dataset", help="NAME:ROOT")
     parser.add_argument("--out", type=Path, required=True)

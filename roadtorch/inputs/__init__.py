@@ -1,1 +1,1 @@
-"""Where items come from: images, videos, cameras, streams, bags."""
+"""Sources of images and frames: files, videos, cameras, streams, bags."""

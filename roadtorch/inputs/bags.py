@@ -1,6 +1,6 @@
-"""Images in ROS bags: ROS 1 (.bag), ROS 2 (folder, .db3, .mcap); no ROS is needed.
+"""Images in ROS bags: ROS 1 (.bag), ROS 2 (folder, .db3, .mcap); ROS itself is not needed.
 
-``rosbags`` (extra ``bags``) reads them, by the message definitions in the bag.
+``rosbags`` (extra ``bags``) reads them by the message definitions in the bag.
 """
 
 import statistics
@@ -30,9 +30,11 @@ SOME = 16  # messages that tell the rate
 
 @dataclass(frozen=True)
 class ImageTopic:
-    """A topic with images: how many messages, their frame of reference, frames a second.
+    """A topic with images: name, number of messages, coordinate frame of the first one.
 
-    generation: 1 for a bag of ROS 1, 2 of ROS 2. rate: by the first messages; None for one alone.
+    Attributes:
+        rate: messages per second, estimated from the first ones; None for a single message.
+        generation: 1 for ROS 1, 2 for ROS 2.
     """
 
     name: str
@@ -44,10 +46,13 @@ class ImageTopic:
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """sensor_msgs/CameraInfo: the camera behind a topic, in pixels of width by height.
+    """Calibration of the camera of a topic (sensor_msgs/CameraInfo).
 
-    matrix: K float64 (3,3). distortion: D float64 (N,) of the distortion model, such as
-    ``plumb_bob``. frame_id: of the optical frame (REP 103: z ahead, x right, y down).
+    Attributes:
+        matrix: K in pixels of width × height, float64, shape (3, 3).
+        distortion: D, float64, shape (N,).
+        model: distortion model, such as ``plumb_bob``.
+        frame_id: optical frame (REP 103: z ahead, x right, y down).
     """
 
     matrix: np.ndarray
@@ -59,7 +64,7 @@ class CameraInfo:
 
 
 def is_bag(given: str) -> bool:
-    """Whether it is a bag by its name, or a folder with a ROS 2 recording in it."""
+    """Return whether a path is a bag by its suffix, or a folder with a ROS 2 recording."""
     path = Path(given)
     if path.is_dir():
         return (path / "metadata.yaml").is_file() or bool(_recordings(path))
@@ -71,11 +76,19 @@ def bag_source(
     topic: str | None = None,
     selection: Selection = Selection(),  # noqa: B008  # it is frozen
 ) -> Source:
-    """The images of a topic, by default of the only topic with images.
+    """Make a source of the images of a topic, by default of the only one.
 
-    Time stamps are those of the headers; of the recording where a header has none. Raises
-    InputError for what cannot be read as a bag or has no images, ConfigError for a topic that is
-    missing or has to be chosen. A message that cannot be decoded raises in its item's ``read``.
+    Time stamps are those of the headers, or of the recording where a header has none. A message
+    that cannot be decoded raises when its item is read.
+
+    Args:
+        given: path of the bag.
+        topic: name of the topic; None if there is only one.
+        selection: selection of the images.
+
+    Raises:
+        InputError: if it is no bag or has no images.
+        ConfigError: if the topic does not exist or has to be chosen.
     """
     images = image_topic(given, topic)
     count = None
@@ -92,7 +105,7 @@ def bag_source(
 
 
 def image_topic(given: str, topic: str | None = None) -> ImageTopic:
-    """The topic with images that is meant; errors as for ``bag_source``."""
+    """Return the image topic of a name, or the only one; raises as ``bag_source``."""
     with _opened(given) as bag:
         name = _chosen(given, bag, topic)
         messages: list[Message] = []
@@ -111,10 +124,13 @@ def image_topic(given: str, topic: str | None = None) -> ImageTopic:
 
 
 def camera_info(given: str, topic: str | None = None) -> CameraInfo:
-    """What the first message of the ``camera_info`` beside an image topic says.
+    """Return the first ``camera_info`` message that belongs to an image topic.
 
     ``/camera/image_raw`` and ``/camera/image_raw/compressed`` have ``/camera/camera_info``
-    (image_transport). Raises InputError where there is none, or where K is empty.
+    (image_transport).
+
+    Raises:
+        InputError: if there is no such topic, or its K is empty.
     """
     with _opened(given) as bag:
         name = _chosen(given, bag, topic)
@@ -142,7 +158,7 @@ def camera_info(given: str, topic: str | None = None) -> CameraInfo:
 
 
 def _chosen(given: str, reader: "AnyReader", topic: str | None) -> str:
-    """The name of the topic that is meant; ConfigError or InputError that lists what there is."""
+    """Return the name of the image topic; ConfigError or InputError that lists the topics."""
     kinds = {link.topic: link.msgtype for link in reader.connections}
     images = sorted(name for name, kind in kinds.items() if kind in (RAW, COMPRESSED))
     images = [name for name in images if not name.endswith("/compressedDepth")]
@@ -163,7 +179,7 @@ def _chosen(given: str, reader: "AnyReader", topic: str | None) -> str:
 
 
 class Message(NamedTuple):
-    """A message: its time stamp in ns, and its content, or why it has none."""
+    """A message: time stamp in nanoseconds, and its content or the reason why it has none."""
 
     stamp: int
     content: Any
@@ -194,7 +210,7 @@ def _unreadable(origin: str, damage: str) -> Tensor:
 
 
 def _messages(given: str, bag: "AnyReader", topic: str) -> Generator[Message]:
-    """The messages of a topic in the order of the recording; InputError where it ends early."""
+    """Yield the messages of a topic as recorded; InputError at the end where some are missing."""
     links = [link for link in bag.connections if link.topic == topic]
     waiting = bag.messages(connections=links)
     count, every = 0, sum(link.msgcount for link in links)
@@ -234,7 +250,7 @@ def _recordings(folder: Path) -> list[Path]:
 
 @contextmanager
 def _opened(given: str) -> "Iterator[AnyReader]":
-    """The open bag; InputError for one that rosbags cannot read, ConfigError without rosbags."""
+    """Open a bag; InputError if rosbags cannot read it, ConfigError if rosbags is missing."""
     path = Path(given)
     if not path.exists():
         raise InputError(given, "does not exist", "check the name")
@@ -261,7 +277,7 @@ def _opened(given: str) -> "Iterator[AnyReader]":
 
 
 def _mending(path: Path) -> str:
-    """What gives a bag, or the first recording in a folder, its missing end."""
+    """Return the command that repairs a bag, or the first recording in a folder."""
     files = _recordings(path) if path.is_dir() else [path]
     commands = {".bag": "rosbag reindex", ".mcap": "mcap recover"}
     return commands.get(files[0].suffix if files else "", "ros2 bag reindex")

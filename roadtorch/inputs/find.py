@@ -1,4 +1,4 @@
-"""What the inputs of a command stand for: images, and sources that give frame after frame."""
+"""Resolution of a command's inputs to images and sources of frames."""
 
 import re
 import sys
@@ -34,16 +34,16 @@ from roadtorch.inputs.video import (
 )
 
 CAMERA = re.compile(r"(?:camera:)?(\d+)")
-"""A camera's number; a file of that name goes before ``0``, never before ``camera:0``."""
+"""Number of a camera. An existing file ``0`` takes precedence over ``0``, not over ``camera:0``."""
 
 WHOLE = re.compile(
     r"https?://[^?#]*\.(mp4|m4v|mov|avi|mkv|webm|mpe?g|wmv|flv)([?#].*)?$", re.IGNORECASE
 )
-"""The address of a video that is read to its end, every frame, not of a stream."""
+"""URL of a video file, every frame of which is read, unlike those of a stream."""
 
 
 class Inputs(NamedTuple):
-    """What inputs stand for: images that stand alone, and what is looked at frame by frame."""
+    """Images, and sources of frames."""
 
     images: Sequence[Item]
     sources: Sequence[Source]
@@ -55,11 +55,19 @@ def find_inputs(
     apart: Path | None = None,
     names: TextIO | None = None,
 ) -> Inputs:
-    """Return the images and sources that inputs stand for, in order; a folder may hold both.
+    """Resolve inputs to images and sources, in order; a folder may contain both.
 
-    apart: a folder that is left out where folders are searched, that of the results. names: what
-    ``-`` reads, standard input where it is None. Raises InputError for a list that cannot be read,
-    for what holds neither, does not exist or cannot be opened.
+    Args:
+        inputs: files, folders, globs, bags, camera numbers, URLs, ``-``, ``@list.txt``.
+        selection: selection of the items of each source.
+        apart: folder of results, which is not searched.
+        names: text that ``-`` reads; standard input if None.
+
+    Returns:
+        The images and sources.
+
+    Raises:
+        InputError: if an input does not exist, cannot be opened or contains no images.
     """
     inputs = list(inputs)
     images: list[Item] = []
@@ -92,23 +100,20 @@ def find_inputs(
 
 
 def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:
-    """Return the chosen images and sources of inputs but those in ``out``, where results go.
-
-    Raises as ``find_inputs`` and ``Selection.of_images`` do.
-    """
+    """Resolve inputs outside ``out`` and apply a selection; raises as its two steps do."""
     images, sources = find_inputs(inputs, selection, out)
     return Inputs(selection.of_images(images), sources)
 
 
 def names_footage(name: str) -> bool:
-    """Return whether a file of that name is an image or a video to look at."""
+    """Return whether a file name is that of an image or video, and of no result."""
     return names_image(name) or names_video(name)
 
 
 def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
-    """The inputs, with ``-`` and ``@list.txt`` replaced by the lines that they hold.
+    """Yield the inputs with ``-`` and ``@list.txt`` replaced by their non-empty lines.
 
-    Empty lines are left out. A file named ``-`` or ``@…`` is given as ``./-``.
+    Write ``./-`` for a file called ``-``.
     """
     for given in inputs:
         lines: Iterable[str] = names
@@ -133,7 +138,7 @@ def named(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
 
 
 def camera_number(given: str) -> int | None:
-    """The number of the camera that an input names; None where it names none."""
+    """Return the number of the camera that an input names; None if it names none."""
     camera = CAMERA.fullmatch(given)
     if camera is None or (given.isdigit() and Path(given).exists()):
         return None
@@ -141,9 +146,11 @@ def camera_number(given: str) -> int | None:
 
 
 def open_source(given: str, selection: Selection) -> Source:
-    """Return the one source that an input stands for; images are one of frames without a clock.
+    """Open an input as one source; images become its frames, without a clock.
 
-    Raises InputError for what is not there, ConfigError for an input of several sources.
+    Raises:
+        InputError: if nothing is found.
+        ConfigError: if there is more than one source.
     """
     images, sources = find_inputs([given], selection)
     if not sources:
@@ -161,17 +168,17 @@ def open_source(given: str, selection: Selection) -> Source:
 
 
 class FramePlace(NamedTuple):
-    """Where a frame is: an image file, or the number of a frame in a video file."""
+    """Position of a frame: an image file, or a frame number in a video file."""
 
     path: Path
     number: int | None
 
 
 def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
-    """At most ``most`` frames of images and video files, evenly over all of them, in their order.
+    """Return the positions of at most ``most`` frames, evenly spaced over images and videos.
 
-    Raises InputError for what does not exist, holds no images, or is no video, ConfigError
-    where there are videos and PyAV is missing.
+    Raises:
+        InputError: if an input does not exist or is no footage on disk.
     """
     every: list[FramePlace] = []
     for given in inputs:
@@ -187,9 +194,9 @@ def frame_places(inputs: Sequence[str], most: int) -> list[FramePlace]:
 
 
 def read_frames(places: Sequence[FramePlace]) -> Iterator[Tensor]:
-    """The frames as images (3,H,W) in [0,1], one after the other; InputError naming a bad file.
+    """Yield frames as images in [0, 1], shape (3, H, W); InputError names an unreadable file.
 
-    A video that ends early gives what it has.
+    A truncated video yields the frames that it has.
     """
     for path, group in groupby(places, key=lambda place: place.path):
         numbers = [place.number for place in group]

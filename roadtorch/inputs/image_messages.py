@@ -1,4 +1,4 @@
-"""ROS image messages to images: sensor_msgs/Image with its encodings, and CompressedImage."""
+"""Decoding of ROS image messages: sensor_msgs/Image and CompressedImage."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ PLAIN = {  # channels, bits, the places of red, green and blue
     **{"rgba8": (4, 8, (0, 1, 2)), "bgra8": (4, 8, (2, 1, 0)), "8UC4": (4, 8, (2, 1, 0))},
     **{"rgb16": (3, 16, (0, 1, 2)), "bgr16": (3, 16, (2, 1, 0))},
 }
-"""sensor_msgs/image_encodings.hpp; its fourth channel is padding of cameras and is left out."""
+"""Encodings of sensor_msgs/image_encodings.hpp; the fourth channel is padding and is dropped."""
 
 BAYER = {
     "bayer_rggb": cv2.COLOR_BayerRGGB2RGB,
@@ -37,11 +37,15 @@ READ_ENCODINGS = (*PLAIN, *(f"{name}{bits}" for name in BAYER for bits in (8, 16
 
 
 def image_of(message: Any, origin: str) -> Tensor:
-    """The image float32 (3,H,W) in [0,1], sRGB; 16 bits: 65535 becomes 1.
+    """Decode a ROS image message to sRGB in [0, 1], shape (3, H, W); 16-bit 65535 becomes 1.
 
-    message: a sensor_msgs/Image or CompressedImage, of rosbags or rclpy. Raises InputError naming
-    ``origin`` for an encoding that is not read, too many pixels, fewer bytes than the message
-    promises, and a compressed image that cannot be decoded.
+    Args:
+        message: a sensor_msgs/Image or CompressedImage of rosbags or rclpy.
+        origin: name of the message in errors.
+
+    Raises:
+        InputError: if the encoding is not supported, the message has too many pixels or too few
+            bytes, or a compressed image cannot be decoded.
     """
     if not hasattr(message, "encoding"):
         return decode_image(message.data.tobytes(), origin)
@@ -65,7 +69,7 @@ def image_of(message: Any, origin: str) -> Tensor:
 
 
 def _rows(message: Any, channels: int, bits: int) -> np.ndarray:
-    """The samples (H,W,C) of a message in this machine's byte order, without the rows' padding."""
+    """Return the samples (H, W, C) of a message in native byte order, without row padding."""
     row = message.width * channels * bits // 8
     step = message.step or row
     needed = step * (message.height - 1) + row  # the last row may lack its padding

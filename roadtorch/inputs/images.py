@@ -1,4 +1,4 @@
-"""Files that names, folders and globs stand for, and images among them; images by http."""
+"""Files found by names, folders and globs, the images among them, and images fetched over HTTP."""
 
 import glob
 import hashlib
@@ -24,7 +24,7 @@ RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never images
 
 
 class File(NamedTuple):
-    """A file: its path, and its name, relative, with ending."""
+    """A file: its path, and its relative name with suffix."""
 
     path: Path
     name: str
@@ -33,19 +33,11 @@ class File(NamedTuple):
 def files_at(
     given: str | os.PathLike[str], wanted: Callable[[str], bool], apart: Path | None = None
 ) -> list[File] | File:
-    """Return the wanted files of a folder or glob, in a settled order; a single file as it is.
+    """Return the matching files of a folder or glob in a fixed order; a single file as it is.
 
-    Folders are searched with all that is below them, hidden ones left out, and so is the folder
-    ``apart``. A glob stands for the files that it matches, or, without wanted ones among them,
-    for the folders. Names are relative to the folder, or to the one before the first wildcard.
-
-    Args:
-        given: a file, folder or glob, which need not exist.
-        wanted: tells whether a file is asked for, by its name without folders.
-        apart: a folder below which nothing is looked for.
-
-    Raises:
-        InputError: for an address.
+    Folders are searched recursively except for hidden ones and ``apart``. A glob stands for the
+    files that it matches or, if none of them is wanted, for the folders. Names are relative to the
+    folder, or to the part of the glob before its first wildcard. InputError for a URL.
     """
     path = os.fspath(given)
     if scheme_of(path):
@@ -66,7 +58,7 @@ def files_at(
 
 
 def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
-    """Yield every file below a folder but hidden folders and ``apart``, sorted, by folders."""
+    """Yield the files below a folder, sorted, except those in hidden folders and ``apart``."""
     # Path.resolve raises for a link to itself, which is a file like any other here.
     left_out = os.path.realpath(apart) if apart else None
     if left_out == os.path.realpath(folder):
@@ -81,7 +73,7 @@ def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
 
 
 def names_image(name: str) -> bool:
-    """Return whether a file of that name is an image to look at: not hidden, no result of ours."""
+    """Return whether a file name is that of an image: not hidden, no result of roadtorch."""
     name = name.lower()
     is_ours = name.endswith(RESULTS) or ".cue." in name
     return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
@@ -97,10 +89,10 @@ def image_item(path: Path, name: str) -> Item:
 
 
 def web_image(url: str) -> Item | None:
-    """Return the image behind an address; None where the server calls it something else.
+    """Return the image at a URL; None where the server sends something else.
 
-    A camera's endless series of images (``multipart/…``) is none. Raises InputError where there
-    is no answer and the name is an image's; other addresses may be streams, which are waited for.
+    A server's stream of images (``multipart/…``) is no image. Raises InputError where there is no
+    answer and the name is an image's; other URLs may be streams, which are waited for.
     """
     path = PurePosixPath(urlsplit(url).path)
     name, is_named = slug(path.with_suffix("").as_posix()), names_image(path.name)
@@ -119,7 +111,7 @@ def web_image(url: str) -> Item | None:
 
 @lru_cache(maxsize=1)
 def _remote_bytes(url: str) -> bytes:
-    """Fetch an image; the last one is kept, so that it and its digest take one transfer."""
+    """Download an image; the last one is cached, so that reading and hashing take one transfer."""
     return url_bytes(url)
 
 
@@ -138,7 +130,7 @@ def _digest_remote(url: str) -> str:
 
 
 def images_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
-    """Return the images of a folder or glob, none where it holds none; a file is one as it is."""
+    """Return the images of a folder or glob, possibly none; a file is returned as it is."""
     files = files_at(given, names_image, apart)
     return [
         image_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
@@ -147,15 +139,14 @@ def images_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[
 
 
 def find_images(inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None) -> list[Item]:
-    """Return the images that files, folders and quoted globs stand for, in a settled order.
+    """Return the images that files, folders and quoted globs stand for, in a fixed order.
 
-    Folders are searched with all that is below them, hidden names and earlier results
-    left out, and so is the folder ``apart``, where new results go. A single missing
-    file stays in the list, so that the others are not held up by it; reading it fails.
+    Folders are searched recursively except for hidden names, earlier results and the folder
+    ``apart``, where new results go. A missing file stays in the list, as reading it fails
+    without holding up the others.
 
     Raises:
-        InputError: naming the input, for a folder or glob without images, and when nothing that
-            was named exists.
+        InputError: for a folder or glob without images, and if none of the files exists.
     """
     images: list[Item] = []
     for given in inputs:
@@ -166,7 +157,7 @@ def find_images(inputs: Iterable[str | os.PathLike[str]], apart: Path | None = N
 
 
 def each_once(images: Sequence[Item]) -> list[Item]:
-    """Drop repeated images; InputError when there are some and none of them exists."""
+    """Drop repeated images; InputError if none of them exists."""
     if images and not any(item.file is None or item.file.exists() for item in images):
         raise InputError(images[0].origin, "does not exist", "check the name")
     return list(dict.fromkeys(images))

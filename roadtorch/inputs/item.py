@@ -1,4 +1,4 @@
-"""What is looked at: items, which are images or frames of footage, and the sources of frames.
+"""Items (images, or frames of footage) and the sources that yield them.
 
 An image is a frame without a clock.
 """
@@ -20,15 +20,18 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Item:
-    """An image, or a frame of footage; it is decoded only when it is read.
+    """An image or a frame of footage, decoded only when it is read.
 
-    name: of its results, relative, sub-folders kept, without suffix. origin: its path or URL, what
-    messages call it. read: gives the image float32 (3,H,W) in [0,1]; raises InputError naming
-    ``origin``. digest: gives the SHA-256 of its bytes, empty where they cannot be read; None for a
-    frame, whose source has one. suffix: of its file, empty for a frame. file: its path, where it is
-    a file of this machine.
-    number: its place in a source, from 0, whatever is left out. seconds: since the source began;
-    None where it has no clock. stamp: the source's own absolute time in nanoseconds.
+    Attributes:
+        name: relative path of its results, without suffix.
+        origin: path or URL, used in messages.
+        read: returns the sRGB image in [0, 1], shape (3, H, W); raises InputError.
+        digest: returns the SHA-256 of the file, "" if it cannot be read; None for frames.
+        suffix: suffix of the file; empty for frames.
+        file: path, if it is a file on this machine.
+        number: index in the source, from 0; skipped items are counted.
+        seconds: time since the start of the source; None without a clock.
+        stamp: absolute time of the source in nanoseconds.
     """
 
     name: str
@@ -43,34 +46,37 @@ class Item:
 
     @property
     def path(self) -> Path:
-        """Its file on this machine; InputError for one that is elsewhere."""
+        """File on this machine; InputError if it is elsewhere."""
         if self.file is None:
             raise InputError(self.origin, "is not on this machine", "give files, not URLs")
         return self.file
 
     @property
     def row_name(self) -> str:
-        """What index.csv calls it: the name of its results with its own suffix."""
+        """Name in index.csv: that of the results with the suffix of the file."""
         return printable(self.name + self.suffix)
 
     @property
     def clock(self) -> float:
-        """Seconds since its source began; a frame without a clock is one a second."""
+        """Seconds since the start of the source; without a clock, one item a second."""
         return float(self.number) if self.seconds is None else self.seconds
 
     @property
     def nanoseconds(self) -> int:
-        """Its time stamp: the source's own, else since the source began."""
+        """Time stamp of the source, or else the time since its start."""
         return round(1e9 * self.clock) if self.stamp is None else self.stamp
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which items of a source to look at.
+    """A selection of the items of a source.
 
-    every: the first of so many. start, end: seconds since the source began, the end left out;
-    frames without a clock are counted as one a second. limit: at most so many. topic: of the
-    images in bags; None where they have one.
+    Attributes:
+        every: keep the first of every so many items.
+        start: seconds from the start of the source; without a clock, one item a second.
+        end: seconds, exclusive.
+        limit: maximum number of items.
+        topic: image topic of bags; None if there is only one.
     """
 
     every: int = 1
@@ -80,10 +86,7 @@ class Selection:
     topic: str | None = None
 
     def of(self, items: Iterable[Item]) -> Generator[Item]:
-        """The chosen items; none is asked for behind the last one.
-
-        A generator of items is closed at the end, or when this one is.
-        """
+        """Yield the selected items, reading none beyond the last; close a generator of items."""
         until = float("inf") if self.end is None else self.end
         early = takewhile(lambda item: item.clock < until, items)
         inside = (item for item in early if item.clock >= self.start)
@@ -95,7 +98,7 @@ class Selection:
                 items.close()
 
     def of_images(self, images: Sequence[Value]) -> Sequence[Value]:
-        """The chosen ones of images that stand alone; ConfigError when seconds are asked for."""
+        """Return the selected images; ConfigError if a time is given, which images lack."""
         if images and (self.start or self.end is not None):
             problem = "images have no time"
             raise ConfigError("--start, --end", problem, "choose with --every and --limit")
@@ -104,16 +107,18 @@ class Selection:
 
 @dataclass(frozen=True)
 class Source:
-    """Where frames come from.
+    """A source of frames.
 
-    name: of the results, relative, without suffix. origin: as it was given, for messages.
-    rate: items a second, where it is known.
-    count: how many ``items`` gives, where it is known.
-    items: opens the source and gives its chosen items, each once, in order. Closing the iterator
-    closes the source. It raises InputError naming ``origin`` when it cannot be opened, and, behind
-    the last item that can be read, when it ends before its end.
-    live: whether it gives the newest frame whenever it is asked.
-    path: the file whose bytes it is made of, where it is one.
+    Attributes:
+        name: relative path of the results, without suffix.
+        origin: the input as it was given, used in messages.
+        items: opens the source and yields its items in order; closing the iterator closes the
+            source. Raises InputError if it cannot be opened and, after the last readable item,
+            if it ends early.
+        rate: items per second, if known.
+        count: number of items, if known.
+        live: whether the newest frame is read, as from a camera.
+        path: file that is read, if there is one.
     """
 
     name: str
@@ -126,7 +131,7 @@ class Source:
 
     @property
     def row_name(self) -> str:
-        """What index.csv calls it: the name of its results with its own suffix."""
+        """Name in index.csv: that of the results with the suffix of the file."""
         return printable(self.name + self._location.suffix)
 
     @property
@@ -134,16 +139,16 @@ class Source:
         return self.path or Path(self.origin)
 
     def digest(self) -> str:
-        """SHA-256 of its file, or of all files in its folder; empty where there is none."""
+        """Return the SHA-256 of the file, or of the files in a folder; "" if there is none."""
         path = self._location
         return digest_of_folder(path) if path.is_dir() else digest_of(path)
 
     def sampled(self, most: int) -> "Source":
-        """At most so many of its items, evenly spaced; the first ones where it has no count."""
+        """Return a source of at most ``most`` evenly spaced items, the first ones if uncounted."""
         chosen = Selection(every=max(1, (self.count or 0) // most), limit=most)
         return replace(self, items=lambda: chosen.of(self.items()), count=None)
 
 
 def spread(values: Sequence[Value], most: int) -> Sequence[Value]:
-    """At most ``most`` of them, evenly: the first, and every so many-th."""
+    """Return at most ``most`` values at equal steps, beginning with the first."""
     return values[:: max(1, -(-len(values) // most))]

@@ -1,4 +1,4 @@
-"""Cameras and streams: the newest frame whenever one is asked for, and connections that break."""
+"""Cameras and streams: the newest frame on each read, with reconnection."""
 
 import time
 from collections.abc import Callable, Generator
@@ -20,25 +20,21 @@ from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.video import import_av, moving_images, reason_of, upright
 
 Connection = Callable[[], Generator[Callable[[], Tensor]]]
-"""Connects, and gives what reads image after image; raises InputError when it cannot, or can no
-more."""
+"""Opens a connection and yields functions that read an image; raises InputError when it fails or
+ends."""
 
 Newest = tuple[int, float, int, Callable[[], Tensor]]
-"""Number, clock in seconds, stamp in nanoseconds of a frame, and what reads it."""
+"""Frame number, clock in seconds, time stamp in nanoseconds, and the function that reads it."""
 
 STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp", "udp", "mms")
-"""Schemes of URLs that are read as video streams."""
+"""URL schemes that are read as video streams."""
 
 GRACE = 5.0  # seconds beyond the time limit, for what FFmpeg does not interrupt (names looked up)
 
 
 @dataclass(frozen=True)
 class Patience:
-    """How long a stream may be silent, and how often it is connected to anew.
-
-    answer: seconds to wait for an answer or a frame. tries: connections anew, one after the other.
-    pause: seconds before the first; then doubled.
-    """
+    """Timeout and reconnection of a stream."""
 
     answer: float = 10
     tries: int = 5
@@ -46,7 +42,7 @@ class Patience:
 
     @property
     def longest(self) -> float:
-        """Seconds until all tries are over."""
+        """Seconds until the last reconnection has failed."""
         pauses = self.pause * (2**self.tries - 1)
         return (self.tries + 1) * self.answer + pauses + GRACE
 
@@ -56,7 +52,7 @@ def camera_source(
     selection: Selection,
     patience: Patience = Patience(),
 ) -> Source:
-    """The camera of that number (OpenCV's) as a live source."""
+    """Make a live source of OpenCV's camera of a number."""
     connect = partial(_camera, number)
     return live_source(connect, f"camera-{number}", f"camera:{number}", selection, patience)
 
@@ -67,7 +63,7 @@ def stream_source(
     selection: Selection,
     patience: Patience = Patience(),
 ) -> Source:
-    """A stream by its address (RTSP, HTTP, RTMP, UDP, SRT) as a live source."""
+    """Make a live source of a stream's URL (RTSP, HTTP, RTMP, UDP, SRT)."""
     connect = partial(_stream, url, patience)
     return live_source(connect, name, without_password(url), selection, patience)
 
@@ -75,7 +71,7 @@ def stream_source(
 def live_source(
     connect: Connection, name: str, origin: str, selection: Selection, patience: Patience
 ) -> Source:
-    """The newest frames of a connection, which is made anew when it breaks."""
+    """Make a live source of a connection, which is reopened when it breaks."""
     newest = partial(newest_frames, connect, name, origin, patience)
     return Source(name, origin, items=lambda: selection.of(newest()), live=True)
 
@@ -83,12 +79,11 @@ def live_source(
 def newest_frames(
     connect: Connection, name: str, origin: str, patience: Patience
 ) -> Generator[Item]:
-    """The newest frame whenever one is asked for; those between are numbered and dropped.
+    """Yield the newest frame on each request; frames between are numbered and dropped.
 
-    ``seconds`` are those since the first frame came, ``stamp`` the nanoseconds since 1970 at which
-    a frame came. A thread reads and holds one frame. When the connection breaks it is made anew,
-    as often and as slowly as ``patience`` says. Raises InputError when the first connection is
-    not made, and when a later one is not made in time.
+    A thread reads and keeps one frame. ``seconds`` counts from the first frame, ``stamp`` is the
+    time of arrival in nanoseconds since 1970. Raises InputError if the first connection fails, or
+    a later one cannot be reopened in time.
     """
     newest: Queue[Newest | InputError] = Queue()
     stop = Event()
@@ -123,7 +118,7 @@ def newest_frames(
 def _read(
     newest: "Queue[Newest | InputError]", stop: Event, connect: Connection, patience: Patience
 ) -> None:
-    """Keep the newest frame alone in the queue, over connections that break; why at the end."""
+    """Keep only the newest frame in the queue and reconnect; end with the error that stopped it."""
     failures, count = 0, 0
     while not stop.is_set():
         try:
@@ -152,7 +147,7 @@ def _read(
 
 
 def _stream(url: str, patience: Patience) -> Generator[Callable[[], Tensor]]:
-    """The images of one connection to a stream."""
+    """Yield the frames of one connection to a stream."""
     av, origin = import_av(), without_password(url)
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
@@ -170,7 +165,7 @@ def _stream(url: str, patience: Patience) -> Generator[Callable[[], Tensor]]:
 
 
 def _camera(number: int) -> Generator[Callable[[], Tensor]]:
-    """The images of a camera; OpenCV, since PyAV's wheels come without FFmpeg's cameras."""
+    """Yield the frames of a camera by OpenCV; PyAV's wheels lack FFmpeg's camera input."""
     with quiet_opencv():
         camera = cv2.VideoCapture(number)
     try:

@@ -1,4 +1,4 @@
-"""Video files: their frames in order, upright, with the time stamps that they have."""
+"""Video files: upright frames in order, with their time stamps."""
 
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -25,25 +25,25 @@ VIDEO_SUFFIXES = (
     *(".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".m2ts", ".mts"),
     *(".wmv", ".flv", ".3gp", ".ogv"),
 )
-"""Looked for in folders; what FFmpeg reads beside these is found by no name."""
+"""Suffixes that folders are searched for; FFmpeg reads further ones, if named."""
 
 MADE_HERE = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # ours; never videos to look at
 
 SILENCE = 10.0  # seconds within which an address has to answer
 
 SLACK = 0.5
-"""Seconds by which the last frame may end before the length that a container tells: beside sound,
-cameras leave as much."""
+"""Tolerated gap in seconds between the last frame and the declared duration; cameras that record
+sound leave as much."""
 
 
 def names_video(name: str) -> bool:
-    """Whether a file of that name is a video to look at, not one of ours."""
+    """Return whether a file name is that of a video and of no result of roadtorch."""
     name = name.lower()
     return name.endswith(VIDEO_SUFFIXES) and not name.endswith(MADE_HERE) and name[0] != "."
 
 
 def import_av() -> Any:
-    """PyAV, which reads and writes video; ConfigError naming the extra where it is missing."""
+    """Import PyAV, which reads and writes video; ConfigError naming the extra if it is missing."""
     try:
         import av
     except ImportError:
@@ -53,9 +53,12 @@ def import_av() -> Any:
 
 
 def video_source(path: Path | str, name: str, selection: Selection) -> Source:
-    """A video file, or the address of one, as a source; what is wrong with it is told on reading.
+    """Make a source of a video; what is wrong with it is raised on reading.
 
-    path: or the address of a video that FFmpeg reads to its end.
+    Args:
+        path: file, or URL of a video that FFmpeg reads to its end.
+        name: relative path of the results.
+        selection: selection of the frames.
     """
     rate = None
     with suppress(InputError), opened_video(path) as (_, stream):
@@ -86,7 +89,7 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
 
 @contextmanager
 def opened_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]]":
-    """The container and its first stream of moving images; InputError where there is none."""
+    """Open a video; yield its container and first video stream, InputError if there is none."""
     av = import_av()
     if isinstance(path, Path) and not path.is_file():
         problem = "is no file" if path.exists() else "does not exist"
@@ -101,7 +104,7 @@ def opened_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStrea
 
 
 def moving_images(path: Path | str, container: "InputContainer") -> "VideoStream":
-    """The first stream of a container that moves; InputError where there is none."""
+    """Return the first video stream that is no cover image; InputError if there is none."""
     av = import_av()
     cover = av.stream.Disposition.attached_pic
     videos = [stream for stream in container.streams.video if not stream.disposition & cover]
@@ -121,12 +124,12 @@ def moving_images(path: Path | str, container: "InputContainer") -> "VideoStream
 
 
 def reason_of(error: Exception) -> str:
-    """What FFmpeg says of an error, without the number and the name."""
+    """Return FFmpeg's message of an error, without its number and name."""
     return getattr(error, "strerror", None) or str(error)
 
 
 class Clock:
-    """Seconds since a stream began, of its time stamps; where one is missing, by its rate."""
+    """Seconds since the start of a stream, by time stamps or else by the frame rate."""
 
     def __init__(self, stream: "VideoStream") -> None:
         # In AVI whose ticks are finer than its frames the average is that of ticks.
@@ -137,7 +140,7 @@ class Clock:
         self._last: float | None = None
 
     def seconds(self, pts: int | None) -> float:
-        """Of one frame after the other."""
+        """Return the time of the next frame."""
         if pts is None or self._base is None:
             self._last = 0.0 if self._last is None else self._last + self.step
         else:
@@ -147,7 +150,7 @@ class Clock:
 
 
 class EntryPoint(NamedTuple):
-    """Where decoding begins: packets passed over, number and time stamp of the first frame."""
+    """Where decoding starts: packets to skip, number and time stamp of the first frame."""
 
     packets: int = 0
     number: int = 0
@@ -155,12 +158,19 @@ class EntryPoint(NamedTuple):
 
 
 def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[Item]:
-    """Every frame from the last key frame at or before ``start`` seconds on, named NAME/NUMBER.
+    """Yield frames from the last key frame at or before ``start`` on, named NAME/NUMBER.
 
-    What lies ahead of that key frame is counted, not decoded, so that a frame has the same number
-    whatever the start. Frames without a time stamp follow at the stream's rate. Raises InputError
-    when it cannot be opened, and behind the last frame when FFmpeg cannot read on, or when that
-    frame ends more than ``SLACK`` before the length that the container tells.
+    Packets before it are counted, not decoded, so that frame numbers do not depend on the start.
+    Frames without a time stamp follow at the frame rate.
+
+    Args:
+        path: file or URL.
+        name: prefix of the frames' names.
+        start: seconds.
+
+    Raises:
+        InputError: if the video cannot be opened and, after the last frame, if FFmpeg cannot read
+            on or it ends more than ``SLACK`` before the declared duration.
     """
     begins = _entry_point(path, start) if start > 0 else EntryPoint()
     with opened_video(path) as (container, stream):
@@ -186,7 +196,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
 
 
 def declared_seconds(container: "InputContainer", stream: "VideoStream") -> float:
-    """How long the container says that the images last; 0 where it does not say."""
+    """Return the duration in seconds that the container declares; 0 if it declares none."""
     if stream.duration:
         return float(stream.duration * (stream.time_base or 0))
     return (container.duration or 0) / 1e6  # in microseconds
@@ -197,7 +207,7 @@ def _damaged(origin: str) -> Tensor:
 
 
 def _entry_point(path: Path | str, start: float) -> EntryPoint:
-    """The last key frame at or before ``start`` seconds, found without decoding."""
+    """Find the last key frame at or before ``start`` seconds without decoding."""
     begins, leading = EntryPoint(), 0
     with opened_video(path) as (container, stream), suppress(import_av().FFmpegError):
         clock = Clock(stream)
@@ -217,9 +227,9 @@ def _entry_point(path: Path | str, start: float) -> EntryPoint:
 def _decoded(
     container: "InputContainer", stream: "VideoStream", begins: EntryPoint
 ) -> "Iterator[VideoFrame]":
-    """The images from an entry point on; FFmpegError behind them where one cannot be decoded.
+    """Yield the frames from an entry point on, then raise FFmpegError if one cannot be decoded.
 
-    What is shown before the key frame there is left out: it is made of frames before it.
+    Frames shown before the key frame are dropped, as they depend on earlier ones.
     """
     av, first = import_av(), begins.pts or 0
     errors: list[Exception] = []
@@ -242,7 +252,7 @@ def _decoded(
 
 
 def count_frames(path: Path) -> int:
-    """The frames of a video file, counted without decoding; InputError where it is none."""
+    """Count the frames of a video file without decoding; InputError if it is no video."""
     count = 0
     with opened_video(path) as (container, stream), suppress(import_av().FFmpegError):
         for packet in container.demux(stream):
@@ -251,9 +261,11 @@ def count_frames(path: Path) -> int:
 
 
 def upright(reformatter: "VideoReformatter", image: "VideoFrame") -> Tensor:
-    """A decoded image as image (3,H,W) in [0,1], turned as the video's metadata says.
+    """Convert a frame to an image in [0, 1], shape (3, H, W), rotated as the metadata says.
 
-    reformatter: that of its stream, which makes its tables once; an image's own makes them anew.
+    Args:
+        reformatter: the stream's, which builds its tables once; a frame's own rebuilds them.
+        frame: the decoded frame.
     """
     pixels = reformatter.reformat(image, format="rgb24").to_ndarray()
     return from_pixels(np.rot90(pixels, round(image.rotation / 90)))

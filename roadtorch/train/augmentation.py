@@ -1,12 +1,13 @@
-"""How whole images are varied: frame, light, ground, shadows, nights, ego cars. Ours.
+"""Augmentation of whole images: geometry, light, surfaces, shadows, night, weather, ego cars. Ours.
 
-Brightness curve and colour are torchvision's. Frames are one affine map and one look-up by hand:
-torchvision's affine map stretches no width and repeats no border, and black corners would move
-the levels by which an image is brightened; with ``pad``, ``perspective`` and ``center_crop`` it
-takes four times as long (2.2 ms against 0.6 ms for 120×160 with its targets, one thread).
+Brightness curve and saturation are torchvision's. Geometry is one affine map and one
+``grid_sample``: torchvision's affine map neither stretches the width nor repeats the border, and
+black corners would change the levels by which an image is brightened; with ``pad``,
+``perspective`` and ``center_crop`` it takes four times as long (2.2 ms against 0.6 ms for 120×160
+with its targets, one thread).
 
-Ego cars are cut and pasted after Dwibedi et al., "Cut, Paste and Learn", 2017: a network that has
-seen few bonnets learns what one is from many streets with one of them below.
+Ego cars are cut out and pasted after Dwibedi et al., "Cut, Paste and Learn", 2017, so that few
+ego cars suffice to learn what one looks like.
 """
 
 import math
@@ -26,19 +27,19 @@ from roadtorch.run.memo import read_arrays
 from roadtorch.train.prepared import from_bytes
 
 GRAIN_CELLS = (4, 12, 40)
-"""Cells across the image, of which grain is made: stones and ruts, near and far."""
+"""Cells across the image at which grain is sampled: stones and ruts, near and far."""
 
 SHADOW_END = 0.02
-"""Share of the height over which a shadow ends at the horizon."""
+"""Fraction of the height over which a shadow fades out at the horizon."""
 
 MAX_SHADOW_LEVEL = 0.7
-"""Levels in the faintest shadow, of those in the light."""
+"""Brightness in the faintest shadow, relative to the light."""
 
 MAX_LAMP = 4.0
-"""Peak of the brightest lamp at night, in levels: it outshines what it is seen before."""
+"""Peak brightness of a lamp at night, where 1 is white: it saturates what is around it."""
 
 EGO_TINT = 0.2
-"""Share of the variation of an ego car's light that each colour has alone."""
+"""Fraction of an ego car's change of light that varies between colour channels."""
 
 
 # --- settings ---------------------------------------------------------------------------
@@ -46,11 +47,11 @@ EGO_TINT = 0.2
 Fraction = Annotated[float, Field(ge=0, le=1)]
 GreyLevels = Annotated[float, Field(ge=0, le=255)]
 Exponent = Annotated[float, Field(ge=0, le=3)]
-"""Of e: a factor between its inverse and itself is drawn, every exponent as likely."""
+"""Exponent of e: a factor is sampled between its inverse and itself, uniformly in its logarithm."""
 
 
 class LightAugmentation(Settings):
-    """How the light of whole images is varied."""
+    """Random light of whole images."""
 
     gamma: Exponent = Field(default=0.7, description="exponents from 1/e^gamma to e^gamma")
     gain: Exponent = Field(default=0.4, description="brightness by e^-gain to e^gain")
@@ -62,7 +63,7 @@ class LightAugmentation(Settings):
 
 
 class GeometryAugmentation(Settings):
-    """How the frame of whole images is varied; every second image is mirrored."""
+    """Random geometry of whole images; every second one is mirrored."""
 
     scale: float = Field(
         default=0.25, ge=0, le=2, description="magnification by e^-scale to e^scale"
@@ -80,10 +81,7 @@ class GeometryAugmentation(Settings):
 
 
 class SurfaceAugmentation(Settings):
-    """How road and other ground get other colours and grain, each its own: asphalt, gravel, sand.
-
-    On the road that the teacher sees, and on the rest of its ground.
-    """
+    """Random colour and grain, for road and other ground separately: asphalt, gravel, sand."""
 
     share: Fraction = Field(default=0.0, description="of the images")
     gain: Exponent = Field(default=0.45, description="brightness by e^-gain to e^gain")
@@ -94,7 +92,7 @@ class SurfaceAugmentation(Settings):
 
 
 class ShadowAugmentation(Settings):
-    """How hard shadows fall across images: bands with straight edges, below the horizon."""
+    """Random hard shadows: bands with straight edges, below the horizon."""
 
     share: Fraction = Field(default=0.0, description="of the images")
     darkest: float = Field(
@@ -106,7 +104,7 @@ class ShadowAugmentation(Settings):
 
 
 class NightAugmentation(Settings):
-    """How day becomes night: dark but for what headlights reach, a few lamps, warmer light."""
+    """Day turned into night: dark but for headlights and a few lamps, in warmer light."""
 
     share: Fraction = Field(default=0.0, description="of the images")
     darkest: float = Field(
@@ -116,7 +114,7 @@ class NightAugmentation(Settings):
 
 
 class WeatherAugmentation(Settings):
-    """How fine days become foul: fog, snow beside the road, a wet road or rain, each as likely."""
+    """Weather: fog, snow beside the road, a wet road or rain, equally likely."""
 
     share: Fraction = Field(default=0.0, description="of the images")
     thickest: float = Field(
@@ -132,7 +130,7 @@ class WeatherAugmentation(Settings):
 
 
 class EgoCarAugmentation(Settings):
-    """Ego cars that footage shows, cut out and laid over the lower edge of other images."""
+    """Ego cars cut out of footage and pasted over the lower edge of other images."""
 
     share: Fraction = Field(default=0.0, description="of the images that get one")
     tallest: Exponent = Field(default=0.7, description="grown in height by at most e to this")
@@ -142,7 +140,7 @@ class EgoCarAugmentation(Settings):
 
 
 class Augmentation(Settings):
-    """How whole images are varied."""
+    """Augmentation of whole images."""
 
     light: LightAugmentation = LightAugmentation()
     geometry: GeometryAugmentation = GeometryAugmentation()
@@ -157,22 +155,22 @@ class Augmentation(Settings):
 
 
 def uniform(generator: torch.Generator, count: int, low: float, high: float) -> Tensor:
-    """``count`` numbers between low and high, (count,)."""
+    """Sample ``count`` numbers uniformly between low and high, shape (count,)."""
     return low + (high - low) * torch.rand(count, generator=generator)
 
 
 def drawn(generator: torch.Generator, *bounds: tuple[float, float]) -> list[float]:
-    """A number between each pair of bounds."""
+    """Sample one number between each pair of bounds."""
     return [float(uniform(generator, 1, low, high)) for low, high in bounds]
 
 
 def draw_frames(
     count: int, size: tuple[int, int], geometry: GeometryAugmentation, at: torch.Generator
 ) -> Tensor:
-    """Affine maps (n,2,3) from a varied frame to the image's, both from -1 to 1.
+    """Sample affine maps (n, 2, 3) from augmented to original coordinates, both in [-1, 1].
 
-    Of the whole image: mirrored, nearer, stretched, turned, moved. Or of a lower part of it,
-    mirrored, less narrowed than cut.
+    Of the whole image (mirrored, zoomed, stretched, rotated, translated), or of a lower crop of it,
+    mirrored and narrowed by less than its height is cut.
     """
     mirror = _mirrors(count, at)
     zoom = torch.exp(uniform(at, count, -geometry.scale, geometry.scale))
@@ -199,7 +197,7 @@ def _mirrors(count: int, at: torch.Generator) -> Tensor:
 
 
 def reframed(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
-    """Maps (n,C,H,W) seen in other frames (n,2,3); outside: "border" or "zeros"."""
+    """Warp maps (n, C, H, W) by affine maps (n, 2, 3); padding: "border" or "zeros"."""
     grid = F.affine_grid(frames, list(maps.shape), align_corners=False)
     return F.grid_sample(maps, grid, padding_mode=outside, align_corners=False)
 
@@ -208,7 +206,7 @@ def reframed(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
 
 
 def relit(image: Tensor, light: LightAugmentation, at: torch.Generator) -> Tensor:
-    """An image (1,3,H,W) in [0,1] in another light, as another sensor would see it."""
+    """Apply random gamma, gain, tint, saturation and noise to an image (1, 3, H, W) in [0, 1]."""
     adjust = import_torchvision().transforms.v2.functional
     gamma, gain = (math.exp(drawn(at, (-top, top))[0]) for top in (light.gamma, light.gain))
     tint = torch.exp(uniform(at, 3, -light.tint, light.tint)).reshape(1, 3, 1, 1)
@@ -220,10 +218,10 @@ def relit(image: Tensor, light: LightAugmentation, at: torch.Generator) -> Tenso
 def resurfaced(
     image: Tensor, road: Tensor, ground: Tensor, surface: SurfaceAugmentation, at: torch.Generator
 ) -> Tensor:
-    """An image (1,3,H,W) in [0,1] with other surfaces on its road and its ground.
+    """Change colour and grain of road and other ground in an image (1, 3, H, W) in [0, 1].
 
-    road, ground: shares (1,1,H,W) in [0,1], of one another's outside. Colours and grain change
-    against one another, shapes stay: what is road does not hang on its being grey.
+    road, ground: soft masks (1, 1, H, W) in [0, 1]. Shapes stay, so that road is not recognised by
+    its being grey.
     """
     for share in (road, ground):
         colour = torch.exp(uniform(at, 3, -surface.tint, surface.tint)).reshape(1, 3, 1, 1)
@@ -235,7 +233,7 @@ def resurfaced(
 
 
 def grain(size: Sequence[int], at: torch.Generator) -> Tensor:
-    """Noise (1,1,H,W) of several widths, of about unit deviation."""
+    """Sample noise (1, 1, H, W) at several scales, of about unit deviation."""
     layers = [
         F.interpolate(
             torch.randn(1, 1, max(2, across * size[0] // size[1]), across, generator=at),
@@ -248,9 +246,9 @@ def grain(size: Sequence[int], at: torch.Generator) -> Tensor:
 
 
 def shaded(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -> Tensor:
-    """An image (1,3,H,W) in [0,1] with a hard shadow across its lower part.
+    """Cast a hard shadow across the lower part of an image (1, 3, H, W) in [0, 1].
 
-    A band at any angle: of a bridge or a wall across the road, of a row of houses along it.
+    It is a band at any angle: of a bridge or wall across the road, of a row of houses along it.
     """
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
@@ -264,10 +262,10 @@ def shaded(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -> Te
 
 
 def at_night(image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.Generator) -> Tensor:
-    """An image (1,3,H,W) in [0,1] at night, as headlights and a few lamps show it.
+    """Darken an image (1, 3, H, W) in [0, 1] to a night lit by headlights and a few lamps.
 
-    unlit: shares (1,1,H,W) in [0,1] that the headlights leave dark: the ego car and the sky. The
-    light begins below the horizon, widens towards the camera and is strongest a little way ahead.
+    unlit: soft mask (1, 1, H, W) of what headlights leave dark, the ego car and the sky. The beam
+    starts below the horizon, widens towards the camera and peaks a little way ahead.
     """
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
@@ -292,7 +290,7 @@ def at_night(image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.G
 
 
 class Scene(NamedTuple):
-    """What weather lies on, shares (1,1,H,W) in [0,1]: sky, ground with its road, road, ego car."""
+    """Soft masks (1, 1, H, W) in [0, 1] of an image: sky, ground including road, road, ego car."""
 
     sky: Tensor
     ground: Tensor
@@ -303,14 +301,14 @@ class Scene(NamedTuple):
 def in_weather(
     image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
-    """An image (1,3,H,W) in [0,1] in fog, snow or rain, or with a wet road."""
+    """Add fog, snow, rain or a wet road to an image (1, 3, H, W) in [0, 1]."""
     kind = (in_fog, under_snow, wetted, in_rain)[int(torch.randint(4, (), generator=at))]
     street = kind(image, scene, weather, at).clamp(0, 1)
     return torch.lerp(street, image, scene.ego)
 
 
 def horizon_of(scene: Scene) -> float:
-    """Share of the height at which the ground begins in the middle of the image."""
+    """Return the fraction of the height at which the ground begins, on average over the columns."""
     rows = (scene.ground + scene.ego).clamp_max(1).mean((0, 1, 3))
     return 1 - float(rows.sum()) / len(rows)
 
@@ -318,9 +316,10 @@ def horizon_of(scene: Scene) -> float:
 def in_fog(
     image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
-    """Air that hides what is far: a row of ground is as far as 1 over its depth below the horizon.
+    """Add fog: transmission falls exponentially with distance.
 
-    What stands is as far as the ground below it; of the sky nothing is seen.
+    The distance of ground is 1 over its depth below the horizon; what stands on it is as far as
+    the ground below it, and the sky is hidden.
     """
     height = image.shape[-2]
     down = torch.linspace(0, 1, height)[:, None] - horizon_of(scene) + 0.05
@@ -338,7 +337,7 @@ def in_fog(
 def under_snow(
     image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
-    """Snow in patches on the ground beside the road, on some days on the road as well."""
+    """Add patches of snow to the ground beside the road, sometimes to the road as well."""
     on_road, much, level = drawn(at, (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0))
     lies = scene.ground * (1 - scene.road) + scene.road * max(on_road, 0)
     patches = (2 * grain(image.shape[-2:], at) + 2 * float(uniform(at, 1, -0.5, 2))).sigmoid()
@@ -348,7 +347,7 @@ def under_snow(
 def wetted(
     image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
-    """A darker road whose puddles mirror what stands beyond it."""
+    """Darken the road and mirror what is beyond it in puddles."""
     height, horizon = image.shape[-2], horizon_of(scene)
     rows = 2 * horizon * height - torch.arange(height)
     mirrored = image[..., rows.round().long().clamp(0, height - 1), :]
@@ -361,7 +360,7 @@ def wetted(
 def in_rain(
     image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
-    """Streaks that fall, drops on the glass that blur what is behind them, and a veil."""
+    """Add falling streaks, drops on the glass that blur what is behind them, and a veil."""
     size, level = image.shape[-2:], float(image.mean()) * 1.3 + 0.1
     share, veil, drops = drawn(at, (0, weather.streaks), (0, 0.3), (0, 0.02))
     starts = (torch.rand(1, 1, *size, generator=at) < share).to(image)
@@ -375,7 +374,7 @@ def in_rain(
 
 
 def lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:
-    """The light (1,1,H,W) of one lamp or of another car's headlights, not below the horizon."""
+    """Render the light (1, 1, H, W) of a lamp or of another car's headlights, above the horizon."""
     ranges = (0.1, horizon + 0.02), (0, 1), (0.003, 0.02), (0.3, MAX_LAMP)
     row, column, wide, peak = drawn(at, *ranges)
     down = torch.linspace(0, size[0] / size[1], size[0])[:, None] - row * size[0] / size[1]
@@ -387,7 +386,7 @@ def lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:
 
 
 class EgoCar(NamedTuple):
-    """A frame (1,3,H,W) in [0,1] and where in it the ego car is, (1,1,H,W), 0 or 1."""
+    """A frame (1, 3, H, W) in [0, 1] and the mask (1, 1, H, W) of its ego car, 0 or 1."""
 
     image: Tensor
     ego: Tensor
@@ -396,7 +395,7 @@ class EgoCar(NamedTuple):
 def draw_ego_car(
     recordings: Mapping[str, Sequence[Path]], settings: EgoCarAugmentation, at: torch.Generator
 ) -> EgoCar:
-    """A varied ego car: each recording is as likely, and each of its prepared frames."""
+    """Sample an augmented ego car: a recording uniformly, then one of its frames."""
     names = sorted(recordings)
     frames = recordings[names[int(torch.randint(len(names), (), generator=at))]]
     path = frames[int(torch.randint(len(frames), (), generator=at))]
@@ -406,7 +405,7 @@ def draw_ego_car(
 
 
 def varied(car: EgoCar, settings: EgoCarAugmentation, at: torch.Generator) -> EgoCar:
-    """The ego car larger or smaller, mirrored, in another light; its lower edge stays below."""
+    """Scale, mirror and relight an ego car; its lower edge stays at the bottom of the image."""
     adjust = import_torchvision().transforms.v2.functional
     grown = float(torch.exp(uniform(at, 1, -settings.flattest, settings.tallest)))
     wider = float(torch.exp(uniform(at, 1, 0, settings.widest)))  # no gap at the sides
@@ -420,9 +419,9 @@ def varied(car: EgoCar, settings: EgoCarAugmentation, at: torch.Generator) -> Eg
 
 
 def laid_over(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, Tensor]:
-    """An image (1,3,H,W) and its targets (1,8,H,W) with the ego car over them.
+    """Paste an ego car over an image (1, 3, H, W) and its targets (1, 8, H, W).
 
-    On it there is no road and no layout that counts, and the ego car is known.
+    On it the road is 0, the layout has no weight and the ego car is known.
     """
     over = (car.ego > 0.5).to(targets)
     target = targets.new_tensor([0.0] * CLASSES + [0, 0, 1, 1, 1]).reshape(1, -1, 1, 1)

@@ -1,4 +1,4 @@
-"""The page of a run that started from weights: before and after, measured."""
+"""The page of a run that started from weights: its network before and after, measured."""
 
 from dataclasses import replace
 
@@ -21,8 +21,8 @@ from roadtorch.train.run import FUSION, PREPARED, Outcome, Request
 from roadtorch.train.teachers import teacher_agreement
 
 COMPARED, SHOWN = 60, 10
-"""Images that are compared, evenly spread, and that are on the page, half of them those that
-changed most."""
+"""Images that are compared, evenly spaced, and images on the page, half of them those that changed
+most."""
 
 
 def write_page(
@@ -32,10 +32,9 @@ def write_page(
     verdict: str = "",
     command: str = "",
 ) -> bool:
-    """Write the page of a finished run; return False where no image could be seen.
+    """Write the page of a finished run with initial weights; return False without readable images.
 
-    The run has to have a ``start``. verdict: a sentence on top. command: the command line at its
-    end.
+    verdict: sentence at the top. command: command line at the end.
     """
     if outcome.weights is None:
         return False

@@ -1,4 +1,4 @@
-"""The settings of a training run: one TOML file, one kind of network."""
+"""Settings of a training run: one TOML file for one kind of network."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from roadtorch.train.augmentation import Augmentation, Fraction, GreyLevels
 
 
 class Descent(Settings):
-    """How the weights move."""
+    """Gradient descent."""
 
     method: Literal["sgd", "adam"] = Field(
         default="sgd", description="plain gradient descent as in Álvarez 2012, or Adam"
@@ -43,14 +43,14 @@ class Descent(Settings):
     )
 
     def learning_rate_at(self, progress: float) -> float:
-        """The learning rate when a share ``progress`` (0 to 1) of the epochs is done."""
+        """Return the learning rate after a fraction ``progress`` of the epochs."""
         if self.schedule == "constant":
             return self.learning_rate
         return self.learning_rate * (1 + math.cos(math.pi * progress)) / 2
 
 
 class Stopping(Settings):
-    """When training ends."""
+    """End of training."""
 
     epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most")
     rule: Literal["plateau", "epochs"] = Field(
@@ -62,11 +62,10 @@ class Stopping(Settings):
 
 
 class PatchAugmentation(Settings):
-    """How patches are varied. P2, section 6.1.
+    """Augmentation of patches. P2, section 6.1.
 
-    P2 gives no unit for its noise. Here it is grey levels of 0…255: "noisy acquisition" is
-    what a sensor does, and that is about one level; 0.3 to 1.2 in units of the image's own
-    deviation would drown the image.
+    P2 gives no unit for its noise. Here it is grey levels of 0…255: "noisy acquisition" is the
+    noise of a sensor, about one level; 0.3 to 1.2 standard deviations of the image would drown it.
     """
 
     min_scale: float = Field(default=0.6, gt=0, le=10, description="magnification at least")
@@ -81,7 +80,7 @@ class PatchAugmentation(Settings):
 
 
 class PatchCentres(Settings):
-    """Where patches are taken: at the centroids of superpixels and around. P2, section 3.1."""
+    """Centres of patches: at and around the centroids of superpixels. P2, section 3.1."""
 
     around: int = Field(default=4, ge=0, le=64, description="further patches around each centroid")
     distance: float = Field(
@@ -90,7 +89,7 @@ class PatchCentres(Settings):
 
 
 class PeoplesShare(Settings):
-    """What corrections of people count against machine labels, where a run is given some."""
+    """Weight of human corrections against machine labels, where a run has some."""
 
     weight: float = Field(
         default=1.0, gt=0, le=100, description="of a corrected pixel; a machine's counts 1 or less"
@@ -111,7 +110,7 @@ class PeoplesShare(Settings):
 
 
 class Beginning(Settings):
-    """Where every training begins."""
+    """Settings that both kinds of training have."""
 
     random_seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
     start: str = Field(
@@ -123,7 +122,7 @@ class Beginning(Settings):
 
 
 class PatchTraining(Beginning):
-    """A patch network, trained as P2 trains CNN-7."""
+    """Training of a patch network, as P2 trains CNN-7."""
 
     name: ClassVar[str] = "patches"
     network: PatchNetworkSettings = PatchNetworkSettings()
@@ -148,7 +147,7 @@ class PatchTraining(Beginning):
 
 
 class Teacher(Settings):
-    """Where the targets of whole images come from."""
+    """Source of the targets of whole images."""
 
     detector: str = Field(
         default="fusion:untrained", description="gives the road, and the layout as its cue"
@@ -180,10 +179,10 @@ class Teacher(Settings):
 
 
 class Recordings(Settings):
-    """Which images are of one camera, and what its footage says of the ego car.
+    """Grouping of images by camera, from which the ego car is found.
 
-    A recording is all images whose names are the same up to the last ``separator`` and whose
-    shapes are alike.
+    A recording is all images whose names agree up to the last ``separator`` and whose aspect ratios
+    are alike.
     """
 
     separator: str = Field(
@@ -197,14 +196,14 @@ class Recordings(Settings):
 
 
 class HeadWeights(Settings):
-    """What the losses of road and ego car weigh against the layout's."""
+    """Weights of the losses of road and ego car against that of the layout."""
 
     road: float = Field(default=1.0, ge=0, le=100, description="of the road's loss")
     ego: float = Field(default=0.5, ge=0, le=100, description="of the ego car's loss")
 
 
 class Rounds(Settings):
-    """What a run that starts from a weight file does with the network in it."""
+    """Use of the initial weights beside the teacher."""
 
     count: Literal[1] = Field(default=1, description="for more, start a run from the last weights")
     combine: Literal["agreement", "teacher"] = Field(
@@ -217,7 +216,7 @@ class Rounds(Settings):
 
 
 class ImageTraining(Beginning):
-    """A network for whole images with heads for layout, road and ego car. Ours."""
+    """Training of a whole-image network with heads for layout, road and ego car. Ours."""
 
     name: ClassVar[str] = "images"
     network: ImageNetworkSettings | BackboneNetworkSettings = ImageNetworkSettings()
@@ -248,9 +247,9 @@ KINDS: dict[str, type[PatchTraining] | type[ImageTraining]] = {
 
 
 def build_training(values: dict[str, Any]) -> Training:
-    """The settings of a run from nested values; ``kind`` says which network is trained.
+    """Build the settings of a run from nested values; ``kind`` selects the kind of network.
 
-    Raises ConfigError for an unknown kind, and for keys and values as every setting does.
+    Raises ConfigError for an unknown kind, and for keys and values as any settings do.
     """
     rest = dict(values)
     kind = str(rest.pop("kind", PatchTraining.name))  # whatever it is: a list has no hash
@@ -284,5 +283,5 @@ def build_training(values: dict[str, Any]) -> Training:
 
 
 def as_values(settings: Training) -> dict[str, Any]:
-    """Nested values from which ``build_training`` makes the same settings."""
+    """Return nested values from which ``build_training`` builds the same settings."""
     return {"kind": settings.name, **settings.model_dump(mode="json")}

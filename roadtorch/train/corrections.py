@@ -1,4 +1,4 @@
-"""Corrections of people in training: which a run uses, and what its weights say of them."""
+"""Human corrections in training: those that a run uses, and the record of them with its weights."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -27,9 +27,9 @@ OTHERS = "give the images that were corrected"
 def corrections_by_image(
     images: Sequence[Item], corrections: Sequence[Correction]
 ) -> dict[str, Correction]:
-    """The correction of each image that has one, by the image's name with ending.
+    """Return the correction of each corrected image, by the image's name with suffix.
 
-    Raises InputError where none of them is of these images, or one has another size by now.
+    Raises InputError if none of them is of these images, or an image has changed its size.
     """
     by_path = {correction.image.resolve(): correction for correction in corrections}
     by_name = {}
@@ -49,10 +49,7 @@ def corrections_by_image(
 
 
 def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
-    """The record of the corrections that a run uses; None without any.
-
-    images and pixels: how many. sha256: of all labels by people.
-    """
+    """Summarise the corrections of a run: images, pixels, hash of all labels; None without any."""
     if not corrections:
         return None
     digest = sha256()
@@ -68,10 +65,10 @@ def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any]
 
 
 def paced(descent: Descent, halfway: float, images: int) -> Descent:
-    """The descent for so many corrected images (none: as it is). Ours.
+    """Scale the learning rate by n / (n + halfway) for n corrected images; 0 leaves it. Ours.
 
-    The learning rate is that of very many times n / (n + halfway): a few images that are unlike
-    what comes do less harm, and twenty are learned from in as many steps.
+    Few images that are unlike those to come then do less harm, and twenty are learned in as many
+    steps.
     """
     if not images:
         return descent
@@ -82,9 +79,9 @@ def paced(descent: Descent, halfway: float, images: int) -> Descent:
 def write_corrections(
     folder: Path, files: Mapping[Path, Correction], shrink: Callable[[Correction], Arrays]
 ) -> dict[Path, Path]:
-    """Write what training needs of the corrections; the written file of each prepared one.
+    """Write the corrections of prepared images at the network's size; return the written files.
 
-    shrink: what that is of one, at the size at which the network works.
+    shrink: converts a correction to arrays of that size.
     """
     make_folder(folder)
     written = {file: folder / f"{number:06d}.npz" for number, file in enumerate(sorted(files))}
@@ -97,10 +94,9 @@ def write_corrections(
 
 
 def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
-    """Write a file for ``--config``: ``fusion`` with the weights beside it.
+    """Write a config of ``fusion`` with the weights beside it; return False without road labels.
 
-    By true labels 0 are the log odds that part road from background, not the usual centre.
-    False, and nothing written, where people called no pixel road or not road.
+    With true labels, a log odds of 0 separates road from background, not the usual centre.
     """
     roads = [correction.road for correction in corrections]
     if not any(((road == ROAD_SAID) | (road == NOT_ROAD)).any() for road in roads):
@@ -119,9 +115,9 @@ def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]
 
 
 def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
-    """The corrections behind what a training begins with: its start, and its teacher's weights.
+    """Return the corrections that the initial and the teacher's weights were trained with.
 
-    WeightsError for a weight file that cannot be used.
+    Raises WeightsError for an unusable weight file.
     """
     names = [training.start]
     if isinstance(training, ImageTraining):
@@ -131,7 +127,7 @@ def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
 
 
 def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
-    """The card beside weights that were trained with corrections of people."""
+    """Format the card beside weights that were trained with human corrections."""
     lines = [
         "# Weights trained with corrections of people",
         "",

@@ -1,4 +1,4 @@
-"""The folder of a run: its settings, how far it is, what came out."""
+"""The folder of a training run: settings, checkpoint, results."""
 
 import csv
 import io
@@ -30,20 +30,20 @@ from roadtorch.run.memo import file_digests, key_of
 from roadtorch.train.prepared import PreparedImage, name_of
 
 FORMAT = 2
-"""Of checkpoints; raised when older code could not go on with them."""
+"""Format of checkpoints; raised when older code could not resume from them."""
 
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
 IMAGES, WEIGHTS, PAGE = "images.csv", "weights.safetensors", "adaptation.html"
 OURS = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, PAGE)
 LABELS = "labels-1"
-"""The folder of the labels by the network that a run starts from."""
+"""Folder of the labels by the network that a run starts from."""
 
 ELSEWHERE = "give another --out"
 NO_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
 
 
 def config_hash(values: Mapping[str, Any]) -> str:
-    """SHA-256 of nested settings, independent of their order."""
+    """Return the SHA-256 of nested settings, independent of their order."""
     return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
@@ -52,7 +52,7 @@ def record_of(
     images: Sequence[Item],
     corrections: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """Return the content of run.json: what a run is made of, and a key of each part of it."""
+    """Return the content of run.json: settings, images and corrections, with a key of each."""
     files = [(name_of(image), digest_of(image.path)) for image in images]
     return {
         "roadtorch": __version__,
@@ -75,16 +75,16 @@ class RunFolder:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Make the folder and keep other runs out of it; InputError where one is in it already."""
+        """Create the folder and lock it; InputError if another run holds the lock."""
         make_folder(self.path, ELSEWHERE)
         with locked(self.path, f"wait for it, or {ELSEWHERE}"):
             yield
 
     def check(self, record: Mapping[str, Any]) -> None:
-        """Check that the run of a record (``record_of``) may write here; nothing is written yet.
+        """Check, without writing, that a run with this record (``record_of``) may use the folder.
 
-        That is a folder without files of ours, or one in which a run of the same version, settings,
-        images and corrections began. Raises ConfigError, InputError.
+        The folder has no files of a run, or those of a run with the same version, settings, images
+        and corrections. Raises ConfigError, InputError.
         """
         before = self._record()
         if before is None:
@@ -102,12 +102,12 @@ class RunFolder:
                 raise ConfigError(self.path, message, f"give those of {RUN}, or another --out")
 
     def begin(self, record: Mapping[str, Any]) -> None:
-        """Remove what killed runs left half-written, and write the record of this one."""
+        """Remove files that killed runs left half-written, and write the record of this run."""
         remove_leftovers([self.path, self.path / LABELS])
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
     def _record(self) -> dict[str, Any] | None:
-        """The record of the run in the folder; None where there is no run."""
+        """Read the record of the run in the folder; None without one."""
         path = self.path / RUN
         if not path.exists():
             return None
@@ -122,14 +122,14 @@ class RunFolder:
     # --- how far it is ----------------------------------------------------------------------
 
     def write_checkpoint(self, state: Mapping[str, Any]) -> None:
-        """Write the state of a run: the old one or the new one is there, never half."""
+        """Write the state of a run atomically."""
         data = io.BytesIO()  # a disk that is full is an error of torch's own where that writes
         torch.save({"format": FORMAT, **state}, data)
         with atomic(self.path / CHECKPOINT) as temporary:
             temporary.write_bytes(data.getvalue())
 
     def read_checkpoint(self) -> dict[str, Any] | None:
-        """The state of the run; None before the first checkpoint.
+        """Read the state of the run; None before the first checkpoint.
 
         Raises WeightsError for a file that is damaged or of another format.
         """
@@ -151,7 +151,7 @@ class RunFolder:
     # --- what came out ----------------------------------------------------------------------
 
     def write_images(self, prepared: Iterable[PreparedImage]) -> None:
-        """List every image and, where it was skipped, why."""
+        """Write the list of images with the reason where one was skipped."""
         rows = ({"file": item.name, "status": item.error or "used"} for item in prepared)
         write_text(self.path / IMAGES, csv_text(["file", "status"], rows))
 
@@ -160,7 +160,7 @@ class RunFolder:
         write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
     def read_log(self) -> list[dict[str, Any]]:
-        """Return round, epoch and loss of each epoch; rounds are halves of an adaptation."""
+        """Read round, epoch and loss of each epoch; rounds are halves of an adaptation."""
         kinds = {"round": int, "epoch": int, "loss": float}
         with (self.path / LOG).open(newline="", encoding="utf-8") as file:
             return [
@@ -168,7 +168,7 @@ class RunFolder:
             ]
 
     def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Draw the loss of the epochs."""
+        """Write a chart of the loss by epoch."""
         from matplotlib.figure import Figure
 
         from roadtorch.evaluation.report.adaptation import draw_losses

@@ -1,4 +1,4 @@
-"""How networks for whole images are trained: varied images with their targets. Ours."""
+"""Training of whole-image networks: augmented images with their targets. Ours."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ from roadtorch.train.teachers import (
 )
 
 EGO_CARS = "ego-cars"
-"""The folder, beside the prepared images, with what recordings show of the ego car."""
+"""Folder, beside the prepared images, of the ego cars found in recordings."""
 
 
 # --- samples ----------------------------------------------------------------------------
@@ -59,12 +59,11 @@ EGO_CARS = "ego-cars"
 
 @dataclass(frozen=True)
 class ImageSamples:
-    """Prepared images in varied batches; a chunk is one batch.
+    """Prepared images in augmented batches; a chunk is one batch.
 
-    files: image, teacher's maps and ego car of each. labels: the maps of the network that
-    the run starts from, in the same order, if any. shares: how often each is visited, against the
-    others. ego_cars: the files that show an ego car, by recording. corrected: the corrections, by
-    file.
+    files: image, teacher's maps and ego car of each. labels: maps of the initial network, in the
+    same order, if any. shares: sampling weights. ego_cars: files that show an ego car, by
+    recording. corrected: correction by file.
     """
 
     training: ImageTraining
@@ -77,16 +76,16 @@ class ImageSamples:
 
     @property
     def count(self) -> int:
-        """Images of one epoch."""
+        """Images of an epoch."""
         return self.training.samples_per_epoch or len(self.files)
 
     @property
     def chunks(self) -> int:
-        """Batches of one epoch."""
+        """Batches of an epoch."""
         return max(1, round(self.count / self.training.descent.batch))
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """The varied images of one batch. Targets are the ``Targets``, eight planes."""
+        """Yield the one batch of a chunk; its targets are ``Targets`` stacked to eight planes."""
         training = self.training
         generator = generator_at(training.random_seed, IMAGE_ORDER, 0, epoch)
         order = draw_members(self.shares, self.count, generator)
@@ -105,7 +104,7 @@ class ImageSamples:
         yield Batch(images, targets, torch.ones(len(images)))
 
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
-        """One varied image (1,3,H,W), normalised, and its targets (1,8,H,W)."""
+        """Return an augmented, normalised image (1, 3, H, W) and its targets (1, 8, H, W)."""
         training, at = self.training, torch.Generator().manual_seed(seed)
         vary = training.augmentation
         image, targets = self._unvaried(member)
@@ -137,7 +136,7 @@ class ImageSamples:
         return normalise(image[0], training.network.normalisation).pixels[None], planes
 
     def _unvaried(self, member: int) -> tuple[Tensor, Targets]:
-        """A prepared image (1,3,H,W) in [0,1], and its targets."""
+        """Return a prepared image (1, 3, H, W) in [0, 1] and its targets."""
         training, file, network = self.training, self.files[member], None
         arrays = self.read(file, "image", "maps", "ego")
         image, maps, ego = (from_bytes(arrays[name])[None] for name in ("image", "maps", "ego"))
@@ -151,10 +150,10 @@ class ImageSamples:
 
 
 def draw_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
-    """So many members, in a random order, each as often as its share of the sum says.
+    """Sample ``count`` members in random order, each in proportion to its weight; int64 (count,).
 
-    shares: (n,), positive. Returns int64 (count,). Systematic sampling: a member whose fair number
-    of visits is 1.6 gets one or two; with equal shares and n visits everyone gets one.
+    Systematic sampling: a member whose expected number is 1.6 is sampled once or twice, and with
+    equal weights and n samples each is sampled once.
     """
     fair = shares.to(torch.float64).cumsum(0)
     fair = fair / fair[-1] * count
@@ -167,14 +166,14 @@ def draw_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
 
 
 HALF = 0.5
-"""Share of a cell's pixels that have to be said before the cell counts as said."""
+"""Fraction of a cell's pixels that have to be corrected for the cell to count as corrected."""
 
 
 def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
-    """Targets in which what people said replaces the machine's.
+    """Replace machine targets by corrections.
 
-    planes: (B,6,H,W) in [0,1], of ``ImageRecipe.shrink``. Where they are void, neither counts;
-    where they are road there is no ego car.
+    planes: (B, 6, H, W) in [0, 1], of ``PictureRecipe.shrink``. Void removes both; corrected road
+    is no ego car.
     """
     road, other, void, layout = planes.split((1, 1, 1, CLASSES), 1)
     known, left_out = road + other >= HALF, void > HALF
@@ -196,9 +195,9 @@ def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Target
 
 
 def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
-    """Shares (n,) of visits of which the corrected images, bool (n,), get ``share`` together.
+    """Scale sampling weights (n,) so that corrected images, bool (n,), get ``share`` of the sum.
 
-    Unchanged where all images are corrected, or none.
+    Unchanged if all images are corrected, or none.
     """
     if not corrected.any() or corrected.all():
         return shares
@@ -210,7 +209,7 @@ def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
 
 
 def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Tensor:
-    """Sum over the batch's images of their mean loss; targets as they are, or of one class."""
+    """Sum the mean losses of a batch's images; targets are soft, or the best class alone."""
     scores = network(batch.inputs).float()
     small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
     targets = Targets(*small.split(PLANES, 1))
@@ -222,7 +221,7 @@ def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Ten
 
 
 def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
-    """Cross-entropy of scores (B,5,H,W), summed over images, mean over all their pixels."""
+    """Compute the cross-entropy of scores (B, 5, H, W): mean over pixels, summed over images."""
 
     def binary(scores: Tensor, targets: Tensor) -> Tensor:
         return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
@@ -238,11 +237,11 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 
 
 TEACHER_PARTS = {"detector", "weights", "views", "working"}
-"""Settings of a teacher that its maps depend on."""
+"""Settings of a teacher on which its maps depend."""
 
 
 class ImageRecipe:
-    """A network for whole images."""
+    """Training of a whole-image network."""
 
     def __init__(self, training: ImageTraining) -> None:
         self._training = training
@@ -258,24 +257,24 @@ class ImageRecipe:
         }
 
     def key(self, image: Item) -> str:
-        """Of an image made ready; ``survey`` comes first."""
+        """Return the cache key of a prepared image; call ``survey`` first."""
         return key_of(self.preparation, image.path, self._recordings.get(image.name))
 
     def survey(self, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
-        """Find the ego cars that recordings show; ``folder`` keeps what is found."""
+        """Find the ego cars of the recordings, cached in ``folder``."""
         self._prepared, settings = folder, self._training.recordings
         self._recordings = find_ego_cars(images, folder / EGO_CARS, settings, stop, quiet)
 
     def make(self, image: Tensor, name: str) -> Arrays:
-        """The image at the network's size, with the teacher's maps and the ego car."""
+        """Prepare an image at the network's size, with the teacher's maps and the ego car."""
         ego = ego_of(self._recordings.get(name), image)
         return prepare_image(image, ego, self._teacher, self._training)
 
     def shrink(self, correction: Correction) -> Arrays:
-        """Corrections at the network's size.
+        """Return a correction at the network's size.
 
-        ``planes``, uint8 (6,h,w) as 255ths: shares of a cell's pixels that people called so. Road,
-        not road, void; sky, vertical, horizontal.
+        ``planes``: uint8 (6, h, w) in 255ths, fractions of a cell's pixels labelled road, not road,
+        void, sky, vertical, horizontal.
         """
         network = self._training.network
         road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
@@ -285,7 +284,7 @@ class ImageRecipe:
         return {"planes": to_bytes(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
     def network(self, start: LayoutNetwork | None) -> WholeImageNetwork:
-        """A new network, or the one to start from."""
+        """Return a new network, or the initial one."""
         settings = self._training.network
         if isinstance(start, BackboneNetwork):
             return start
@@ -296,7 +295,7 @@ class ImageRecipe:
             return ImageNetwork(settings)
 
     def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
-        """Varied images; with what the network to start from says of them, if any."""
+        """Return augmented images with their targets, and the labels of an initial network."""
         training, files, labels = self._training, given.files, list[Path]()
         if isinstance(given.start, WholeImageNetwork):
             network = given.start.eval()

@@ -1,4 +1,4 @@
-"""The training loop: samples, steps, epochs, checkpoints; what is trained is not its business."""
+"""The training loop, independent of the network: samples, steps, epochs, checkpoints."""
 
 import copy
 import math
@@ -25,14 +25,14 @@ from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, RunFolder
 
 
 PATCH_ORDER, CENTRES, PATCH_VARIATION, IMAGE_ORDER, VARIATION = range(5)
-"""What is drawn: the first number of its places, so that each has its own generators."""
+"""First number of a generator's key, so that each use has generators of its own."""
 
 
 def generator_at(seed: int, *place: int) -> torch.Generator:
-    """A generator that belongs to this seed and place (epoch, chunk, …) alone.
+    """Return the generator of a seed and a key (use, epoch, chunk, …).
 
-    Nothing is carried from one place to the next, so a run that goes on in the middle draws
-    what the uninterrupted one would have drawn.
+    No state is carried from one key to the next, so a resumed run samples what the uninterrupted
+    one would have sampled.
     """
     state = np.random.SeedSequence([seed, *place]).generate_state(1, np.uint64)[0]
     return torch.Generator().manual_seed(int(state >> np.uint64(1)))
@@ -40,7 +40,7 @@ def generator_at(seed: int, *place: int) -> torch.Generator:
 
 @contextmanager
 def seeded(seed: int, *place: int) -> Iterator[None]:
-    """Within the block, torch's own randomness is that of this seed and place."""
+    """Seed torch's global generator within the block, and restore it afterwards."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(generator_at(seed, *place).initial_seed())
         yield
@@ -52,13 +52,13 @@ def seeded(seed: int, *place: int) -> Iterator[None]:
 Network = TypeVar("Network", bound=nn.Module)
 
 WARM_UP_STEPS = 10
-"""Steps over which the mean begins: the first steps' weights are soon forgotten."""
+"""Steps of warm-up, during which the average forgets early weights faster."""
 
 
 class MovingAverage(Generic[Network]):
-    """The exponential moving average of a network's weights over its steps.
+    """Exponential moving average of a network's weights over its steps, with warm-up.
 
-    Polyak and Juditsky, 1992. Each step keeps the share ``ema`` of it, in the beginning less.
+    Polyak and Juditsky, 1992.
     """
 
     def __init__(self, network: Network, ema: float) -> None:
@@ -67,7 +67,7 @@ class MovingAverage(Generic[Network]):
 
     @torch.no_grad()
     def add(self, network: nn.Module, steps: int) -> None:
-        """Take in the weights that a network has after ``steps`` steps."""
+        """Update the average with the weights after ``steps`` steps."""
         kept = min(self._ema, steps / (steps + WARM_UP_STEPS))
         for mean, weight in zip(self.network.parameters(), network.parameters(), strict=True):
             mean.lerp_(weight, 1 - kept)
@@ -80,10 +80,10 @@ SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
 
 
 class TrainingInputs(NamedTuple):
-    """What a network learns from.
+    """The inputs of a training.
 
-    files: prepared images. corrected: the file of the correction of a prepared image, if it
-    has one. start: the network that the run starts from, if any. labels: the folder for its labels.
+    files: prepared images. corrected: file of the correction by prepared image. start: network
+    with the initial weights, if any. labels: folder for that network's labels.
     """
 
     files: Sequence[Path]
@@ -93,10 +93,7 @@ class TrainingInputs(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """The samples of one step.
-
-    inputs: what the network takes, first dimension n. targets and weights: what the loss takes.
-    """
+    """The samples of one step: network inputs (n, …), and the loss's targets and weights."""
 
     inputs: Tensor
     targets: Tensor
@@ -105,9 +102,9 @@ class Batch(NamedTuple):
 
 @dataclass
 class TrainingProgress:
-    """How far a run is; with the weights and the optimiser's state all there is to know.
+    """The progress of a run, from which it is resumed with the weights and the optimizer's state.
 
-    loss, count: sums over the part of the epoch that is done. rows: the finished epochs.
+    loss, count: sums over the finished part of the epoch. rows: the finished epochs.
     """
 
     epoch: int = 0
@@ -122,12 +119,11 @@ class TrainingProgress:
 
 @dataclass
 class Loop:
-    """The epochs of a run: a network that learns, its average, and how far they are.
+    """The epochs of a run: a network, its averaged copy and their progress.
 
-    batches: those of an epoch and a chunk, the same whenever they are asked for. chunks: of an
-    epoch; each is in memory as a whole, and between them a run can be cut and resumed. loss: of a
-    network, summed over a batch, a scalar. part: which of how many alike trainings this is: the bar
-    shows what is left of all.
+    chunks: parts of an epoch, each held in memory, between which a run can be interrupted and
+    resumed. batches: yields those of an epoch and a chunk, always the same. loss: of a network,
+    summed over a batch. part: index and number of equal trainings, over which the bar extends.
     """
 
     network: LayoutNetwork
@@ -143,7 +139,7 @@ class Loop:
     part: tuple[int, int] = (1, 1)
 
     def __post_init__(self) -> None:
-        """The average of the weights, and the optimiser that the settings name."""
+        """Create the averaged network and the optimizer."""
         descent = self.descent
         self.average = MovingAverage(self.network, descent.ema)
         weights, rate, decay = (
@@ -158,7 +154,7 @@ class Loop:
         )
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take weights and optimiser from a checkpoint; WeightsError for one that lacks them."""
+        """Restore weights and optimizer from a checkpoint; WeightsError if it lacks them."""
         path = self.folder.path / CHECKPOINT
         try:
             fill(self.network, state["network"], path)
@@ -168,10 +164,10 @@ class Loop:
             raise WeightsError(path, *NO_CHECKPOINT) from None
 
     def train(self) -> None:
-        """Train from where ``progress`` is to the last epoch, or until asked to stop.
+        """Train from ``progress`` to the last epoch, or until a stop is requested.
 
-        Saves a checkpoint at the end of each epoch, now and then between, and before it returns.
-        Raises ConfigError when the loss is no longer a number.
+        Saves a checkpoint after each epoch, every ``SAVE_EVERY`` seconds and before it returns.
+        Raises ConfigError if the loss is no longer finite.
         """
         self.network.train()
         with self._bar() as bar:
@@ -193,7 +189,7 @@ class Loop:
         )
 
     def _train_epoch(self, bar: Progress) -> None:
-        """Work through the rest of an epoch, at least a chunk of it, or until asked to stop."""
+        """Train the remaining chunks of an epoch; return after a chunk if a stop is requested."""
         progress, saved = self.progress, time.monotonic()
         while progress.chunk < self.chunks:
             start = time.perf_counter()
@@ -208,7 +204,7 @@ class Loop:
                 return
 
     def _bar(self) -> Progress:
-        """Of all chunks of this training and those like it; fewer where the loss stops falling."""
+        """Return the bar over the chunks of all equal trainings; early stopping shortens it."""
         part, parts = self.part
         whole = self.stopping.epochs * self.chunks
         done = self.progress.epoch * self.chunks + self.progress.chunk
@@ -242,7 +238,7 @@ class Loop:
         progress.chunk += 1
 
     def step(self, batch: Batch) -> float:
-        """One step down the mean loss of a batch; returns the loss summed over the batch."""
+        """Take one step down the mean loss of a batch; return the loss summed over the batch."""
         self._optimiser.zero_grad(set_to_none=False)
         with torch.autocast("cpu", torch.bfloat16, self.descent.precision == "bfloat16"):
             loss = self.loss(self.network, batch)

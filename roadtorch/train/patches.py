@@ -1,4 +1,4 @@
-"""How patch networks are trained: where patches are taken, how they are varied, their loss.
+"""Training of patch networks: centres, augmentation and loss of patches.
 
 P2, sections 3.1 and 6.1: at the centroid of each superpixel and around it, where the labeller is
 certain; at a random scale and angle, with Gaussian noise; squared error; no hard examples.
@@ -43,10 +43,9 @@ from roadtorch.train.prepared import from_bytes, to_bytes
 
 
 def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
-    """Rows and columns int64 (n,2) of the centroids of segments (H,W) and places around them.
+    """Return the centroids of segments (H, W) and points around them: rows, columns, int64 (n, 2).
 
-    ``settings.around`` places at equal angles, the first below the centroid, kept inside the
-    image.
+    The points are at equal angles, the first below the centroid, and clamped to the image.
     """
     height, width = segments.shape
     places = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
@@ -60,9 +59,9 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
 
 
 def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
-    """Weight of each class, (3,): all 1, or such that all classes weigh the same.
+    """Return the weight of each class, (3,): all 1, or such that each class weighs the same in sum.
 
-    Raises InputError when no image has a patch with a label.
+    Raises InputError if no image has a labelled patch.
     """
     counts = torch.zeros(CLASSES)
     for file in files:
@@ -81,12 +80,11 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
 
 
 SPACING = 8
-"""Pixels, at working size, between the patches that are taken where people spoke: as far apart as
-superpixels are."""
+"""Pixels at working size between patches in corrected areas, about the distance of superpixels."""
 
 
 class LabelledCentres(NamedTuple):
-    """Where patches are taken: centres int16 (n,2), classes uint8 (n,), weights float32 (n,)."""
+    """Patch centres int16 (n, 2), their classes uint8 (n,) and weights float32 (n,)."""
 
     centres: Tensor
     classes: Tensor
@@ -96,7 +94,7 @@ class LabelledCentres(NamedTuple):
 def corrected_centres(
     labelled: LabelledCentres, correction: Arrays, weight: float
 ) -> LabelledCentres:
-    """The machine's where nobody spoke, and a grid of places where somebody named a class.
+    """Replace machine-labelled centres in corrected areas by a grid of corrected ones.
 
     correction: of ``PatchRecipe.shrink``.
     """
@@ -115,7 +113,7 @@ def corrected_centres(
 
 
 def repeated(files: Sequence[Path], corrected: Container[Path], share: float) -> list[Path]:
-    """The files, corrected ones so often that they are about ``share`` of all, once at least."""
+    """Repeat corrected files until they are about ``share`` of all; keep each at least once."""
     own = [file for file in files if file in corrected]
     others = len(files) - len(own)
     if not own or not others or share == 1:
@@ -128,14 +126,14 @@ def repeated(files: Sequence[Path], corrected: Container[Path], share: float) ->
 
 
 NOISES = 256
-"""Patches of noise drawn for a chunk; each of its patches takes one, times its own deviation."""
+"""Noise patches sampled for a chunk; each patch uses one, scaled by its own deviation."""
 
 
 class Draw(NamedTuple):
-    """How n patches are taken, each (n,).
+    """Random variation of n patches.
 
-    centre: (n,2), row and column. scale: magnification. turn: radians. noise: deviation,
-    grey levels of 255. which: int64, the patch of noise.
+    centre: (n, 2), row and column. scale: magnification. turn: radians. noise: standard deviation
+    in grey levels of 255. which: int64, index of the noise patch.
     """
 
     centre: Tensor
@@ -145,12 +143,12 @@ class Draw(NamedTuple):
     which: Tensor
 
     def at(self, index: Tensor) -> "Draw":
-        """Some of the patches."""
+        """Select some of the patches."""
         return Draw(*(values[index] for values in self))
 
 
 def draw_variation(centre: Tensor, settings: PatchAugmentation, generator: torch.Generator) -> Draw:
-    """Random scales, angles and noise for patches at centres (n,2)."""
+    """Sample scales, angles and noise of patches at centres (n, 2)."""
     count = len(centre)
     angle = math.radians(settings.rotation)
     return Draw(
@@ -163,14 +161,14 @@ def draw_variation(centre: Tensor, settings: PatchAugmentation, generator: torch
 
 
 def draw_noise(patch: int, generator: torch.Generator) -> Tensor:
-    """The noise of a chunk: ``NOISES`` patches (·,3,P,P), unit normal."""
+    """Sample the noise of a chunk, standard normal, shape (NOISES, 3, P, P)."""
     return torch.randn(NOISES, 3, patch, patch, generator=generator)
 
 
 def cut_patches(pixels: Tensor, draw: Draw, patch: int) -> Tensor:
-    """Patches (n,3,P,P) of an image (3,H,W), bilinear, in one pass. Past the border it reflects.
+    """Extract patches (n, 3, P, P) from an image (3, H, W), bilinear, reflected at the border.
 
-    At scale 1 and angle 0 they are what ``PatchNetwork.dense`` sees: P/2 pixels before the
+    At scale 1 and angle 0 they are the inputs of ``PatchNetwork.dense``: P/2 pixels before the
     centre, one less behind it.
     """
     count, (height, width) = len(draw.centre), pixels.shape[-2:]
@@ -196,7 +194,7 @@ def cut_patches(pixels: Tensor, draw: Draw, patch: int) -> Tensor:
 def add_noise(
     patches: Tensor, draw: Draw, noises: Tensor, gain: float, out: Tensor | None = None
 ) -> Tensor:
-    """Patches (n,3,P,P) with their noise; gain: what one level of [0,1] has become."""
+    """Add noise to patches (n, 3, P, P); gain: factor from [0, 1] to the patches' units."""
     deviation = (draw.noise * (gain / 255))[:, None, None, None]
     return torch.addcmul(patches, noises.index_select(0, draw.which), deviation, out=out)
 
@@ -205,15 +203,14 @@ def add_noise(
 
 
 BLOCK = 128
-"""Patches cut at a time: what is made on the way stays in the cache."""
+"""Patches extracted at a time, so that intermediate results stay in the cache."""
 
 
 class PatchSamples:
-    """The patches of prepared images, shuffled over ``mix`` images at a time.
+    """Patches of prepared images, shuffled over ``mix`` images at a time.
 
-    One chunk holds the patches of ``mix`` images, at each visit another part of them: about
-    ``mix`` / ``passes`` images' worth of memory, and what ``cached_arrays`` keeps, however many
-    images there are.
+    A chunk holds a part of the patches of ``mix`` images, another part at each visit. Memory is
+    that of about ``mix`` / ``passes`` images and of ``cached_arrays``, for any number of images.
     """
 
     def __init__(
@@ -232,11 +229,11 @@ class PatchSamples:
 
     @property
     def chunks(self) -> int:
-        """Chunks of one epoch: groups of images, each visited ``passes`` times."""
+        """Chunks of an epoch: groups of images, each visited ``passes`` times."""
         return self._groups * self._training.passes
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """Patches of a chunk, in batches that are nearly the same size."""
+        """Yield the patches of a chunk in batches of nearly the same size."""
         training = self._training
         visit, group = divmod(chunk, self._groups)
         order = self._shuffled(len(self._files), PATCH_ORDER, epoch, visit)
@@ -262,7 +259,7 @@ class PatchSamples:
                 yield Batch(patches, targets, self._weights[targets] * counts[step])
 
     def _cut(self, members: list[int], image_of: Tensor, draw: Draw, noises: Tensor) -> None:
-        """Fill the first n rooms with the patches of ``draw``; image_of: (n,), ascending."""
+        """Fill the buffer with the patches of ``draw``; image: that of each (n,), ascending."""
         network = self._training.network
         patch = network.topology.patch
         if len(self._room) < len(image_of):
@@ -276,7 +273,7 @@ class PatchSamples:
                     add_noise(cut_patches(pixels, own, patch), own, noises, gain, room)
 
     def _centres_of(self, member: int, epoch: int, visit: int) -> LabelledCentres:
-        """Patches of one image at one visit in an epoch."""
+        """Return the patches of an image at one visit in an epoch."""
         arrays = self._read(self._files[member], "centres", "classes")
         classes = arrays["classes"]
         labelled = LabelledCentres(arrays["centres"], classes, torch.ones(len(classes)))
@@ -292,7 +289,7 @@ class PatchSamples:
 
 
 def squared_error(network: nn.Module, batch: Batch) -> Tensor:
-    """Sum over patches of |potentials - one-hot|², each patch times its weight. P2, section 3.1."""
+    """Sum |potentials - one-hot|² over patches, weighted. P2, section 3.1."""
     wanted = F.one_hot(batch.targets, CLASSES).to(batch.inputs)
     return ((network(batch.inputs) - wanted).square().sum(1) * batch.weights).sum()
 
@@ -301,7 +298,7 @@ def squared_error(network: nn.Module, batch: Batch) -> Tensor:
 
 
 class PatchRecipe:
-    """CNN-7 and its family on patches."""
+    """Training of CNN-7 and its family on patches."""
 
     loss = staticmethod(squared_error)
 
@@ -311,17 +308,17 @@ class PatchRecipe:
         self.preparation = {**parts, "working": training.network.working.model_dump()}
 
     def key(self, image: Item) -> str:
-        """Of an image made ready."""
+        """Return the cache key of a prepared image."""
         return key_of(self.preparation, image.path, None)  # of no ego car
 
     def survey(self, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
-        """Nothing: patches are taken from single images."""
+        """Do nothing: patches depend on single images."""
 
     def make(self, image: Tensor, name: str) -> Arrays:
-        """An image (3,H,W) at working size with the centres of its patches and their classes.
+        """Prepare an image (3, H, W): resize it, and label the centres of its patches.
 
-        image: uint8 (3,h,w); centres: int16 (n,2), row and column; classes: uint8 (n,), 0, 1, 2.
-        Centres that the labeller leaves in doubt are not there.
+        image: uint8 (3, h, w); centres: int16 (n, 2), row and column; classes: uint8 (n,), 0, 1, 2.
+        Centres about which the labeller is uncertain are left out.
         """
         training, working = self._training, self._training.network.working
         small = at_work(image, working)
@@ -336,10 +333,10 @@ class PatchRecipe:
         }
 
     def shrink(self, correction: Correction) -> Arrays:
-        """The layout that people named, at working size.
+        """Return a correction at working size.
 
-        ``layout``, uint8 (h,w): 0, 1, 2, 255 not named; ``known``: 1 where no machine label counts.
-        Void, or "not road", says nothing of the layout; void counts as known all the same.
+        ``layout``: uint8 (h, w), 0, 1, 2, or 255 where uncorrected; ``known``: 1 where the machine
+        label is ignored. "Not road" determines no layout; void only removes the machine label.
         """
         height, width = correction.labels.shape
         size = working_size(height, width, self._training.network.working)
@@ -348,13 +345,13 @@ class PatchRecipe:
         return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
     def network(self, start: LayoutNetwork | None) -> LayoutNetwork:
-        """A new patch network, or the one to start from."""
+        """Return a new patch network, or the initial one."""
         if start is not None:
             return start
         with seeded(self._training.random_seed, 0):
             return PatchNetwork(self._training.network)
 
     def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
-        """The varied patches of prepared images; corrected ones come more often."""
+        """Return the augmented patches of prepared images, corrected images oversampled."""
         often = repeated(given.files, given.corrected, self._training.corrections.share)
         return PatchSamples(often, self._training, given.corrected)

@@ -1,4 +1,4 @@
-"""Images made ready for training, once, on disk: small, with their machine labels."""
+"""Images prepared for training once, on disk: resized, with their machine labels."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -21,18 +21,18 @@ from roadtorch.run.workers import DIED, workers_for
 
 
 def to_bytes(values: Tensor) -> Tensor:
-    """Values in [0,1] as bytes: round(255 x)."""
+    """Convert values in [0, 1] to uint8, rounded."""
     return values.mul(255).round_().to(torch.uint8)
 
 
 def from_bytes(values: Tensor) -> Tensor:
-    """Bytes as float32 in [0,1]."""
+    """Convert uint8 to float32 in [0, 1]."""
     return values.to(torch.float32).div_(255)
 
 
 @dataclass(frozen=True)
 class PreparedImage:
-    """An image and the file with what training needs of it; no file where it failed."""
+    """An image and the file prepared from it; None and a problem if that failed."""
 
     name: str
     file: Path | None
@@ -41,10 +41,10 @@ class PreparedImage:
 
 @dataclass(frozen=True)
 class Preparation:
-    """The work on one image.
+    """The preparation of an image in a worker.
 
-    key: of an image and all that decides on what is made of it. make: turns an image (3,H,W) in
-    [0,1] and the image's name into named arrays.
+    key: hash of an image and all settings that matter. make: computes named arrays from an image
+    (3, H, W) in [0, 1] and its name.
     """
 
     folder: Path
@@ -52,7 +52,7 @@ class Preparation:
     make: Callable[[Tensor, str], Arrays]
 
     def __call__(self, image: Item) -> PreparedImage:
-        """The image made ready, unless it is; ConfigError where a setting is wrong."""
+        """Prepare an image unless its file is up to date; ConfigError if a setting is wrong."""
         name, key = name_of(image), self.key(image)
         file = self.folder / f"{name}.npz"
         if kept(file, key) is not None:  # all of it is read: damage would end the training later
@@ -75,10 +75,9 @@ class Preparation:
 def prepare(
     images: Sequence[Item], preparation: Preparation, stop: Stop, quiet: bool = False
 ) -> list[PreparedImage]:
-    """Make every image ready that is not yet; what fails is told and skipped.
+    """Prepare all images that are not up to date; report and skip those that fail.
 
-    Returns one item an image, in their order. Stops early when asked to: then only what is ready
-    comes back.
+    Returns one item an image, in order; if a stop is requested, only those that are ready.
     """
     made, count = list[PreparedImage](), len(images)
     with single_threaded():
@@ -98,5 +97,5 @@ def _died(image: Item) -> PreparedImage:
 
 
 def name_of(image: Item) -> str:
-    """The image's relative name with its suffix: two of one stem stay two."""
+    """Return an image's relative name with its suffix, which two images of one stem need."""
     return image.name + image.suffix

@@ -19,31 +19,31 @@ from roadtorch.run.memo import Arrays, keep, kept, key_of
 from roadtorch.train.config import Recordings
 
 MAX_FRAMES = 120
-"""Frames of one recording that are looked at, evenly spread: more show nothing new."""
+"""Frames of a recording that are examined, evenly spaced; more show nothing new."""
 
 SEEN = WorkingSize(pixels=640 * 480)
-"""How large frames are kept: all of one recording are in memory at once."""
+"""Size to which frames are reduced, as all frames of a recording are in memory at once."""
 
 COLUMNS, JUMP, MAX_JUMPS = 160, 0.012, 0.1
-"""Columns in which the edge of an ego car is looked at, the share of the height that is a jump
-from one to the next, and the share of jumps above which it is no line."""
+"""Columns at which the edge of an ego car is compared, the step between neighbours that counts as a
+jump (fraction of the height), and the fraction of jumps from which it is no smooth edge."""
 
 SHAPES = 10
-"""Steps of width / height per unit: frames of one camera are of one shape."""
+"""Bins per unit of width / height, by which frames are grouped."""
 
 
 def recording_of(name: str, separator: str) -> str:
-    """A name up to the last separator; all of it where there is none, or no separator is set."""
+    """Return a name up to its last separator; all of it without one, or without a separator set."""
     return name.rpartition(separator)[0] if separator and separator in name else name
 
 
 def find_ego_cars(
     images: Sequence[Item], folder: Path, settings: Recordings, stop: Stop, quiet: bool
 ) -> Mapping[str, Path]:
-    """Look in each recording for the ego car; the file of the result, by image name.
+    """Find the ego car of each recording; return the file of the result by image name.
 
-    Images of small recordings are left out. Results of the same images are kept. Stops early
-    when asked to.
+    Recordings with too few frames are left out, and results of the same images are reused. Stops
+    early on request.
     """
     if not settings.separator:
         return {}
@@ -62,7 +62,7 @@ def find_ego_cars(
 
 
 def ego_cars(images: Sequence[Item], least: int) -> Arrays:
-    """The ego car bool (H,W) in images of one camera, by shape; none of a shape with fewer."""
+    """Detect the ego car bool (H, W) in images of one camera, for each aspect ratio."""
     shapes: dict[int, list[Tensor]] = {}
     for image in images:
         with suppress(InputError):  # reported when it is made ready
@@ -75,10 +75,9 @@ def ego_cars(images: Sequence[Item], least: int) -> Arrays:
 
 
 def is_line(ego: Tensor) -> bool:
-    """Whether the upper edge of an ego car bool (H,W) is a line, as a bonnet's is.
+    """Return whether the upper edge of an ego car bool (H, W) is smooth, as a bonnet's is.
 
-    Where few frames of a slow drive are alike, kerbs and lane marks look still as well; a path
-    through them jumps.
+    In few frames of a slow drive kerbs and lane marks look static too, but their edge jumps.
     """
     height, width = ego.shape
     first = torch.where(ego.any(0), ego.to(torch.uint8).argmax(0), height) / height
@@ -87,12 +86,12 @@ def is_line(ego: Tensor) -> bool:
 
 
 def shape_of(image: Tensor) -> int:
-    """A number that frames of one camera share: ten times width over height, rounded."""
+    """Return the bin of an image's aspect ratio, the same for all frames of a camera."""
     return round(SHAPES * image.shape[-1] / image.shape[-2])
 
 
 def ego_of(file: Path | None, image: Tensor) -> Tensor | None:
-    """The ego car of an image's recording, bool (H,W) of its size; None where none is known."""
+    """Read the ego car of an image's recording, bool (H, W) of the image; None if there is none."""
     shape = str(shape_of(image))
     cars = kept(file, None, shape) if file else None
     return at_image_size(cars[shape], size_of(image)) if cars else None

@@ -1,4 +1,4 @@
-"""A whole run: images made ready, a network trained, weights written; and resumed."""
+"""A whole training run: prepare images, train a network, write weights; resumable."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -54,16 +54,16 @@ Recipe = PatchRecipe | ImageRecipe
 PREPARED, CORRECTIONS = "prepared", "corrections"
 
 FUSION = "fusion.toml"
-"""A config for the detector ``fusion`` with the weights of a run with corrections."""
+"""Config of the detector ``fusion`` with the weights of a run with corrections."""
 
 
 @dataclass(frozen=True)
 class Request:
     """The inputs of a run.
 
-    images: a folder, a file or a quoted glob. prepared: where images made ready are kept;
-    None for a folder inside ``out``. corrections: of people, for some of the images. part: which
-    of how many alike runs this is, for the bar.
+    images: a folder, file or quoted glob. prepared: folder of prepared images; None for one inside
+    ``out``. corrections: human corrections of some of the images. part: index and number of equal
+    runs, for the bar.
     """
 
     images: str
@@ -76,7 +76,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a run: the weights, or the signal that cut it short."""
+    """The result of a run: the weights, or the signal that interrupted it."""
 
     weights: Path | None
     interrupted: Signals | None
@@ -86,8 +86,8 @@ class Outcome:
 def train(training: Training, request: Request) -> Outcome:
     """Train a network on machine labels of images, or resume such a run.
 
-    Raises InputError when there is no image to learn from, ConfigError and WeightsError
-    when the folder holds something else than this run, InputError when another one is in it.
+    Raises InputError without a usable image and if another run holds the folder, ConfigError and
+    WeightsError if the folder holds anything else than this run.
     """
     images = find_images([request.images], apart=request.out)
     with stop_on_signals() as stop:
@@ -100,17 +100,17 @@ def train(training: Training, request: Request) -> Outcome:
 
 
 def recipe_of(training: Training) -> Recipe:
-    """The parts of a training that depend on the kind of network in its settings."""
+    """Return the recipe for the kind of network in the settings."""
     if isinstance(training, ImageTraining):
         return ImageRecipe(training)
     return PatchRecipe(training)
 
 
 def load_start(training: Training) -> LayoutNetwork | None:
-    """The network of the weights that a run starts from; None where it starts from none.
+    """Load the network with the initial weights; None without any.
 
-    One for whole images may have learned at another size; it continues at that of the settings.
-    WeightsError when it is not one of these settings otherwise.
+    A whole-image network may have been trained at another size; it continues at that of the
+    settings. Raises WeightsError if its settings differ otherwise.
     """
     if not training.start:
         return None
@@ -127,7 +127,7 @@ def load_start(training: Training) -> LayoutNetwork | None:
 def made_ready(
     recipe: Recipe, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool
 ) -> list[PreparedImage]:
-    """The images made ready in a folder; fewer where the run was asked to stop."""
+    """Prepare images in a folder; fewer if a stop is requested."""
     with shared(folder):
         recipe.survey(images, folder, stop, quiet)
         if stop.asked:  # nothing is made ready by half a survey
@@ -138,9 +138,9 @@ def made_ready(
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """One run of a training in its folder.
+    """A run of a training in its folder.
 
-    start: the network that it starts from, if any. corrections: by the name of their image.
+    start: network with the initial weights, if any. corrections: by name of the image.
     """
 
     training: Training
@@ -152,7 +152,7 @@ class TrainingRun:
     corrections: Mapping[str, Correction]
 
     def go(self, images: Sequence[Item]) -> Outcome:
-        """Make the images ready and train the epochs that are left, from a checkpoint if any."""
+        """Prepare the images and train the remaining epochs."""
         stop, folder = self.stop, self.folder
         summary = corrections_summary(self.corrections)
         record = record_of(as_values(self.training), images, summary)
@@ -173,7 +173,7 @@ class TrainingRun:
         state: dict[str, Any] | None,
         behind: Sequence[Mapping[str, Any]],
     ) -> bool:
-        """Train the epochs that are left; whether it came to their end."""
+        """Train the remaining epochs; return whether the last one was reached."""
         path = self.folder.path
         self.folder.write_images(prepared)
         files = {item.file: item.name for item in prepared if item.file is not None}
@@ -198,7 +198,7 @@ class TrainingRun:
     def _train_epochs(
         self, given: TrainingInputs, progress: TrainingProgress, state: dict[str, Any] | None
     ) -> Loop:
-        """Train all epochs, or the rest of them from a checkpoint."""
+        """Train all epochs, or those after a checkpoint."""
         training = self.training
         stop, quiet = self.stop, self.request.quiet
         samples = self.recipe.samples(given, stop, quiet)
@@ -221,7 +221,7 @@ class TrainingRun:
         used: int,
         behind: Sequence[Mapping[str, Any]],
     ) -> None:
-        """Write the weights as they are, and the curve so far."""
+        """Write the current weights and the loss curve."""
         path, config = self.folder.path / WEIGHTS, as_values(self.training)
         origin = {
             "roadtorch": __version__,
@@ -241,7 +241,7 @@ class TrainingRun:
 
 
 def _progress_of(state: Mapping[str, Any], path: Path) -> TrainingProgress:
-    """The progress in a checkpoint; WeightsError where it makes no sense."""
+    """Read the progress of a checkpoint; WeightsError if it is invalid."""
     try:
         return TypeAdapter(TrainingProgress).validate_python(state["progress"])
     except (KeyError, ValidationError):

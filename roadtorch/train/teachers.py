@@ -1,6 +1,6 @@
-"""Who labels whole images, what of it counts, and how far a network says the same. Ours.
+"""Teachers of whole-image networks: their labels, the targets made of them, agreement. Ours.
 
-The teacher is a detector; the network that a run starts from has a say too.
+The teacher is a detector; a network with initial weights contributes as well.
 """
 
 import math
@@ -33,17 +33,16 @@ from roadtorch.train.prepared import from_bytes, to_bytes
 
 
 KNOWN = 0.25
-"""How far from 0.5 the ego car is known: its maps are bytes, and bent where they are reframed."""
+"""Distance from 0.5 at which the ego car is known; its maps are bytes and interpolated by warps."""
 
 CERTAIN = 0.8
-"""From here on a network's ego car is one, below it is none: what it half believes would grow
-from run to run."""
+"""Probability from which a network's ego car counts; weaker belief would grow from run to run."""
 
 
 class Targets(NamedTuple):
-    """What a network should say, and where it counts. In [0,1].
+    """Targets of a network and their weights, in [0, 1].
 
-    layout: (B,3,H,W); layout_weight, road, road_weight, ego, ego_weight: (B,1,H,W).
+    layout: (B, 3, H, W); layout_weight, road, road_weight, ego, ego_weight: (B, 1, H, W).
     """
 
     layout: Tensor
@@ -55,19 +54,19 @@ class Targets(NamedTuple):
 
 
 PLANES = (CLASSES, 1, 1, 1, 1, 1)
-"""Planes of the parts of ``Targets``."""
+"""Planes of the fields of ``Targets``."""
 
 
 def targets_of(
     teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher, rounds: Rounds
 ) -> Targets:
-    """Targets from the maps (B,4,H,W) of the teacher and of the network to start from, if any.
+    """Compute targets from the maps (B, 4, H, W) of the teacher and those of an initial network.
 
-    ego: (B,1,H,W), the ego car where the footage shows it: 1 ego, 0 not, 0.5 unknown. Where it
-    is unknown there is none, or what the network's maps (B,5,H,W) are certain of. The road's
-    likelihood is moved so that its threshold becomes 0.5. A pixel counts where the best class
-    leads by ``margin``; with agreement, only where both name the same class, or both say road, or
-    both say no road. On the ego car the road is 0 and counts, the layout not.
+    ego: (B, 1, H, W), ego car found in the footage: 1 ego, 0 not, 0.5 unknown; where unknown it is
+    0 or taken from the network's maps (B, 5, H, W) if they are certain. The road likelihood is
+    shifted so that its threshold becomes 0.5. A pixel counts if its best class leads by
+    ``margin``; with ``combine = "agreement"`` only where teacher and network agree on the class,
+    or on road. On the ego car road is 0 and counts, and the layout does not count.
     """
     layout, road = teacher[:, :CLASSES], centred_as(teacher[:, CLASSES:], settings)
     agree = agree_road = torch.ones_like(road)
@@ -90,15 +89,15 @@ def targets_of(
 
 
 def best_class(layout: Tensor) -> Tensor:
-    """The class int64 (B,1,H,W) that leads in potentials (B,3,H,W).
+    """Return the index int64 (B, 1, H, W) of the largest potential (B, 3, H, W).
 
-    ``argmax`` says the same, ten times slower where the classes are not the last dimension.
+    ``argmax`` is ten times slower where the classes are not the last dimension.
     """
     return layout.max(1, keepdim=True).indices
 
 
 def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
-    """Likelihoods (B,1,H,W) moved so that what parts road from background becomes 0.5."""
+    """Shift likelihoods (B, 1, H, W) so that the threshold of road becomes 0.5."""
     centre = math.log(settings.road_threshold / (1 - settings.road_threshold))
     odds = [centred_odds(each, centre, settings.centre) for each in log_odds(likelihood)]
     return torch.stack(odds).sigmoid()
@@ -108,18 +107,16 @@ def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
 
 
 MIN_EGO_WIDTH, MIN_EGO_AREA = 0.95, 0.03
-"""Shares of the columns and of the image that an ego car takes which is cut out."""
+"""Fractions of the columns and of the image that an ego car has to cover to be cut out."""
 
 
 def prepare_image(
     image: Tensor, ego: Tensor | None, teacher: Detector, training: ImageTraining
 ) -> Arrays:
-    """What training needs of an image (3,H,W), at the network's size.
+    """Return an image (3, H, W) at the network's size, with the teacher's maps and the ego car.
 
-    ego: bool (H,W), the ego car that the footage shows; the teacher sees the ground continued
-    in its place. None where nothing is known.
-
-    Raises ConfigError for a teacher without a layout.
+    ego: bool (H, W), ego car found in the footage, over which the ground is extrapolated before the
+    teacher sees it; None if unknown. Raises ConfigError for a teacher without a layout.
     """
     size = (training.network.height, training.network.width)
     street = image if ego is None else continued(image, ego)
@@ -128,10 +125,10 @@ def prepare_image(
 
 
 def shrunk(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
-    """The arrays of a prepared image from maps in [0,1] of any size: uint8, as 255ths.
+    """Resize an image and its maps in [0, 1], of any sizes, to uint8 arrays in 255ths.
 
-    image: (3,h,w). maps: (4,h,w), what the teacher says: sky, vertical, horizontal, road. ego:
-    (h,w): 255 ego, 0 not, 128 unknown.
+    image: (3, h, w). maps: (4, h, w), the teacher's sky, vertical, horizontal, road. ego: (h, w):
+    1 ego, 0 not, 0.5 unknown.
     """
     parts = {"image": image, "maps": maps, "ego": ego[None]}
     small = {name: to_bytes(resized(part, size).clamp(0, 1)) for name, part in parts.items()}
@@ -139,9 +136,9 @@ def shrunk(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> A
 
 
 def lends_ego(file: Path) -> bool:
-    """Whether a prepared image is known to show a whole ego car, from one side to the other.
+    """Return whether a prepared image shows a whole ego car, from one side to the other.
 
-    A small piece may as well be a lane mark or a reflection that stays.
+    A small piece may be a lane mark or a static reflection instead.
     """
     ego = read_arrays(file, "ego")["ego"] == 255
     across = float(ego.any(0).double().mean())
@@ -151,16 +148,16 @@ def lends_ego(file: Path) -> bool:
 def load_teacher(teacher: Teacher) -> Detector:
     """Load the detector that makes the labels.
 
-    Raises ConfigError for a wrong name or a detector without a working size.
+    Raises ConfigError for an unknown name or a detector without a working size.
     """
     own: dict[str, Any] = {"weights": {"file": teacher.weights}} if teacher.weights else {}
     return load_detector(teacher.detector, working={"pixels": teacher.working.pixels}, **own)
 
 
 def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor:
-    """Compute layout and road (4,H,W) in [0,1] of an image (3,H,W).
+    """Compute layout and road (4, H, W) in [0, 1] of an image (3, H, W).
 
-    views: of ``Teacher``. ConfigError for a teacher without a layout.
+    views: as in ``Teacher``. Raises ConfigError for a teacher without a layout.
     """
     maps = []
     for mirrored in (False,) if views == "one" else (False, True):
@@ -176,10 +173,10 @@ def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor
 def label_with_network(
     files: Sequence[Path], folder: Path, network: WholeImageNetwork, stop: Stop, quiet: bool
 ) -> list[Path]:
-    """What a network says of prepared images, the mean with their mirror images, on disk.
+    """Write a network's maps of prepared images, averaged over mirroring; return the files.
 
-    One file an image, in the order of ``files``; those of the same image and network are kept.
-    Stops early when asked to.
+    One file an image, in the order of ``files``; those of the same image and network are reused.
+    Stops early on request.
     """
     weights = key_of([value.numpy().tobytes() for value in network.state_dict().values()])
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
@@ -195,7 +192,7 @@ def label_with_network(
 
 @torch.no_grad()
 def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
-    """Potentials (5,h,w) in [0,1] of an image (3,h,w): the mean with its mirror image."""
+    """Compute potentials (5, h, w) in [0, 1] of an image (3, h, w), averaged over mirroring."""
     pixels = normalise(image, network.settings.normalisation).pixels
     maps = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
     return resized((maps[0] + maps[1].flip(-1)) / 2, size_of(image))
@@ -207,10 +204,10 @@ def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
 def teacher_agreement(
     network: WholeImageNetwork, files: Sequence[Path], training: ImageTraining
 ) -> Agreement:
-    """The agreement of a network with the teacher's maps in prepared images, pixels pooled.
+    """Measure how often a network agrees with the teacher on prepared images, over all pixels.
 
-    Where the teacher is sure is decided as in training (``targets_of``): by its margins, off the
-    ego car. Raises InputError for a damaged file; a share of no pixel is NaN.
+    Only pixels count that have a weight in training (``targets_of``). Raises InputError for a
+    damaged file; without such pixels a fraction is NaN.
     """
     same, known = torch.zeros(2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
     for file in files:

@@ -65,7 +65,7 @@ def pooled_counts(
 
 
 def table1(data: Path, out: Path) -> None:
-    """P, R and F at P1's size, pooled (eq. 11), of P1, the two methods beside it and a baseline."""
+    """Write P1's Table I: pooled P, R and F (eq. 11) of P1, two methods and a baseline."""
     rows = []
     for set_name, (folder, count) in SETS.items():
         dataset = every_kth(open_dataset(set_name, data / folder), count)
@@ -78,7 +78,7 @@ def table1(data: Path, out: Path) -> None:
 
 
 def table2(data: Path, out: Path) -> None:
-    """MaxF and AP in bird's-eye view by category: evaluate kitti-road --bev."""
+    """Write P1's Table II: MaxF and AP in bird's-eye view (evaluate kitti-road --bev)."""
     dataset = birds_eye(open_dataset("kitti-road", data / "kitti_road"))
     evaluation = evaluate(dataset, BENCHMARK, quiet=False)
     for failure in evaluation.failures:

@@ -25,7 +25,7 @@ from roadtorch.road.seed_area import seed_rectangle
 from scripts.figures.chart import chart, show_table
 
 EVERY = 16
-"""Figures take every so-manieth image of CamVid; Fig. 6a twice as many."""
+"""Step between CamVid's images; Fig. 6a takes twice as many."""
 
 IDD_IMAGES = 50
 
@@ -66,12 +66,12 @@ PRINTED = {
 
 
 def fig4b(data: Path, out: Path) -> None:
-    """Fig. 4b: the confusion of CNN-7, beside P2's."""
+    """Write P2's Fig. 4b: the confusion of CNN-7, beside P2's."""
     show_confusion("p2-fig4b", "layout:paper", streets(data), out)
 
 
 def fig4c(data: Path, out: Path) -> None:
-    """Fig. 4c: the confusion of the teacher; ours is `labeller`, P2's is Hoiem et al."""
+    """Write P2's Fig. 4c: the confusion of the teacher; ours is `labeller`, P2's is Hoiem et al."""
     show_confusion("p2-fig4c", "labeller", streets(data), out)
 
 
@@ -138,11 +138,11 @@ GAINS = {TEXTURE: "8 %", COMBINED: "24 %"}
 printed in the figure alone.)"""
 
 WHOLE = " (isolated areas kept)"
-"""Behind the titles of lines whose likelihood is taken as it is."""
+"""Suffix of lines whose likelihood is used unchanged."""
 
 
 def fig6a(data: Path, out: Path) -> None:
-    """Fig. 6a: ROC curves and their areas, isolated areas discarded, on CamVid and IDD."""
+    """Write P2's Fig. 6a: ROC curves and AUC without isolated areas, on CamVid and IDD."""
     sets = {"camvid": streets(data, EVERY // 2)}
     if (data / "idd_lite").is_dir():
         sets["idd"] = every_kth(open_dataset("idd-lite", data / "idd_lite"), IDD_IMAGES)
@@ -224,7 +224,7 @@ ACCURACY = ("fusion:paper", "fusion:untrained", "fusion", "prior:rows")
 
 
 def fig6b(data: Path, out: Path) -> None:
-    """Fig. 6b: road accuracy, the ratio of road that is found; what it costs stands beside."""
+    """Write P2's Fig. 6b: road accuracy (recall), beside FPR, precision and F."""
     tallies = tally_of(streets(data), ACCURACY)
     rows = []
     for name in ACCURACY:

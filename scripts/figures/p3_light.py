@@ -254,7 +254,7 @@ def draw_moves(path: Path, rows: Sequence[Row]) -> None:
 
 
 def table2(data: Path, out: Path) -> None:
-    """P3, Table II: how far the road moves in each plane when light, place or shape change."""
+    """Write P3's Table II: shift of the road in each plane when light, place or shape change."""
     few = every_kth(open_dataset("camvid", data / "camvid"), IMAGES)
     rows: list[Row] = [
         {"property": name, **moves(change, range(SCENES))} for name, change in CHANGES.items()

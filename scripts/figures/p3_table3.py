@@ -47,7 +47,7 @@ REPRESENTATIVE = {
 """Of the other thirteen, by image; P3, too, shows representative ones, and names none."""
 
 Key = tuple[str, str]
-"""Classifier, with ":paper" where it is P3's to the letter, and representation."""
+"""Classifier, with ":paper" for P3's exact variant, and representation."""
 
 
 def printed_table() -> Mapping[Key, float]:
@@ -148,17 +148,17 @@ def draw_curves(data: Path, parts: Mapping[Path, Sequence[str]]) -> None:
 
 
 def fig8(data: Path, out: Path) -> None:
-    """P3, Fig. 8: ROC curves of the four histograms, in planes and in combinations."""
+    """Write P3's Fig. 8: ROC curves of the four histograms, in planes and in combinations."""
     draw_curves(data, {out / "p3-fig8.png": HISTOGRAMS})
 
 
 def fig9(data: Path, out: Path) -> None:
-    """P3, Fig. 9: ROC curves of representative classifiers, in planes and in combinations."""
+    """Write P3's Fig. 9: ROC curves of some classifiers, in planes and in combinations."""
     draw_curves(data, {out / f"p3-fig9{name}.png": part for name, part in REPRESENTATIVE.items()})
 
 
 def table3(data: Path, out: Path) -> None:
-    """P3, Table III: AUC of 17 classifiers in 19 representations, ours and P3's to the letter."""
+    """Write P3's Table III: AUC of 17 classifiers in 19 representations, ours and P3's."""
     patterns = ["oneclass:*:*", *list_detectors("oneclass:*:paper")]
     values = percents(evaluate_few(data, patterns))
     show_table(out / "p3-table3.csv", table_rows(values))

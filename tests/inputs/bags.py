@@ -1,4 +1,4 @@
-"""Bags that tests write: images of one topic or several, in every format."""
+"""Bags for tests: images of one topic or several, in all formats."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ def header(store: Any, stamp: int, frame_id: str = "camera_optical") -> Any:
 
 
 def raw_image(store: Any, pixels: np.ndarray, encoding: str, stamp: int, **other: Any) -> Any:
-    """uint8 or uint16 (H,W[,C]) as sensor_msgs/Image; other: fields that are set as told."""
+    """Return uint8 or uint16 (H, W[, C]) as sensor_msgs/Image, some fields replaced."""
     height, width = pixels.shape[:2]
     fields = {
         "header": header(store, stamp),
@@ -50,7 +50,7 @@ def calibration(
     size: tuple[int, int] = (48, 64),
     bent: Sequence[float] = (0.1, -0.2, 0, 0, 0),
 ) -> Any:
-    """sensor_msgs/CameraInfo; size: height and width."""
+    """Return a sensor_msgs/CameraInfo; size: height and width."""
     height, width = size
     kind = store.types["sensor_msgs/msg/CameraInfo"]
     matrix = np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1], float)
@@ -60,7 +60,7 @@ def calibration(
 
 
 def write_bag(path: Path, topics: Mapping[str, Sequence[Any]], form: str = "mcap") -> Path:
-    """A bag ``bag``, ``sqlite3`` or ``mcap``: on each topic a message every 0.1 s."""
+    """Write a ``bag``, ``sqlite3`` or ``mcap`` with a message every 0.1 s on each topic."""
     if form == "bag":
         writer, store = Writer1(path), ROS1
     else:
@@ -82,7 +82,7 @@ def write_bag(path: Path, topics: Mapping[str, Sequence[Any]], form: str = "mcap
 
 
 def write_drive(folder: Path, form: str, images: Sequence[np.ndarray], focal: float) -> Path:
-    """The bag ``drive`` or ``drive.bag`` of images uint8 (H,W,3) by a pinhole on /camera."""
+    """Write images uint8 (H, W, 3) of a pinhole to the bag ``drive`` or ``drive.bag``."""
     store = ROS1 if form == "bag" else ROS2
     messages = [
         raw_image(store, pixels, "rgb8", FIRST + STEP * number + 7)

@@ -38,7 +38,7 @@ def store_of(form: str) -> Any:
 
 
 def written(folder: Path, form: str, count: int = 5, size: tuple[int, int] = (48, 64)) -> Path:
-    """A bag with so many scenes; their headers say half a second later than the recording."""
+    """Write a bag of scenes whose header stamps are half a second later than the recording's."""
     store = store_of(form)
     images = [
         raw_image(store, scene(n, size), "rgb8", FIRST + STEP * n + STEP * 5) for n in range(count)

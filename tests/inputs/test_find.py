@@ -1,4 +1,4 @@
-"""Finding images and videos: files, folders, globs, lists, addresses; some items of a source."""
+"""Resolution of images and videos: files, folders, globs, lists, URLs; selections of items."""
 
 import io
 import os
@@ -22,7 +22,7 @@ LINKS = {"loop.png": "loop.png", "sub/around": "around", "sub/up": ".."}
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Images and videos, results of ours among them, links to themselves and an empty folder."""
+    """Write images and videos, results of roadtorch, links to themselves and an empty folder."""
     root = tmp_path_factory.mktemp("footage")
     (root / "bare").mkdir()
     for name in (*NAMES, *OWN):

@@ -22,7 +22,7 @@ QUICK = Patience(answer=2.0, tries=2, pause=0.05)
 
 @pytest.fixture
 def stream(tmp_path: Path) -> bytes:
-    """A second of MPEG-TS, cut in the middle of a packet."""
+    """Return a second of MPEG-TS, cut in the middle of a packet."""
     path = write_video(tmp_path / "live.ts", [n / 20 for n in range(40)], options={"g": "5"})
     return path.read_bytes()[:-1000]
 

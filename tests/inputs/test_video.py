@@ -1,3 +1,5 @@
+"""Video files: frames, time stamps, rotation, damage."""
+
 import re
 import struct
 from contextlib import suppress
@@ -25,7 +27,7 @@ def chosen(path: Path, **selection: float) -> list[Item]:
 
 
 def read_until_problem(path: Path) -> tuple[list[bool], str]:
-    """Of each frame whether it can be read, and why there are no more; empty where that is all."""
+    """Return whether each frame can be read, and the error at the end, "" without one."""
     frames: list[bool] = []
     try:
         for frame in video_frames(path, "drive"):

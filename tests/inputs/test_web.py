@@ -1,4 +1,4 @@
-"""Addresses of the web: images are fetched, streams are not."""
+"""URLs: images are fetched, streams are not."""
 
 import base64
 import time

@@ -25,7 +25,7 @@ def test_the_address_of_the_index_stands_in_one_script() -> None:
 
 
 def answer(handler: BaseHTTPRequestHandler) -> None:
-    """Have torch and nothing else; keep one waiting below /silent."""
+    """Serve torch and nothing else; delay answers below /silent."""
     if handler.path.startswith("/silent"):
         time.sleep(4)
     handler.send_response(200 if handler.path == "/torch/" else 404)
@@ -84,7 +84,7 @@ def test_every_file_of_the_package_index_has_the_hashes_of_the_tested_version(ki
 
 
 def pins_of(path: Path) -> list[str]:
-    """name==version of every line, the names as indices have them."""
+    """Return name==version of each line, the names normalised as by indices."""
     lines = (line.split(" ")[0] for line in path.read_text().splitlines())
     pins = (line.partition("==") for line in lines if "==" in line)
     return [f"{re.sub('[-_.]+', '-', name.lower())}=={version}" for name, _, version in pins]

@@ -22,15 +22,16 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Labelled images are shared by the tests: one folder a kind."""
+    """Return the folder of labelled images that tests share, with one folder for each kind."""
     return tmp_path_factory.mktemp("kept")
 
 
 @pytest.fixture(scope="module")
 def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    """``trained("images", "descent.ema=0.9", out="one")``: a run on the streets.
+    """Return a function that runs a training on the streets.
 
-    Its folder is new unless ``out`` names one of this module.
+    For example ``trained("images", "descent.ema=0.9", out="one")``; the folder is new unless
+    ``out`` names one of this module.
     """
     runs = tmp_path_factory.mktemp("runs")
 
@@ -54,7 +55,7 @@ def shared_run(
 
 @pytest.fixture
 def finished(shared_run: tuple[Training, Request], tmp_path: Path) -> tuple[Training, Request]:
-    """A finished run on patches, a copy that a test may change; and the request to go on."""
+    """Return a finished run on patches, a copy that a test may change, and its request."""
     training, request = shared_run
     out = shutil.copytree(request.out, tmp_path / "finished")
     return training, replace(request, out=out)

@@ -70,21 +70,21 @@ CONFIGS = {"patches": PATCHES, "images": IMAGES}
 
 
 def write_streets(folder: Path, count: int) -> Path:
-    """A folder with images of rendered streets."""
+    """Write images of rendered streets to a folder."""
     for seed in range(count):
         write_image(folder / f"street_{seed}.png", scene(seed, 60, 80))
     return folder
 
 
 def bonnet(height: int, width: int) -> Tensor:
-    """The ego car bool (H,W) that ``write_bonnets`` paints: round, a fifth of the height."""
+    """Return the ego car bool (H, W) of ``write_bonnets``: round, a fifth of the height."""
     row = (torch.arange(height) + 0.5)[:, None] / height
     column = (torch.arange(width) + 0.5) / width * 2 - 1
     return row > 0.8 + 0.08 * column.square()
 
 
 def write_bonnets(folder: Path, count: int) -> Path:
-    """The footage of one camera: rendered streets, below them the same dark bonnet."""
+    """Write footage of one camera: rendered streets with the same dark bonnet below them."""
     paint = torch.tensor([0.25, 0.08, 0.08])[:, None, None]
     for seed in range(count):
         street = scene(seed, 60, 80, horizon=0.45)

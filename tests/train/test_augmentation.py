@@ -1,4 +1,4 @@
-"""Whole images in other frames and another light; ego cars laid over other streets."""
+"""Augmentation of whole images: geometry, light, weather; ego cars pasted over streets."""
 
 import math
 from collections import Counter
@@ -40,7 +40,7 @@ STILL = GeometryAugmentation(scale=0, stretch=0, rotation=0, move=0)
 
 
 def sides(images: list[Tensor], wanted: Tensor, atol: float = 1e-5) -> list[int]:
-    """Of each image 1 where it is as wanted, -1 where it is its mirror image."""
+    """Return for each image 1 where it is as expected, -1 where it is mirrored, else 0."""
     return [
         int(image.allclose(wanted, atol=atol)) - int(image.allclose(wanted.flip(-1), atol=atol))
         for image in images
@@ -95,7 +95,7 @@ def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
 
 
 def street() -> tuple[torch.Tensor, Scene]:
-    """Blue sky above row 40, a grey road between green, an ego car from row 72 on."""
+    """Return blue sky above row 40, a grey road between green, and an ego car from row 72 on."""
     image, ground, road, ego = torch.zeros(1, 3, 80, 64), *(torch.zeros(3, 1, 1, 80, 64))
     ground[..., 40:72, :] = road[..., 40:72, 24:40] = ego[..., 72:, :] = 1
     sky = 1 - ground - ego
@@ -165,7 +165,7 @@ STILL_CAR = EgoCarAugmentation(tallest=0, flattest=0, widest=0, light=0)
 
 
 def car_of(height: int, width: int, rows: int) -> EgoCar:
-    """A frame of noise whose lowest rows are the ego car."""
+    """Return a frame of noise whose lowest rows are the ego car."""
     ego = torch.zeros(1, 1, height, width)
     ego[..., height - rows :, :] = 1
     return EgoCar(torch.rand(1, 3, height, width, generator=seeded(9)), ego)
@@ -205,7 +205,7 @@ def test_a_varied_car_covers_the_lower_edge_in_bounds_and_is_larger_or_brighter(
 
 
 def write_frame(path: Path, level: int) -> Path:
-    """A prepared image of one grey: unknown above, free in the middle, ego car below."""
+    """Write a prepared image of one grey: unknown above, free in the middle, ego car below."""
     ego = torch.tensor([128, 0, 255], dtype=torch.uint8)[:, None].expand(3, 4).contiguous()
     image = torch.full((3, 3, 4), level, dtype=torch.uint8)
     write_arrays(path, {"image": image, "ego": ego})

@@ -1,4 +1,4 @@
-"""Training with corrections of people: what they said is the target, and the weights say so."""
+"""Training with human corrections: they replace the targets, and the weights record them."""
 
 import json
 from dataclasses import replace
@@ -33,7 +33,7 @@ def correction(labels: np.ndarray, image: Path = Path("street.png")) -> Correcti
 
 
 def quarters(height: int = 8, width: int = 8) -> np.ndarray:
-    """Above sky and untouched, below road and not road."""
+    """Return labels: above sky and untouched, below road and not road."""
     labels = np.full((height, width), UNTOUCHED)
     labels[: height // 2, : width // 2] = SKY
     labels[height // 2 :, : width // 2] = ROAD
@@ -45,7 +45,7 @@ def quarters(height: int = 8, width: int = 8) -> np.ndarray:
 
 
 def machine(size: int = 8) -> Targets:
-    """Vertical, half road, all ego, each with weight 0.25."""
+    """Return targets: vertical, half road, all ego, each with weight 0.25."""
     layout = torch.zeros(1, 3, size, size)
     layout[:, 1] = 1
     quarter, half, one = (torch.full((1, 1, size, size), value) for value in (0.25, 0.5, 1.0))
@@ -53,7 +53,7 @@ def machine(size: int = 8) -> Targets:
 
 
 def planes(labels: np.ndarray) -> torch.Tensor:
-    """Of eight times eight cells."""
+    """Return the correction's planes at eight by eight cells."""
     recipe = recipe_of(training_of("images", "network.height=32", "network.width=32"))
     large = labels.repeat(8, 0).repeat(8, 1)
     return recipe.shrink(correction(large))["planes"][None, :, ::4, ::4] / 255
@@ -140,7 +140,7 @@ def runs(trained: Trained, street: Correction) -> dict[str, Outcome]:
 def test_a_run_paces_its_steps_by_the_corrected_images(
     trained: Trained, runs: dict[str, Outcome], street: Correction
 ) -> None:
-    """One corrected image and a far halfway: next to no step is taken."""
+    """One corrected image and a huge half-rate count: next to no step is taken."""
     slow = trained("images", "corrections.halfway=1e6", out="slow", corrections=[street])
     slowly, fast = (load_network(run.weights or "") for run in (slow, runs["images"]))
     start = recipe_of(training_of("images")).network(None).state_dict()

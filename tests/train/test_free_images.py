@@ -1,4 +1,4 @@
-"""The free images: gathered by their bytes, dealt recording by recording."""
+"""Free images: gathered by their bytes, taken from the recordings in turn."""
 
 from hashlib import sha256
 from pathlib import Path
@@ -12,7 +12,7 @@ from train.free_images import dealt, main, recordings
 
 @pytest.fixture
 def manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Three images of one recording, two of a folder; data in which one of them has changed."""
+    """Write three images of one recording and one of a folder, one of which has changed."""
     files = {"one_1.jpg": b"a", "one_2.jpg": b"b", "one_3.jpg": b"c", "two/x.jpg": b"d"}
     rows = [f"{name},{sha256(data).hexdigest()},r,p,MIT" for name, data in files.items()]
     path = tmp_path / "told.csv"

@@ -1,4 +1,4 @@
-"""Whole images: varied batches with their targets, how often each comes, the loss."""
+"""Whole images: augmented batches with their targets, sampling, the loss."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def training_of(**values: object) -> ImageTraining:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Five prepared images, each of one grey; the last shows an ego car."""
+    """Write five prepared images, each of one grey; the last shows an ego car."""
     folder = tmp_path_factory.mktemp("prepared")
     paths = [folder / f"{number}.npz" for number in range(5)]
     for number, path in enumerate(paths):
@@ -76,7 +76,7 @@ def test_epochs_draw_differently(files: list[Path]) -> None:
 
 
 def targets_with(files: list[Path], share: float, shows_ego: bool = True) -> Targets:
-    """The targets of an epoch whose images stay in their frame."""
+    """Return the targets of an epoch whose images keep their geometry."""
     varied = {"geometry": SAME_FRAME, "ego_car": {"share": share}}
     training = training_of(augmentation=varied, descent={"batch": 5})
     (batch,) = samples_of(files, training, shows_ego=shows_ego).batches(0, 0)

@@ -1,4 +1,4 @@
-"""Patches: where they are taken, how they are cut and varied, their batches and their loss."""
+"""Patches: their centres, extraction and augmentation, their batches and their loss."""
 
 import math
 from pathlib import Path
@@ -126,7 +126,7 @@ def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Three prepared images with 7, 40 and 0 patches; the class is the row modulo 3."""
+    """Write three prepared images with 7, 40 and 0 patches; the class is the row modulo 3."""
     folder, generator = tmp_path_factory.mktemp("prepared"), seeded(9)
     for number, count in enumerate((7, 40, 0)):
         image = torch.randint(256, (3, 30, 40), generator=generator).to(torch.uint8)

@@ -1,4 +1,4 @@
-"""Images made ready once; recordings and the ego car that each shows; arrays on disk."""
+"""Images prepared once; recordings and their ego cars; arrays on disk."""
 
 from collections.abc import Callable
 from functools import partial
@@ -22,7 +22,7 @@ from tests.train.runs import bonnet, write_bonnets, write_streets
 
 
 class Maker:
-    """Remembers the names of the images that it was asked to make ready."""
+    """A preparation that remembers the names of the images."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
@@ -154,7 +154,7 @@ def test_recordings_end_at_the_last_separator(name: str, separator: str, recordi
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory: pytest.TempPathFactory) -> list[Item]:
-    """Eight frames with a bonnet, one that cannot be read, and two of another camera."""
+    """Write eight frames with a bonnet, one that cannot be read, and two of another camera."""
     folder = tmp_path_factory.mktemp("cameras")
     write_bonnets(folder, 8)
     (folder / "bonnet_9.png").write_bytes(b"not an image")
@@ -189,7 +189,7 @@ def test_the_ego_car_of_a_recording_is_found_cut_to_each_size_and_not_looked_for
 
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> list[list[torch.Tensor]]:
-    """The frames in which ego cars were looked for, and none was found."""
+    """Return the frames in which ego cars are looked for, without finding any."""
     calls: list[list[torch.Tensor]] = []
     monkeypatch.setattr(recordings, "still_ego", calls.append)
     return calls

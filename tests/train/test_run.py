@@ -1,4 +1,4 @@
-"""Whole runs: made, cut short, resumed; one step, and the moving average of the weights."""
+"""Whole runs: finished, interrupted, resumed; one step, and the moving average of the weights."""
 
 import json
 import math
@@ -29,7 +29,7 @@ from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write
 
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
-    """The network with which a run with these changes begins."""
+    """Return the network with which a run with these changes starts."""
     return recipe_of(training_of(kind, *changes)).network(None)
 
 
@@ -43,7 +43,7 @@ WHOLE = {"patches": "descent.momentum=0.9", "images": "descent.ema=0.7"}
 
 @pytest.fixture(scope="module")
 def whole(trained: Trained) -> dict[str, Path]:
-    """The folders of two runs that nobody interrupted."""
+    """Return the folders of two uninterrupted runs."""
     return {kind: folder_of(trained(kind, change)) for kind, change in WHOLE.items()}
 
 
@@ -95,7 +95,7 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Train
 
 
 def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path: Path) -> None:
-    """And what killed runs left half-written is removed from all folders of a run."""
+    """Files that killed runs left half-written are removed from all folders of a run as well."""
     footage, kept = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
     changes = ("augmentation.ego_car.share=1.0", "recordings.least=8", "stopping.epochs=1")
     leftovers = [tmp_path / "run", tmp_path / "run/labels-1", kept, kept / "ego-cars/street"]
@@ -190,7 +190,7 @@ def test_the_status_of_the_command_names_the_signal(
 
 
 def stepped(precision: str) -> tuple[float, ImageNetwork]:
-    """The loss of one step on random images, and the network after it."""
+    """Return the loss of one step on random images, and the network after it."""
     torch.manual_seed(0)
     network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
     descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})

@@ -1,4 +1,4 @@
-"""The targets of a network for whole images: where they come from, and where they count."""
+"""Targets of whole-image networks: their values, and where they have weight."""
 
 from pathlib import Path
 
@@ -34,12 +34,12 @@ EVEN = Teacher(margin=0.5, road_threshold=0.5)
 
 
 def maps_of(*pixels: tuple[float, ...]) -> torch.Tensor:
-    """Maps (1,C,1,n) of n pixels: sky, vertical, horizontal, road; of networks the ego car too."""
+    """Return maps (1, C, 1, n) of n pixels: sky, vertical, horizontal, road, for networks ego."""
     return torch.tensor(pixels).T[None, :, None]
 
 
 def ego_of(*pixels: float) -> torch.Tensor:
-    """The ego car (1,1,1,n) as a prepared image has it, in bytes."""
+    """Return the ego car (1, 1, 1, n) as a prepared image has it, in bytes."""
     return (torch.tensor(pixels) * 255).round().reshape(1, 1, 1, -1) / 255
 
 
@@ -58,7 +58,7 @@ def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
 
 
 def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
-    """The same road seen by two cameras, one of them timid."""
+    """The same road is seen by two cameras, one with lower likelihoods."""
     odds = torch.randn(1, 1, 20, 30, generator=seeded(3)).repeat(2, 1, 1, 1)
     odds[:, :, 10:] += 4
     odds[1] -= 3
@@ -78,7 +78,7 @@ def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
 
 
 def weights(targets: Targets) -> tuple[list[float], list[float]]:
-    """Of layout and road."""
+    """Return the weights of layout and road."""
     return targets.layout_weight.flatten().tolist(), targets.road_weight.flatten().tolist()
 
 
@@ -117,7 +117,7 @@ def test_the_teacher_alone_can_give_the_targets() -> None:
 # --- the ego car ---------------------------------------------------------------------------
 
 GROUND = (0.0, 0.1, 0.9, 0.9)
-"""What the teacher says of ground, and of the ground that it sees in place of an ego car."""
+"""Maps of the teacher on ground, and on the ground extrapolated over an ego car."""
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def small_training(**teacher: object) -> ImageTraining:
 
 
 class Watcher(nn.Module):
-    """A teacher that remembers what it was shown."""
+    """A teacher that remembers its images."""
 
     def __init__(self, settings: DetectorSettings) -> None:
         super().__init__()

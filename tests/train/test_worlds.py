@@ -1,4 +1,4 @@
-"""Rendered worlds, as far as they need no Blender: plans, lenses, truth of thin things, framing."""
+"""Rendered worlds without Blender: plans, lenses, truth of thin objects, framing."""
 
 import tomllib
 from collections import Counter

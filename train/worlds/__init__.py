@@ -1,6 +1,6 @@
-"""Path-traced worlds with exact truth: roads, towns, yards and tracks as many cameras see them.
+"""Path-traced worlds with exact truth: roads, towns, yards and tracks, seen by many cameras.
 
 ``python -m train.worlds --help`` renders them with Blender's module (bpy 5.0.1, Python 3.11), which
-only this recipe needs. A world is drawn from its number alone: kind of road, surroundings, traffic,
-light, camera and the car that carries it.
+only this recipe needs. A world is sampled from its number alone: kind of road, surroundings,
+traffic, light, camera and the car that carries it.
 """

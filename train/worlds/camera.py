@@ -1,4 +1,4 @@
-"""The camera: height, lens, tilt, by what carries it; and a drive through a world."""
+"""The camera: height, lens and tilt, which depend on its vehicle; and a drive through a world."""
 
 from collections.abc import Callable
 from math import atan, degrees, radians, tan
@@ -17,18 +17,18 @@ from train.worlds.stage import HEIGHT, WIDTH, Stage
 from train.worlds.truth import COLOURS, VERTICAL
 
 SHAPES = [4 / 3, 4 / 3, 1.5, 16 / 9, 16 / 9, 1.9, 2.4, 3.3]
-"""Width over height of the cameras' own images."""
+"""Aspect ratios (width / height) of the cameras' own images."""
 
 LENSES = ((22, 35), (28, 42), (40, 55))
 TOWN_LENSES = ((19, 28), (24, 34), (30, 44))
-"""Degrees of half the horizontal field of view; the kerb to one side alone is in a town's view."""
+"""Half of the horizontal field of view in degrees, such that only the near kerb is in view."""
 
 CLEAR_ACROSS, CLEAR_AHEAD = 2.2, 4.0
-"""Metres about the way of a drive in which nothing stands."""
+"""Width in metres that is cleared of objects along a drive."""
 
 
 def build_camera(stage: Stage, road: Road, mount: str) -> None:
-    """Place the camera on the road, and what carries it about it; its head lights at night."""
+    """Place the camera on the road, its vehicle around it and, at night, its head lights."""
     if mount in FISHEYES:
         build_fisheye(stage, road, mount)
         _clear(stage, [_axes_at(road, stage.station)])
@@ -76,7 +76,7 @@ def _sample_place(stage: Stage, road: Road, mount: str) -> tuple[float, float]:
 
 
 def _sample_yaw(stage: Stage, road: Road) -> float:
-    """Sample degrees to the left by which the camera looks aside; more where it turns off."""
+    """Sample the camera's yaw in degrees to the left; larger where the camera's car turns off."""
     at = stage.at
     if road.lane is None:
         return at.gauss(0, 5) if stage.chance(0.85) else at.gauss(0, 18)
@@ -87,9 +87,9 @@ def _sample_yaw(stage: Stage, road: Road) -> float:
 
 
 def drive_on(stage: Stage, road: Road, frames: int) -> Callable[[int], None]:
-    """Return what brings the camera and what is its car's to a frame of a drive, a metre each.
+    """Return a function that moves the camera and its car to a frame of a drive, one metre a frame.
 
-    What stands in the way is taken off the road first.
+    Objects in the way are removed first.
     """
     camera = stage.scene.camera
     course = [_axes_at(road, stage.station + metres / SPACING) for metres in range(frames)]
@@ -106,7 +106,7 @@ def drive_on(stage: Stage, road: Road, frames: int) -> Callable[[int], None]:
 
 
 def _clear(stage: Stage, course: list[Any]) -> None:
-    """Remove what stands in the camera's way along some axes of the road."""
+    """Remove the objects in the camera's way along some axes of the road."""
     bpy.context.view_layer.update()
     across = (course[0].inverted() @ stage.scene.camera.matrix_world.translation).x
     for thing in list(stage.scene.objects):
@@ -129,7 +129,7 @@ def _axes_at(road: Road, place: float) -> Any:
 
 
 def sample_lens(stage: Stage, lenses: tuple[tuple[int, int], ...] = LENSES) -> Lens:
-    """Sample a lens, narrow to wide, of images of many shapes; set how they are squeezed."""
+    """Sample a lens, narrow to wide, and an aspect ratio; set how images are squeezed."""
     at, render = stage.at, stage.scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = WIDTH, HEIGHT, 100
     squeeze = at.choice(SHAPES) / (WIDTH / HEIGHT)

@@ -1,6 +1,6 @@
-"""The course of a road, and cross-sections swept along it, so that everything follows the hills.
+"""The course of a road, and cross-sections swept along it, which follow its hills.
 
-A cross-section is given as (across, up) in metres from the road's middle.
+A cross-section is given as (across, up) in metres from the middle of the road.
 """
 
 from collections.abc import Sequence
@@ -15,34 +15,34 @@ SPACING = 1.5
 """Metres between the course's points."""
 
 START = 10
-"""The point at which the camera stands."""
+"""Index of the point at which the camera stands."""
 
 FAR = 85
-"""From this point on (112 metres ahead) the road is void: people's labels end somewhere there."""
+"""Index from which on (112 metres ahead) the road is void: human labels end somewhere there."""
 
 BEHIND = 22
-"""Points ahead of that one at which a camera stands that sees behind it."""
+"""Index ahead of ``START`` at which a camera stands that looks backwards."""
 
 END = 130
-"""Points of a course."""
+"""Number of points of a course."""
 
 Section = Sequence[tuple[float, float]]
 
 
 class Course(NamedTuple):
-    """The middle of the road: points (x, y, z), headings in radians, half its width in metres."""
+    """The centre line of a road: points (x, y, z), headings in radians, half width in metres."""
 
     points: list[Vector]
     headings: list[float]
     half: float
 
     def at(self, index: int, across: float, up: float = 0.0) -> tuple[float, float, float]:
-        """Return where a point beside the course is."""
+        """Return the position of a point beside the course."""
         heading, middle = self.headings[index], self.points[index]
         return (middle.x + across * cos(heading), middle.y - across * sin(heading), middle.z + up)
 
     def between(self, index: float, across: float, up: float = 0.0) -> tuple[float, float, float]:
-        """Return where a place between two points of the course is."""
+        """Return the position between two points of the course."""
         first = max(0, min(int(index), END - 2))
         ends = [Vector(self.at(first + step, across, up)) for step in (0, 1)]
         x, y, z = ends[0].lerp(ends[1], min(max(index - first, 0.0), 1.0))
@@ -65,7 +65,7 @@ def swept(
 ) -> None:
     """Sweep a cross-section along a part of the course.
 
-    ragged: metres by which its ends wander; bumps: metres by which it goes up and down.
+    ragged: amplitude in metres of its ends' wandering; bumps: of its height.
     """
     points, uvs = [], []
     count, seed = len(section), stage.at.uniform(0, 1000)

@@ -1,4 +1,4 @@
-"""What a camera sees of the car or robot that carries it: bonnets, dashboards, pillars, plates."""
+"""The car or robot that carries the camera, as it sees it: bonnet, dashboard, pillar, plate."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ from train.worlds.vehicles import PAINTS
 
 
 class Lens(NamedTuple):
-    """half_up: tangent of half the vertical field of view; half_across: of the horizontal one."""
+    """Tangents of half the vertical (half_up) and horizontal (half_across) field of view."""
 
     half_up: float
     half_across: float
@@ -21,9 +21,9 @@ def _attach(stage: Stage, camera: Any, parts: Parts, smooth: bool = False) -> No
 
 
 def _hull(lens: Lens, edge: float, deep: float, arch: float, swell: float, lean: float) -> Shape:
-    """Return a surface below the camera whose far edge is seen at a share of the height from below.
+    """Return a surface below the camera whose far edge is at a fraction of the height from below.
 
-    In the camera's axes (x right, y up, z back). edge: the share; deep: metres to the far edge;
+    In the camera's axes (x right, y up, z back). edge: the fraction; deep: metres to the far edge;
     arch: how much lower it is at its ends; swell: how much it rises between; lean: how much
     nearer the far edge is at its ends.
     """
@@ -46,9 +46,9 @@ def _hull(lens: Lens, edge: float, deep: float, arch: float, swell: float, lean:
 
 
 def put_car(stage: Stage, camera: Any, lens: Lens, shares: Sequence[int] = (6, 3, 2)) -> None:
-    """Put a bonnet that mirrors the road, a dashboard, or a strip of one above the other.
+    """Add a bonnet that reflects the road, a dashboard, or a strip of one above the other.
 
-    shares: how often each is sampled.
+    shares: weights by which each is sampled.
     """
     at = stage.at
     kind = at.choices(["bonnet", "dashboard", "both"], shares)[0]
@@ -80,7 +80,7 @@ def put_car(stage: Stage, camera: Any, lens: Lens, shares: Sequence[int] = (6, 3
 
 
 def _put_pillar(stage: Stage, camera: Any, lens: Lens) -> None:
-    """Put a pillar of the windscreen at one side of the image, upright or leaning."""
+    """Add a pillar of the windscreen at one side of the image, upright or leaning."""
     at = stage.at
     side = at.choice((-1, 1))
     out, wide = side * lens.half_across * at.uniform(0.35, 0.5), side * 0.6
@@ -92,7 +92,7 @@ def _put_pillar(stage: Stage, camera: Any, lens: Lens) -> None:
 
 
 def put_robot(stage: Stage, camera: Any, lens: Lens) -> None:
-    """Put the front of a robot at the lower edge: a plate or a bar."""
+    """Add the front of a robot at the lower edge: a plate or a bar."""
     at = stage.at
     up = -(1 - 2 * at.uniform(0.02, 0.16)) * lens.half_up * 0.3
     look = plain(stage, drawn(stage, PAINTS), at.uniform(0.2, 0.8))

@@ -17,7 +17,7 @@ from train.worlds.vehicles import PAINTS, car, van
 
 
 class Mount(NamedTuple):
-    """Where a camera is on the car: metres across, along and up; degrees to the left, and down."""
+    """Pose of a camera on the car: metres across, along, up; degrees to the left and down."""
 
     place: tuple[float, float, float]
     yaw: float
@@ -25,7 +25,7 @@ class Mount(NamedTuple):
 
 
 def build_fisheye(stage: Stage, road: Road, side: str) -> None:
-    """Place a fisheye at a side of a car (or a robot) on the road, and the car about it."""
+    """Place a fisheye at a side of a car (or a robot) on the road, and the car around it."""
     at, course = stage.at, road.course
     index = stage.station = max(1, min(stage.station, road.length - 8))
     stage.lens = sample_fisheye(at, WIDTH, HEIGHT)
@@ -56,7 +56,7 @@ def build_fisheye(stage: Stage, road: Road, side: str) -> None:
 
 
 def _sample_mount(stage: Stage, side: str, half: float, end: float, tail: float) -> Mount:
-    """Sample how a camera is mounted on a car of a half width, from its tail to its front end."""
+    """Sample the pose of a camera on a car with this half width, tail and front end."""
     at = stage.at
     pitch = at.uniform(0, 25) if stage.chance(0.5) else at.uniform(15, 60)
     if side in ("left", "right"):
@@ -92,7 +92,7 @@ def _trim(stage: Stage, side: str, mount: Mount) -> Parts:
 
 
 def _place_camera(stage: Stage, axes: Any, mount: Mount) -> None:
-    """Put the camera there, and set its lens."""
+    """Place the camera and set its lens."""
     lens: Fisheye = stage.lens
     data: Any = bpy.data.cameras.new("camera")
     data.type, data.panorama_type = "PANO", "FISHEYE_LENS_POLYNOMIAL"
@@ -115,7 +115,7 @@ def _place_camera(stage: Stage, axes: Any, mount: Mount) -> None:
 
 
 def _put_rear_lamps(stage: Stage, axes: Any, half: float, tail: float) -> None:
-    """Put the red glow of tail lights, and at times a white one for driving back."""
+    """Add the red glow of tail lights, sometimes with a white reversing light."""
     white = stage.chance(0.6)
     for side in (-0.7, 0.7):
         for colour, watts in (((1, 0.03, 0.01), 3.0), ((1, 0.95, 0.85), 25.0 * white)):

@@ -1,8 +1,9 @@
-"""Print how the road lies in images: how unlike its halves are, and where it leaves the image.
+"""Print the framing of roads: how unlike the halves of images are, and where roads leave the image.
 
     python -m train.worlds.framing FOLDER… [--kind town]
 
-A folder holds truth/*.png of ``train.worlds``, or road/*.png (1 road, 255 void). Needs no Blender.
+A folder contains truth/*.png of ``train.worlds``, or road/*.png (1 road, 255 void). Needs no
+Blender.
 """
 
 import argparse
@@ -16,17 +17,17 @@ import numpy as np
 from train.worlds.truth import ROAD, VOID
 
 CODES = {"truth": ROAD, "road": 1}
-"""Of road, in the files of each folder."""
+"""Codes of road in the files of each folder."""
 
 BALANCED = 0.1
 """Asymmetry below which both halves of the road count as alike."""
 
 MARGIN = 0.04
-"""Fraction of the width within which the outermost known pixel of a row stands for its border."""
+"""Fraction of the width in which the outermost labelled pixel of a row stands for its border."""
 
 
 class Framing(NamedTuple):
-    """Where the road of one image is.
+    """The framing of the road in an image.
 
     asymmetry: (left - right) / (left + right) of its pixels in both halves of the image.
     left_only, right_only: fractions of its rows in which it leaves the image on that side alone.
@@ -38,7 +39,7 @@ class Framing(NamedTuple):
 
 
 def measure_framing(road: np.ndarray, valid: np.ndarray) -> Framing | None:
-    """Measure the framing of a road mask (H,W); None without enough road.
+    """Measure the framing of a road mask (H, W); None without enough road.
 
     Rows that are void at either border do not count.
     """
@@ -61,7 +62,7 @@ def measure_framing(road: np.ndarray, valid: np.ndarray) -> Framing | None:
 
 
 def read_framings(folder: Path, kind: str) -> Iterator[Framing]:
-    """Yield the framings of a folder's images, of worlds those whose name holds the kind."""
+    """Yield the framings of a folder's images, of worlds only those of a kind."""
     place = "truth" if (folder / "truth").is_dir() else "road"
     for file in sorted((folder / place).glob("*.png")):
         if place == "road" or kind in file.stem.split("_")[1]:

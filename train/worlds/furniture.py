@@ -1,4 +1,4 @@
-"""What stands and drives in a town: houses, trees, lamps, people, small things, traffic."""
+"""Objects and traffic of a town: houses, trees, lamps, people, obstacles, vehicles."""
 
 from train.worlds.course import END, SPACING, START
 from train.worlds.materials import drawn, facade, ground, lamp, palette, plain
@@ -20,7 +20,7 @@ from train.worlds.vehicles import car, lorry, motorbike, tram, van
 
 
 def furnish_town(stage: Stage, road: Road, street: Street, crowd: bool) -> None:
-    """Build terraces, houses or a park to each side, trees, lamps, people, traffic."""
+    """Build terraces, houses or a park on each side, trees, lamps, people, traffic."""
     at = stage.at
     tones = {"snow": SNOW, "dry": palette("20 15 7, 28 20 12")}
     mine = tones.get(road.season, palette("6 12 3, 10 15 5, 4 9 3"))
@@ -113,7 +113,7 @@ def _build_hedge(stage: Stage, road: Road, side: int, edge: float, leaf: Materia
 
 
 def _build_bollards(stage: Stage, road: Road, street: Street) -> None:
-    """Put a row of bollards along a kerb."""
+    """Add a row of bollards along a kerb."""
     at = stage.at
     if stage.chance(0.65):
         return
@@ -126,7 +126,7 @@ def _build_bollards(stage: Stage, road: Road, street: Street) -> None:
 
 
 def _put_traffic(stage: Stage, road: Road, street: Street) -> None:
-    """Put none, a few or a queue into each lane; trams; cars parked in rows."""
+    """Add none, a few or a queue of vehicles to each lane; trams; rows of parked cars."""
     at, course = stage.at, road.course
     small = [
         stage.mesh(make(stage)) for make in at.choices([car] * 6 + [van] * 2 + [motorbike], k=5)

@@ -1,4 +1,4 @@
-"""Where streets of a town meet: side streets with their pavements and houses."""
+"""Junctions of a town's streets: side streets with their pavements and houses."""
 
 from collections.abc import Sequence
 
@@ -10,11 +10,11 @@ from train.worlds.surroundings import WALLS
 from train.worlds.truth import HORIZONTAL, ROAD, VERTICAL
 
 REACH = 70
-"""Metres to the end of a side street."""
+"""Length of a side street in metres."""
 
 
 def sample_junctions(stage: Stage) -> list[tuple[int, int]]:
-    """Sample none, one ahead, or one in which the camera stands, as points of the course."""
+    """Sample no junction, one ahead or one at the camera; return points of the course."""
     at = stage.at
     if stage.chance(0.55):
         return []
@@ -57,7 +57,7 @@ def _build_slab(
     look: Material,
     truth: int = HORIZONTAL,
 ) -> None:
-    """Build a slab between two points of the course and two places across it, its top so far up."""
+    """Build a slab between two points of the course and two offsets across it, up to a height."""
     points = [
         road.course.between(max(index, 0.0), out, height)
         for height in (up, up - 0.25)
@@ -73,7 +73,7 @@ def _build_slab(
 def build_block(
     stage: Stage, road: Road, index: int, across: float, size: tuple[float, float]
 ) -> None:
-    """Build a house of so many metres across and along the main road."""
+    """Build a house of given metres across and along the main road."""
     tall = stage.at.uniform(5, 20)
     wall = facade(stage, drawn(stage, WALLS))
     mesh = stage.mesh([(box((0, 0, tall / 2 - 2), (*size, tall + 4)), wall)])

@@ -1,8 +1,8 @@
-"""Fisheye lenses by Kannala and Brandt's model, and what of them Blender needs. Needs no Blender.
+"""Fisheye lenses by Kannala and Brandt's model, and their parameters for Blender. Needs no Blender.
 
 A ray at an angle θ from the axis meets the image at a radius of
-f (θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹), as OpenCV and ROS have it (Kannala and Brandt, IEEE PAMI
-28(8), 2006). Where all k are 0 it is equidistant.
+f (θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹), as in OpenCV and ROS (Kannala and Brandt, IEEE PAMI
+28(8), 2006). If all k are 0 it is equidistant.
 """
 
 from math import hypot, radians
@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 SHAPES = (4 / 3, 4 / 3, 1.6, 16 / 9, 1.0)
-"""Width over height of fisheye cameras' own images, before they are squeezed."""
+"""Aspect ratios (width / height) of fisheye cameras' own images, before they are squeezed."""
 
 SENSOR = 36.0
-"""Millimetres of the sensor's width in Blender."""
+"""Width of the sensor in Blender, in millimetres."""
 
 
 class Fisheye(NamedTuple):
-    """A fisheye lens, in pixels; view: degrees in all, beyond which the image is black."""
+    """A fisheye lens, in pixels; view: full field of view in degrees, black outside."""
 
     width: int
     height: int
@@ -32,18 +32,18 @@ class Fisheye(NamedTuple):
 
     @property
     def shape(self) -> float:
-        """Width over height of the camera's own image, whose pixels are square."""
+        """Aspect ratio (width / height) of the camera's own image, whose pixels are square."""
         return self.width / self.focal_x * self.focal_y / self.height
 
 
 def bend(angle: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
-    """Return the radius over the focal length of rays at angles in radians."""
+    """Return the radius, over the focal length, of rays at angles in radians."""
     powers = [angle ** (2 * k + 3) for k in range(len(coefficients))]
     return angle + sum(c * power for c, power in zip(coefficients, powers, strict=True))
 
 
 def sample_fisheye(at: Random, width: int, height: int) -> Fisheye:
-    """Sample a lens of 120 to 190 degrees, its circle whole in the image, cut or outside."""
+    """Sample a lens of 120 to 190 degrees whose circle is inside, across or outside the image."""
     view = at.uniform(120, 190)
     bent = (at.uniform(-0.05, 0.02), at.uniform(-0.006, 0.004), 0.0, 0.0)
     coefficients = bent if at.random() < 0.65 else (0.0, 0.0, 0.0, 0.0)
@@ -58,7 +58,7 @@ def sample_fisheye(at: Random, width: int, height: int) -> Fisheye:
 
 
 def angle_polynomial(lens: Fisheye) -> list[float]:
-    """Fit angles as a polynomial of the radius on the sensor in millimetres, five coefficients."""
+    """Fit angles by a polynomial of the radius on the sensor in millimetres; five coefficients."""
     angles = np.linspace(0, radians(lens.view / 2), 400)
     radii = bend(angles, lens.coefficients) * lens.focal_x / lens.width * SENSOR
     scale = radii[-1]
@@ -68,14 +68,14 @@ def angle_polynomial(lens: Fisheye) -> list[float]:
 
 
 def image_circle(lens: Fisheye) -> np.ndarray:
-    """Return the pixels (H,W) that the lens sees, bool."""
+    """Return the pixels that the lens sees, bool (H, W)."""
     y, x = np.mgrid[0 : lens.height, 0 : lens.width]
     radius = np.hypot((x - lens.centre_x) / lens.focal_x, (y - lens.centre_y) / lens.focal_y)
     return radius <= bend(np.array(radians(lens.view / 2)), lens.coefficients)
 
 
 def write_lens(lens: Fisheye, mount: dict[str, float]) -> str:
-    """Return a TOML text of a lens as ``roadtorch grid`` reads it, and where it was mounted."""
+    """Return the TOML text of a lens for ``roadtorch grid``, with its mount."""
     rows = [f"{name} = {getattr(lens, name)!r}" for name in lens._fields[:6]]
     rows += ['model = "equidistant"', f"coefficients = {list(lens.coefficients)}"]
     rows += ["", "[mount]", f"view = {lens.view:.2f}"]

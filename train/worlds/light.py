@@ -1,4 +1,4 @@
-"""Weather and hour: sun, clouds, dusk, night, and the air between."""
+"""Time of day and weather: sun, clouds, dusk, night, and haze."""
 
 from collections.abc import Mapping
 from math import pi, radians
@@ -11,11 +11,11 @@ from train.worlds.photographs import lay_sky
 from train.worlds.stage import Haze, Stage
 
 FOG = 130
-"""Metres: air that reaches less far hides the sky's lower part as well."""
+"""Visibility in metres below which haze also hides the lower part of the sky."""
 
 
 def sample_hour(stage: Stage, hours: Mapping[str, int]) -> str:
-    """Sample a time of day; set the air and whether lamps burn. Comes before all materials."""
+    """Sample a time of day; set haze and whether lamps are lit. Called before any material."""
     at = stage.at
     hour = at.choices(list(hours), list(hours.values()))[0]
     stage.hour = hour
@@ -30,9 +30,9 @@ def sample_hour(stage: Stage, hours: Mapping[str, int]) -> str:
 
 
 def sample_weather(stage: Stage, wet: bool | None) -> None:
-    """Sample fog that hides what is some tens of metres away, and rain or snow that falls.
+    """Sample fog with a visibility of some tens of metres, and falling rain or snow.
 
-    wet: whether it rains on a wet road; None leaves both to chance.
+    wet: whether it rains on a wet road; None samples both.
     """
     at, stage.wet = stage.at, wet
     if stage.chance(0.35 if wet else 0.18):
@@ -42,7 +42,7 @@ def sample_weather(stage: Stage, wet: bool | None) -> None:
 
 
 def build_light(stage: Stage, hour: str) -> None:
-    """Sky and sun, or a dark sky."""
+    """Build sky and sun, or a dark sky."""
     at = stage.at
     world: Any = bpy.data.worlds.new("sky")
     stage.scene.world = world
@@ -81,7 +81,7 @@ def build_light(stage: Stage, hour: str) -> None:
 
 
 def _clouds(stage: Stage, nodes: Nodes) -> Any:
-    """Where clouds are, 0 to 1: noise over directions, flat at the horizon."""
+    """Return the density of clouds, 0 to 1: noise over directions, flat at the horizon."""
     at = stage.at
     where = nodes.add("ShaderNodeTexCoord", {}, "Generated")
     flat = nodes.add("ShaderNodeMapping", {0: where, "Scale": (1, 1, at.uniform(2, 5))})

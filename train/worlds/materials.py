@@ -1,4 +1,4 @@
-"""How surfaces look: colour that varies, grain, cracks, stones, water, snow, windows."""
+"""Materials: colour variation, grain, cracks, stones, water, snow, windows."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,24 +9,24 @@ from train.worlds.photographs import lay_photograph
 from train.worlds.stage import Material, Stage
 
 Colour = Sequence[float]
-"""Linear light, red, green and blue, 0 to 1."""
+"""Linear RGB, 0 to 1."""
 
 BLACK = (0.0, 0.0, 0.0)
 
 
 def palette(text: str) -> list[tuple[float, ...]]:
-    """Colours to draw from, given in percent: ``"32 24 16, 40 36 30"``."""
+    """Parse colours given in percent: ``"32 24 16, 40 36 30"``."""
     return [tuple(float(part) / 100 for part in one.split()) for one in text.split(",")]
 
 
 def drawn(stage: Stage, colours: Sequence[Colour], spread: float = 0.25) -> tuple[float, ...]:
-    """One of some colours, lighter or darker, with a tint of its own."""
+    """Sample one of some colours, with random brightness and tint."""
     at, light = stage.at, stage.at.uniform(1 - spread, 1 + spread)
     return tuple(min(0.95, max(0.0, c * light * at.gauss(1, 0.06))) for c in at.choice(colours))
 
 
 class Nodes:
-    """The graph of a material or a world: a node a call, the first output as result."""
+    """Node graph of a material or world: each call adds a node and returns its first output."""
 
     def __init__(self, owner: Any) -> None:
         owner.use_nodes = True
@@ -34,7 +34,7 @@ class Nodes:
         self.tree.nodes.clear()
 
     def add(self, kind: str, inputs: dict[Any, Any], output: Any = 0, **properties: Any) -> Any:
-        """One node; inputs by name or number, values or other nodes' sockets."""
+        """Add a node; inputs by name or number, values or other nodes' sockets."""
         made = self.tree.nodes.new(kind)
         for name, value in properties.items():
             setattr(made, name, value)
@@ -46,48 +46,48 @@ class Nodes:
         return made.outputs[output] if made.outputs else None
 
     def math(self, what: str, a: Any, b: Any = 0.0) -> Any:
-        """A number from two."""
+        """Combine two numbers by an operation."""
         return self.add("ShaderNodeMath", {0: a, 1: b}, operation=what)
 
     def mix(self, share: Any, a: Any, b: Any) -> Any:
-        """Colour b for a share, a for the rest."""
+        """Mix colours: b by a fraction, a for the rest."""
         a, b = ((*one, 1.0) if isinstance(one, tuple | list) else one for one in (a, b))
         return self.add("ShaderNodeMix", {0: share, 6: a, 7: b}, 2, data_type="RGBA")
 
     def step(self, value: Any, low: float, high: float) -> Any:
-        """0 below low, 1 above high (or the other way round), smooth between."""
+        """Return 0 below low and 1 above high (or reversed), smooth between."""
         given = {0: value, 1: low, 2: high, 3: 0.0, 4: 1.0}
         return self.add("ShaderNodeMapRange", given, interpolation_type="SMOOTHSTEP")
 
     def place(self) -> Any:
-        """Where a point is in the world, metres."""
+        """Return the position in the world, in metres."""
         return self.add("ShaderNodeNewGeometry", {}, "Position")
 
     def noise(self, scale: float, detail: float = 3.0, where: Any = None) -> Any:
-        """Smooth noise about .5, ``scale`` bumps a metre."""
+        """Return smooth noise about .5 with ``scale`` bumps a metre."""
         given = {"Vector": where or self.place(), "Scale": scale, "Detail": detail}
         return self.add("ShaderNodeTexNoise", given | {"Roughness": 0.65}, "Fac")
 
     def cells(self, size: float, where: Any = None) -> Any:
-        """Metres over size to the edge of irregular cells."""
+        """Return the distance to the edge of irregular cells, in metres over size."""
         given = {"Vector": where or self.place(), "Scale": 1 / size}
         return self.add("ShaderNodeTexVoronoi", given, "Distance", feature="DISTANCE_TO_EDGE")
 
     def bump(self, height: Any, strength: float, distance: float) -> Any:
-        """The normals of a surface that is not flat."""
+        """Return the normals of an uneven surface."""
         given = {"Strength": strength, "Distance": distance, "Height": height}
         return self.add("ShaderNodeBump", given)
 
 
 def new_surface() -> Nodes:
-    """The graph of a new material."""
+    """Return the graph of a new material."""
     return Nodes(bpy.data.materials.new("surface"))
 
 
 def finished(
     stage: Stage, nodes: Nodes, look: Any, rough: Any, more: dict[str, Any] | None = None
 ) -> Material:
-    """The material seen through the air: what the camera sees far away has the haze's colour.
+    """Finish a material: add haze, whose colour hides it with distance.
 
     more: further inputs of the shader, such as ``Normal``.
     """
@@ -106,14 +106,14 @@ def finished(
 def plain(
     stage: Stage, colour: Colour, rough: float = 0.8, metal: float = 0.0, vary: float = 0.15
 ) -> Material:
-    """One colour, slightly varied: paint, plastic, metal."""
+    """Return a material of one slightly varied colour: paint, plastic, metal."""
     nodes, dark = new_surface(), tuple(c * (1 - vary) for c in colour)
     look = nodes.mix(nodes.noise(stage.at.uniform(0.3, 3)), dark, tuple(colour))
     return finished(stage, nodes, look, rough, {"Metallic": metal})
 
 
 def lamp(colour: Colour, strength: float) -> Material:
-    """What shines: bulbs, tail lights, lit windows."""
+    """Return an emitting material: bulbs, tail lights, lit windows."""
     nodes = new_surface()
     given = {"Color": (*colour, 1), "Strength": strength}
     nodes.add("ShaderNodeOutputMaterial", {"Surface": nodes.add("ShaderNodeEmission", given)})
@@ -129,7 +129,7 @@ def ground(
     bump: float = 0.3,
     photo: tuple[str, str] = ("", ""),
 ) -> Material:
-    """Make grass, earth, leaves, snow: a colour that goes over into another in patches.
+    """Return grass, earth, leaves or snow: patches of two colours with soft transitions.
 
     photo: kinds of photographs of both.
     """
@@ -147,9 +147,9 @@ def trodden(
     wear: tuple[float, float],
     photo: tuple[str, str] = ("", ""),
 ) -> Material:
-    """The ground beside (its two colours, grain and contrast) where wheels have laid it bare.
+    """Return the surrounding ground (two colours, grain, contrast) worn bare by wheels.
 
-    wear: shares of ``bare`` over its whole width, and in the two wheel tracks.
+    wear: fractions of ``bare`` over the whole width, and in the two wheel tracks.
     """
     at, nodes = stage.at, new_surface()
     look, fine = _patches(stage, nodes, colours, grain, contrast, photo)
@@ -168,7 +168,7 @@ def _patches(
     contrast: float,
     photo: tuple[str, str],
 ) -> tuple[Any, Any]:
-    """Return a colour that goes over into another, with its grain; and the grain's height."""
+    """Return a colour in patches of two with grain, and the height of the grain."""
     fine = nodes.noise(grain, 4)
     wide = nodes.step(nodes.noise(stage.at.uniform(0.05, 0.6)), 0.1, 0.9)
     looks = [
@@ -180,13 +180,13 @@ def _patches(
 
 
 def _across(nodes: Nodes) -> Any:
-    """Metres from the middle of the road, the first UV."""
+    """Return the offset from the middle of the road in metres, the first UV coordinate."""
     across = nodes.add("ShaderNodeTexCoord", {}, "UV")
     return nodes.math("ABSOLUTE", nodes.add("ShaderNodeSeparateXYZ", {0: across}, 0))
 
 
 def _wheel_tracks(stage: Stage, nodes: Nodes, across: Any) -> Any:
-    """Where wheels roll, 0 to 1."""
+    """Return the wear by wheels, 0 to 1."""
     gauge = stage.at.uniform(1.5, 1.9)
     wave = nodes.math("COSINE", nodes.math("MULTIPLY", across, 6.28 / gauge))
     return nodes.step(wave, 0.4, -0.8)
@@ -203,11 +203,11 @@ def paved(
     edge: Colour | None = None,
     photo: str = "",
 ) -> Material:
-    """A road: grain, patches, cracks, wheel tracks, frayed edges; wet, of stones, under slush.
+    """Return a road surface: grain, patches, cracks, wheel tracks, edges; wet, stones, slush.
 
-    half: its half width in metres, the scale of the first UV. wet: share of it under water.
-    stones: their size in metres. ruts: how dark or light wheel tracks are. photo: the kind of
-    photographs of it; cobbles where there are stones, else asphalt.
+    half: its half width in metres, the scale of the first UV coordinate. wet: fraction under water.
+    stones: their size in metres. ruts: brightness of wheel tracks. photo: kind of photographs, by
+    default cobbles where there are stones, else asphalt.
     """
     at, nodes = stage.at, new_surface()
     across = _across(nodes)
@@ -244,7 +244,7 @@ def paved(
 def slabs(
     stage: Stage, colour: Colour, size: float, wet: float = 0.0, slush: Colour | None = None
 ) -> Material:
-    """A pavement of slabs, their longer side in metres; wet or under snow."""
+    """Return a pavement of slabs with a longer side in metres; wet or under snow."""
     at, nodes = stage.at, new_surface()
     x, y = (nodes.add("ShaderNodeSeparateXYZ", {0: nodes.place()}, k) for k in (0, 1))
     flat = nodes.add("ShaderNodeCombineXYZ", {0: x, 1: y})
@@ -271,7 +271,7 @@ def slabs(
 
 
 def under_water(nodes: Nodes, look: Any, grain: float, wet: float, shine: float) -> tuple[Any, Any]:
-    """Darker and smoother where water stands, on a share of the surface; look and roughness."""
+    """Darken and smooth a fraction of a surface where water stands; return colour and roughness."""
     water = nodes.step(nodes.noise(grain), 0.75 - wet * 0.6, 0.6 - wet * 0.6)
     water = nodes.math("SUBTRACT", 1.0, water)
     look = nodes.mix(nodes.math("MULTIPLY", water, 0.5), look, BLACK)
@@ -279,7 +279,7 @@ def under_water(nodes: Nodes, look: Any, grain: float, wet: float, shine: float)
 
 
 def _cracked(nodes: Nodes, look: Any, often: float, wide: float) -> Any:
-    """Dark lines between cells that are bent by noise, metres apart."""
+    """Return dark lines between cells distorted by noise, metres apart."""
     bend = nodes.add("ShaderNodeTexNoise", {"Vector": nodes.place(), "Scale": 0.8}, "Color")
     where = nodes.add("ShaderNodeVectorMath", {0: nodes.place(), 1: bend}, operation="ADD")
     line = nodes.step(nodes.cells(1 / often * 2, where), wide, wide / 3)
@@ -288,7 +288,7 @@ def _cracked(nodes: Nodes, look: Any, often: float, wide: float) -> Any:
 
 
 def facade(stage: Stage, colour: Colour) -> Material:
-    """A wall with rows of windows, some of them lit at night; windows each 2 to 4 metres."""
+    """Return a wall with rows of windows every 2 to 4 metres, some lit at night."""
     at, nodes = stage.at, new_surface()
     where = nodes.add("ShaderNodeTexCoord", {}, "Object")
     x, y, z = (nodes.add("ShaderNodeSeparateXYZ", {0: where}, k) for k in range(3))

@@ -1,7 +1,7 @@
-"""Images with no road in them: rooms, table tops, walls, fields and water.
+"""Images without road: rooms, table tops, walls, fields and water.
 
-What they teach is that an image need not have a road. Floors are ground, and so are fields and
-water; whatever stands on them is vertical.
+They teach that an image need not have a road. Floors, fields and water are ground; whatever stands
+on them is vertical.
 """
 
 from math import atan, cos, sin, sqrt
@@ -37,7 +37,7 @@ INDOORS = palette("60 55 48, 50 50 52, 30 20 12, 70 70 66, 20 25 35, 45 12 8, 10
 
 
 def build_nowhere(stage: Stage) -> str:
-    """One of the places and the camera in it; its kind."""
+    """Build one of the places with its camera; return its kind."""
     kind = stage.at.choice(PLACES)
     data: Any = bpy.data.cameras.new("camera")
     data.sensor_fit, data.clip_start, data.clip_end = "VERTICAL", 0.02, 2000
@@ -53,7 +53,7 @@ def build_nowhere(stage: Stage) -> str:
 
 
 def _any_surface(stage: Stage) -> Material:
-    """Plain, patched, tiled, of stones, printed."""
+    """Sample a surface: plain, patched, tiled, of stones, printed."""
     at, colours = stage.at, INDOORS + PAVINGS
     first, second = drawn(stage, colours, 0.5), drawn(stage, colours, 0.5)
     kind = at.choice(["plain", "ground", "slabs", "stones", "printed"])
@@ -69,7 +69,7 @@ def _any_surface(stage: Stage) -> Material:
 
 
 def _printed(stage: Stage, first: Colour, second: Colour) -> Material:
-    """Stripes, checks or rings of two colours."""
+    """Return stripes, checks or rings of two colours."""
     nodes, at = new_surface(), stage.at
     scale = at.uniform(1, 20)
     kinds = {"ShaderNodeTexChecker": "Fac", "ShaderNodeTexWave": "Fac", "ShaderNodeTexVoronoi": 0}
@@ -86,7 +86,7 @@ def _plane(stage: Stage, look: Material, size: float, truth: int) -> None:
 
 
 def _thing(stage: Stage, size: float) -> Any:
-    """A box, a vessel, a ball or leaves, of about a size."""
+    """Return a box, a vessel, a ball or leaves of about a size."""
     at, look = stage.at, _any_surface(stage)
     kind = at.choice(["box", "box", "vessel", "ball", "leaves"])
     if kind == "box":
@@ -105,7 +105,7 @@ def _thing(stage: Stage, size: float) -> Any:
 
 
 def _scatter(stage: Stage, count: int, size: float, reach: float, near: float = 0.0) -> None:
-    """Things on the ground, from ``near`` to ``reach`` metres ahead."""
+    """Scatter objects on the ground, from ``near`` to ``reach`` metres ahead."""
     at = stage.at
     for _ in range(count):
         where = (at.uniform(-reach, reach), at.uniform(near, reach), 0.0)
@@ -138,7 +138,7 @@ def _room(stage: Stage) -> tuple[Point, Point]:
 
 
 def _things(stage: Stage) -> tuple[Point, Point]:
-    """A table top, or whatever things lie on, seen from above or askew."""
+    """Build a table top or another support of objects, seen from above or obliquely."""
     at = stage.at
     _plane(stage, _any_surface(stage), 4, at.choice([VERTICAL, HORIZONTAL]))
     size = at.uniform(0.05, 0.4)
@@ -149,7 +149,7 @@ def _things(stage: Stage) -> tuple[Point, Point]:
 
 
 def _wall(stage: Stage) -> tuple[Point, Point]:
-    """A front, a page or a fabric that fills the image."""
+    """Build a facade, a page or a fabric that fills the image."""
     at, half = stage.at, stage.at.uniform(0.5, 15)
     look = facade(stage, drawn(stage, WALLS)) if half > 3 else _any_surface(stage)
     stage.put(stage.mesh([(box((0, 6, 0), (6 * half, 0.5, 6 * half)), look)]), VERTICAL)
@@ -159,7 +159,7 @@ def _wall(stage: Stage) -> tuple[Point, Point]:
 
 
 def _scatter_up(stage: Stage, count: int, half: float) -> None:
-    """Things before a wall."""
+    """Scatter objects in front of a wall."""
     at = stage.at
     for _ in range(count):
         where = (at.uniform(-1, 1) * half, 5.3, at.uniform(-1, 1) * half)
@@ -167,7 +167,7 @@ def _scatter_up(stage: Stage, count: int, half: float) -> None:
 
 
 def _field(stage: Stage) -> tuple[Point, Point]:
-    """Meadow, crop, earth, sand or snow with plants, and no way through it."""
+    """Build a meadow, crop, earth, sand or snow with plants and without a way."""
     at = stage.at
     colours = at.choice([GREENS, GREENS, EARTHS, LITTER, SNOW])
     soil = ground(stage, drawn(stage, colours), drawn(stage, colours), at.uniform(0.5, 9), 0.5)
@@ -184,7 +184,7 @@ def _field(stage: Stage) -> tuple[Point, Point]:
 
 
 def _tufts(stage: Stage) -> None:
-    """Tufts of blades, scattered."""
+    """Scatter tufts of blades."""
     at = stage.at
     blade, points = plain(stage, drawn(stage, GREENS + LITTER, 0.35), 0.8, vary=0.5), []
     tall = at.uniform(0.05, 0.9)
@@ -199,7 +199,7 @@ def _tufts(stage: Stage) -> None:
 
 
 def _water(stage: Stage) -> tuple[Point, Point]:
-    """A lake or the sea, and its far shore."""
+    """Build a lake or the sea with its far shore."""
     at, nodes = stage.at, Nodes(bpy.data.materials.new("water"))
     tone = drawn(stage, palette("2 4 5, 4 6 5, 8 9 8"))
     waves = nodes.bump(nodes.noise(at.uniform(0.3, 4)), at.uniform(0.05, 0.6), 0.1)

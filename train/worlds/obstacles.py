@@ -1,4 +1,4 @@
-"""Small things on and beside the road: bollards, posts, bins, cones, barriers, bicycles."""
+"""Small objects on and beside the road: bollards, posts, bins, cones, barriers, bicycles."""
 
 from collections.abc import Callable
 from math import exp, log
@@ -12,7 +12,7 @@ GREYS = palette("3 3 3, 30 30 30, 60 58 50, 12 14 12")
 SIGNAL = palette("60 12 2, 60 45 2, 55 3 2")
 
 NEAREST, FARTHEST = 2.6, 65.0
-"""Metres ahead between which people and small things are put."""
+"""Range in metres ahead in which people and obstacles are placed."""
 
 
 def bollard(stage: Stage) -> Figure:
@@ -73,7 +73,7 @@ def _cone(stage: Stage) -> Figure:
 
 
 def _barrier(stage: Stage) -> Figure:
-    """Return striped boards on thin legs; the road is seen below them."""
+    """Return striped boards on thin legs; the road is visible below them."""
     at, half = stage.at, stage.at.uniform(0.5, 1.2)
     red, white = plain(stage, (0.55, 0.03, 0.02), 0.5), plain(stage, (0.75, 0.75, 0.75), 0.5)
     parts: Parts = []
@@ -95,11 +95,11 @@ THINGS: dict[Callable[[Stage], Figure], float] = {
     _barrier: 1,
     bicycle: 2,
 }
-"""What stands about, and how often."""
+"""Kinds of obstacles, with their weights."""
 
 
 def sample_ahead(stage: Stage) -> float:
-    """Return metres ahead of the camera, as often near as far; with a wide lens behind as well."""
+    """Sample a distance ahead in metres, log-uniform; with a wide lens also behind."""
     metres = exp(stage.at.uniform(log(NEAREST), log(FARTHEST)))
     return -metres if stage.around and metres < 20 and stage.chance(0.4) else metres
 
@@ -107,9 +107,9 @@ def sample_ahead(stage: Stage) -> float:
 def put_people(
     stage: Stage, course: Course, beside: tuple[float, float], up: float, count: int
 ) -> None:
-    """Put people on the road and beside it, facing along it or across.
+    """Place people on the road and beside it, facing along or across it.
 
-    beside: metres from the middle to the near and the far end of where one walks; up: its height.
+    beside: metres from the middle to the near and the far end of the pavement; up: its height.
     """
     if not count:
         return
@@ -128,7 +128,7 @@ def put_people(
 
 
 def put_obstacles(stage: Stage, course: Course, up: float, count: int) -> None:
-    """Put small things at the edges of the road, behind its kerbs and on it; cones in a row."""
+    """Place small objects at the edges of the road, behind its kerbs and on it; cones in a row."""
     if not count:
         return
     at, half = stage.at, course.half

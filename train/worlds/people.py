@@ -1,4 +1,4 @@
-"""People on foot, on bicycles, with prams and dogs: limbs, tyres and tubes as thin as they are."""
+"""People on foot, on bicycles, with prams and dogs; limbs, tyres and tubes have true thickness."""
 
 from collections.abc import Callable
 from math import cos, pi, sin
@@ -13,13 +13,13 @@ from train.worlds.truth import VERTICAL, VOID
 SKIN = palette("40 25 18, 20 10 6, 10 5 3")
 
 WHEEL = 0.34
-"""Radius of a bicycle's wheel, metres."""
+"""Radius of a bicycle's wheel in metres."""
 
 
 class Figure(NamedTuple):
-    """Somebody who stands at the origin and faces y.
+    """A person at the origin who faces y.
 
-    veil: what is seen through but nobody labels as road, as between spokes: void in the truth.
+    veil: see-through parts that nobody labels as road, as between spokes; void in the truth.
     """
 
     parts: Parts
@@ -27,7 +27,7 @@ class Figure(NamedTuple):
 
 
 def limb(start: Point, end: Point, radius: float, last: float, sides: int = 6) -> Shape:
-    """Return a tube between two points that goes from one radius to another."""
+    """Return a tube between two points that tapers from one radius to another."""
     axis = Vector(end) - Vector(start)
     across = axis.orthogonal().normalized()
     other = axis.cross(across).normalized()
@@ -44,7 +44,7 @@ def limb(start: Point, end: Point, radius: float, last: float, sides: int = 6) -
 
 
 def tyre(y: float, radius: float, thick: float, sides: int = 20) -> Shape:
-    """Return a ring in the plane x = 0 that stands on z = 0, open inside."""
+    """Return an open ring in the plane x = 0 that stands on z = 0."""
     points: list[Point] = []
     for k in range(sides):
         turn = 2 * pi * k / sides
@@ -91,7 +91,7 @@ def _torso(waist: Point, neck: Point, stout: float) -> Shape:
 
 
 def person(stage: Stage) -> Parts:
-    """Return somebody who walks or stands, of any height, in trousers, a skirt or a coat."""
+    """Return a walking or standing person of any height, in trousers, a skirt or a coat."""
     at = stage.at
     tall = at.uniform(0.55, 0.8) if stage.chance(0.15) else at.uniform(0.88, 1.1)
     stout, stride = at.uniform(0.8, 1.25), at.choice([0.0, 0.1, at.uniform(0.2, 0.36)])
@@ -121,7 +121,7 @@ def person(stage: Stage) -> Parts:
 
 
 def rider(stage: Stage, seat: float, bar: Point, pedal: float) -> Parts:
-    """Return somebody who sits at a height and holds a bar (across, along, up)."""
+    """Return a person sitting at a height who holds a bar (across, along, up)."""
     above, below = _cloth(stage), _cloth(stage)
     skin = plain(stage, drawn(stage, SKIN), 0.7)
     neck = (0.0, -0.2 + stage.at.uniform(0.1, 0.4) * bar[1], seat + 0.52)
@@ -159,18 +159,18 @@ def bicycle(stage: Stage) -> Figure:
 
 
 def cyclist(stage: Stage) -> Figure:
-    """Return somebody on a bicycle."""
+    """Return a person on a bicycle."""
     parts, veil = bicycle(stage)
     return Figure([*parts, *rider(stage, 0.98, (0.25, 0.32, 1.02), 0.16)], veil)
 
 
 def walker(stage: Stage) -> Figure:
-    """Return somebody on foot alone."""
+    """Return a single pedestrian."""
     return Figure(person(stage), [])
 
 
 def _with_pram(stage: Stage) -> Figure:
-    """Return somebody who pushes a pram or a trolley on thin legs and small wheels."""
+    """Return a person who pushes a pram or a trolley on thin legs and small wheels."""
     frame, cover = plain(stage, (0.05, 0.05, 0.05), 0.5), _cloth(stage)
     parts: Parts = [(box((0, 0.75, 0.72), (0.4, 0.62, 0.3)), cover)]
     for side in (-0.22, 0.22):
@@ -182,7 +182,7 @@ def _with_pram(stage: Stage) -> Figure:
 
 
 def _with_dog(stage: Stage) -> Figure:
-    """Return somebody with a dog at a lead."""
+    """Return a person with a dog on a lead."""
     coat = plain(stage, drawn(stage, palette("4 3 2, 30 22 12, 55 52 45")), 0.95, vary=0.4)
     x, size = stage.at.choice((-0.7, 0.7)), stage.at.uniform(0.5, 1.1)
     parts: Parts = []
@@ -198,7 +198,7 @@ def _with_dog(stage: Stage) -> Figure:
 
 
 def _on_scooter(stage: Stage) -> Figure:
-    """Return somebody who stands on a scooter: a deck, a thin post, two small wheels."""
+    """Return a person on a scooter: a deck, a thin post, two small wheels."""
     dark = plain(stage, (0.04, 0.04, 0.045), 0.5)
     parts: Parts = [(box((0, 0, 0.12), (0.15, 0.75, 0.05)), dark)]
     parts += [(tyre(y, 0.1, 0.025, 12), dark) for y in (-0.42, 0.45)]
@@ -214,11 +214,11 @@ FIGURES: dict[Callable[[Stage], Figure], float] = {
     _with_dog: 0.8,
     _on_scooter: 0.8,
 }
-"""Who is seen in a street, and how often."""
+"""Kinds of people in a street, with their weights."""
 
 
 class Cast:
-    """A few figures of a world, each put up as often as is wanted."""
+    """The figures of a world, a few meshes that are placed any number of times."""
 
     def __init__(self, stage: Stage, count: int) -> None:
         makers = stage.at.choices(list(FIGURES), list(FIGURES.values()), k=count)
@@ -229,7 +229,7 @@ class Cast:
         ]
 
     def put(self, where: Point, turn: float) -> None:
-        """Put one of them somewhere, facing an angle about z."""
+        """Place one of them at a position, facing an angle about z."""
         mesh, veil = self.stage.at.choice(self.meshes)
         put_figure(self.stage, mesh, veil, where, turn, self.stage.at.uniform(0.92, 1.06))
 
@@ -237,7 +237,7 @@ class Cast:
 def put_figure(
     stage: Stage, mesh: Any, veil: Any, where: Point, turn: float, size: float = 1.0
 ) -> None:
-    """Put a mesh and what is void about it, which only the truth shows."""
+    """Place a mesh, and its void parts, which only the truth shows."""
     stage.put(mesh, VERTICAL, where, turn, (size, size, size))
     if veil:
         stage.put(veil, VOID, where, turn, (size, size, size)).hide_render = True

@@ -1,7 +1,7 @@
-"""Photographs of ground, walls and skies in the worlds' materials, where a folder of them is given.
+"""Photographs of ground, walls and skies as materials of the worlds, if a folder of them is given.
 
-The folder has KIND/NAME_color.jpg, sky/NAME.exr and sources.csv (file, …, width_m). What is
-sampled here comes from a generator of its own, so that a number's shapes are the same without.
+The folder has KIND/NAME_color.jpg, sky/NAME.exr and sources.csv (file, …, width_m). They are
+sampled with a generator of their own, so that a number's shapes are the same without them.
 """
 
 import csv
@@ -30,13 +30,13 @@ FILES = {
     "wall": r"wall/(Bricks|Plaster|beige|brick|broken|castle|concrete|omr_bric|osm_putz|osm_gab"
     r"|plast|brown_pl|beam)",
 }
-"""Of each kind, by the beginnings of their names in the folder."""
+"""Files of each kind, by the beginnings of their names in the folder."""
 
 ORIGINAL, DETAIL = 0.45, 0.35
-"""How often a material has a photograph's colours, and its detail on colours of ours."""
+"""Probabilities that a material has a photograph's colours, or its detail on sampled colours."""
 
 HARD = ("asphalt", "concrete", "cobbles", "slabs")
-"""Kinds whose colours are weakened."""
+"""Kinds whose colours are desaturated."""
 
 SKIES = {
     "sun": "hilly_terrain_01 kloppenheim_05 kloppenheim_06_puresky pm_sky sunflowers_puresky"
@@ -45,11 +45,11 @@ SKIES = {
     "overcast": "aristea_wreck_puresky kloppenheim_06_puresky noon_grass",
     "night": "dikhololo_night moonless_golf narrow_moonlit_road",
 }
-"""By time of day."""
+"""Skies by time of day."""
 
 
 class Photograph(NamedTuple):
-    """wide: metres of a tile, 0 where unknown; mean: its colour in linear light, RGB."""
+    """A photograph; wide: metres of a tile, 0 if unknown; mean: its mean colour, linear RGB."""
 
     file: Path
     wide: float
@@ -58,7 +58,7 @@ class Photograph(NamedTuple):
 
 @cache
 def list_photographs(folder: Path, kind: str) -> list[Photograph]:
-    """List all square ones of a kind."""
+    """List all square photographs of a kind."""
     with (folder / "sources.csv").open(encoding="utf-8", newline="") as file:
         widths = {row["file"]: row["width_m"].split(" ")[0] for row in csv.DictReader(file)}
     photographs = []
@@ -74,7 +74,7 @@ def list_photographs(folder: Path, kind: str) -> list[Photograph]:
 
 
 def lay_photograph(stage: Stage, nodes: Any, kind: str, look: Any, plain: Any = None) -> Any:
-    """Lay a photograph on a surface of a procedural look; without one return that, or ``plain``."""
+    """Texture a procedural surface with a photograph; without one return it, or ``plain``."""
     at, otherwise = stage.pick, look if plain is None else plain
     if not (stage.photographs and kind):
         return otherwise
@@ -101,7 +101,7 @@ def lay_photograph(stage: Stage, nodes: Any, kind: str, look: Any, plain: Any = 
 
 
 def _tile(stage: Stage, nodes: Any, file: Path, kind: str, wide: float) -> Any:
-    """Repeat a photograph in two layers that go over into one another, so that no tile is seen."""
+    """Repeat a photograph in two blended layers, which hides its tiling."""
     at, strict, wall = stage.pick, kind in ("cobbles", "slabs"), kind == "wall"
     turn = 0.0 if wall else at.choice([0, pi / 2]) if strict else at.uniform(0, 2 * pi)
     image = bpy.data.images.load(str(file), check_existing=True)
@@ -120,7 +120,7 @@ def _tile(stage: Stage, nodes: Any, file: Path, kind: str, wide: float) -> Any:
 
 
 def lay_sky(stage: Stage, nodes: Any) -> tuple[Any, float] | None:
-    """Return the look of a photographed sky and its strength, in a third of the worlds."""
+    """Return a photographed sky and its strength, in a third of the worlds."""
     if not stage.photographs or stage.pick.random() > 1 / 3:
         return None
     file = stage.photographs / "sky" / f"{stage.pick.choice(SKIES[stage.hour].split())}.exr"

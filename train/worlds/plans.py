@@ -1,4 +1,4 @@
-"""What a world's number stands for: kind of road, time of day, weather, people, camera mount."""
+"""Plans of worlds by number: kind of road, time of day, weather, people, camera mount."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -14,16 +14,16 @@ KINDS: Mapping[str, int] = {
     "bazaar": 3,
     "lane": 2,
 }
-"""Kinds of road in worlds of all kinds, and how often each is sampled."""
+"""Kinds of road in worlds of all kinds, with their weights."""
 
 NOWHERE = "nowhere"
-"""The kind of a place without road."""
+"""Kind of a place without road."""
 
 FISHEYES = ("front", "rear", "left", "right")
-"""Mounts of fisheyes on a car; others are car, truck and robot."""
+"""Mounts of fisheyes on a car; other mounts are car, truck and robot."""
 
 HOURS = {"sun": 9, "overcast": 7, "dusk": 2, "night": 3}
-"""Times of day, and how often each is sampled."""
+"""Times of day, with their weights."""
 
 DARKER = {"sun": 6, "overcast": 6, "dusk": 4, "night": 5}
 DAY = {"sun": 5, "overcast": 4, "dusk": 3}
@@ -32,11 +32,11 @@ RAINY = {"overcast": 6, "dusk": 3, "night": 2}
 
 
 class Plan(NamedTuple):
-    """What a world is sampled from.
+    """The distributions from which a world is sampled.
 
-    name: in the file's name; "" stands for the kind of road. kinds, hours: and how often each is
-    sampled. wet: whether it rains on a wet road; None leaves it to chance. crowd: whether many
-    people, cyclists and small obstacles are near and on the road. mount: of the camera.
+    name: part of the file's name; "" stands for the kind of road. kinds, hours: with their weights.
+    wet: whether it rains on a wet road; None samples it. crowd: whether many people, cyclists and
+    small obstacles are near and on the road. mount: of the camera.
     """
 
     name: str
@@ -70,10 +70,10 @@ SCHEDULE = (
     *(PEOPLE, RIGHT, DARK_TOWN, Plan("", ROADS, DARKER), WET_TOWN, ROBOT),
     *(DRY_TOWN, PEOPLE, MIXED, Plan("", {NOWHERE: 1}, DARKER)),
 )
-"""Plans by turns, so that any stretch of numbers is a balanced set."""
+"""Plans in turn, so that any range of numbers is balanced."""
 
 SCHEDULED, HELD_OUT = 30000, 39000
-"""The first numbers of worlds planned by turns, and of those that teach no network."""
+"""First number of worlds planned in turn, and of those that are held out from training."""
 
 RANGES = {
     0: Plan("", KINDS),
@@ -82,7 +82,7 @@ RANGES = {
     14000: Plan("", LITTER),
     20000: Plan("", {NOWHERE: 1}),
 }
-"""Plans of all numbers from one on, below those planned by turns."""
+"""Plans by first number, below those planned in turn."""
 
 
 def plan_world(number: int) -> Plan:

@@ -1,6 +1,6 @@
-"""The road: its course over hills, its surface, what bounds it, the land beside it.
+"""The road: its course over hills, its surface, its borders, the land beside it.
 
-The land is swept along the course as well, so that everything follows the hills.
+The land is swept along the course as well and follows its hills.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from train.worlds.truth import HORIZONTAL, ROAD, VERTICAL, VOID
 class Kind(NamedTuple):
     """A kind of road.
 
-    half: half its width in metres, from … to. bend, steepest: of its course. ragged: metres by
-    which its edges wander. trees: from … to. vehicles: how many drive there, each as likely.
+    half: half its width in metres, from … to. bend, steepest: limits of its course. ragged:
+    amplitude in metres of its edges. trees: from … to. vehicles: numbers, equally likely.
     """
 
     half: tuple[float, float]
@@ -48,10 +48,10 @@ KINDS = {
 
 UNPAVED = ("track", "trail", "overgrown", "litter")
 """The third is a trail with grass on it between tall grass and bushes, the last one in a wood, of
-the ground beside it but for where wheels have laid it bare."""
+the same ground as beside it except where wheels have worn it bare."""
 
 MOTORWAYS = ("motorway", "ramp")
-"""Paved, between rails and barriers, with lanes and a shoulder beyond the edge line."""
+"""Paved roads between rails and barriers, with lanes and a shoulder beyond the edge line."""
 
 EARTHS = palette("32 24 16, 40 36 30, 20 16 12, 30 30 29, 50 47 42, 40 20 11")
 GREENS = palette("10 17 5, 16 20 7, 30 26 13, 7 11 4, 38 33 20")
@@ -62,9 +62,9 @@ PAVINGS = palette("40 38 35, 28 28 28, 40 30 24, 18 18 18, 50 49 46")
 
 
 class Road(NamedTuple):
-    """What the other parts need to know: land is where the land begins, from the middle.
+    """Properties that the other parts need; land: where the land begins, from the middle.
 
-    lane: the middle of the lane in which the camera stands, where there are lanes.
+    lane: the middle of the camera's lane, where there are lanes.
     """
 
     kind: str
@@ -77,11 +77,11 @@ class Road(NamedTuple):
     lane: float | None = None
 
     def open(self, index: int) -> bool:
-        """Whether nothing crosses here."""
+        """Return whether no road crosses at a point."""
         return not any(low - 3 <= index <= high + 3 for low, high in self.gaps)
 
     def spot(self, index: int, beyond: float, side: int) -> tuple[float, float, float]:
-        """A place on the land, metres beyond where it begins."""
+        """Return a position on the land, metres from its beginning."""
         rises = self.land_rises[side]
         between = (
             low + (high - low) * (beyond - near) / (far - near)
@@ -94,7 +94,7 @@ class Road(NamedTuple):
 
 
 def drawn_course(stage: Stage, kind: Kind) -> Course:
-    """A gentle curve over gentle hills, narrower or wider by kind."""
+    """Sample a gentle curve over gentle hills, narrower or wider by kind."""
     at = stage.at
     bend = kind.bend * at.choice([0.3, 1.0, 1.0])
     first, change = at.uniform(-0.012, 0.012) * bend, at.uniform(-0.00022, 0.00022) * bend
@@ -115,7 +115,7 @@ def drawn_course(stage: Stage, kind: Kind) -> Course:
 def swept_between(
     stage: Stage, road: Road, section: Section, material: Material, truth: int = HORIZONTAL
 ) -> None:
-    """The same, but for where another road crosses."""
+    """Sweep a cross-section except where another road crosses."""
     first = 0
     for low, high in [*road.gaps, (road.length, road.length)]:
         swept(stage, road.course, section, material, truth, span=(first, low + 1))
@@ -130,7 +130,7 @@ def painted(
     material: Material,
     span: tuple[int, int] = (0, FAR),
 ) -> None:
-    """A line along the road, upon it; ``middle`` from the road's, half its width in metres."""
+    """Paint a line along the road; ``middle`` from the road's, half its width in metres."""
     line = [(middle - half, 0.036), (middle + half, 0.036)]
     swept(stage, road.course, line, material, ROAD, span=span)
 
@@ -139,7 +139,7 @@ def painted(
 
 
 def build_road(stage: Stage, kind: str, season: str) -> Road:
-    """Road, bounds, marks and land of one world."""
+    """Build road, borders, markings and land of a world."""
     at = stage.at
     course = drawn_course(stage, KINDS[kind])
     crossing = kind in ("street", "bazaar", "rural") and stage.chance(0.4)
@@ -178,7 +178,7 @@ def build_road(stage: Stage, kind: str, season: str) -> Road:
 
 
 def _wood(stage: Stage, season: str) -> tuple[Material, Material]:
-    """A trail and the ground of a wood, which are the same but for wear."""
+    """Return the materials of a trail and of the ground of a wood, which differ only in wear."""
     at = stage.at
     mine = {"snow": LITTER + SNOW[1:], "green": LITTER + GREENS}.get(season, LITTER)
     colours = (drawn(stage, mine, 0.35), drawn(stage, mine, 0.35))
@@ -192,7 +192,7 @@ def _wood(stage: Stage, season: str) -> tuple[Material, Material]:
 
 
 def _surface(stage: Stage, road: Road) -> Material:
-    """Asphalt, concrete, cobbles, gravel or earth; wet or under snow at times."""
+    """Return asphalt, concrete, cobbles, gravel or earth, sometimes wet or under snow."""
     at, half = stage.at, road.course.half
     wet = at.uniform(0.2, 1) if stage.chance(0.22) else 0.0
     slush = drawn(stage, SNOW) if road.season == "snow" and stage.chance(0.75) else None
@@ -212,7 +212,7 @@ def _surface(stage: Stage, road: Road) -> Material:
 
 
 def soil_of(stage: Stage, season: str) -> Material:
-    """What the land beside is made of."""
+    """Return the material of the land beside the road."""
     at = stage.at
     colours = {"snow": SNOW, "earth": EARTHS, "litter": LITTER, "dry": GREENS[2:3] + GREENS[4:]}
     mine: Sequence[Colour] = colours.get(season, GREENS)
@@ -225,7 +225,7 @@ def soil_of(stage: Stage, season: str) -> Material:
 
 
 def _bound(stage: Stage, road: Road, surface: Material) -> float:
-    """Kerbs and pavements, shoulders and rails, dust beside; where the land begins."""
+    """Build kerbs and pavements, shoulders and rails or dust; return where the land begins."""
     at, half = stage.at, road.course.half
     if road.kind == "street":
         wide, high = at.uniform(1.2, 4.5), at.uniform(0.07, 0.18)
@@ -267,7 +267,7 @@ def _bound(stage: Stage, road: Road, surface: Material) -> float:
 
 
 def _cross(stage: Stage, road: Road, surface: Material) -> None:
-    """Another road from the left, the right or both."""
+    """Build another road from the left, the right or both."""
     sides = stage.at.choice([(-70, 70), (-70, 0), (0, 70)])
     points = [road.course.at(k, across, 0.028) for k in road.gaps[0] for across in sides]
     mesh = stage.mesh([((points, [(0, 1, 3, 2)]), surface)])
@@ -276,7 +276,7 @@ def _cross(stage: Stage, road: Road, surface: Material) -> None:
 
 
 def _mark(stage: Stage, road: Road) -> None:
-    """Lines between lanes and along edges, a zebra crossing, all worn more or less."""
+    """Paint lines between lanes and along edges and a zebra crossing, with random wear."""
     at, half = stage.at, road.course.half
     white = _paint(stage)
     if stage.chance(0.75):
@@ -294,13 +294,13 @@ def _paint(stage: Stage) -> Material:
 
 
 def _verge(stage: Stage, half: float) -> float:
-    """Metres of road beyond an edge line: little, or a shoulder on which one may stop."""
+    """Sample the width in metres beyond an edge line: little, or a shoulder to stop on."""
     at = stage.at
     return min(at.uniform(1.2, 3.2) if stage.chance(0.35) else at.uniform(0.15, 0.7), half - 1)
 
 
 def _mark_line(stage: Stage, road: Road, across: float, look: Material, dashed: float) -> None:
-    """A line between lanes, dashed with some chance."""
+    """Paint a line between lanes, sometimes dashed."""
     if not stage.chance(dashed):
         painted(stage, road, across, 0.07, look)
         return
@@ -310,7 +310,7 @@ def _mark_line(stage: Stage, road: Road, across: float, look: Material, dashed: 
 
 
 def _mark_motorway(stage: Stage, road: Road) -> None:
-    """Edge lines with shoulders beyond them, lines between lanes, hatched areas before exits."""
+    """Paint edge lines beside shoulders, lines between lanes, hatched areas before exits."""
     at, half = stage.at, road.course.half
     left, right = at.sample([_verge(stage, half), at.uniform(0.15, 1.2)], 2)
     low, high, white = left - half, half - right, _paint(stage)
@@ -329,7 +329,7 @@ def _mark_motorway(stage: Stage, road: Road) -> None:
 
 
 def _hatch(stage: Stage, road: Road, sides: tuple[float, float], look: Material) -> None:
-    """Oblique stripes in a wedge that opens from the first side towards the second."""
+    """Paint oblique stripes in a wedge that opens from the first side towards the second."""
     at, (near, far) = stage.at, sides
     first, count = at.randint(START + 2, START + 25), at.randint(5, 14)
     wide = (far - near) * at.uniform(0.4, 1.0)
@@ -342,7 +342,7 @@ def _hatch(stage: Stage, road: Road, sides: tuple[float, float], look: Material)
 
 
 def mark_zebra(stage: Stage, road: Road, first: int, white: Material) -> None:
-    """A zebra crossing from a point on."""
+    """Paint a zebra crossing from a point on."""
     half = road.course.half
     for k in range(int(half * 2 / 1.0)):
         out = -half + 0.25 + k
@@ -351,7 +351,7 @@ def mark_zebra(stage: Stage, road: Road, first: int, white: Material) -> None:
 
 
 def _mark_bays(stage: Stage, road: Road) -> None:
-    """The lines of a car park."""
+    """Paint the lines of a car park."""
     if stage.chance(0.4):
         return
     white, half = plain(stage, (0.7, 0.7, 0.68), 0.7, vary=0.5), road.course.half
@@ -363,7 +363,7 @@ def _mark_bays(stage: Stage, road: Road) -> None:
 
 
 def _land(stage: Stage, road: Road, soil: Material) -> None:
-    """The land to both sides, flat at first, then banks, ditches and hills; and a plain below."""
+    """Build the land on both sides, flat, then banks, ditches and hills; and a plain below."""
     at, land = stage.at, road.land
     steps = [0, 0.5, 1, 1.8, 3, 5, 8, 12, 18, 27, 40, 60, 90]
     for side in (-1, 1):
@@ -378,7 +378,7 @@ def _land(stage: Stage, road: Road, soil: Material) -> None:
 
 
 def plain_below(stage: Stage, road: Road, soil: Material, depth: float) -> None:
-    """A plain so many metres below the lowest point of the road."""
+    """Build a plain some metres below the lowest point of the road."""
     size, below = 900.0, min(point.z for point in road.course.points) - depth
     corners = [(-size, -size, below), (size, -size, below), (size, size, below)]
     corners.append((-size, size, below))

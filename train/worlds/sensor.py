@@ -1,4 +1,4 @@
-"""From linear light to an image: lens errors, dirty glass, exposure, tone, noise, JPEG."""
+"""From linear light to an image: lens errors, dirty glass, exposure, tone curve, noise, JPEG."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ Random = np.random.Generator
 
 
 class Look(NamedTuple):
-    """A developed image uint8 (H,W,3) BGR, its truth uint8 (H,W), the quality it is stored at."""
+    """A developed image, uint8 (H, W, 3) BGR, its truth, uint8 (H, W), and its JPEG quality."""
 
     image: np.ndarray
     truth: np.ndarray
@@ -19,7 +19,7 @@ class Look(NamedTuple):
 
 
 AIMS = {"night": (0.003, 0.06), "dusk": (0.012, 0.12), "day": (0.06, 0.26)}
-"""Grey in linear light that an exposure aims at, from … to, by time of day."""
+"""Target grey of the exposure in linear light, from … to, by time of day."""
 
 UNDEREXPOSED = 0.05
 """Fraction of images by day that are several times too dark."""
@@ -33,10 +33,10 @@ def develop(
     falling: float = 0.0,
     circle: np.ndarray | None = None,
 ) -> Look:
-    """Develop linear light float32 (H,W,3) BGR as a camera shows it, truth bent as the lens bends.
+    """Develop linear light, float32 (H, W, 3) BGR, as a camera does; distort the truth alike.
 
-    falling: rain or snow in the air, 0 to 1. circle: what a fisheye sees (H,W); the rest is black
-    and void.
+    falling: rain or snow in the air, 0 to 1. circle: pixels that a fisheye sees (H, W); the rest is
+    black and void.
     """
     night, light = hour == "night", np.nan_to_num(light, posinf=1e4).clip(0, 1e4)
     if falling:
@@ -58,7 +58,7 @@ def develop(
 
 
 def bent(light: np.ndarray, truth: np.ndarray, barrel: float) -> tuple[np.ndarray, np.ndarray]:
-    """A lens that bends straight lines; what it would show from outside is cut off."""
+    """Distort by a lens, cropping what would come from outside the image."""
     height, width = truth.shape
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     x, y = 2 * (x + 0.5) / width - 1, 2 * (y + 0.5) / height - 1
@@ -72,7 +72,7 @@ def bent(light: np.ndarray, truth: np.ndarray, barrel: float) -> tuple[np.ndarra
 
 
 def with_glare(light: np.ndarray, night: bool, at: Random) -> np.ndarray:
-    """Halos about what is very bright, more of them at night."""
+    """Add halos around very bright pixels, more of them at night."""
     share = at.uniform(0.02, 0.15) if night else at.choice([0.0, 0.05])
     top = np.percentile(light, 99) * 8 + 1e-6
     return light * (1 - share) + share * cv2.GaussianBlur(
@@ -81,7 +81,7 @@ def with_glare(light: np.ndarray, night: bool, at: Random) -> np.ndarray:
 
 
 def exposure(light: np.ndarray, seen: np.ndarray, hour: str, at: Random) -> float:
-    """Return the gain of an automatic exposure, often a little off, by the seen pixels (H,W)."""
+    """Return the gain of an automatic exposure, often a little off, by the seen pixels (H, W)."""
     first = int(len(light) * at.uniform(0, 0.5))
     grey = np.exp(np.log(light[first:].mean(2)[seen[first:]] + 1e-5).mean())
     aim = np.exp(at.uniform(*np.log(AIMS.get(hour, AIMS["day"]))))
@@ -91,14 +91,14 @@ def exposure(light: np.ndarray, seen: np.ndarray, hour: str, at: Random) -> floa
 
 
 def vignette(shape: tuple[int, ...], at: Random) -> np.ndarray:
-    """Darker corners, (H,W,1)."""
+    """Return the darkening towards the corners, (H, W, 1)."""
     y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
     dark = at.choice([0.0, 0.1, 0.25, 0.5], p=[0.4, 0.3, 0.2, 0.1])
     return (1 - dark * ((x * x + y * y) / 2) ** at.uniform(1, 3)).astype(np.float32)[..., None]
 
 
 def through_rain(light: np.ndarray, much: float, at: Random) -> np.ndarray:
-    """Streaks of rain or flakes, brighter than what is behind them, under a veil."""
+    """Add streaks of rain or flakes, brighter than what is behind them, and a veil."""
     height, width = light.shape[:2]
     lit = (at.random((height, width)) < 0.004 * much * at.uniform(0.3, 1.5)).astype(np.float32)
     length = int(at.choice([1, 5, 11, 21]))
@@ -113,7 +113,7 @@ def through_rain(light: np.ndarray, much: float, at: Random) -> np.ndarray:
 
 
 def behind_glass(light: np.ndarray, at: Random) -> np.ndarray:
-    """A dirty or wet windscreen: a veil, a reflection of the dashboard, drops."""
+    """Add a dirty or wet windscreen: a veil, a reflection of the dashboard, drops."""
     height, width = light.shape[:2]
     cloth = cv2.resize(
         at.random((5, 7)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC
@@ -133,7 +133,7 @@ def behind_glass(light: np.ndarray, at: Random) -> np.ndarray:
 
 
 def toned(light: np.ndarray, at: Random) -> np.ndarray:
-    """Tone curve with a shoulder, saturation and contrast of the camera's own, in [0,1]."""
+    """Apply a tone curve with a shoulder, and the camera's saturation and contrast, in [0, 1]."""
     shoulder = at.uniform(0.0, 0.6)
     light = light * (1 + light * 0.1) / (1 + shoulder * light)
     tone = np.clip(light, 0, 1) ** (1 / at.uniform(1.9, 2.5))
@@ -144,7 +144,7 @@ def toned(light: np.ndarray, at: Random) -> np.ndarray:
 
 
 def stored(tone: np.ndarray, night: bool, at: Random) -> np.ndarray:
-    """Blur or sharpening, noise, eight bits."""
+    """Blur or sharpen, add noise, quantise to eight bits."""
     if at.random() < 0.5:
         tone = cv2.GaussianBlur(tone, (0, 0), at.uniform(0.3, 1.1))
     elif at.random() < 0.4:

@@ -1,4 +1,4 @@
-"""The stage: what every part of a world is put on, and the shapes that parts are made of.
+"""The scene to which the parts of a world are added, and the shapes that parts are made of.
 
 Metres; x to the right, y ahead, z up. A part has one truth, written as a colour that the pass of
 ``render_truth`` shows.
@@ -15,24 +15,24 @@ import bpy
 from train.worlds.truth import COLOURS
 
 WIDTH, HEIGHT = 384, 288
-"""Of the images: what other shapes are squeezed to, as the networks do."""
+"""Width and height of the images, to which other aspect ratios are squeezed, as by the networks."""
 
 Point = tuple[float, float, float]
 Material = Any
 Shape = tuple[Sequence[Point], Sequence[Sequence[int]]]
-"""Points and the faces between them."""
+"""Points, and the faces between them."""
 Parts = list[tuple[Shape, Material]]
 
 
 class Haze(NamedTuple):
-    """reach: metres at which 63 % of the light is the haze's; colour: linear, of the air."""
+    """reach: metres after which 63 % of the light is the haze's; colour: linear RGB of the air."""
 
     reach: float
     colour: tuple[float, float, float]
 
 
 class Stage:
-    """One world: its scene, its random numbers, its air."""
+    """A world: its scene, its random generator, its haze."""
 
     def __init__(self, at: Random, photographs: Path | None = None) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -52,15 +52,15 @@ class Stage:
 
     @property
     def night(self) -> bool:
-        """Whether lamps burn."""
+        """Whether lamps are lit."""
         return self.hour == "night"
 
     def chance(self, share: float) -> bool:
-        """Whether something happens that happens in a share of the worlds."""
+        """Sample whether an event of a probability happens."""
         return self.at.random() < share
 
     def mesh(self, parts: Iterable[tuple[Shape, Material]], smooth: bool = False) -> Any:
-        """One mesh of shapes, each with a material of its own."""
+        """Make a mesh of shapes, each with a material of its own."""
         points: list[Point] = []
         faces: list[Sequence[int]] = []
         materials: list[Material] = []
@@ -87,14 +87,14 @@ class Stage:
         turn: float = 0.0,
         size: Point = (1, 1, 1),
     ) -> Any:
-        """Put a mesh (or one more copy of it) somewhere, turned about z by radians."""
+        """Place a mesh (or a further copy of it), rotated about z by radians."""
         thing = self.add("thing", mesh, where)
         thing.rotation_euler, thing.scale = (0, 0, turn), size
         thing.color = (*COLOURS[truth], 1)
         return thing
 
     def add(self, name: str, data: Any, where: Point) -> Any:
-        """Put a mesh, a light or a camera somewhere."""
+        """Place a mesh, a light or a camera."""
         thing = bpy.data.objects.new(name, data)
         thing.location = where
         self.scene.collection.objects.link(thing)
@@ -105,7 +105,7 @@ class Stage:
 
 
 def box(middle: Point, size: Point) -> Shape:
-    """A box of a size around its middle."""
+    """Return a box of a size around its middle."""
     (x, y, z), (a, b, c) = middle, (side / 2 for side in size)
     points = [(x + i * a, y + j * b, z + k * c) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1)]
@@ -113,12 +113,12 @@ def box(middle: Point, size: Point) -> Shape:
 
 
 def loose(points: Sequence[Point]) -> Shape:
-    """Triangles that do not touch, of three points each: leaves, twigs, blades."""
+    """Return separate triangles, of three points each: leaves, twigs, blades."""
     return points, [(first, first + 1, first + 2) for first in range(0, len(points), 3)]
 
 
 def turned(profile: Sequence[tuple[float, float]], sides: int = 10) -> Shape:
-    """A profile of (radius, height) turned about z: posts, trunks, people."""
+    """Revolve a profile of (radius, height) about z: posts, trunks, people."""
     turns = [2 * pi * k / sides for k in range(sides)]
     points = [(r * cos(turn), r * sin(turn), z) for r, z in profile for turn in turns]
     faces = [
@@ -130,19 +130,19 @@ def turned(profile: Sequence[tuple[float, float]], sides: int = 10) -> Shape:
 
 
 def moved(shape: Shape, by: Point) -> Shape:
-    """The same shape elsewhere."""
+    """Translate a shape."""
     return [(x + by[0], y + by[1], z + by[2]) for x, y, z in shape[0]], shape[1]
 
 
 def wheel(x: float, y: float, radius: float, wide: float) -> Shape:
-    """A wheel that stands on z = 0, its axle along x."""
+    """Return a wheel that stands on z = 0, its axle along x."""
     half = wide / 2
     points, faces = turned([(0.01, -half), (radius, -half), (radius, half), (0.01, half)], 14)
     return [(x + c, y + a, radius + b) for a, b, c in points], faces
 
 
 def extruded(outline: Sequence[tuple[float, float]], halves: Sequence[float]) -> Shape:
-    """An outline of (y, z) to both sides of x = 0, as far as ``halves`` says of each point."""
+    """Extrude an outline of (y, z) to both sides of x = 0, by ``halves`` of each point."""
     n, rim = len(outline), list(zip(outline, halves, strict=True))
     points = [(side * half, y, z) for side in (-1, 1) for (y, z), half in rim]
     faces: list[Sequence[int]] = [list(range(n)), [2 * n - 1 - k for k in range(n)]]

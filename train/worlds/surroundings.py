@@ -1,4 +1,4 @@
-"""What stands beside the road, and over it: plants, houses, posts, people, bridges, hills."""
+"""Objects beside the road and over it: plants, houses, posts, people, bridges, hills."""
 
 from math import cos, pi, sin
 from typing import Any
@@ -17,7 +17,7 @@ WALLS = palette("55 47 38, 40 18 12, 55 55 54, 25 25 27, 65 60 45, 50 35 25")
 
 
 def build_surroundings(stage: Stage, road: Road, crowd: bool) -> None:
-    """Put up everything that stands, as the road's kind has it; crowd: more people."""
+    """Build all objects for the road's kind; crowd: more people."""
     at = stage.at
     town = road.kind in ("street", "bazaar", "yard")
     wild = road.kind in (*UNPAVED, "rural", "lane")
@@ -50,7 +50,7 @@ def build_surroundings(stage: Stage, road: Road, crowd: bool) -> None:
 
 
 def crown(stage: Stage, count: int, size: float) -> Shape:
-    """Loose leaves in a ball of radius 1, ``size`` each: light falls through."""
+    """Return loose leaves of a ``size`` in a ball of radius 1, through which light falls."""
     at = stage.at
     knots = [Vector((at.gauss(0, 0.45), at.gauss(0, 0.45), at.gauss(0, 0.4))) for _ in range(9)]
     points = []
@@ -62,7 +62,7 @@ def crown(stage: Stage, count: int, size: float) -> Shape:
 
 
 def _fir(stage: Stage, tiers: int = 9) -> Shape:
-    """Tiers of hanging branches, 1 wide and 1 tall."""
+    """Return tiers of hanging branches, 1 wide and 1 tall."""
     points = []
     for tier in range(tiers):
         low, reach = tier / tiers, 0.5 * (1 - tier / tiers) + 0.05
@@ -76,7 +76,7 @@ def _fir(stage: Stage, tiers: int = 9) -> Shape:
 
 
 def _bare(stage: Stage) -> Shape:
-    """A tree without leaves: thin branches, radius 1."""
+    """Return a tree without leaves: thin branches, radius 1."""
     at, points, half = stage.at, [], Vector((0.02, 0.015, 0))
     for _ in range(90):
         start = Vector((at.gauss(0, 0.12), at.gauss(0, 0.12), at.uniform(-1, 0.4)))
@@ -86,7 +86,7 @@ def _bare(stage: Stage) -> Shape:
 
 
 def build_trees(stage: Stage, road: Road, leaf: Any, count: int) -> None:
-    """Broad, bare and fir trees; near ones throw their shadows on the road."""
+    """Plant broad-leaved, bare and fir trees; near ones cast shadows on the road."""
     at = stage.at
     bark = plain(stage, drawn(stage, palette("12 9 6, 20 17 14, 30 28 25")), 0.95, vary=0.5)
     wood = road.kind == "litter"
@@ -127,7 +127,7 @@ def _bushes(stage: Stage, road: Road, leaf: Any, count: int) -> None:
 
 
 def _grass(stage: Stage, road: Road, count: int) -> None:
-    """Tufts of blades, most of them near the road's edge; low ones on a road that is overgrown."""
+    """Plant tufts of blades, most of them near the road's edge; low ones on an overgrown road."""
     at = stage.at
     overgrown = road.kind == "overgrown" or (
         road.kind in UNPAVED and stage.chance(0.15 if road.kind == "litter" else 0.45)
@@ -149,7 +149,7 @@ def _grass(stage: Stage, road: Road, count: int) -> None:
 
 
 def _tuft(stage: Stage, road: Road, tall: float) -> Any:
-    """Blades of grass on two by two metres."""
+    """Return blades of grass on two by two metres."""
     at = stage.at
     tones = LITTER + GREENS[2:] if road.season in ("litter", "dry", "earth", "snow") else GREENS
     blade, points = plain(stage, drawn(stage, tones, 0.35), 0.8, vary=0.5), []
@@ -165,7 +165,7 @@ def _tuft(stage: Stage, road: Road, tall: float) -> Any:
 
 
 def _houses(stage: Stage, road: Road, count: int) -> None:
-    """Blocks and houses with roofs along the road, shops close to it in a bazaar."""
+    """Build blocks and houses with roofs along the road, shops close to it in a bazaar."""
     at = stage.at
     index, roof = {-1: START - 6, 1: START - 6}, plain(stage, drawn(stage, WALLS), 0.9, vary=0.4)
     set_back = at.uniform(0.2, 2) if road.kind == "bazaar" else at.choice([0.5, 4, 10])
@@ -190,13 +190,13 @@ def _houses(stage: Stage, road: Road, count: int) -> None:
 
 
 def gable(across: float, along: float, low: float, up: float) -> Shape:
-    """A roof of half so many metres across and along, from a height on, its ridge so far up."""
+    """Return a roof by half its metres across and along, its base height and its ridge's rise."""
     ends = [((-across, y, low), (across, y, low), (0.0, y, low + up)) for y in (-along, along)]
     return [*ends[0], *ends[1]], [(0, 1, 2), (3, 5, 4), (0, 2, 5, 3), (1, 4, 5, 2)]
 
 
 def _fence(stage: Stage, road: Road) -> None:
-    """A wall, a hedge or rails along the road."""
+    """Build a wall, a hedge or rails along the road."""
     at = stage.at
     beyond, tall, first = at.uniform(0.1, 4), at.uniform(0.5, 2.4), at.randint(0, 30)
     what = at.choice(["wall", "hedge", "rails"])
@@ -221,7 +221,7 @@ def _fence(stage: Stage, road: Road) -> None:
 
 
 def build_posts(stage: Stage, road: Road, count: int, lit: int | None = None) -> None:
-    """Put lamp posts that shine at night, and signs; lit: the one side that has lamps."""
+    """Add lamp posts that are lit at night, and signs; lit: the side that has lamps."""
     at = stage.at
     grey = plain(stage, drawn(stage, palette("30 30 30, 15 12 9, 50 50 50")), 0.6)
     tall, spacing, beyond = at.uniform(4, 9), at.randint(9, 18), at.uniform(-0.2, 1.0)
@@ -254,7 +254,7 @@ def build_posts(stage: Stage, road: Road, count: int, lit: int | None = None) ->
 
 
 def build_bridge(stage: Stage, road: Road) -> None:
-    """A bridge across the road: a band of shadow on it."""
+    """Build a bridge across the road, which casts a band of shadow on it."""
     at = stage.at
     concrete = plain(stage, drawn(stage, WALLS), 0.9, vary=0.4)
     index, wide, high = at.randint(START + 5, START + 45), at.uniform(5, 14), at.uniform(4.3, 6)
@@ -270,7 +270,7 @@ def build_bridge(stage: Stage, road: Road) -> None:
 
 
 def _end_of_yard(stage: Stage, road: Road, leaf: Any) -> None:
-    """What a yard ends at: a house, a hedge, or nothing but the land."""
+    """Build a house, a hedge, or only land at the end of a yard."""
     at, y = stage.at, road.course.points[road.length - 1].y
     what = at.choice(["house", "hedge", "nothing"])
     if what == "house":
@@ -287,7 +287,7 @@ def _end_of_yard(stage: Stage, road: Road, leaf: Any) -> None:
 
 
 def build_hills(stage: Stage) -> None:
-    """Woods, roofs or mountains at the horizon, a row."""
+    """Build a row of woods, roofs or mountains at the horizon."""
     at = stage.at
     far, tall, seed = at.uniform(190, 480), at.uniform(3, 45), at.uniform(0, 99)
     tones = GREENS[:1] + GREENS[3:4] + EARTHS[:1] + [(0.2, 0.22, 0.25)]

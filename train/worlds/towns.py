@@ -1,11 +1,11 @@
-"""Streets as towns have them: lanes both ways, kerbs, pavements, trams, parked cars.
+"""Streets of towns: lanes both ways, kerbs, pavements, trams, parked cars.
 
 The camera drives in the outermost lane of its direction, and sees its own kerb to the end while
-the lanes beyond leave the image; traffic keeps right or left. Road is what people's labels of
-streets (Cityscapes) call road: every lane of both directions, beyond a tram bed or an island too,
-tram tracks in the carriageway, and a cycle lane painted on it. A cycle lane behind the kerb, a tram
-bed of its own, an island and the pavement are ground without road; a parking bay of other paving is
-void, for labels differ.
+the lanes beyond leave the image; traffic keeps right or left. Road is what human labels of streets
+(Cityscapes) call road: every lane of both directions, also beyond a tram bed or an island, tram
+tracks in the carriageway, and a cycle lane painted on it. A cycle lane behind the kerb, a separate
+tram bed, an island and the pavement are ground without road; a parking bay of other paving is void,
+for labels differ.
 """
 
 from collections.abc import Sequence
@@ -31,18 +31,18 @@ from train.worlds.stage import Material, Stage
 from train.worlds.truth import HORIZONTAL, ROAD, VOID
 
 CYCLE = palette("38 9 6, 8 20 9, 7 13 30, 40 14 8")
-"""Paint of cycle lanes."""
+"""Colours of cycle lanes."""
 
 GREY_KERB = (0.02, 0.05)
-"""Metres by which a pavement of the road's own grey is higher than the road."""
+"""Height in metres of a pavement of the same grey as the road."""
 
 
 class Street(NamedTuple):
-    """What stands on a town's road.
+    """The positions of things on a town's road.
 
     lanes: (across, direction), the camera's direction being 1. parking, walks: by side, where cars
-    are parked and where one walks, metres from the middle. tram: where one goes. split: where
-    the directions part. kerb: how high it is. zebra: where a crossing begins.
+    are parked and where people walk, metres from the middle. tram: of a tram. split: where
+    the directions part. kerb: its height. zebra: where a crossing begins.
     """
 
     lanes: list[tuple[float, int]]
@@ -101,7 +101,7 @@ def build_town(stage: Stage, season: str) -> tuple[Road, Street]:
 
 
 def _sample_paving(stage: Stage, road: Road) -> Paving:
-    """Sample materials; wet together, snow on one, the other or both."""
+    """Sample materials, all wet together, with snow on one, the other or both."""
     at, snow = stage.at, road.season == "snow"
     share = 0.3 if stage.wet is None else float(stage.wet)
     wet = at.uniform(0.4, 1.3) if stage.chance(share) else 0.0
@@ -156,7 +156,7 @@ def _build_edge(stage: Stage, road: Road, side: int, paving: Paving) -> tuple[fl
 def _build_pavement(
     stage: Stage, road: Road, side: int, out: float, kerb: float, paving: Paving
 ) -> tuple[float, float]:
-    """Build kerb, grass, a cycle lane, the walk itself; return where one walks, from … to."""
+    """Build kerb, grass, a cycle lane and the walk; return the extent of the walk."""
     at = stage.at
     rim = at.uniform(0.08, 0.2 if paving.grey else 0.3)
     edge = [(side * out, 0.0), (side * out, kerb), (side * (out + rim), kerb + 0.005)]
@@ -182,7 +182,7 @@ def _build_middle(
 ) -> float | None:
     """Build an island or a tram bed between the directions, or tracks in the road.
 
-    Return where a tram goes.
+    Returns the position of a tram.
     """
     at = stage.at
     if bed:
@@ -211,7 +211,7 @@ def _build_middle(
 def _mark_lanes(
     stage: Stage, road: Road, lanes: Sequence[tuple[float, int]], bed: float
 ) -> int | None:
-    """Paint lines, patches and a zebra crossing, worn more or less; return where that begins."""
+    """Paint lines, patches and a zebra crossing with random wear; return where that begins."""
     at, half = stage.at, road.course.half
     white = plain(stage, drawn(stage, palette("75 75 73, 70 68 60, 60 60 60")), 0.7, vary=0.5)
     yellow = plain(stage, drawn(stage, palette("70 50 10")), 0.7, vary=0.5)
@@ -245,7 +245,7 @@ def _mark_lanes(
 
 
 def _build_heaps(stage: Stage, road: Road) -> None:
-    """Heap up snow that was shovelled to the kerb."""
+    """Build heaps of snow shovelled to the kerb."""
     at = stage.at
     for side in (-1, 1):
         if stage.chance(0.5):
@@ -260,7 +260,7 @@ def _build_heaps(stage: Stage, road: Road) -> None:
 
 
 def _build_ground(stage: Stage, road: Road) -> None:
-    """Lay what is between and behind houses, and a plain below."""
+    """Build the ground between and behind houses, and a plain below."""
     soil = soil_of(stage, road.season)
     for side in (-1, 1):
         road.land_rises[side] = [(0.0, 0.0), (90.0, 0.0)]

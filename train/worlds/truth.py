@@ -1,22 +1,22 @@
-"""What pixels of the truth say, and how one is settled of which several points are known."""
+"""Codes of the truth, and the decision for a pixel with several sample points."""
 
 import numpy as np
 
 SKY, VERTICAL, HORIZONTAL, ROAD, EGO, VOID = 0, 1, 2, 3, 4, 255
-"""Codes: layout without road, road, the carrying car, uncertain."""
+"""Codes: layout without road, road, the ego car, uncertain."""
 
 COLOURS = {SKY: (0, 0, 0), VERTICAL: (0, 0, 1), HORIZONTAL: (0, 1, 0)}
 COLOURS |= {ROAD: (1, 1, 0), EGO: (1, 0, 0), VOID: (1, 1, 1)}
 """Of the codes, for the pass that renders them."""
 
 THIN = 1 / 3
-"""Fraction of a pixel from which what stands there is its truth: posts, legs and tyres are thin."""
+"""Fraction of a pixel from which a standing object is its truth: posts, legs and tyres are thin."""
 
 
 def settle_truth(codes: np.ndarray, fine: int) -> np.ndarray:
-    """Settle the truth of pixels (H,W) of which ``fine`` by ``fine`` points are known.
+    """Decide the truth of pixels (H, W), each with ``fine`` by ``fine`` sample points.
 
-    A pixel is vertical from a fraction of ``THIN`` on, otherwise what most of it is.
+    A pixel is vertical from a fraction of ``THIN`` on, otherwise the most frequent code.
     """
     height, width = (side // fine for side in codes.shape)
     points = codes.reshape(height, fine, width, fine).transpose(0, 2, 1, 3)

@@ -1,4 +1,4 @@
-"""Traffic: cars, vans, lorries, buses, motorbikes, rickshaws, driving, standing, close ahead."""
+"""Vehicles: cars, vans, lorries, buses, motorbikes, rickshaws; driving, parked, close ahead."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ PAINTS = palette("50 2 2, 70 70 70, 1.5 1.5 1.5, 4 8 35, 25 25 26, 85 85 83, 35 
 
 
 def build_traffic(stage: Stage, road: Road) -> None:
-    """Vehicles on the road and at its edge."""
+    """Place vehicles on the road and at its edge."""
     at, half = stage.at, road.course.half
     common = [car] * 7 + [van] * 2 + [lorry] * 2 + [motorbike]
     if road.kind == "bazaar":
@@ -46,7 +46,7 @@ def _put(
     taken: list[tuple[int, float]],
     turn: float = 0.0,
 ) -> None:
-    """Put a vehicle where none stands yet."""
+    """Place a vehicle where there is none."""
     room = 1 if turn else 4
     if index > 120 or any(abs(index - i) < room and abs(across - a) < 2.2 for i, a in taken):
         return
@@ -99,7 +99,7 @@ def _lights(looks: Looks, width: float, back: float, front: float, up: float) ->
 
 
 def car(stage: Stage, tall: float = 0.0) -> Parts:
-    """A car 4 to 4.8 metres long: body, cabin of glass under a roof, lights, wheels."""
+    """Return a car 4 to 4.8 metres long: body, cabin of glass under a roof, lights, wheels."""
     at, looks = stage.at, _looks(stage)
     a, half, up = at.uniform(1.95, 2.4), at.uniform(0.82, 0.95), at.uniform(1.35, 1.75) + tall
     belt, tail = at.uniform(0.85, 1.0) + tall / 2, at.choice([-a + 0.05, -a + 0.6])
@@ -125,7 +125,7 @@ def van(stage: Stage) -> Parts:
 
 
 def lorry(stage: Stage) -> Parts:
-    """A lorry or a bus: a long box on wheels, a cabin before it."""
+    """Return a lorry or a bus: a long box on wheels, a cabin in front of it."""
     at, looks = stage.at, _looks(stage)
     long, tall, half = at.uniform(5, 11), at.uniform(2.6, 3.8), 1.22
     load, end = plain(stage, drawn(stage, PAINTS), 0.7, vary=0.25), long / 2
@@ -141,7 +141,7 @@ def lorry(stage: Stage) -> Parts:
 
 
 def motorbike(stage: Stage) -> Parts:
-    """A motorbike or scooter with one or two people on it."""
+    """Return a motorbike or scooter with one or two people on it."""
     looks = _looks(stage)
     parts: Parts = [(wheel(0, end, 0.29, 0.12), looks.rubber) for end in (-0.6, 0.65)]
     parts.append((box((0, 0, 0.62), (0.28, 1.1, 0.32)), looks.paint))
@@ -155,7 +155,7 @@ def motorbike(stage: Stage) -> Parts:
 
 
 def _rickshaw(stage: Stage) -> Parts:
-    """A three-wheeled taxi with a hood."""
+    """Return a three-wheeled taxi with a hood."""
     looks = _looks(stage)
     hood = plain(stage, drawn(stage, palette("2 2 2, 60 40 2, 3 20 5")), 0.8)
     body = [(-1.2, 0.35), (-1.25, 1.05), (0.7, 1.0), (1.25, 0.75), (1.25, 0.35)]
@@ -172,7 +172,7 @@ def _rickshaw(stage: Stage) -> Parts:
 
 
 def tram(stage: Stage) -> Parts:
-    """Return two or three cars of a tram."""
+    """Return the two or three cars of a tram."""
     at, half = stage.at, 1.2
     body = plain(stage, drawn(stage, palette("60 55 40, 60 3 3, 4 20 45, 65 65 65")), 0.3)
     glass, dark = (

@@ -1,1 +1,1 @@
-"""Adaptation: fine-tune a network on one's own footage, and judge whether that helped."""
+"""Adaptation of a whole-image network to footage, and the verdict on it."""

@@ -1,8 +1,9 @@
-"""A whole adaptation: frames, camera, two networks from the halves, their mean, a verdict. Ours.
+"""Adaptation to footage: frames, camera, a network of each half, their average, a verdict. Ours.
 
-Each half of the footage teaches a network of its own and says how bold that should be; it is judged
-on the half that it has not seen. The network that comes out is the mean of both: networks that
-begin alike and learn a little lie in one valley (Wortsman et al., Model soups, ICML 2022).
+Each half of the footage trains a network and calibrates its bias; the network is judged on the
+other half, which it has not seen. The result is the average of both networks' weights: fine-tuned
+networks from the same initial weights lie in one low-loss basin (Wortsman et al., Model soups,
+ICML 2022).
 """
 
 from collections.abc import Sequence
@@ -49,18 +50,19 @@ from roadtorch.train.run import Outcome, Request, made_ready, train
 
 CAMERA, FRAMES, LOOKS, PREPARED = "camera.toml", "frames", "looks", "prepared"
 CALIBRATED = "calibrated.safetensors"
-"""Of each half: what it learned, as bold as the teacher."""
+"""Weights of a half, with its bias calibrated to the teacher's."""
 
 MOTION = SteadySettings(miss=2.0, slack=0.1, contrast=0.1)
-"""Stricter than for video: a second apart, ways back close by chance, and places look alike."""
+"""Stricter than for video: frames are far apart in time, flow that closes is often chance, and
+places look alike."""
 
 
 @dataclass(frozen=True)
 class Adapted:
     """The result of an adaptation.
 
-    outcome: the weights, or the signal that cut it short. camera: its file, None where there is
-    none. missing: parts that the footage could not give, and why, a line each.
+    outcome: weights, or the signal that interrupted it. camera: its file, None if there is none.
+    missing: parts that the footage could not give, with the reason, a line each.
     """
 
     frames: KeptFrames
@@ -71,17 +73,17 @@ class Adapted:
 
     @property
     def prepared(self) -> Path:
-        """The folder of the frames made ready."""
+        """Folder of the prepared frames."""
         return self.frames.folder.with_name(PREPARED)
 
 
 def adapt(
     inputs: Sequence[str], out: Path, training: ImageTraining, most: int, quiet: bool = False
 ) -> Adapted:
-    """Adapt the network that ``training`` starts from to footage; results in the folder ``out``.
+    """Adapt the network with the initial weights to footage; results are written to ``out``.
 
-    A run that was cut short is resumed. Raises InputError for footage with fewer than two frames,
-    ConfigError where ``out`` holds another run.
+    An interrupted run is resumed. Raises InputError for footage with fewer than two frames,
+    ConfigError if ``out`` holds another run.
     """
     with RunFolder(out).held():
         remove_leftovers([out, out / FRAMES])
@@ -119,16 +121,15 @@ def adapt(
 def write_taught(
     frames: KeptFrames, looks: Path, prepared: Path, training: ImageTraining, quiet: bool = False
 ) -> Signals | None:
-    """Write what training needs of all frames into the folder ``prepared``.
+    """Prepare all frames for training in ``prepared``, with labels smoothed over time. Ours.
 
-    The teacher's predictions waver from frame to frame, and a place that ten frames show is
-    predicted ten times, from near and from far. So log odds of road are carried there and back
-    along the motion of the image (``road.steady``), and averaged. Frames that are not
-    consecutive keep their own predictions. Ours.
+    The teacher's predictions vary from frame to frame, and ten frames show a place ten times, from
+    near and from far. The log odds of road are therefore carried back and forth by optical flow
+    (``road.steady``) and averaged. Frames that are not consecutive keep their predictions.
 
-    looks: the folder of the teacher's predictions; what is in either, of these frames and
-    settings, is kept. Returns the signal that cut it short. Memory is linear in the frames, 0.5 MB
-    each.
+    looks: folder of the teacher's predictions. Files in either folder for the same frames and
+    settings are reused. Returns the signal that interrupted it. Memory is linear in the frames,
+    0.5 MB each.
     """
     images = frames.images()
     with stop_on_signals() as stop:
@@ -154,7 +155,7 @@ def write_taught(
 
 
 def _write_mean(frames: KeptFrames, out: Path, training: ImageTraining, quiet: bool) -> list[Path]:
-    """Write the mean of the halves' calibrated networks, its card and its log.
+    """Write the average of the halves' calibrated networks, its card and its log.
 
     Returns the files of the calibrated networks, in the order of the halves.
     """
@@ -178,7 +179,7 @@ def _write_mean(frames: KeptFrames, out: Path, training: ImageTraining, quiet: b
 
 
 def write_shifted(learned: Path, file: Path, bias: float) -> None:
-    """Write a network with so much more log odds of road everywhere."""
+    """Write a copy of a network with ``bias`` added to the log odds of road."""
     network = load_network(learned)
     assert isinstance(network, WholeImageNetwork)
     with torch.no_grad():
@@ -189,7 +190,7 @@ def write_shifted(learned: Path, file: Path, bias: float) -> None:
 
 
 def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | None:
-    """Write the file of the camera; why there is none, where there is none."""
+    """Write the camera file; return the reason where there is none."""
     some = spread(frames.images(), MAX_FRAMES)
     try:
         camera_of((image.read() for image in some), where).write(file)

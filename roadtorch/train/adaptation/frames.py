@@ -1,7 +1,7 @@
-"""The frames of footage that an adaptation learns from: at most so many, in two halves.
+"""The frames of footage that an adaptation learns from: a limited number, in two halves.
 
-Frames close to one another show the same places (``write_taught``): what is too much goes in
-stretches.
+Consecutive frames show the same places (``write_taught``), so longer footage is sampled in runs of
+consecutive frames.
 """
 
 import glob
@@ -27,22 +27,22 @@ from roadtorch.run.memo import key_of
 from roadtorch.train.recordings import SEEN
 
 HALVES = ("first", "second")
-"""The halves of the footage, by order: neighbouring frames are alike, and must not part."""
+"""Halves of the footage in order, as neighbouring frames are alike and must stay in one half."""
 
 SECONDS = 0.4
-"""Between two frames that are kept: the ground before a car is still in the next one."""
+"""Interval between sampled frames, in which the ground before the car stays in view."""
 
 STRETCH = 5
-"""Frames in a row that stay or go together, of footage that is too long."""
+"""Consecutive frames that are kept or dropped together in longer footage."""
 
 LIST = "frames.json"
 
 
 class KeptFrames(NamedTuple):
-    """The frames that were kept of footage.
+    """The frames that were sampled from footage.
 
-    folder: holds HALF_NUMBER.jpg. halves: how many each has. moving: whether the frames have
-    times. skipped: the inputs that could not be read, a line each.
+    folder: contains HALF_NUMBER.jpg. halves: number of frames of each. moving: whether the frames
+    have times. skipped: inputs that could not be read, a line each.
     """
 
     folder: Path
@@ -52,24 +52,24 @@ class KeptFrames(NamedTuple):
 
     @property
     def count(self) -> int:
-        """The number of frames."""
+        """Number of frames."""
         return sum(self.halves)
 
     def images(self, half: str = "*") -> list[Item]:
-        """The kept frames, or those of a half, in order."""
+        """Return the sampled frames, or those of a half, in order."""
         return find_images([self.glob(half)])
 
     def glob(self, half: str = "*") -> str:
-        """The quoted glob that stands for a half; all frames have one name in any of them."""
+        """Return the quoted glob of a half; frames have the same names in all globs."""
         return f"{glob.escape(str(self.folder))}/{half}_*.jpg"
 
 
 def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = False) -> KeptFrames:
-    """Keep at most ``most`` frames of footage in a folder; what was kept before is taken as it is.
+    """Sample at most ``most`` frames of footage into a folder; a finished sample is reused.
 
-    Of videos and bags a frame each ``SECONDS``, of images all; of long footage stretches. Memory
-    does not grow with the footage. Raises ConfigError where the folder holds frames of other
-    footage, InputError where the footage has fewer than two frames that can be read.
+    A frame every ``SECONDS`` of videos and bags, all images; runs of ``STRETCH`` frames of long
+    footage. Memory does not grow with the footage. Raises ConfigError if the folder holds frames
+    of other footage, InputError for fewer than two readable frames.
     """
     images, sources = find_inputs(inputs)
     digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
@@ -92,7 +92,7 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
 
 
 def _read(known: Path, folder: Path, key: str) -> KeptFrames | None:
-    """What the list in a folder says; None where the frames were not all kept."""
+    """Read the list of frames in a folder; None if sampling was not finished."""
     try:
         values = json.loads(read_regular(known).decode())
         if values["key"] != key:
@@ -107,7 +107,7 @@ def _read(known: Path, folder: Path, key: str) -> KeptFrames | None:
 
 
 def _keep(inputs: Inputs, folder: Path, most: int, quiet: bool) -> KeptFrames:
-    """Write frames while they are read; when there are too many, every second stretch goes."""
+    """Write frames while reading; when there are too many, drop every second run of frames."""
     numbers: list[int] = []
     skipped: list[str] = []
     step, moving = 1, False
@@ -137,7 +137,7 @@ def _keep(inputs: Inputs, folder: Path, most: int, quiet: bool) -> KeptFrames:
 def _thinned(
     folder: Path, numbers: list[int], stretches: Sequence[int], most: int | None = None
 ) -> list[int]:
-    """The numbers of the frames in some stretches, at most so many; the others' files go."""
+    """Remove the files of frames outside some runs; return the numbers of the rest, limited."""
     kept = [number for number in numbers if number // STRETCH in stretches][:most]
     for number in set(numbers).difference(kept):
         (folder / f"{number:08d}.jpg").unlink()
@@ -145,7 +145,7 @@ def _thinned(
 
 
 def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, Tensor]]:
-    """Every image, and frames ``SECONDS`` apart of every video and bag, with their seconds."""
+    """Yield every image, and the frames ``SECONDS`` apart of videos and bags, with their times."""
     for image in inputs.images:
         try:
             yield None, image.read()

@@ -1,11 +1,11 @@
-"""Whether an adaptation paid: what another, better look at frames that it has not seen says. Ours.
+"""The decision whether to adopt an adapted network, by agreement with a teacher. Ours.
 
-Nothing here has labels. A network is judged on the half of the footage that it did not learn from,
-by maps of a detector from outside the loop, where that is sure of itself: does the mask come closer
-to them than the mask before did? It need not: what a half taught may be of that half alone. So the
-half's network says too little of the mean of both, which comes out, and the mean itself too much,
-for it has seen these frames: a gain has to show with the first, a loss with either. Trust has no
-part in it, for agreement with what was learned raises it.
+There are no labels. A network is judged on the half of the footage that it was not trained on: does
+its mask agree better with the teacher, a detector outside the loop, where the teacher is certain?
+One half's network is worse than the average of both, which is the result, as a half may teach what
+holds in that half only; the average was trained on these frames and looks too good. Hence a gain
+has to show with the held-out network, a loss with both. Trust is no evidence, for agreement with
+the training labels raises it.
 """
 
 import math
@@ -40,21 +40,22 @@ from roadtorch.train.prepared import from_bytes, name_of
 from roadtorch.train.teachers import targets_of
 
 MAX_JUDGED = 150
-"""Frames of each half that are looked at, evenly spread."""
+"""Frames of each half that are judged, evenly spaced."""
 
 MIN_FRAMES = 16
-"""Frames, of both halves, below which nothing is said."""
+"""Frames of both halves below which there is no verdict."""
 
 MIN_GAIN = 0.002
-"""Of F: less is not worth another file."""
+"""Gain of F that is worth another file."""
 
 SEED = 36
 
 
 class Judged(NamedTuple):
-    """The fields of ``Decisions``, a row a frame: int64 (frames,4).
+    """Fields of ``Decisions`` by frame, int64 (frames, 4), of three networks.
 
-    after: of a network that has not seen the frames. both: of the mean of both, which has.
+    before: initial network. after: network not trained on these frames. both: average of both
+    halves' networks, which was.
     """
 
     before: Tensor
@@ -63,11 +64,10 @@ class Judged(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether to adopt an adaptation, by F before and after and the interval of their difference.
+    """The decision on an adaptation: F before and after, and the interval of the difference.
 
-    before, after: on frames that the network has not seen. both: of the mean of both networks on
-    the same frames, which it has seen. reason: why there is no judgement, where it is not for the
-    figures.
+    before, after: on held-out frames. both: of the averaged network on the same frames, on which it
+    was trained. reason: why the networks were not compared.
     """
 
     word: Literal["adopt", "do not adopt", "cannot tell"]
@@ -79,7 +79,7 @@ class Verdict(NamedTuple):
     reason: str = ""
 
     def __str__(self) -> str:
-        """One sentence, with its reason."""
+        """Return the verdict as one sentence, with its reason."""
         if self.reason:
             return f"{self.word}: {self.reason}"
         change = self.change
@@ -103,7 +103,7 @@ def judged_half(
     training: ImageTraining,
     quiet: bool = False,
 ) -> Judged:
-    """How the masks with the weights of ``Judged`` fit the teacher's maps of prepared frames."""
+    """Compare masks of three networks (``Judged``) with the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
     counts: list[list[Tensor]] = [[] for _ in weights]
     for image, road, sure in _taught_frames(images, prepared, training, "judging", quiet):
@@ -120,11 +120,11 @@ def fitted_bias(
     training: ImageTraining,
     quiet: bool = False,
 ) -> float:
-    """The log odds of road that a network lacks for its mask to fit the teacher's best, by F. Ours.
+    """Fit the bias of a network's road, in log odds, to agree best with the teacher by F. Ours.
 
-    A network that goes on learning from soft labels ranks pixels better, and is less bold or
-    bolder than the one that `fusion` is calibrated for: one number of a whole footage mends that
-    without a label. 0 where no frame can tell.
+    A network fine-tuned on soft labels ranks pixels better but is less or more confident than the
+    one that `fusion` is calibrated for: one number for the whole footage corrects that without
+    labels. 0 if no frame can tell.
     """
     detector = load_detector("fusion", weights={"file": str(file)})
     settings = detector.settings
@@ -145,7 +145,7 @@ def fitted_bias(
 def _taught_frames(
     images: Sequence[Item], prepared: Path, training: ImageTraining, title: str, quiet: bool
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Frames (3,H,W), and of each the teacher's road and where it is sure of it, bool (h,w)."""
+    """Yield frames (3, H, W), the teacher's road and where it is certain, both bool (h, w)."""
     some = spread(images, MAX_JUDGED)
     for image in Progress(some, desc=title, unit="frame", quiet=quiet):
         file = prepared / f"{name_of(image)}.npz"
@@ -158,17 +158,17 @@ def _taught_frames(
 
 
 def _f_measure(counts: Tensor) -> Tensor:
-    """F of the fields of ``Decisions`` (…,4), float64."""
+    """Return F, float64, of the fields of ``Decisions`` (…, 4)."""
     return f_measure(Decisions(*counts.unbind(-1)))
 
 
 def unknown(reason: str, frames: int) -> Verdict:
-    """A verdict without a judgement, and why."""
+    """Return a verdict without comparison, with the reason."""
     return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
 
 
 def verdict_of(judged: Sequence[Judged]) -> Verdict:
-    """The verdict on the frames of both halves, pooled; the interval draws stretches of them."""
+    """Decide by the frames of both halves; the interval resamples runs of consecutive frames."""
     counts = [torch.cat(halves) for halves in zip(*judged, strict=True)]
     frames = len(counts[0])
     if frames < MIN_FRAMES:

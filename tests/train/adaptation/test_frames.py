@@ -1,4 +1,4 @@
-"""Frames are kept in stretches, in halves, from images and videos, and once."""
+"""Sampling of frames: runs of consecutive ones, halves, images and videos, only once."""
 
 from pathlib import Path
 

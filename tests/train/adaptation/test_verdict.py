@@ -1,4 +1,4 @@
-"""What teaches, how a network is calibrated to it, and the verdict."""
+"""Smoothed labels, the calibration of a network to them, and the verdict."""
 
 from pathlib import Path
 
@@ -65,7 +65,7 @@ def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None
 
 @pytest.fixture(scope="module")
 def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]:
-    """Streets, and a folder with the masks of `fusion` as if it were the teacher."""
+    """Write streets, and the masks of `fusion` as prepared labels of a teacher."""
     folder, teacher = tmp_path_factory.mktemp("streets"), load_detector("fusion")
     (folder / "prepared").mkdir()
     for number in range(2):
@@ -102,7 +102,7 @@ def test_without_evidence_none_is_shifted(streets: tuple[list[Item], Path], tmp_
 # --- the verdict ---------------------------------------------------------------------------
 
 Half = tuple[list[int], list[int], list[int]]
-"""Of 100 pixels of road in each frame, those that are found: before, after, by the mean."""
+"""Pixels found of 100 of road in each frame: before, after, by the averaged network."""
 
 
 def judged(half: Half) -> Judged:
