@@ -36,7 +36,7 @@ from roadtorch.detectors.detector import (
     WorkingSettings,
 )
 from roadtorch.road.seed_area import SeedArea
-from roadtorch.testing import broken_promises, street
+from roadtorch.testing import contract_violations, street
 from roadtorch.testing.scenes import render_scene
 from scripts import freeze
 from tests.pretended_device import Pretended, PretendedDevice, moved
@@ -47,7 +47,7 @@ from tests.representatives import quick, representatives, ways_of_working
 
 @pytest.mark.parametrize("name", representatives())
 def test_every_detector_keeps_to_the_contract(name: str) -> None:
-    assert broken_promises(detector_entry(name), **quick(name)) == []
+    assert contract_violations(detector_entry(name), **quick(name)) == []
     everything = load_detector(name, threshold=0.0, **quick(name)).detect(street(48, 64))
     assert everything.mask.all()
 

@@ -24,7 +24,7 @@ OPENERS = (
 
 PRONOUNS = (
     "another anybody asked before beside both drawn each found given held here his its kept known"
-    " left mine now nobody one other others own rest said same seen shown some stood such taken"
+    " mine now nobody one other others own rest said same seen shown some stood such taken"
     " that there these this those told wanted what which who whose"
 )
 """Words that are no variable's name: a variable is called by the thing that it holds."""

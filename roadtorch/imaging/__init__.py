@@ -1,1 +1,1 @@
-"""Steps on images: colour, size, exposure, motion."""
+"""Image processing: colour planes, resizing, superpixels, thresholds, optical flow."""

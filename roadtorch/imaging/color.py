@@ -1,7 +1,7 @@
-"""The colour planes of P2 and P3, and the representations that P3 makes of them.
+"""Colour planes of P2 and P3, the representations that P3 combines from them, and exposure.
 
-All planes come from the gamma-encoded sRGB values as they are; only Lab linearises them.
-Every plane is of order 1, so that distances and kernel widths mean the same in each.
+All planes are computed from gamma-encoded sRGB; only Lab linearises it. Every plane is of order 1,
+so that distances and kernel widths mean the same in each.
 """
 
 import math
@@ -19,24 +19,24 @@ from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import order_statistic
 
 LUMA = (0.299, 0.587, 0.114)
-"""Rec. 601: what OpenCV, Pillow and MATLAB call grey."""
+"""Weights of R, G, B in luma (Rec. 601), as in OpenCV, Pillow and MATLAB."""
 
 _XYZ = (
     (0.412453, 0.357580, 0.180423),
     (0.212671, 0.715160, 0.072169),
     (0.019334, 0.119193, 0.950227),
 )
-XYZ_OF_RGB = tuple(tuple(value / sum(row) for value in row) for row in _XYZ)
+RGB_TO_XYZ = tuple(tuple(value / sum(row) for value in row) for row in _XYZ)
 """Linear sRGB to CIE XYZ for D65, over the white point. Rows sum to 1, so grey has a = b = 0;
 with the tabulated white (0.95047, 1, 1.08883) a and b would be off by up to 5e-5."""
 
 STRAIGHT_LIGHT, STRAIGHT_CODE = 216 / 24389, 0.04045
-"""Where the curves of CIE f and of sRGB begin; below they are straight. Each is written as the
-curve from there on plus the straight piece up to there: what is beyond has no part in it."""
+"""Below these values CIE f and sRGB's transfer curve are straight lines. Both are computed as the
+curve of the clamped value plus the straight piece of the rest."""
 
 
 class Channels:
-    """What several planes of one image (…,3,H,W) share, each computed when first asked for."""
+    """Intermediate results that several planes of one image (…, 3, H, W) share, computed once."""
 
     def __init__(self, image: Tensor) -> None:
         self.image = image
@@ -44,7 +44,7 @@ class Channels:
 
     @cached_property
     def total(self) -> Tensor:
-        """R+G+B, 0…3."""
+        """R+G+B, in [0, 3]."""
         return self.red + self.green + self.blue
 
     @cached_property
@@ -54,7 +54,7 @@ class Channels:
 
     @cached_property
     def divisor(self) -> Tensor:
-        """R+G+B, 1 where that is 0."""
+        """R+G+B, or 1 where that is 0."""
         return self.total + self.black
 
     @cached_property
@@ -69,7 +69,7 @@ class Channels:
 
     @cached_property
     def red_green(self) -> Tensor:
-        """R+G-2B, for O2."""
+        """R+G-2B, the numerator of O2."""
         return self.red + self.green - 2 * self.blue
 
     @cached_property
@@ -81,31 +81,31 @@ class Channels:
         # Rows sum to 1, so this is M·RGB; written thus, grey has X = Y = Z to the bit.
         x, y, z = (
             green.add(red, alpha=of_red).add_(blue, alpha=of_blue)
-            for of_red, _, of_blue in XYZ_OF_RGB
+            for of_red, _, of_blue in RGB_TO_XYZ
         )
         return _root(x), _root(y), _root(z)
 
 
 def _root(light: Tensor) -> Tensor:
-    """CIE f: the cube root, with a straight piece near black."""
+    """Apply CIE f: the cube root, with a straight piece near black."""
     straight = light.clamp_max(STRAIGHT_LIGHT).sub_(STRAIGHT_LIGHT)
     return _power(light.clamp_min(STRAIGHT_LIGHT), 1 / 3).add_(straight, alpha=841 / 108)
 
 
 def _linear(image: Tensor) -> Tensor:
-    """Light of gamma-encoded values (sRGB, IEC 61966-2-1)."""
+    """Convert gamma-encoded sRGB to linear light (IEC 61966-2-1)."""
     straight = image.clamp_max(STRAIGHT_CODE).sub_(STRAIGHT_CODE)
     above = image.clamp_min(STRAIGHT_CODE).add_(0.055).div_(1.055)
     return _power(above, 2.4).add_(straight, alpha=1 / 12.92)
 
 
 def _power(base: Tensor, exponent: float) -> Tensor:
-    """base ** exponent for base > 0, in place."""
+    """Compute base ** exponent in place, for base > 0."""
     return base.log2_().mul_(exponent).exp2_()
 
 
 def _over_total(channels: Channels, values: Tensor) -> Tensor:
-    """values / (R+G+B); written so that 3 · grey / (grey + grey + grey) is 1 to the bit."""
+    """Divide values by R+G+B, so that 3 · grey / (grey + grey + grey) is exactly 1."""
     return (3 * values).add_(channels.black).div_(channels.divisor).div_(3).clamp_max_(1)
 
 
@@ -131,10 +131,10 @@ def _grey(channels: Channels) -> Tensor:
 
 @dataclass(frozen=True)
 class Plane:
-    """One colour plane.
+    """A colour plane.
 
-    low, high: the bounds of its values. circular: whether high is the same as low (hue).
-    summary: one line for lists. formula: makes it from the channels of an image.
+    low, high: bounds of its values. circular: whether high equals low, as for hue. summary: one
+    line for lists. formula: computes the plane from the channels of an image.
     """
 
     low: float
@@ -165,7 +165,7 @@ PLANES: dict[str, Plane] = {
     "V": Plane(0, 1, False, "max(R, G, B)", lambda c: c.highest),
     "grey": Plane(0, 1, False, "luma of Rec. 601", _grey),
 }
-"""All planes by name. O3 and grey are no representations of P3."""
+"""All planes by name. O3 and grey are not among the representations of P3."""
 
 REPRESENTATIONS: dict[str, tuple[str, ...]] = {
     **{name: (name,) for name in PLANES if name not in ("O3", "grey")},
@@ -180,16 +180,26 @@ REPRESENTATIONS: dict[str, tuple[str, ...]] = {
 
 
 def planes(image: Tensor, names: Sequence[str]) -> Tensor:
-    """The named planes of an image (…,3,H,W) in [0,1]: (…,N,H,W), dtype and device kept.
+    """Compute colour planes of an image, stacked.
 
-    Ranges and formulas are those of ``PLANES``. P2 section 6.2, P3 section III. Raises
-    ConfigError for an unknown name, InputError for an image of other than 3 channels.
+    Formulas and ranges are in ``PLANES``. Source: P2, section 6.2; P3, section III.
+
+    Args:
+        image: sRGB in [0, 1], shape (…, 3, H, W).
+        names: keys of ``PLANES``.
+
+    Returns:
+        The planes in the order of ``names``, shape (…, N, H, W), dtype and device of the image.
+
+    Raises:
+        ConfigError: for an unknown name.
+        InputError: for an image of other than 3 channels.
     """
     return torch.stack(list(each_plane(image, names)), -3)
 
 
 def each_plane(image: Tensor, names: Sequence[str]) -> Iterator[Tensor]:
-    """The same planes (…,H,W) one after the other, for those who need them once."""
+    """Yield the planes of ``planes`` one by one, each of shape (…, H, W), to save memory."""
     if image.ndim < 3 or image.shape[-3] != 3:
         problem = f"has the shape {tuple(image.shape)}"
         raise InputError("image", problem, "give RGB as (…, 3, height, width)")
@@ -201,44 +211,47 @@ def each_plane(image: Tensor, names: Sequence[str]) -> Iterator[Tensor]:
 
 
 def plane(image: Tensor, name: str) -> Tensor:
-    """One plane of an image (…,3,H,W) in [0,1]: (…,H,W). See ``planes``."""
+    """Compute one colour plane, shape (…, H, W), of an image (…, 3, H, W), as ``planes`` does."""
     return planes(image, (name,)).squeeze(-3)
 
 
 # --- exposure -------------------------------------------------------------------------
 
 
-STRONGEST = 0.3  # the exponent of the strongest brightening: 0.01 becomes 0.25
+MIN_GAMMA = 0.3  # the strongest brightening: 0.01 becomes 0.25
 
-DARKEST = 1e-4
-"""Pixels count as at least this bright, so that black stays nearly black under any gamma."""
+MIN_VALUE = 1e-4
+"""Lower bound of pixel values before the gamma, so that black stays nearly black."""
 
 
 class Exposure(Settings):
-    """How dark images are brightened before they are looked at."""
+    """How dark images are brightened before analysis."""
 
     ground: float = Field(
-        default=0.4, gt=0, lt=1, description="grey level that the lower part of an image gets"
+        default=0.4,
+        gt=0,
+        lt=1,
+        description="median grey level, 0 to 1, to which the lower part of a dark image is raised",
     )
 
 
 @cached_per_image
 def brightened(image: Tensor, exposure: Exposure) -> Tensor:
-    """An image (3,H,W) in [0,1] under the gamma that lifts its lower part to ``ground``.
+    """Apply the gamma that lifts the lower part of an image to the grey level ``ground``.
 
-    In an exported graph a batch (N,3,H,W), each by its own gamma.
+    At dusk all differences shrink; this restores them. The median grey below 0.55 of the height
+    decides. Bright images stay as they are, and the exponent is never below ``MIN_GAMMA``. Ours, in
+    place of P1's brightness equalisation.
 
-    At dusk all differences shrink; this restores them. The median of the grey image below
-    0.55 of the height decides; images that are bright enough stay as they are, and the
-    exponent is never below ``STRONGEST``. Ours, in place of P1's brightness equalisation.
+    image: (3, H, W) in [0, 1]; in an exported graph a batch (N, 3, H, W), each by its own gamma.
     """
     lower = image[..., image.shape[-2] * 11 // 20 :, :].mean(-3).flatten(-2)
     if torch.compiler.is_exporting():
         middle = lower.sort(-1).values[..., (lower.shape[-1] - 1) // 2].clamp(0.01, 0.99)
-        exponents = (math.log(exposure.ground) / middle.log()).clamp(STRONGEST, 1.0)
+        exponents = (math.log(exposure.ground) / middle.log()).clamp(MIN_GAMMA, 1.0)
         power = exponents[..., None, None, None]
-        return torch.where(power == 1, image, image.clamp(min=DARKEST) ** power)
+        return torch.where(power == 1, image, image.clamp(min=MIN_VALUE) ** power)
     grey = min(max(order_statistic(lower, (len(lower) - 1) // 2), 0.01), 0.99)
-    exponent = min(max(math.log(exposure.ground) / math.log(grey), STRONGEST), 1.0)
+    exponent = min(max(math.log(exposure.ground) / math.log(grey), MIN_GAMMA), 1.0)
     # As 2 to the log2, which is three times as fast as a power.
-    return image if exponent == 1 else image.clamp_min(DARKEST).log2_().mul_(exponent).exp2_()
+    return image if exponent == 1 else image.clamp_min(MIN_VALUE).log2_().mul_(exponent).exp2_()

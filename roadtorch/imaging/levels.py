@@ -1,6 +1,6 @@
-"""Levels of values: where they are exceeded, the k-th smallest, and what parts them in two.
+"""Comparisons, order statistics and Otsu's threshold.
 
-By NumPy, which compares five to ten times as fast as torch, but in an exported graph.
+NumPy compares five to ten times as fast as torch; an exported graph takes torch's operators.
 """
 
 import math
@@ -11,49 +11,56 @@ from torch import Tensor
 
 
 def at_least(values: Tensor, level: float) -> Tensor:
-    """Where values (…) are ``level`` or more: bool (…)."""
+    """Return where values (…) are ``level`` or more, bool (…)."""
     if torch.compiler.is_exporting():
         return values >= level
     return torch.from_numpy(values.detach().cpu().numpy() >= level).to(values.device)
 
 
 def above(values: Tensor, level: float) -> Tensor:
-    """Where values (…) are more than ``level``: bool (…)."""
+    """Return where values (…) exceed ``level``, bool (…)."""
     if torch.compiler.is_exporting():
         return values > level
     return torch.from_numpy(values.detach().cpu().numpy() > level).to(values.device)
 
 
 def order_statistic(values: Tensor, k: int) -> float:
-    """The ``k``-th smallest of values (n,), from 0; NumPy finds it twelve times faster than torch.
+    """Return the ``k``-th smallest of values (n,), counted from 0.
 
-    Raises ValueError where there are no more than k values.
+    NumPy finds it twelve times faster than torch. Raises ValueError where there are k values or
+    fewer.
     """
     return float(np.partition(values.detach().cpu().numpy(), k)[k])
 
 
-BINS = 128  # of the histogram: the threshold is known to a part in 128 of the range
+OTSU_BINS = 128  # histogram bins: the threshold is exact to 1/128 of the range
 
 
 def otsu_threshold(values: Tensor) -> Tensor:
-    """The value, a scalar, that parts values (…) into two classes that differ most.
+    """Compute the threshold that separates values into two classes of maximal variance.
 
-    It maximises the variance between the classes, w₀ w₁ (μ₀ - μ₁)²; the middle of the range
-    where all values are equal, and none (NaN or infinite) where one is not finite. Otsu, "A
-    Threshold Selection Method from Gray-Level Histograms", IEEE Trans. SMC 9(1), 1979, eq. 18.
+    Source: Otsu, "A Threshold Selection Method from Gray-Level Histograms", IEEE Trans. SMC 9(1),
+    1979, eq. 18: it maximises w₀ w₁ (μ₀ - μ₁)² over ``OTSU_BINS`` bins.
+
+    Args:
+        values: any shape.
+
+    Returns:
+        A scalar tensor: the value itself where all are equal, NaN or infinite where a value is not
+        finite.
     """
-    known = values.detach().reshape(-1).cpu().numpy()
-    low, high = known.min(), known.max()
+    array = values.detach().reshape(-1).cpu().numpy()
+    low, high = array.min(), array.max()
     if not 0 < high - low < math.inf:
         return values.new_tensor(float(low))
-    place = ((known - low) / (high - low) * BINS).astype(np.int64)
-    counts = np.bincount(place.clip(max=BINS - 1), minlength=BINS)
-    edges = np.linspace(low, high, BINS + 1, dtype=np.float64)
-    share = counts / len(known)
-    mean = (share * (edges[:-1] + edges[1:]) / 2).cumsum()
-    below = share.cumsum()
+    index = ((array - low) / (high - low) * OTSU_BINS).astype(np.int64)
+    counts = np.bincount(index.clip(max=OTSU_BINS - 1), minlength=OTSU_BINS)
+    edges = np.linspace(low, high, OTSU_BINS + 1, dtype=np.float64)
+    frequency = counts / len(array)
+    mean = (frequency * (edges[:-1] + edges[1:]) / 2).cumsum()
+    below = frequency.cumsum()
     between = (mean[-1] * below - mean) ** 2 / np.maximum(below * (1 - below), 1e-12)
     best = between >= between.max() * (1 - 1e-9)
     first = int(best.argmax())
-    gap = np.minimum.accumulate(best[first:])  # is parted in its middle
+    gap = np.minimum.accumulate(best[first:])  # empty bins: the threshold is in their middle
     return values.new_tensor(edges[first + 1 :][gap].mean())

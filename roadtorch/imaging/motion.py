@@ -1,9 +1,8 @@
-"""Dense motion between two images, and what it carries along.
+"""Dense optical flow between two images, and warping by it.
 
-A flow says for every pixel of an image where it was in another one. Source of the flow: Kroeger
-et al., Fast Optical Flow using Dense Inverse Search, ECCV 2016, as OpenCV has it. Where the flow
-there and back does not end where it began, the pixel is hidden in one of the images, or nothing
-there can be followed (Sundaram et al., ECCV 2010).
+Flow: Kroeger et al., "Fast Optical Flow using Dense Inverse Search", ECCV 2016, as implemented in
+OpenCV. Where the forward and the backward flow disagree, the pixel is occluded in one of the images
+or cannot be tracked (Sundaram et al., ECCV 2010).
 """
 
 import cv2
@@ -14,51 +13,53 @@ from torch import Tensor
 FASTEST = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
 FAST = cv2.DISOPTICAL_FLOW_PRESET_FAST
 
-MIN_SIDE = 32
-"""Pixels of a side at the least: OpenCV 5.0 crashes on smaller images with the fast presets."""
+MIN_FLOW_SIDE = 32
+"""Shortest side in pixels: OpenCV 5.0 crashes on smaller images with the fast presets."""
 
 
 def flow_image(image: Tensor, width: int) -> Tensor:
-    """An image (3,H,W) in [0,1] as grey of at most this width, uint8 (h,w).
+    """Convert an image (3, H, W) in [0, 1] to grey uint8 (h, w), the flow's input.
 
-    Its shape is kept as long as no side falls below ``MIN_SIDE``.
+    It is at most ``width`` wide; its shape is kept unless a side falls below ``MIN_FLOW_SIDE``.
     """
     grey = np.ascontiguousarray(image.detach().cpu().mean(0).numpy())
     height, wide = grey.shape
     scale = min(1.0, width / wide)
-    size = (max(MIN_SIDE, round(wide * scale)), max(MIN_SIDE, round(height * scale)))
+    size = (max(MIN_FLOW_SIDE, round(wide * scale)), max(MIN_FLOW_SIDE, round(height * scale)))
     if size != (wide, height):
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     return torch.from_numpy(np.round(grey * 255).astype(np.uint8))
 
 
-def dense_flow(here: Tensor, there: Tensor, preset: int = FASTEST) -> Tensor:
-    """Where each pixel of ``here`` is in ``there``: float32 (h,w,2), pixels right and down.
+def dense_flow(source: Tensor, target: Tensor, preset: int = FASTEST) -> Tensor:
+    """Compute the flow from ``source`` to ``target``: float32 (h, w, 2), pixels right and down.
 
-    here, there: uint8 (h,w). preset: one of OpenCV's for dense inverse search. Raises ValueError
-    for images with a side below ``MIN_SIDE``.
+    source, target: uint8 (h, w). preset: one of OpenCV's for dense inverse search. Raises
+    ValueError for images with a side below ``MIN_FLOW_SIDE``.
     """
-    if min(here.shape) < MIN_SIDE:
-        raise ValueError(f"no flow of {tuple(here.shape)}: give {MIN_SIDE} pixels a side or more")
+    if min(source.shape) < MIN_FLOW_SIDE:
+        raise ValueError(
+            f"no flow of {tuple(source.shape)}: give {MIN_FLOW_SIDE} pixels a side or more"
+        )
     search = cv2.DISOpticalFlow.create(preset)
-    flow = search.calc(here.numpy(), there.numpy(), None)  # type: ignore[arg-type]
+    flow = search.calc(source.numpy(), target.numpy(), None)  # type: ignore[arg-type]
     return torch.from_numpy(flow)
 
 
 def warp(plane: Tensor, flow: Tensor) -> Tensor:
-    """The values of a plane float32 (H,W) or (H,W,2) where a flow (h,w,2) points, at its size.
+    """Sample a plane where a flow points, by linear interpolation; outside, the edge is repeated.
 
-    Between pixels they are interpolated; outside, those at the edge. A flow of another size is
-    brought to the plane's.
+    plane: float32 (H, W) or (H, W, 2). flow: (h, w, 2); one of another size is resized to the
+    plane's.
     """
-    columns, rows = _pointed(flow, plane.shape[0], plane.shape[1])
+    columns, rows = _target_positions(flow, plane.shape[0], plane.shape[1])
     edge = cv2.BORDER_REPLICATE
     values = cv2.remap(plane.numpy(), columns, rows, cv2.INTER_LINEAR, borderMode=edge)
     return torch.from_numpy(values)
 
 
-def _pointed(flow: Tensor, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows where a flow points, float32 (height,width) each, at that size."""
+def _target_positions(flow: Tensor, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns and rows where a flow points, float32 (height, width) each."""
     right, down = cv2.split(flow.numpy())
     columns = cv2.resize(right, (width, height), interpolation=cv2.INTER_LINEAR)
     rows = cv2.resize(down, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -70,13 +71,13 @@ def _pointed(flow: Tensor, height: int, width: int) -> tuple[np.ndarray, np.ndar
 
 
 def forward_backward_error(flow: Tensor, back: Tensor) -> Tensor:
-    """Pixels between where a round trip begins and where it ends, float32 (h,w).
+    """Compute the distance in pixels between start and end of a round trip, float32 (h, w).
 
-    flow: (h,w,2) from here to there. back: from there to here. Infinite where it leaves the
-    image.
+    flow: (h, w, 2), from the first image to the second. back: from the second to the first. The
+    distance is infinite where the trip leaves the image.
     """
     height, width = flow.shape[:2]
-    columns, rows = _pointed(flow, height, width)
+    columns, rows = _target_positions(flow, height, width)
     outside = (columns < 0) | (columns > width - 1) | (rows < 0) | (rows > height - 1)
     right, down = cv2.split((flow + warp(back, flow)).numpy())
     # Not cv2.magnitude, whose last digit depends on where in memory an array happens to lie.

@@ -1,7 +1,7 @@
-"""What is measured of each superpixel, and how alike superpixels are.
+"""Statistics of superpixels, and how similar superpixels are.
 
-The layout labeller and the fused detector both learn, in one image, what a class looks
-like from the segments that are believed to belong to it. This is the part they share.
+The layout labeller and the fused detector both learn, in one image, the appearance of a class from
+the segments that are believed to belong to it. They share this module.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ from roadtorch.imaging.color import planes
 
 
 def segment_mean(planes: Sequence[Tensor] | Tensor, labels: Tensor, size: Tensor) -> Tensor:
-    """Mean of each of C planes (H,W) over each of n segments of labels (H,W): (C,n); 0 if empty.
+    """Compute the mean of C planes over each of n segments: (C, n), 0 for an empty segment.
 
-    size: int64 (n,), their pixels, by ``segment_size``. Added up in float64: a large segment would
-    lose what a pixel adds to it.
+    planes: C of shape (H, W). labels: int64 (H, W). size: int64 (n,) from ``segment_size``. Sums
+    are in float64: in float32 a large segment would lose small summands.
     """
     segment = labels.reshape(-1).cpu().numpy()
     sums = [
@@ -33,13 +33,13 @@ def segment_mean(planes: Sequence[Tensor] | Tensor, labels: Tensor, size: Tensor
 
 
 def segment_size(labels: Tensor, count: int) -> Tensor:
-    """Pixels of each of ``count`` segments of labels (H,W): int64 (count,)."""
+    """Count the pixels of each of ``count`` segments of labels (H, W): int64 (count,)."""
     size = np.bincount(labels.reshape(-1).cpu().numpy(), minlength=count)
     return torch.from_numpy(size).to(labels.device)
 
 
 def segment_median(values: Tensor, labels: Tensor, count: int) -> Tensor:
-    """Lower median of values (C,H,W) over each of ``count`` segments: (C,count); 0 if empty."""
+    """Compute lower medians of values (C, H, W) over segments: (C, count), 0 for an empty one."""
     index = labels.reshape(-1)
     size = torch.bincount(index, minlength=count)
     middle = (size.cumsum(0) - size + (size - 1).clamp_min(0) // 2).clamp_max(index.numel() - 1)
@@ -54,9 +54,9 @@ def segment_median(values: Tensor, labels: Tensor, count: int) -> Tensor:
 def segment_histogram(
     levels: Tensor, labels: Tensor, count: int, bins: int, usable: Tensor | None = None
 ) -> Tensor:
-    """How often each level occurs in each segment: float32 (count, bins).
+    """Count how often each level occurs in each segment: float32 (count, bins).
 
-    levels: int64 (H,W) in 0…bins-1. usable: bool (H,W), the pixels that count; None for all.
+    levels: int64 (H, W) in 0…bins-1. usable: bool (H, W), the pixels that count; None for all.
     """
     index = (labels * bins).add_(levels).reshape(-1)
     if usable is not None:
@@ -66,27 +66,27 @@ def segment_histogram(
 
 
 def paint(values: Tensor, labels: Tensor) -> Tensor:
-    """Give each pixel the value of its segment: (…,n) and labels (H,W) → (…,H,W)."""
+    """Expand values (…, n) of segments to the pixels of labels (H, W): (…, H, W)."""
     return values.index_select(-1, labels.reshape(-1)).reshape(*values.shape[:-1], *labels.shape)
 
 
 def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
-    """Pairs of segments that share a border, and the mean of a plane along it.
+    """Find the pairs of adjacent segments and the mean of a plane along each border.
 
-    labels: int64 (H,W), n segments; plane: (H,W). Returns int64 (2,E), each pair once and the
-    smaller number first, and (E,): the mean over neighbouring pixels on both sides of the
-    border of the larger of their two values.
+    labels: int64 (H, W) with n segments; plane: (H, W). Returns int64 (2, E), each pair once and
+    the smaller number first, and (E,): the mean, over adjacent pixels on both sides of the border,
+    of the larger of their two values.
     """
     segment, values = (maps.reshape(-1).cpu().numpy() for maps in (labels, plane))
     count, width = int(segment.max()) + 1, labels.shape[1]
-    beside = np.flatnonzero(segment[1:] != segment[:-1])
-    beside = beside[beside % width != width - 1]  # the next row's first is not beside the last
+    right = np.flatnonzero(segment[1:] != segment[:-1])
+    right = right[right % width != width - 1]  # a row's last pixel and the next row's first
     below = np.flatnonzero(segment[width:] != segment[:-width])
-    here, there = np.concatenate([beside, below]), np.concatenate([beside + 1, below + width])
-    one, two = segment.take(here), segment.take(there)
-    value = np.maximum(values.take(here), values.take(there))
-    # Both numbers in one, so that sorting brings together what belongs to one pair.
-    pair = np.minimum(one, two) * count + np.maximum(one, two)
+    first, second = np.concatenate([right, below]), np.concatenate([right + 1, below + width])
+    value = np.maximum(values.take(first), values.take(second))
+    first, second = segment.take(first), segment.take(second)
+    # Both numbers in one, so that sorting groups the pixels of a pair.
+    pair = np.minimum(first, second) * count + np.maximum(first, second)
     order = pair.argsort()
     pair, value = pair[order], value[order].astype(np.float64)
     start = np.flatnonzero(np.diff(pair, prepend=-1))
@@ -95,23 +95,23 @@ def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(pairs).to(labels.device), torch.from_numpy(mean).to(plane)
 
 
-LIGHTNESS_SHARE = 0.3
-"""Weight of lightness against a and b in the contrast of a border: the edge of a shadow changes
-mostly lightness, that of a verge colour too."""
+LIGHTNESS_WEIGHT = 0.3
+"""Weight of lightness relative to a and b in border contrast: a shadow's edge changes mostly
+lightness, a verge's edge colour too."""
 
-UNLIKE = 160.0
-"""Squared distance of segments as unlike as can be: exp(-80) is no denormal number, which
-processors take long over."""
+MAX_SQUARED_DISTANCE = 160.0
+"""Bound on the squared distance of segments: exp(-80) is not yet a slow denormal number."""
 
-RAREST = 1e-8
-"""The least density: a segment like no other keeps its prior."""
+MIN_DENSITY = 1e-8
+"""Lower bound of a density: a segment that resembles no other keeps its prior."""
 
 
 class Bandwidths(NamedTuple):
-    """How far two segments may be apart and still be alike: widths of Gaussian kernels.
+    """Widths of the Gaussian kernels that compare two segments.
 
-    lightness: in L, from 0 to 1. chroma: in a and b, in units of L. gradient: in the mean gradient,
-    L per pixel. contrast: in the deviation of L inside. row, column: in the image's sides.
+    lightness: in L, 0 to 1. chroma: in a and b, in units of L. gradient: of the mean gradient, L
+    per pixel. contrast: of the standard deviation of L. row, column: fractions of the image's
+    sides.
     """
 
     lightness: float
@@ -124,16 +124,16 @@ class Bandwidths(NamedTuple):
 
 @dataclass(frozen=True)
 class Segments:
-    """The superpixels of one image. n segments; places are shares of height and width."""
+    """Superpixels of one image, n of them; positions are fractions of height and width."""
 
     labels: Tensor
-    """int64 (H,W), 0…n-1."""
+    """int64 (H, W), 0…n-1."""
     pixels: Tensor
-    """int64 (n,): how many each has."""
+    """int64 (n,): pixels of each."""
     color: Tensor
-    """(3,n): mean L, a, b, each divided by 100."""
+    """(3, n): mean L, a, b, each divided by 100."""
     gradient: Tensor
-    """(n,): mean length of the gradient of L."""
+    """(n,): mean gradient magnitude of L."""
     contrast: Tensor
     """(n,): standard deviation of L."""
     row: Tensor
@@ -141,16 +141,16 @@ class Segments:
     column: Tensor
     """(n,): centroid, 0 at the left edge, 1 at the right edge."""
     size: Tensor
-    """(n,): share of the image's pixels; sums to 1."""
+    """(n,): fraction of the image's pixels; sums to 1."""
     pairs: Tensor
-    """int64 (2,E): segments that share a border, each pair once."""
+    """int64 (2, E): adjacent segments, each pair once."""
     contrast_between: Tensor
     """(E,): mean of ``border_contrast`` along the border of each pair."""
 
 
 @cached_per_image
 def measure_segments(image: Tensor, labels: Tensor) -> Segments:
-    """Measure the segments ``labels`` (H,W) of an image (3,H,W) in [0,1]."""
+    """Measure the segments ``labels`` (H, W) of an image (3, H, W) in [0, 1]."""
     height, width = labels.shape
     count = int(labels.max()) + 1
     lab = planes(image, ("L", "a", "b"))
@@ -175,25 +175,24 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
 
 
 def border_contrast(lab: Tensor) -> Tensor:
-    """How much a pixel looks like a border, (H,W): gradient of Lab/100 (3,H,W), less noise.
+    """Compute border strength (H, W): the gradient magnitude of Lab/100 (3, H, W) after smoothing.
 
-    The mean of 3×3 pixels goes first, against sensor noise; lightness counts by
-    ``LIGHTNESS_SHARE``.
+    A 3×3 mean goes first, against sensor noise; lightness is weighted by ``LIGHTNESS_WEIGHT``.
     """
-    before = (lab * lab.new_tensor([LIGHTNESS_SHARE, 1, 1])[:, None, None]).cpu().numpy()
-    after = np.empty_like(before)
-    for plane, target in zip(before, after, strict=True):
+    weighted = (lab * lab.new_tensor([LIGHTNESS_WEIGHT, 1, 1])[:, None, None]).cpu().numpy()
+    smooth = np.empty_like(weighted)
+    for plane, target in zip(weighted, smooth, strict=True):
         cv2.blur(plane, (3, 3), dst=target, borderType=cv2.BORDER_REPLICATE)
-    return _difference_squares(torch.from_numpy(after).to(lab.device)).sum(0).sqrt_().div_(2)
+    return _difference_squares(torch.from_numpy(smooth).to(lab.device)).sum(0).sqrt_().div_(2)
 
 
 def gradient_length(planes: Tensor) -> Tensor:
-    """Length of the gradient of planes (…,H,W): central differences, 0 past the edge."""
+    """Compute the gradient magnitude of planes (…, H, W): central differences, 0 at the edge."""
     return _difference_squares(planes).sqrt_().div_(2)
 
 
 def _difference_squares(planes: Tensor) -> Tensor:
-    """Of the pixels beside, and of those above and below: the sum of both differences squared."""
+    """Sum the squared central differences across and down."""
     squares = torch.zeros_like(planes)
     across = planes[..., 2:] - planes[..., :-2]
     down = planes[..., 2:, :] - planes[..., :-2, :]
@@ -203,7 +202,7 @@ def _difference_squares(planes: Tensor) -> Tensor:
 
 
 def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
-    """(n,n) in [0,1]: product of Gaussian kernels over appearance and place, 1 for itself."""
+    """Compute affinities (n, n) in [0, 1]: Gaussian kernels of appearance and position."""
     scaled = [
         segments.color[0] / bandwidths.lightness,
         segments.color[1] / bandwidths.chroma,
@@ -215,18 +214,18 @@ def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
     ]
     points = torch.stack(scaled, 1)
     half = points.square().sum(1) / 2
-    # xᵀy - |x|²/2 - |y|²/2 is -|x-y|²/2: one product, and no root that is squared again.
+    # xᵀy - |x|²/2 - |y|²/2 = -|x-y|²/2: one matrix product.
     exponent = torch.addmm(-half[:, None] - half, points, points.T)
-    return exponent.clamp_(-UNLIKE / 2, 0).exp_()
+    return exponent.clamp_(-MAX_SQUARED_DISTANCE / 2, 0).exp_()
 
 
-def class_log_density(alike: Tensor, posterior: Tensor, size: Tensor) -> Tensor:
-    """log p(segment | class), (n,C), by kernel density over the segments themselves.
+def class_log_density(affinity: Tensor, posterior: Tensor, size: Tensor) -> Tensor:
+    """Estimate log p(segment | class), (n, C), by kernel density over the segments themselves.
 
-    alike: (n,n) from ``likeness``; posterior: (n,C), what each segment is believed to be;
-    size: (n,). A class with next to no support keeps a finite density.
+    affinity: (n, n) from ``segment_affinity``. posterior: (n, C), class probabilities of each
+    segment. size: (n,). A class with hardly any support keeps a finite density.
     """
     support = posterior.T * size
-    # alike is symmetric; from the left, the product is three times as fast.
-    density = (support @ alike).div_(support.sum(1, keepdim=True).clamp_min_(1e-3))
-    return density.clamp_min_(RAREST).log_().T
+    # affinity is symmetric; multiplied from the left, the product is three times as fast.
+    density = (support @ affinity).div_(support.sum(1, keepdim=True).clamp_min_(1e-3))
+    return density.clamp_min_(MIN_DENSITY).log_().T

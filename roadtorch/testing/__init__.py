@@ -1,11 +1,11 @@
-"""What every detector keeps to, as a check that authors of plug-ins can run on theirs.
+"""Contract checks for detectors, for tests of plug-ins.
 
     from roadtorch.testing import check_detector
 
-    def test_it_is_a_detector():
+    def test_my_detector_keeps_the_contract():
         check_detector(ENTRY)
 
-It takes seconds. The same promises are tested on every detector that comes with roadtorch.
+They take seconds. roadtorch runs them on every detector of its own.
 """
 
 import copy
@@ -21,38 +21,43 @@ from roadtorch.base.errors import InputError
 from roadtorch.detectors.detector import Detection, Detector, Entry
 
 SIZES = ((16, 16), (17, 200), (61, 16), (48, 64), (241, 319))
-"""Heights and widths of images: least, long, small, and beyond the working size."""
+"""Heights and widths of test images: smallest, long, small, and beyond the working size."""
 
-CLOSE = 1e-3
-"""How far a likelihood may be on average from that of the same detector in double precision."""
+MAX_PRECISION_LOSS = 1e-3
+"""Largest mean difference between the likelihoods of a detector in float32 and float64."""
 
-Problems = Iterator[str]
-"""How a promise is broken, one way after the other: none for a proper detector."""
+Violations = Iterator[str]
+"""Violations of one rule of the contract; none for a valid detector."""
 
 
-class BrokenPromiseError(AssertionError):
-    """A detector that does not keep to the contract: which promise, and how it is broken."""
+class ContractError(AssertionError):
+    """A violation of the detector contract."""
 
 
 def check_detector(entry: Entry, **settings: Any) -> None:
-    """Check a detector against every promise in ``PROMISES``; settings as for ``load_detector``.
+    """Check a detector against every rule of the contract, ``CHECKS``.
 
-    Raises BrokenPromiseError with what `broken_promises` tells.
+    Args:
+        entry: the detector's registration.
+        settings: settings other than the defaults, as for ``load_detector``.
+
+    Raises:
+        ContractError: naming each rule that the detector breaks.
     """
-    if broken := broken_promises(entry, **settings):
-        raise BrokenPromiseError("; ".join(broken))
+    if violations := contract_violations(entry, **settings):
+        raise ContractError("; ".join(violations))
 
 
-def broken_promises(entry: Entry, **settings: Any) -> list[str]:
-    """How a detector breaks its promises, the first way of each; empty for a proper one."""
+def contract_violations(entry: Entry, **settings: Any) -> list[str]:
+    """Return violations of the contract, the first of each check; empty for a valid detector."""
     checked = entry.configured(settings)
     detector, again = (Detector(entry, checked).eval() for _ in range(2))
-    broken = [next(promise(detector, again), None) for promise in PROMISES]
-    return [f"{entry.name} {error}" for error in broken if error is not None]
+    violations = [next(check(detector, again), None) for check in CHECKS]
+    return [f"{entry.name} {text}" for text in violations if text is not None]
 
 
 def street(height: int, width: int, random_seed: int = 0) -> Tensor:
-    """An image (3,H,W) of a noisy grey wedge under a pale sky: enough of a street for a check."""
+    """Return an image (3, H, W) of a noisy grey wedge under a pale sky, a minimal street."""
     generator = torch.Generator().manual_seed(random_seed)
     rows = torch.linspace(0, 1, height).view(-1, 1)
     columns = torch.linspace(-1, 1, width).view(1, -1)
@@ -63,32 +68,32 @@ def street(height: int, width: int, random_seed: int = 0) -> Tensor:
     return (colours[classes].permute(2, 0, 1) + noise).clamp(0, 1)
 
 
-# --- promises ---------------------------------------------------------------------------
+# --- checks -----------------------------------------------------------------------------
 
 
-def any_size_gives_maps_of_that_size(detector: Detector, _: Detector) -> Problems:
-    """Any image from 16×16 up: maps of its size, likelihoods in [0,1], finite cues."""
+def check_sizes(detector: Detector, _: Detector) -> Violations:
+    """Check images from 16×16 up: maps of their size, likelihoods in [0, 1], finite cues."""
     for height, width in SIZES:
         detection = detector.detect(street(height, width))
-        yield from flaws(detection, (height, width), f"{width}×{height} pixels")
+        yield from detection_violations(detection, (height, width), f"{width}×{height} pixels")
 
 
-def nothing_to_see_gives_proper_maps(detector: Detector, _: Detector) -> Problems:
-    """Black, white, flat and grey images."""
+def check_featureless_images(detector: Detector, _: Detector) -> Violations:
+    """Check black, white, uniform and grey images."""
     flat = torch.tensor([0.2, 0.5, 0.7]).view(3, 1, 1).expand(3, 48, 64)
     grey = street(48, 64).mean(0, keepdim=True).expand(3, 48, 64)
     images = {"black": 0 * flat, "white": flat**0, "flat": flat, "grey": grey}
     for kind, image in images.items():
-        yield from flaws(detector.detect(image), (48, 64), f"a {kind} image")
+        yield from detection_violations(detector.detect(image), (48, 64), f"a {kind} image")
 
 
-def the_same_image_gives_the_same_bytes(detector: Detector, again: Detector) -> Problems:
-    """Loaded once or twice, whatever torch's own generator does, on one of torch's threads or two.
+def check_determinism(detector: Detector, again: Detector) -> Violations:
+    """Check that results are equal to the bit when loaded twice, for any seed, on 1 or 2 threads.
 
-    The image is left as it was, and so is the number of threads.
+    Also check that the image and torch's number of threads stay as they are.
     """
     image = street(240, 320)
-    before, threads, detections = image.clone(), torch.get_num_threads(), []
+    original, threads, detections = image.clone(), torch.get_num_threads(), []
     try:
         with torch.random.fork_rng(devices=[]):
             for number, loaded in ((1, detector), (2, again)):
@@ -99,59 +104,59 @@ def the_same_image_gives_the_same_bytes(detector: Detector, again: Detector) -> 
                     yield "changes the number of torch's threads"
     finally:
         torch.set_num_threads(threads)
-    yield from flaws(detections[0], (240, 320), "320×240 pixels")
+    yield from detection_violations(detections[0], (240, 320), "320×240 pixels")
     if not _equal(*detections):
-        yield "says two things of one image"
-    if not torch.equal(image, before):
-        yield "changes the image that it is given"
+        yield "is not deterministic: two results for one image"
+    if not torch.equal(image, original):
+        yield "modifies its input image"
 
 
-def a_batch_is_its_images_one_by_one(detector: Detector, _: Detector) -> Problems:
-    """``forward`` gives likelihoods (B,H,W), of an empty batch as well; a call, Detections."""
+def check_batches(detector: Detector, _: Detector) -> Violations:
+    """Check that ``forward`` gives the likelihoods of single images, (B, H, W), and takes B = 0."""
     images = torch.stack([street(48, 64, random_seed) for random_seed in range(2)])
     detections = detector(images)
     singles = torch.stack([detection.likelihood for detection in detections])
     if not torch.equal(detector.forward(images), singles):
-        yield "says other things in a batch"
+        yield "gives other results in a batch"
     if detector.forward(images[:0]).shape != (0, 48, 64):
-        yield "takes no empty batch"
+        yield "does not accept an empty batch"
 
 
-def the_mask_follows_the_threshold(detector: Detector, _: Detector) -> Problems:
-    """No pixel below the threshold is road."""
+def check_threshold(detector: Detector, _: Detector) -> Violations:
+    """Check that no pixel below the threshold is road."""
     detection = detector.detect(street(96, 128))
     if detection.mask[detection.likelihood < detector.settings.threshold].any():
-        yield "calls road what is below the threshold"
+        yield "marks pixels below the threshold as road"
 
 
-def copies_say_the_same_and_are_their_own(detector: Detector, _: Detector) -> Problems:
-    """copy.deepcopy, pickle, torch.save and state_dict; a changed copy changes nothing else."""
+def check_copies(detector: Detector, _: Detector) -> Violations:
+    """Check deepcopy, pickle, torch.save and state_dict: equal results, weights of their own."""
     image = street(48, 64)
     first = detector.detect(image)
-    for way, made in _copies(detector):
-        if not _equal(first, made.detect(image)):
-            yield f"says other things after {way}"
-        weights = list(made.parameters())
+    for method, duplicate in _copies(detector):
+        if not _equal(first, duplicate.detect(image)):
+            yield f"gives other results after {method}"
+        weights = list(duplicate.parameters())
         for weight in weights:
             weight.data.add_(1)
-        if weights and torch.equal(made.detect(image).likelihood, first.likelihood):
-            yield f"does not use its own weights after {way}"
+        if weights and torch.equal(duplicate.detect(image).likelihood, first.likelihood):
+            yield f"does not use its own weights after {method}"
     if not _equal(first, detector.detect(image)):
         yield "shares weights with its copies"
 
 
-def another_precision_says_nearly_the_same(detector: Detector, _: Detector) -> Problems:
-    """``detector.to(torch.float64)`` takes the same images and gives float32 again."""
+def check_precision(detector: Detector, _: Detector) -> Violations:
+    """Check that a float64 detector takes the same images and returns nearly equal float32."""
     image = street(48, 64)
     detection = copy.deepcopy(detector).to(torch.float64).detect(image)
-    yield from flaws(detection, (48, 64), "double precision")
+    yield from detection_violations(detection, (48, 64), "double precision")
     distance = float((detection.likelihood - detector.detect(image).likelihood).abs().mean())
-    if distance >= CLOSE:
-        yield f"moves by {distance:.2g} in double precision"
+    if distance >= MAX_PRECISION_LOSS:
+        yield f"differs by {distance:.2g} in double precision"
 
 
-def what_is_no_image_is_refused(detector: Detector, _: Detector) -> Problems:
-    """InputError for values beyond [0,1], wrong shapes and types, too small an image."""
+def check_refusals(detector: Detector, _: Detector) -> Violations:
+    """Check that InputError is raised for wrong values, shapes, types and sizes."""
     wrong: dict[str, Any] = {
         "not a number": torch.full((3, 32, 32), torch.nan),
         "endless": torch.full((3, 32, 32), torch.inf),
@@ -169,29 +174,29 @@ def what_is_no_image_is_refused(detector: Detector, _: Detector) -> Problems:
             detector.detect(image)
         except InputError:
             continue
-        yield f"takes an image that is {kind}"
+        yield f"accepts an image that is {kind}"
 
 
-PROMISES: tuple[Callable[[Detector, Detector], Problems], ...] = (
-    any_size_gives_maps_of_that_size,
-    nothing_to_see_gives_proper_maps,
-    the_same_image_gives_the_same_bytes,
-    a_batch_is_its_images_one_by_one,
-    the_mask_follows_the_threshold,
-    copies_say_the_same_and_are_their_own,
-    another_precision_says_nearly_the_same,
-    what_is_no_image_is_refused,
+CHECKS: tuple[Callable[[Detector, Detector], Violations], ...] = (
+    check_sizes,
+    check_featureless_images,
+    check_determinism,
+    check_batches,
+    check_threshold,
+    check_copies,
+    check_precision,
+    check_refusals,
 )
-"""Each looks at a detector, and at the same one loaded again."""
+"""The rules of the contract; each check takes a detector, and the same one loaded again."""
 
 
-# --- how they are checked ---------------------------------------------------------------
+# --- helpers ----------------------------------------------------------------------------
 
 
-def flaws(detection: Detection, size: tuple[int, int], image: str) -> Problems:
-    """What is wrong with types, shapes and ranges of a detection of an image of (height, width).
+def detection_violations(detection: Detection, size: tuple[int, int], image: str) -> Violations:
+    """Yield errors in types, shapes and ranges of a detection.
 
-    image: what it shows, in words.
+    size: height and width of the image. image: its description for messages.
     """
     likelihood, mask, cues = detection.likelihood, detection.mask, detection.cues
     if (likelihood.dtype, mask.dtype) != (torch.float32, torch.bool):
@@ -199,7 +204,7 @@ def flaws(detection: Detection, size: tuple[int, int], image: str) -> Problems:
     if not likelihood.shape == mask.shape == size:
         yield f"gives {tuple(likelihood.shape)} for {image}"
     if not ((likelihood >= 0) & (likelihood <= 1)).all():
-        yield f"leaves [0, 1] for {image}"
+        yield f"gives a likelihood beyond [0, 1] for {image}"
     for name, cue in cues.items():
         layers = (3,) if name == "layout" else cue.shape[:-2]
         if cue.shape != (*layers, *size) or len(layers) > 1:
@@ -209,7 +214,7 @@ def flaws(detection: Detection, size: tuple[int, int], image: str) -> Problems:
     if not 0 <= (detection.trust or 0) <= 1:
         yield f"gives the trust {detection.trust} for {image}"
     if "ego" in cues and (mask | (likelihood != 0))[cues["ego"]].any():
-        yield f"calls the ego car road for {image}"
+        yield f"marks the ego car as road for {image}"
 
 
 def _copies(detector: Detector) -> Iterator[tuple[str, Detector]]:
@@ -227,7 +232,8 @@ def _copies(detector: Detector) -> Iterator[tuple[str, Detector]]:
 
 
 def _equal(first: Detection, second: Detection) -> bool:
-    maps, others = (
-        {"likelihood": each.likelihood, "mask": each.mask, **each.cues} for each in (first, second)
+    maps, copies = (
+        {"likelihood": detection.likelihood, "mask": detection.mask, **detection.cues}
+        for detection in (first, second)
     )
-    return maps.keys() == others.keys() and all(torch.equal(maps[k], others[k]) for k in maps)
+    return maps.keys() == copies.keys() and all(torch.equal(maps[k], copies[k]) for k in maps)

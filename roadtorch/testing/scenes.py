@@ -1,11 +1,11 @@
-"""Rendered street scenes with exact truth, seen from a camera in a car.
+"""Rendered street scenes with exact ground truth, seen from a camera in a car.
 
-A scene is painted back to front on a canvas of twice the size: sky, ground (every pixel
-below the horizon is traced to its place on the road plane, in metres), houses and trees,
-cars, one unknown object. The same strokes paint the image and the class map, so the
-truth is exact to half a pixel. Class numbers are CamVid's.
+A scene is painted back to front on a canvas of twice the size: sky, ground (every pixel below the
+horizon is projected to the road plane, in metres), houses and trees, cars, one unknown object. The
+same strokes paint the image and the class map, so the truth is exact to half a pixel. Class numbers
+are CamVid's.
 
-``python -m roadtorch.testing.scenes --out DIR --count 6`` writes images to look at.
+``python -m roadtorch.testing.scenes --out DIR --count 6`` writes sample images.
 """
 
 import argparse
@@ -31,7 +31,7 @@ MAX_DISTANCE = 90.0  # metres: nothing upright stands farther away
 
 @dataclass(frozen=True)
 class RenderedScene:
-    """An image and everything that is true about it."""
+    """A rendered image and its ground truth."""
 
     image: Tensor  # float32 (3,H,W) in [0,1], sRGB
     road: Tensor  # bool (H,W)
@@ -42,27 +42,27 @@ class RenderedScene:
 
 @dataclass(frozen=True)
 class RenderedStreet:
-    """What is being looked at; lengths in metres, light in [0, 1]."""
+    """Parameters of a street; lengths in metres, light in [0, 1]."""
 
-    horizon: float  # share of the height above the horizon
+    horizon: float  # fraction of the height above the horizon
     curvature: float  # lateral metres per squared metre ahead
     heading: float  # lateral metres per metre ahead
     road_width: float
     pavement: float  # width of each pavement
     offset: float  # of the camera from the road's middle
-    shadows: float  # how many bands
-    cars: float  # how many
+    shadows: float  # number of shadow bands
+    cars: float  # number of cars
     dusk: float  # 0 noon, 1 late dusk
     noise: float  # standard deviation of the sensor's noise
 
     def middle(self, ahead: np.ndarray | float) -> np.ndarray | float:
-        """Lateral place of the road's middle, metres to the right of the camera."""
+        """Return the lateral position of the road's middle, metres to the right of the camera."""
         return self.heading * ahead + self.curvature * ahead**2 - self.offset
 
 
-def draw_street(generator: np.random.Generator, **options: float) -> RenderedStreet:
-    """A random street; any field of RenderedStreet can be fixed by name."""
-    chosen: dict[str, float] = {
+def sample_street(generator: np.random.Generator, **options: float) -> RenderedStreet:
+    """Sample a random street; any field of RenderedStreet can be fixed by name."""
+    parameters: dict[str, float] = {
         "horizon": generator.uniform(0.36, 0.56),
         "curvature": generator.uniform(-0.005, 0.005),
         "heading": generator.uniform(-0.03, 0.03),
@@ -74,7 +74,7 @@ def draw_street(generator: np.random.Generator, **options: float) -> RenderedStr
         "dusk": float(generator.choice([0.0, 0.15, 0.3, 0.8])),
         "noise": generator.uniform(0.004, 0.02),
     }
-    return RenderedStreet(**{**chosen, **options})  # an unknown option is a TypeError
+    return RenderedStreet(**{**parameters, **options})  # an unknown option is a TypeError
 
 
 class Canvas:
@@ -89,35 +89,35 @@ class Canvas:
         self.classes = np.full((height, width), SKY, np.uint8)
 
     def project(self, right: float, up: float, ahead: float) -> tuple[float, float]:
-        """The pixel (x, y) of a point in metres from the camera's foot on the road."""
+        """Project a point, in metres from the camera's foot on the road, to a pixel (x, y)."""
         x = self.width / 2 + self.focal * right / ahead
         return x, self.horizon + self.focal * (CAMERA_HEIGHT - up) / ahead
 
     def polygon(self, points: Iterable[tuple[float, float]], colour: np.ndarray, kind: int) -> None:
-        """Fill a polygon of pixel points with a colour (3,) or an image (H,W,3)."""
+        """Fill a polygon of pixel points with a colour (3,) or an image (H, W, 3)."""
         mask = np.zeros((self.height, self.width), np.uint8)
         corners = np.clip(np.array(list(points)) * 16, -3e5, 3e5)  # 4 fractional bits
         cv2.fillPoly(mask, [np.round(corners).astype(np.int32)], 1, shift=4)
-        inside = around(corners / 16)
-        chosen = mask[inside].astype(bool)
-        self.rgb[inside][chosen] = colour[inside][chosen] if np.ndim(colour) == 3 else colour
-        self.classes[inside][chosen] = kind
+        box = bounding_box(corners / 16)
+        inside = mask[box].astype(bool)
+        self.rgb[box][inside] = colour[box][inside] if np.ndim(colour) == 3 else colour
+        self.classes[box][inside] = kind
 
     def fill(self, mask: np.ndarray, colour: np.ndarray, kind: int) -> None:
-        """Give the pixels of a mask a colour and a class."""
+        """Fill the pixels of a mask with a colour and a class."""
         self.rgb[mask] = colour[mask] if np.ndim(colour) == 3 else colour
         self.classes[mask] = kind
 
 
-def around(corners: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of an image that hold a polygon of pixel points (n,2), and some more."""
+def bounding_box(corners: np.ndarray) -> tuple[slice, slice]:
+    """Return rows and columns of a box around a polygon of pixel points (n, 2), with a margin."""
     first = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
     last = np.maximum(np.ceil(corners.max(0)).astype(int) + 2, 0)
     return slice(first[1], last[1]), slice(first[0], last[0])
 
 
-def cloth(generator: np.random.Generator, size: int = 256, octaves: int = 5) -> np.ndarray:
-    """Tileable fractal noise (size, size) with mean 0 and standard deviation 1."""
+def fractal_noise(generator: np.random.Generator, size: int = 256, octaves: int = 5) -> np.ndarray:
+    """Generate tileable fractal noise (size, size) with mean 0 and standard deviation 1."""
     total = np.zeros((size, size), np.float32)
     for octave in range(octaves):
         cells = 2 ** (octave + 3)
@@ -129,8 +129,8 @@ def cloth(generator: np.random.Generator, size: int = 256, octaves: int = 5) -> 
     return (total - total.mean()) / total.std()
 
 
-def developed(canvas: Canvas, generator: np.random.Generator) -> RenderedScene:
-    """A canvas as the camera sees it, at half its size, with light, lens, noise and eight bits."""
+def expose(canvas: Canvas, generator: np.random.Generator) -> RenderedScene:
+    """Simulate the camera: half the canvas's size, with light, lens blur, noise and eight bits."""
     dusk = canvas.street.dusk
     light = np.array([1.0, 1 - 0.08 * dusk, 1 - 0.05 * dusk]) * (1 - 0.5 * dusk)
     rgb = canvas.rgb * light
@@ -150,25 +150,25 @@ def developed(canvas: Canvas, generator: np.random.Generator) -> RenderedScene:
     )
 
 
-# --- what is painted -----------------------------------------------------------------------
+# --- painting ------------------------------------------------------------------------------
 
 
 def paint_sky(canvas: Canvas, generator: np.random.Generator) -> None:
-    """A gradient, pale at the horizon, with soft clouds."""
+    """Paint a gradient, pale at the horizon, with soft clouds."""
     dusk = canvas.street.dusk
     zenith = np.array([0.36, 0.55, 0.86]) * (1 - dusk) + dusk * np.array([0.34, 0.38, 0.52])
     pale = np.array([0.86, 0.88, 0.92]) - dusk * np.array([0.1, 0.2, 0.22])
     depth = np.clip(np.arange(canvas.height) / canvas.horizon, 0, 1)[:, None, None]
     canvas.rgb[:] = zenith + (pale - zenith) * depth**0.8
-    clouds = cv2.resize(cloth(generator, octaves=3), (canvas.width, canvas.height))
+    clouds = cv2.resize(fractal_noise(generator, octaves=3), (canvas.width, canvas.height))
     cover = np.clip(0.35 * clouds - generator.uniform(-0.3, 0.3), 0, 0.8)[..., None]
     canvas.rgb[:] = canvas.rgb * (1 - cover) + cover * (pale * 1.04)
 
 
 def paint_ground(canvas: Canvas, generator: np.random.Generator) -> None:
-    """Road with lane marks, kerbs, pavements, verges and shadows, on the road plane.
+    """Paint road with lane marks, kerbs, pavements, verges and shadows on the road plane.
 
-    Every pixel below the horizon has its place there: metres to the right of the camera and ahead
+    Every pixel below the horizon has a position there: metres to the right of the camera and ahead
     of it, and across the road, to the right of its middle.
     """
     street = canvas.street
@@ -179,31 +179,33 @@ def paint_ground(canvas: Canvas, generator: np.random.Generator) -> None:
     ahead = np.broadcast_to(canvas.focal * CAMERA_HEIGHT / below, canvas.classes.shape)
     right = (columns - canvas.width / 2) * ahead / canvas.focal
     across = right - street.middle(ahead)
-    grain = sample(cloth(generator), right * 23, ahead * 23) * np.clip(8 / ahead, 0.15, 1)
-    patches = sample(cloth(generator, octaves=3), right * 5, ahead * 5)
-    beside = np.abs(across) - street.road_width / 2
+    grain = sample_texture(fractal_noise(generator), right * 23, ahead * 23) * np.clip(
+        8 / ahead, 0.15, 1
+    )
+    patches = sample_texture(fractal_noise(generator, octaves=3), right * 5, ahead * 5)
+    margin = np.abs(across) - street.road_width / 2
     colours = ground_colours(generator)
     for colour, kind, where in (
         (colours["verge"], PAVEMENT, ground),
-        (colours["pavement"], PAVEMENT, ground & (beside < street.pavement)),
-        (colours["kerb"], PAVEMENT, ground & (beside < 0.22)),
-        (colours["road"], ROAD, ground & (beside < 0)),
+        (colours["pavement"], PAVEMENT, ground & (margin < street.pavement)),
+        (colours["kerb"], PAVEMENT, ground & (margin < 0.22)),
+        (colours["road"], ROAD, ground & (margin < 0)),
     ):
         canvas.fill(where, colour, kind)
-    slabs = ground & (beside > 0.22) & (beside < street.pavement)
+    slabs = ground & (margin > 0.22) & (margin < street.pavement)
     joints = ((across / 0.75) % 1 < 0.05) | ((ahead / 0.75) % 1 < 0.07)
     canvas.rgb[slabs & joints & (ahead < 25)] *= 0.86
     canvas.rgb[ground] *= (1 + 0.05 * grain + 0.04 * patches)[ground][:, None]
     marks = np.abs(across) < 0.07 + ahead / 700
     marks &= (ahead + generator.uniform(0, 7)) % 7 < 3.2
-    marks |= np.abs(beside + 0.35) < 0.06
+    marks |= np.abs(margin + 0.35) < 0.06
     canvas.rgb[ground & marks] = colours["mark"] * (1 + 0.05 * patches[ground & marks][:, None])
-    shade = shadow(generator, street, across, ahead)
+    shade = sample_shadows(generator, street, across, ahead)
     canvas.rgb[ground] *= shade[ground][:, None] ** np.array([1.08, 1.0, 0.88])  # bluish
 
 
 def ground_colours(generator: np.random.Generator) -> dict[str, np.ndarray]:
-    """Colours of the ground's parts: greys that differ in lightness and a little in hue."""
+    """Sample colours of the ground's parts: greys that differ in lightness and a little in hue."""
     base = generator.uniform(0.3, 0.46)
     tint = generator.normal(0, 0.008, 3)
     paving = np.array([1.0, 0.95, 0.87]) * min(base + generator.uniform(0.14, 0.26), 0.75)
@@ -217,32 +219,32 @@ def ground_colours(generator: np.random.Generator) -> dict[str, np.ndarray]:
     }
 
 
-def sample(texture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Look a tileable texture up at (x, y), nearest cell."""
+def sample_texture(texture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Look up a tileable texture at (x, y), nearest cell."""
     size = texture.shape[0]
     return texture[y.astype(np.int64) % size, x.astype(np.int64) % size]
 
 
-def shadow(
+def sample_shadows(
     generator: np.random.Generator, street: RenderedStreet, across: np.ndarray, ahead: np.ndarray
 ) -> np.ndarray:
-    """How much light reaches the ground, (H,W) in (0,1]: bands that cross the road."""
+    """Sample the light on the ground, (H, W) in (0, 1]: shadow bands across the road."""
     light = np.ones_like(across)
     for _ in range(int(street.shadows)):
         near = generator.uniform(4.5, 22)
         length = generator.uniform(1.5, 6.0)
-        lean = generator.uniform(-0.6, 0.6)
+        slope = generator.uniform(-0.6, 0.6)
         reach = generator.uniform(-2.0, 2.0)
         side = generator.choice([-1.0, 1.0])
         wobble = 0.3 * np.sin(across * generator.uniform(1, 3))
-        inside = np.abs(ahead - near - lean * across + wobble) < length / 2
+        inside = np.abs(ahead - near - slope * across + wobble) < length / 2
         inside &= side * across < reach + street.road_width / 2
         light[inside] = np.minimum(light[inside], generator.uniform(0.4, 0.65))
     return light
 
 
 def paint_side(canvas: Canvas, side: float, generator: np.random.Generator) -> None:
-    """Houses and trees along one side of the street, the farthest first."""
+    """Paint houses and trees along one side of the street, the farthest first."""
     street = canvas.street
     begin = MAX_DISTANCE
     gap = street.road_width / 2 + street.pavement
@@ -264,16 +266,16 @@ def paint_house(
     span: tuple[float, float],
     generator: np.random.Generator,
 ) -> None:
-    """One house: the wall along the street, with dark panes, and its front wall."""
+    """Paint a house: the wall along the street, with dark panes, and its front wall."""
     near, far = span
     height = generator.uniform(4, 12)
     palette = [(0.62, 0.42, 0.34), (0.78, 0.74, 0.66), (0.55, 0.5, 0.45), (0.7, 0.66, 0.62)]
     colour = np.array(palette[generator.integers(len(palette))]) * generator.uniform(0.75, 1.1)
-    here = float(canvas.street.middle(near)) + side * distance
-    there = float(canvas.street.middle(far)) + side * distance
-    out = here + side * 14
-    front = [(here, 0, near), (out, 0, near), (out, height, near), (here, height, near)]
-    wall = [(here, 0, near), (there, 0, far), (there, height, far), (here, height, near)]
+    start = float(canvas.street.middle(near)) + side * distance
+    end = float(canvas.street.middle(far)) + side * distance
+    out = start + side * 14
+    front = [(start, 0, near), (out, 0, near), (out, height, near), (start, height, near)]
+    wall = [(start, 0, near), (end, 0, far), (end, height, far), (start, height, near)]
     for points, light in ((front, 0.8), (wall, 1.0 if side > 0 else 0.72)):
         canvas.polygon((canvas.project(*p) for p in points), colour * light, BUILDING)
     pane = np.array([0.2, 0.24, 0.3])
@@ -281,8 +283,8 @@ def paint_house(
     for floor in np.arange(1.0, height - 1.6, 2.7):
         for ahead in np.arange(near + 0.8, far - 1.2, 2.2):
             left, right = (
-                here + (there - here) * ((end - near) / (far - near))
-                for end in (float(ahead), float(ahead) + 1.1)
+                start + (end - start) * ((edge - near) / (far - near))
+                for edge in (float(ahead), float(ahead) + 1.1)
             )
             corners = [(left, floor, ahead), (right, floor, ahead + 1.1)]
             corners += [(right, floor + 1.4, ahead + 1.1), (left, floor + 1.4, ahead)]
@@ -291,14 +293,14 @@ def paint_house(
 
 
 def paint_tree(canvas: Canvas, across: float, ahead: float, generator: np.random.Generator) -> None:
-    """A trunk under a crown of leafy blobs."""
+    """Paint a trunk under a crown of leafy blobs."""
     ahead = max(ahead, 4.0)
     right = float(canvas.street.middle(ahead)) + across
     corners = [(-0.15, 0), (0.15, 0), (0.12, 3), (-0.12, 3)]
     trunk = [canvas.project(right + dx, up, ahead) for dx, up in corners]
     canvas.polygon(trunk, np.array([0.27, 0.2, 0.14]), TREE)
     green = np.array([0.22, 0.34, 0.13]) * generator.uniform(0.7, 1.2)
-    leaves = cv2.resize(cloth(generator, 128, 4), (canvas.width, canvas.height))
+    leaves = cv2.resize(fractal_noise(generator, 128, 4), (canvas.width, canvas.height))
     image = (green * (1 + 0.25 * leaves[..., None])).astype(np.float32)
     turn = np.linspace(0, 2 * np.pi, 15)[:-1]
     for _ in range(7):
@@ -310,7 +312,7 @@ def paint_tree(canvas: Canvas, across: float, ahead: float, generator: np.random
 
 
 def paint_cars(canvas: Canvas, generator: np.random.Generator) -> None:
-    """Cars ahead and parked cars, the farthest first, each with its shadow on the road."""
+    """Paint moving and parked cars, the farthest first, each with its shadow on the road."""
     half = canvas.street.road_width / 2
     lanes = [-half / 2, half / 2, half - 1.0, -half + 1.0]
     for ahead in sorted(generator.uniform(9, 32, int(canvas.street.cars)), reverse=True):
@@ -319,7 +321,7 @@ def paint_cars(canvas: Canvas, generator: np.random.Generator) -> None:
 
 
 def paint_car(canvas: Canvas, right: float, ahead: float, generator: np.random.Generator) -> None:
-    """The back of a car: wheels, body, cabin, rear window, lamps; its long side behind."""
+    """Paint the back of a car: wheels, body, cabin, rear window and lamps."""
     palette = [(0.7, 0.12, 0.1), (0.12, 0.2, 0.45), (0.82, 0.82, 0.84), (0.1, 0.1, 0.11)]
     colour = np.array(palette[generator.integers(len(palette))])
     shade = [(-0.95, -0.35), (0.95, -0.35), (0.95, 4), (-0.95, 4)]
@@ -344,7 +346,7 @@ def paint_car(canvas: Canvas, right: float, ahead: float, generator: np.random.G
 
 
 def paint_unknown(canvas: Canvas, generator: np.random.Generator) -> None:
-    """Something on the pavement that nobody named: the void of the truth."""
+    """Paint an object of no class on the pavement: the void of the truth."""
     street = canvas.street
     ahead = generator.uniform(14, 22)
     side = generator.choice([-1.0, 1.0])
@@ -355,19 +357,19 @@ def paint_unknown(canvas: Canvas, generator: np.random.Generator) -> None:
 
 
 def render_scene(seed: int, height: int = 240, width: int = 320, **options: float) -> RenderedScene:
-    """The scene of a seed; any field of RenderedStreet can be fixed by name (dusk=0.8, cars=0)."""
+    """Render the scene of a seed; RenderedStreet's fields can be fixed by name (dusk=0.8)."""
     generator = np.random.default_rng(seed)
-    street = draw_street(generator, **options)
+    street = sample_street(generator, **options)
     canvas = Canvas(2 * height, 2 * width, street)
     # A generator for each part: fixing one part leaves the others as they were.
     sky, ground, *sides, cars, unknown, camera = generator.spawn(7)
     paint_sky(canvas, sky)
     paint_ground(canvas, ground)
-    for side, drawn in zip((-1.0, 1.0), sides, strict=True):
-        paint_side(canvas, side, drawn)
+    for side, houses in zip((-1.0, 1.0), sides, strict=True):
+        paint_side(canvas, side, houses)
     paint_unknown(canvas, unknown)
     paint_cars(canvas, cars)
-    return developed(canvas, camera)
+    return expose(canvas, camera)
 
 
 def write_image(path: Path, scene: RenderedScene) -> None:

@@ -17,7 +17,7 @@ from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
 from roadtorch.imaging.resize import resized
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.testing.scenes import draw_street, render_scene
+from roadtorch.testing.scenes import render_scene, sample_street
 from tests.streets import bonnet, drive, scene
 
 # --- the ego car ----------------------------------------------------------------------------
@@ -118,7 +118,7 @@ def test_a_true_layout_tells_the_horizon(seed: int) -> None:
 
     found = horizon_of(scene.image, potentials(scene.layout))
 
-    assert found.row == pytest.approx(draw_street(np.random.default_rng(seed)).horizon, abs=0.04)
+    assert found.row == pytest.approx(sample_street(np.random.default_rng(seed)).horizon, abs=0.04)
     assert found.spread >= 0.025
 
 

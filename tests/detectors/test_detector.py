@@ -81,8 +81,8 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
     with torch.inference_mode():
         kept = [
             *(band.weights for band in averaging_bands(41, 23, 8)),
-            superpixels._places(grid, 1),
-            *superpixels._moves(grid, 0.0123, 1),
+            superpixels._positions(grid, 1),
+            *superpixels._distance_maps(grid, 0.0123, 1),
             base._moves(axes),
             floor_of(axes),
         ]

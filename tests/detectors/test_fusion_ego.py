@@ -12,7 +12,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detection, Detector
 from roadtorch.imaging.resize import resized
 from roadtorch.road.ego import Ego, continued, ego_car
-from roadtorch.testing import flaws
+from roadtorch.testing import detection_violations
 from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
 from tests.streets import scene
@@ -124,4 +124,6 @@ def test_it_holds_at_any_size(name: str, size: tuple[int, int], weights: Path) -
     assert least - 0.02 <= ego.double().mean() <= BOTTOM + 0.02
     assert not ego[: int((1 - BOTTOM - 0.02) * size[0])].any()
     assert not (detection.cues["seed_area"] & ego).any()
-    assert list(flaws(detection, size, "a street")) == []  # neither road nor likelihood
+    assert (
+        list(detection_violations(detection, size, "a street")) == []
+    )  # neither road nor likelihood

@@ -10,7 +10,7 @@ from torch import Tensor
 from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.ufl import ENTRIES
 from roadtorch.imaging.resize import resized
-from roadtorch.testing import flaws
+from roadtorch.testing import detection_violations
 from roadtorch.testing.scenes import render_scene
 from roadtorch.ufl.road import AS_CHOSEN
 
@@ -91,4 +91,4 @@ def test_without_contrast_there_is_no_road(name: str, colour: tuple[float, ...])
 def test_extreme_settings_work(name: str, settings: dict[str, Any]) -> None:
     detection = detector(name, **{"working": {"rows": 48}, **settings}).detect(street())
 
-    assert list(flaws(detection, (96, 128), "a street")) == []
+    assert list(detection_violations(detection, (96, 128), "a street")) == []

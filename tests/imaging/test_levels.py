@@ -6,21 +6,21 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.imaging.color import STRONGEST, Exposure, brightened
-from roadtorch.imaging.levels import BINS, order_statistic, otsu_threshold
+from roadtorch.imaging.color import MIN_GAMMA, Exposure, brightened
+from roadtorch.imaging.levels import OTSU_BINS, order_statistic, otsu_threshold
 from roadtorch.road.fusion import centred_odds
 from roadtorch.road.seed_area import lower_quartile
 from tests.draws import random
 from tests.reference import otsu as reference
 
 
-@given(st.lists(st.integers(-3 * BINS, 5 * BINS), min_size=2, max_size=40))
+@given(st.lists(st.integers(-3 * OTSU_BINS, 5 * OTSU_BINS), min_size=2, max_size=40))
 def test_no_other_cut_parts_the_values_better(integers: list[int]) -> None:
     values = torch.tensor([*integers, -400, 700]) / 100
 
     found = float(otsu_threshold(values))
 
-    seen = reference.binned(values.double().numpy(), BINS)
+    seen = reference.binned(values.double().numpy(), OTSU_BINS)
     best = reference.most_between(seen)
     assert reference.between_classes(seen, found) == pytest.approx(best, rel=1e-4)
 
@@ -31,7 +31,7 @@ def test_two_values_are_parted_in_the_middle(low: float, apart: float, many: int
 
     found = float(otsu_threshold(values))
 
-    assert found == pytest.approx(low + apart / 2, abs=apart / BINS)
+    assert found == pytest.approx(low + apart / 2, abs=apart / OTSU_BINS)
 
 
 @pytest.mark.parametrize("value", [-3.0, 0.0, 1e-30, 7.5])
@@ -94,7 +94,7 @@ def test_brightening_keeps_the_order_of_values_and_the_range(dark: float) -> Non
     assert bright[:, 0, 1].tolist() == [1, 1, 1]
 
 
-@pytest.mark.parametrize(("grey", "bright"), [(0.01, 0.01**STRONGEST), (0.0, 0.0)])
+@pytest.mark.parametrize(("grey", "bright"), [(0.01, 0.01**MIN_GAMMA), (0.0, 0.0)])
 def test_the_exponent_has_a_floor_and_black_stays_black(grey: float, bright: float) -> None:
     found = brightened(torch.full((3, 16, 40), grey), Exposure(ground=0.9))
 

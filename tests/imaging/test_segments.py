@@ -265,10 +265,10 @@ def test_segments_keep_to_a_slanted_edge() -> None:
 def test_each_pixel_goes_to_the_nearest_of_nine_centres(height: int, width: int) -> None:
     # Inside slic, because its result is repaired by ``connect`` before it comes out.
     grid, image = superpixels._grid(height, width, 20), textured(height, width)
-    moves = superpixels._moves(grid, 0.1 * 0.12, 1)
-    sums = superpixels._move_centres(image[None], grid, moves)
-    owner = superpixels._assign(image[None], superpixels._tables(sums, moves), grid)[0].numpy()
-    metric, sums = moves.metric, sums[:-1]
+    maps = superpixels._distance_maps(grid, 0.1 * 0.12, 1)
+    sums = superpixels._move_centres(image[None], grid, maps)
+    owner = superpixels._assign(image[None], superpixels._coefficients(sums, maps), grid)[0].numpy()
+    metric, sums = maps.metric, sums[:-1]
 
     root = np.linalg.cholesky(metric.double().numpy()).T  # |f-c| in the metric is |root(f-c)|
     sums = sums.double().numpy().T.reshape(6, grid.rows, grid.columns)

@@ -8,19 +8,19 @@ import torch
 from torch import Tensor, nn
 
 from roadtorch.detectors.detector import DetectorSettings, Entry
-from roadtorch.testing import BrokenPromiseError, check_detector
+from roadtorch.testing import ContractError, check_detector
 from roadtorch.testing.scenes import ROAD, SKY, VOID, render_scene
 
 ANSWERS: dict[str, Callable[[Tensor], dict[str, Tensor]]] = {
     "": lambda image: {"likelihood": image.mean(0)},
     r"gives \(15, 16\) for 16×16 pixels": lambda image: {"likelihood": image.mean(0)[:-1]},
-    r"leaves \[0, 1\]": lambda image: {"likelihood": image.sum(0)},
+    r"gives a likelihood beyond \[0, 1\]": lambda image: {"likelihood": image.sum(0)},
     "gives a cue odds that is not finite for a black image": lambda image: {
         "likelihood": image.mean(0),
         "odds": image.mean(0).logit(),
     },
-    "says two things of one image": lambda image: {"likelihood": torch.rand(image.shape[1:])},
-    "changes the image": lambda image: {
+    "is not deterministic: two results": lambda image: {"likelihood": torch.rand(image.shape[1:])},
+    "modifies its input image": lambda image: {
         "likelihood": image[0, 0, 0].fill_(0.123).expand(image.shape[1:]),
     },
 }
@@ -88,11 +88,11 @@ class DrawnAtLoading(nn.Module):
     [
         *((lambda _, problem=problem: Answer(problem), problem) for problem in ANSWERS if problem),
         (Closure, "not use its own weights after copy"),
-        (DrawnAtLoading, "says two things of one image$"),
+        (DrawnAtLoading, "is not deterministic: two results for one image$"),
     ],
 )
 def test_what_it_says_is_checked(build: Callable[[Any], nn.Module], problem: str) -> None:
-    with pytest.raises(BrokenPromiseError, match=f"theirs.* {problem}"):
+    with pytest.raises(ContractError, match=f"theirs.* {problem}"):
         check_detector(entry_of(build))
 
 
