@@ -1,4 +1,4 @@
-"""Runs with made-up figures, as `evaluate` hands them to the report."""
+"""Runs with made-up scores, as `evaluate` hands them to the report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,12 +7,12 @@ from typing import Any
 
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.data.folder import FolderLabels
-from roadtorch.evaluation.measure import Figures
+from roadtorch.evaluation.measure import Scores
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.result import (
     Comparison,
-    DetectorFigures,
+    DetectorScores,
     Difference,
     Evaluation,
     Interval,
@@ -36,7 +36,7 @@ def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Ev
     ]
     dataset = Dataset("camvid", Path("data"), "dev", tuple(items), FolderLabels())
     detectors = {
-        name: DetectorFigures(
+        name: DetectorScores(
             made_contender(name),
             made_part(score),
             {group: made_part(score + 0.01 * (i - 1)) for i, group in enumerate(groups)},
@@ -59,7 +59,7 @@ def scored(scores: Mapping[str, float | None]) -> Evaluation:
     """A run of detectors with a MaxF each and nothing else; None: not even that."""
     dataset = Dataset("folder", Path("data"), "all", (), FolderLabels())
     detectors = {
-        name: DetectorFigures(made_contender(name), {} if score is None else {"maxf": score})
+        name: DetectorScores(made_contender(name), {} if score is None else {"maxf": score})
         for name, score in scores.items()
     }
     return Evaluation(dataset, detectors, Comparison(next(iter(scores)), {}))
@@ -74,13 +74,13 @@ def made_contender(name: str) -> Contender:
     return Contender(name, prepare, is_baseline=name.startswith("prior:"))
 
 
-def made_part(score: float) -> Figures:
+def made_part(score: float) -> Scores:
     """A number for every measure."""
-    figures = {one.key: score - 0.001 * place for place, one in enumerate(MEASURES)}
-    return {**figures, "images": 10, "maxf": score, "ms_per_image": 12.34}
+    scores = {one.key: score - 0.001 * place for place, one in enumerate(MEASURES)}
+    return {**scores, "images": 10, "maxf": score, "ms_per_image": 12.34}
 
 
 def changed(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:
-    """The same run with other fields of one detector's figures."""
-    other = replace(evaluation.detectors[name], **fields)
-    return replace(evaluation, detectors={**evaluation.detectors, name: other})
+    """The same run with other fields of one detector's scores."""
+    scores = replace(evaluation.detectors[name], **fields)
+    return replace(evaluation, detectors={**evaluation.detectors, name: scores})

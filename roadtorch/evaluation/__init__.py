@@ -1,1 +1,1 @@
-"""Scoring detectors on labelled images."""
+"""Scoring of detectors on labelled images."""

@@ -1,13 +1,13 @@
-"""Boundary F: how well the border of the decided road lies on the true one.
+"""Boundary F: how well the boundary of the predicted road matches the true one.
 
-F of areas hardly notices where exactly the road ends; a vehicle does. A border pixel of one
-mask is right when the other mask has a border pixel within a tolerance, so with the shares
-of right pixels as precision (of the decided border) and recall (of the true border) F is
-theirs. Tolerances are shares of the image's diagonal, to mean the same at any size.
+F over areas hardly changes with where exactly the road ends, which matters to a vehicle. A
+boundary pixel of one mask is correct when the other mask has a boundary pixel within a tolerance.
+Precision is the fraction of correct pixels of the predicted boundary, recall that of the true one.
+Tolerances are fractions of the image diagonal, so that they mean the same at any size.
 
-Sources: Martin, Fowlkes, Malik, PAMI 2004 (matching borders within a tolerance); Csurka,
-Larlus, Perronnin, BMVC 2013 (F of borders per class, 0.75 % of the diagonal, also the
-default of MATLAB's bfscore); Perazzi et al., CVPR 2016 (DAVIS: 0.8 %, in whole pixels).
+Sources: Martin, Fowlkes, Malik, PAMI 2004 (matching boundaries within a tolerance); Csurka,
+Larlus, Perronnin, BMVC 2013 (boundary F per class, 0.75 % of the diagonal, also the default of
+MATLAB's bfscore); Perazzi et al., CVPR 2016 (DAVIS: 0.8 %, in whole pixels).
 """
 
 import math
@@ -20,25 +20,26 @@ from torch import Tensor
 
 from roadtorch.base.image_cache import cached_per_image
 
-THREE_PIXELS = 0.00375
-"""At 640x480: the one that tables of cameras show."""
+TIGHT_TOLERANCE = 0.00375
+"""Fraction of the diagonal, 3 pixels at 640x480; shown in the tables by group and condition."""
 
-TOLERANCES = (THREE_PIXELS, 0.0075)
-"""3 and 6 pixels at 640x480: Csurka's, and half of it."""
+TOLERANCES = (TIGHT_TOLERANCE, 0.0075)
+"""Fractions of the diagonal, 3 and 6 pixels at 640x480: Csurka's tolerance, and half of it."""
 
 
 def count_boundary(
     mask: Tensor, road: Tensor, valid: Tensor, tolerances: Sequence[float] = TOLERANCES
 ) -> Tensor:
-    """Border pixels of one mask and of the truth, int64 (tolerances,4); they add up.
+    """Count the boundary pixels of a mask and of the truth; counts of several images add up.
 
-    mask, road, valid: bool (H,W). Columns: decided border pixels with a true one within the
-    tolerance, all decided ones, true ones with a decided one within it, all true ones.
+    mask, road, valid: bool (H, W). Returns int64 (tolerances, 4): predicted boundary pixels within
+    the tolerance of a true one, all predicted ones, true ones within it of a predicted one, all
+    true ones.
     """
-    decided, (true, to_true) = border(mask, valid).numpy(), true_border(road, valid)
+    decided, (true, to_true) = boundary_pixels(mask, valid).numpy(), true_boundary(road, valid)
     diagonal = math.hypot(*mask.shape)
-    near = _around(true, math.ceil(max(tolerances) * diagonal))
-    off = to_true[decided], _distance_to(decided[near])[true[near]]
+    near = _bounding_slices(true, math.ceil(max(tolerances) * diagonal))
+    off = to_true[decided], _distance_transform(decided[near])[true[near]]
     # Squares are whole numbers. OpenCV's last digit, which depends on its threads, and ours
     # would otherwise decide whether what is exactly as far as the tolerance is within it.
     decided_off, true_off = (np.rint(np.square(distances)) for distances in off)
@@ -49,32 +50,32 @@ def count_boundary(
     return torch.tensor(np.array(rows, np.int64))
 
 
-def border(mask: Tensor, valid: Tensor) -> Tensor:
-    """Valid pixels of a mask (H,W) with a valid 4-neighbour outside it; bool (H,W).
+def boundary_pixels(mask: Tensor, valid: Tensor) -> Tensor:
+    """Return the valid pixels of a mask (H, W) with a valid 4-neighbour outside it; bool (H, W).
 
-    Where the mask meets void or the image's frame there is no border: nobody knows
-    whether it ends there.
+    Where the mask meets void or the image border there is no boundary: whether the road ends there
+    is unknown.
     """
     inside, outside = mask & valid, ~mask & valid
-    beside = torch.zeros_like(mask)
-    beside[1:] |= outside[:-1]
-    beside[:-1] |= outside[1:]
-    beside[:, 1:] |= outside[:, :-1]
-    beside[:, :-1] |= outside[:, 1:]
-    return beside & inside
+    touches_outside = torch.zeros_like(mask)
+    touches_outside[1:] |= outside[:-1]
+    touches_outside[:-1] |= outside[1:]
+    touches_outside[:, 1:] |= outside[:, :-1]
+    touches_outside[:, :-1] |= outside[:, 1:]
+    return touches_outside & inside
 
 
 @cached_per_image
-def true_border(road: Tensor, valid: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """The border of the truth, bool (H,W), and the distance to it: once for all detectors."""
-    true = border(road, valid).numpy()
-    return true, _distance_to(true)
+def true_boundary(road: Tensor, valid: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Return the boundary of the truth, bool (H, W), and the distance to it; cached per image."""
+    true = boundary_pixels(road, valid).numpy()
+    return true, _distance_transform(true)
 
 
-def _around(pixels: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Rows and columns that hold all True pixels (H,W) and what is within a margin of them.
+def _bounding_slices(pixels: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns of the True pixels (H, W), widened by a margin.
 
-    What lies farther off is near none of them, and need not be looked at.
+    Pixels outside are farther than the margin from every True pixel.
     """
     spans = []
     for axis in (1, 0):
@@ -84,8 +85,8 @@ def _around(pixels: np.ndarray, margin: int) -> tuple[slice, slice]:
     return spans[0], spans[1]
 
 
-def _distance_to(pixels: np.ndarray) -> np.ndarray:
-    """Distance of every place to the nearest True, float32 (H,W); infinite without any."""
+def _distance_transform(pixels: np.ndarray) -> np.ndarray:
+    """Return each pixel's distance to the nearest True, float32 (H, W); infinite without any."""
     if not pixels.any():
         return np.full(pixels.shape, np.inf, np.float32)
     away = (~pixels).view(np.uint8)
@@ -93,9 +94,9 @@ def _distance_to(pixels: np.ndarray) -> np.ndarray:
 
 
 def boundary_f(counts: Tensor) -> Tensor:
-    """F of border precision and recall, counts (...,4) → float64 (...).
+    """Compute F of boundary precision and recall, counts (..., 4) → float64 (...).
 
-    NaN where neither mask has a border, 0 where only one has.
+    NaN where neither mask has a boundary, 0 where only one has.
     """
     decided_right, decided, true_right, true = counts.to(torch.float64).unbind(-1)
     precision = decided_right / decided.clamp(min=1)

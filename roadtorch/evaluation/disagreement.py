@@ -1,4 +1,4 @@
-"""What two methods decide differently on unlabelled images: before and after further training."""
+"""Differences between two methods on unlabelled images: before and after further training."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -20,43 +20,43 @@ from roadtorch.run.workers import DIED, workers_for
 
 @dataclass(frozen=True)
 class Disagreement:
-    """One image as two see it.
+    """Masks of two detectors on one image.
 
-    differs: fraction of the pixels on which the masks differ. first, second: fraction of road of
-    each. first_trust, second_trust: NaN where the detector has none.
+    difference: fraction of the pixels on which they differ. first_road, second_road: fraction of
+    road of each. first_trust, second_trust: NaN where the detector gives none.
     """
 
     item: LabelledItem
-    differs: float
-    first: float
-    second: float
+    difference: float
+    first_road: float
+    second_road: float
     first_trust: float = math.nan
     second_trust: float = math.nan
 
     @property
     def has_trust(self) -> bool:
-        """Whether both detectors say how far they trust their masks."""
+        """Whether both detectors give a trust."""
         return not math.isnan(self.first_trust + self.second_trust)
 
 
 @dataclass(frozen=True)
-class Unlabelled:
-    """The reader of a set without labels."""
+class UnlabelledReader:
+    """Truth of a set without labels, which cannot be read."""
 
     def truth(self, item: LabelledItem) -> Truth:
-        """Always raises DatasetError."""
+        """Raise DatasetError, as the set has no labels."""
         raise DatasetError(item.image, "has no label", "give a labelled set")
 
 
 def unlabelled_set(images: Iterable[Item]) -> Dataset:
-    """Images as a set whose truth nobody knows."""
+    """Return images as a labelled set without truth."""
     items = tuple(LabelledItem(image.name, image.path, image.path) for image in images)
-    return Dataset("images", Path(), "", items, Unlabelled())
+    return Dataset("images", Path(), "", items, UnlabelledReader())
 
 
 @dataclass(frozen=True)
 class Disagreements:
-    """Two methods on a set without labels. images: those that differ most first, then by name."""
+    """Two methods on a set without labels; images: the largest difference first, then by name."""
 
     dataset: Dataset
     methods: tuple[Contender, Contender]
@@ -65,17 +65,17 @@ class Disagreements:
 
 
 @dataclass(frozen=True)
-class Comparing:
-    """The task of workers: two contenders decide on one image."""
+class CompareTask:
+    """Task of a worker process: the masks of two contenders on one image."""
 
-    looks: Sequence[Look]
+    predictors: Sequence[Look]
 
     def __call__(self, item: LabelledItem) -> Disagreement | Failure:
-        """Return how they differ, or why one of them says nothing."""
+        """Return the difference of the masks, or the failure of a contender."""
         try:
             image = read_image(item.image)
             with image_cache():
-                first, second = (look(image, item) for look in self.looks)
+                first, second = (look(image, item) for look in self.predictors)
         except RoadtorchError as error:
             return Failure(item.name, None, str(error))
         parts = (first.mask & ~second.mask, second.mask & ~first.mask, first.mask, second.mask)
@@ -94,13 +94,13 @@ def disagreements(
     quiet: bool = False,
     **bar: str,
 ) -> Disagreements:
-    """Every image as two methods decide on it, each at its own threshold.
+    """Compare the masks of two methods on every image, each at its own threshold.
 
-    jobs: processes, None for what pays. bar: what else ``Progress`` is told.
+    jobs: processes, None for as many as help. bar: further options of ``Progress``.
     """
-    task = Comparing([contender.prepare(dataset) for contender in methods])
+    task = CompareTask([contender.prepare(dataset) for contender in methods])
     items = dataset.items
-    results = workers_for(jobs, len(items)).map(task, items, _died)
+    results = workers_for(jobs, len(items)).map(task, items, _crash_failure)
     images, failures = list[Disagreement](), list[Failure]()
     with closing(results):
         for result in Progress(results, total=len(items), unit="image", quiet=quiet, **bar):
@@ -108,11 +108,11 @@ def disagreements(
                 failures.append(result)
             else:
                 images.append(result)
-    images.sort(key=lambda pair: (-pair.differs, pair.item.name))
+    images.sort(key=lambda pair: (-pair.difference, pair.item.name))
     return Disagreements(dataset, methods, images, failures)
 
 
-def _died(item: LabelledItem) -> Failure:
+def _crash_failure(item: LabelledItem) -> Failure:
     return Failure(item.name, None, str(InputError(item.image, *DIED)))
 
 
@@ -120,9 +120,9 @@ def _died(item: LabelledItem) -> Failure:
 
 
 class Agreement(NamedTuple):
-    """Shares of the pixels, where the teacher is sure, on which a network says the same.
+    """Fractions of the pixels, where the teacher is confident, on which a network agrees with it.
 
-    layout: the class; road: road or not. images: how many were asked.
+    layout: on the class; road: on road or not. images: number of images compared.
     """
 
     layout: float
@@ -131,7 +131,7 @@ class Agreement(NamedTuple):
 
 
 class Taught(NamedTuple):
-    """The teacher's name, and how far the network agreed with it before, and does now."""
+    """Name of the teacher, and the network's agreement with it before and after training."""
 
     teacher: str
     before: Agreement
@@ -139,13 +139,16 @@ class Taught(NamedTuple):
 
 
 def most_and_spread(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:
-    """So many images to look at: half of them changed most, the others are evenly spread.
+    """Select images to show: half have the largest difference, the others are evenly spread.
 
-    ranked: the most changed first. The spread is over what is left, from much changed to little,
-    the least changed included. All where there are no more than ``count``.
+    ranked: the largest difference first. The spread covers the remaining ones, down to the smallest
+    difference. All are selected where there are no more than ``count``.
     """
     if len(ranked) <= count:
         return list(ranked)
-    most, rest = ranked[: count - count // 2], ranked[count - count // 2 :]
+    largest, remaining = ranked[: count - count // 2], ranked[count - count // 2 :]
     steps = count // 2
-    return [*most, *(rest[(place + 1) * len(rest) // steps - 1] for place in range(steps))]
+    return [
+        *largest,
+        *(remaining[(place + 1) * len(remaining) // steps - 1] for place in range(steps)),
+    ]

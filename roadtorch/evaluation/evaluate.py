@@ -1,4 +1,4 @@
-"""Score detectors on a labelled set: every image once, then figures and comparisons."""
+"""Score detectors on a labelled set: count every image once, then compute scores."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -14,9 +14,9 @@ from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender, contenders, reference, with_thresholds
 from roadtorch.evaluation.result import Evaluation, Failure, summarise
-from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import Tally
-from roadtorch.evaluation.uncertainty import compare, intervals, resample
+from roadtorch.evaluation.uncertainty import bootstrap, compare_detectors, score_intervals
 
 
 def evaluate(
@@ -34,26 +34,28 @@ def evaluate(
     jobs: int | None = 1,
     quiet: bool = True,
 ) -> Evaluation:
-    """Score detectors beside the baselines ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
+    """Score detectors and the baselines ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
 
     Args:
-        dataset: the labelled set.
+        dataset: labelled set.
         detectors: names, with wildcards; weight files, configs, and folders of likelihood maps,
             as PATH or NAME=PATH.
-        settings: nested values for those that are named.
-        camera: the one that made the images.
-        limit: look at so many images only, evenly spread.
-        mean_from: the set that teaches ``prior:mean`` where the groups of this one cannot.
-        threshold_from: the metrics.json of an earlier run whose thresholds are taken.
-        against: the detector that all are compared with, as in ``detectors``; the best one if
-            not given.
+        settings: nested values for the detectors that are named.
+        camera: camera that took the images.
+        limit: number of images to score, evenly spread; all if None.
+        mean_from: set that ``prior:mean`` is computed on, for a set without groups.
+        threshold_from: metrics.json of an earlier run whose thresholds are used.
+        against: detector that all are compared with, as in ``detectors``; the best one if None.
         with_baselines: whether the baselines are scored as well.
-        measures: what is measured.
-        jobs: processes, None for what pays; the figures do not depend on it.
-        quiet: whether no progress is shown.
+        measures: measures to compute.
+        jobs: processes, None for as many as help; the scores do not depend on it.
+        quiet: whether the progress bar is hidden.
+
+    Returns:
+        The scores, their intervals and differences, and the images that failed.
 
     Raises:
-        ConfigError: for what can be refused before the run.
+        ConfigError: for mistakes that are found before the run.
         DatasetError: when no image could be scored.
         UnscorableError: when no label has any road.
     """
@@ -65,33 +67,36 @@ def evaluate(
         entries = with_thresholds(entries, threshold_from)
     images = every_kth(dataset, limit)
     conditions = images.by_condition()
-    tallies, failures = count_images(images, entries, jobs, quiet)
-    figures = {
+    tallies, failures = tally_images(images, entries, jobs, quiet)
+    scores = {
         entry.name: summarise(entry, tallies[entry.name], measures, images.left_out, conditions)
         for entry in entries
     }
-    draws = {name: resample(tallies[name], figures[name], measures) for name in figures}
-    best = max(figures, key=lambda name: figures[name].rank)
+    draws = {name: bootstrap(tallies[name], scores[name], measures) for name in scores}
+    best = max(scores, key=lambda name: scores[name].ranking_score)
     return Evaluation(
         images,
-        {name: replace(own, intervals=intervals(draws[name])) for name, own in figures.items()},
-        compare(figures, draws, against or best, measures),
+        {
+            name: replace(detector_scores, intervals=score_intervals(draws[name]))
+            for name, detector_scores in scores.items()
+        },
+        compare_detectors(scores, draws, against or best, measures),
         failures,
         tallies,
         measures,
     )
 
 
-def count_images(
+def tally_images(
     dataset: Dataset, entries: Sequence[Contender], jobs: int | None, quiet: bool
 ) -> tuple[Mapping[str, Tally], list[Failure]]:
     """Count every image for every contender; an image that fails counts for none of them."""
     tallies, failures = {entry.name: Tally() for entry in entries}, list[Failure]()
-    with closing(score(dataset, entries, jobs)) as results:
+    with closing(score_dataset(dataset, entries, jobs)) as results:
         for result in Progress(results, total=len(dataset.items), unit="image", quiet=quiet):
             if result.failure:
                 failures.append(Failure(result.item.name, result.item.group, result.failure))
-            for name, counts in result.scores.items():
+            for name, counts in result.counts.items():
                 tallies[name].add(result.item, counts)
     roads = [counts.road for tally in tallies.values() for counts in tally.road.values()]
     if not {group for tally in tallies.values() for group in tally.road} - dataset.left_out:

@@ -1,8 +1,8 @@
-"""The measures of a run: one object each, in one list that everything else reads.
+"""Measures of an evaluation: one object each, in one list that everything else reads.
 
-The list decides what metrics.json holds and in which order, which figures have intervals and
-are compared, and which columns the tables on the screen and on the page have. A new measure is
-one entry of it, or is given to `evaluate` beside it.
+The list decides what metrics.json holds and in which order, which measures have intervals and
+are compared, and which columns the tables on the screen and in the report have. To add a measure,
+append it here or pass it to `evaluate`.
 """
 
 import math
@@ -16,35 +16,35 @@ from torch import Tensor
 from roadtorch.evaluation import boundary, curves, metrics
 from roadtorch.evaluation.measure import Formula, Measure
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.tally import Images, Part
-from roadtorch.evaluation.trust import TRUST
+from roadtorch.evaluation.tally import ImageTable, Part
+from roadtorch.evaluation.trust import TRUST_MEASURES
 from roadtorch.layout.classes import CLASSES, NAMES
 
 # --- what formulas are made of ----------------------------------------------------------
 
 
-def _of_road(figure: Callable[[RoadCounts], Tensor]) -> Formula:
-    return lambda part: figure(part.road)
+def _from_road(function: Callable[[RoadCounts], Tensor]) -> Formula:
+    return lambda part: function(part.road)
 
 
-def _of_chosen(figure: Callable[[Decisions], Tensor]) -> Formula:
-    """At the chosen threshold; NaN where there is none."""
+def _at_chosen_threshold(function: Callable[[Decisions], Tensor]) -> Formula:
+    """Apply a function to the counts at the chosen threshold; NaN where there is none."""
 
     def formula(part: Part) -> Tensor:
-        if part.chosen is not None:
-            return figure(part.chosen)
+        if part.at_threshold is not None:
+            return function(part.at_threshold)
         return torch.full(part.road.road.shape[:-1], math.nan, dtype=torch.float64)
 
     return formula
 
 
-def _of_mask(figure: Callable[[Decisions], Tensor]) -> Formula:
-    return lambda part: figure(part.mask)
+def _from_mask(function: Callable[[Decisions], Tensor]) -> Formula:
+    return lambda part: function(part.mask)
 
 
-def _of_images(figure: Callable[[Images], float]) -> Formula:
-    """Of the single images, which are not known of draws."""
-    return lambda part: None if part.images is None else figure(part.images)
+def _from_images(function: Callable[[ImageTable], float]) -> Formula:
+    """Apply a function to the single images, which bootstrap replicates do not have."""
+    return lambda part: None if part.images is None else function(part.images)
 
 
 # --- the road ---------------------------------------------------------------------------
@@ -56,7 +56,7 @@ MAXF = Measure(
     "recall. The threshold is picked on the labels that score it.",
     lambda part: part.max_f[0],
     interval=True,
-    shown=("headline", "parts", "pairs", "compared"),
+    tables=("headline", "parts", "pairs", "compared"),
 )
 
 AUC_MEAN = Measure(
@@ -65,23 +65,23 @@ AUC_MEAN = Measure(
     "Mean of the AUCs of single images.",
     lambda part: part.image_auc,
     interval=True,
-    shown=("scores", "compared"),
+    tables=("scores", "compared"),
 )
 
 IOU = Measure(
     "iou",
     "IoU",
     "Overlap of decided and true road, at the chosen threshold.",
-    _of_chosen(metrics.iou),
+    _at_chosen_threshold(metrics.iou),
     interval=True,
-    shown=("scores", "pairs", "compared"),
+    tables=("scores", "pairs", "compared"),
 )
 
 F = Measure(
     "f",
     "F",
     "F at the chosen threshold.",
-    _of_chosen(metrics.f_measure),
+    _at_chosen_threshold(metrics.f_measure),
     interval=True,
 )
 
@@ -89,18 +89,18 @@ F_MASK = Measure(
     "f_mask",
     "F of mask",
     "F of the detector's own mask, at its default threshold: what a user gets.",
-    _of_mask(metrics.f_measure),
+    _from_mask(metrics.f_measure),
     interval=True,
-    shown=("headline", "parts", "pairs", "compared"),
+    tables=("headline", "parts", "pairs", "compared"),
 )
 
 IOU_MASK = Measure(
     "iou_mask",
     "IoU of mask",
     "Overlap of the detector's own mask, as it ships.",
-    _of_mask(metrics.iou),
+    _from_mask(metrics.iou),
     interval=True,
-    shown=("headline", "parts"),
+    tables=("headline", "parts"),
 )
 
 SCORES = (
@@ -108,11 +108,11 @@ SCORES = (
         "images",
         "images",
         "Images that were scored.",
-        _of_images(lambda images: len(images.names)),
+        _from_images(lambda images: len(images.names)),
         better=None,
         digits=0,
-        over_groups="whole",
-        shown=("parts",),
+        aggregate="whole",
+        tables=("parts",),
     ),
     F_MASK,
     IOU_MASK,
@@ -123,189 +123,189 @@ SCORES = (
         "Lowest threshold that reaches MaxF.",
         lambda part: part.max_f[1],
         better=None,
-        over_groups="nothing",
+        aggregate="nothing",
     ),
     Measure(
         "auc_pooled",
         "AUC",
         "Share of pairs (road pixel, other pixel) that the likelihood puts in the right order.",
-        _of_road(metrics.auc),
+        _from_road(metrics.auc),
         interval=True,
-        shown=("scores", "pairs", "compared"),
+        tables=("scores", "pairs", "compared"),
     ),
     AUC_MEAN,
     Measure(
         "ap",
         "AP",
         "Best precision at recall 0, 0.1, … 1 or above, averaged (KITTI).",
-        _of_road(metrics.average_precision),
+        _from_road(metrics.average_precision),
         interval=True,
-        shown=("scores", "compared"),
+        tables=("scores", "compared"),
     ),
     IOU,
     Measure(
         "eer",
         "EER",
         "Error rate where false positives and misses are as many.",
-        _of_road(lambda counts: curves.equal_error_rate(curves.operating_points(counts))),
+        _from_road(lambda counts: curves.equal_error_rate(curves.operating_points(counts))),
         better="lower",
         interval=True,
-        shown=("scores",),
+        tables=("scores",),
     ),
     Measure(
         "brier",
         "Brier",
         "Mean squared distance of likelihood and truth.",
-        _of_road(curves.brier),
+        _from_road(curves.brier_score),
         better="lower",
         interval=True,
-        shown=("scores", "compared"),
+        tables=("scores", "compared"),
     ),
     Measure(
         "ms_per_image",
         "ms/image",
         "Median time of one image, detector alone.",
-        _of_images(lambda images: 1000 * statistics.median(images.seconds.tolist())),
+        _from_images(lambda images: 1000 * statistics.median(images.seconds.tolist())),
         better=None,
         digits=1,
-        over_groups="whole",
-        shown=("scores",),
+        aggregate="whole",
+        tables=("scores",),
     ),
     Measure(
         "ece",
         "ECE",
         "Mean distance of the likelihood and the share of road that really has it.",
-        _of_road(curves.expected_error),
+        _from_road(curves.expected_calibration_error),
         better="lower",
-        shown=("scores", "parts"),
+        tables=("scores", "parts"),
     ),
 )
 
 # --- decisions --------------------------------------------------------------------------
 
-DECISIONS = (
+DECISION_MEASURES = (
     Measure(
         "threshold",
         "threshold",
         "Likelihood from which a pixel is decided to be road.",
         lambda part: part.threshold,
         better=None,
-        over_groups="nothing",
+        aggregate="nothing",
     ),
     F,
     Measure(
         "precision_mask",
         "precision of mask",
         "Fraction of true road in what the detector's own mask calls road.",
-        _of_mask(metrics.precision),
-        shown=("parts",),
+        _from_mask(metrics.precision),
+        tables=("parts",),
     ),
     Measure(
         "recall_mask",
         "recall of mask",
         "Fraction of the true road that the detector's own mask finds.",
-        _of_mask(metrics.recall),
-        shown=("parts",),
+        _from_mask(metrics.recall),
+        tables=("parts",),
     ),
 )
 
 
-def _border(place: int, share: float) -> Measure:
+def _boundary_measure(index: int, tolerance: float) -> Measure:
     return Measure(
-        f"boundary_f/{share:g}",
-        f"border F {100 * share:g} %",
+        f"boundary_f/{tolerance:g}",
+        f"border F {100 * tolerance:g} %",
         "F of borders: decided and true ones count as met within this share of the diagonal.",
-        lambda part: boundary.boundary_f(part.boundary[..., place, :]),
-        shown=("parts",) if share == boundary.THREE_PIXELS else (),
+        lambda part: boundary.boundary_f(part.boundary[..., index, :]),
+        tables=("parts",) if tolerance == boundary.TIGHT_TOLERANCE else (),
     )
 
 
-BORDERS = tuple(_border(*pair) for pair in enumerate(boundary.TOLERANCES))
+BOUNDARY_MEASURES = tuple(_boundary_measure(*pair) for pair in enumerate(boundary.TOLERANCES))
 
 
 # --- the layout: of potentials, and of labels that may abstain ----------------------------
 
 
-def _layout(
-    key: str, name: str, meaning: str, figure: Callable[[Tensor], Tensor], **more: Any
+def _layout_measure(
+    key: str, name: str, meaning: str, function: Callable[[Tensor], Tensor], **more: Any
 ) -> Measure:
-    """A figure of the confusion that the key names; more: further fields of the measure."""
+    """Return a measure of the confusion that the key names; more: further fields of ``Measure``."""
 
     def formula(part: Part) -> Tensor | None:
         confusion = part.labels if key.startswith("labelled") else part.layout
-        return None if confusion is None else figure(confusion)
+        return None if confusion is None else function(confusion)
 
     return Measure(f"layout/{key}", name, meaning, formula, **more)
 
 
-def _recall(place: int, name: str) -> Measure:
-    return _layout(
+def _recall_measure(index: int, name: str) -> Measure:
+    return _layout_measure(
         name,
         name,
         f"Share of {name} that is found.",
-        lambda confusion: metrics.class_recalls(confusion)[..., place],
-        shown=("layout",),
+        lambda confusion: metrics.class_recalls(confusion)[..., index],
+        tables=("layout",),
     )
 
 
-def _confusion(truth: int, decided: int) -> Measure:
-    true, other = NAMES[truth], NAMES[decided]
-    return _layout(
-        f"confusion/{true}/{other}",
-        f"{true} as {other}",
-        f"Share of {true} that is decided to be {other}.",
+def _confusion_measure(truth: int, decided: int) -> Measure:
+    true, confused = NAMES[truth], NAMES[decided]
+    return _layout_measure(
+        f"confusion/{true}/{confused}",
+        f"{true} as {confused}",
+        f"Share of {true} that is decided to be {confused}.",
         lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided],
         better=None,
     )
 
 
-LAYOUT = (
-    *(_recall(*pair) for pair in enumerate(NAMES)),
-    _layout(
+LAYOUT_MEASURES = (
+    *(_recall_measure(*pair) for pair in enumerate(NAMES)),
+    _layout_measure(
         "mean",
         "mean",
         "Mean of the three.",
         metrics.mean_class_recall,
         interval=True,
-        shown=("layout", "compared"),
+        tables=("layout", "compared"),
     ),
-    _layout(
+    _layout_measure(
         "accuracy",
         "accuracy",
         "Share of all pixels that are right.",
         metrics.layout_accuracy,
-        shown=("layout",),
+        tables=("layout",),
     ),
-    *(_confusion(truth, decided) for truth in range(CLASSES) for decided in range(CLASSES)),
-    _layout(
+    *(_confusion_measure(truth, decided) for truth in range(CLASSES) for decided in range(CLASSES)),
+    _layout_measure(
         "void_as_vertical/mean",
         "mean, void vertical",
         "Mean of the three, void counted as vertical.",
         lambda confusion: metrics.mean_class_recall(metrics.void_as_vertical(confusion)),
-        shown=("layout",),
+        tables=("layout",),
     ),
-    _layout(
+    _layout_measure(
         "labelled/mean",
         "mean, labelled",
         "Mean of the three, where the labeller does not abstain.",
         metrics.mean_class_recall,
-        shown=("layout",),
+        tables=("layout",),
     ),
-    _layout(
+    _layout_measure(
         "labelled_share",
         "labelled share",
         "Share of pixels with a label.",
         metrics.labelled_share,
-        shown=("layout",),
+        tables=("layout",),
     ),
 )
 
 
 MEASURES: tuple[Measure, ...] = (
     *SCORES,
-    *DECISIONS,
-    *BORDERS,
-    *TRUST,
-    *LAYOUT,
+    *DECISION_MEASURES,
+    *BOUNDARY_MEASURES,
+    *TRUST_MEASURES,
+    *LAYOUT_MEASURES,
 )
-"""All measures, in the order in which files and tables have them."""
+"""All measures, in the order of files and tables."""

@@ -1,4 +1,4 @@
-"""Who is scored: detectors by name, weights, configs, maps made elsewhere, and baselines."""
+"""Contenders of an evaluation: detectors by name, weights, configs, likelihood maps, baselines."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,31 +32,30 @@ from roadtorch.layout.weights import load_network
 
 BASELINES = ("prior:rows", "prior:triangle")  # in every run; prior:mean joins where it can
 
-MEAN = "prior:mean"  # the evaluator's own
+MEAN_PRIOR = "prior:mean"  # the evaluator's own
 
 MEAN_THRESHOLD = 0.5  # road at this place in at least half of the images
 
-BY_NETWORK = {
+DETECTOR_BY_NETWORK = {
     ImageNetwork.kind: "fusion",
     BackboneNetwork.kind: "fusion",
     PatchNetwork.kind: "layout:cnn-7",
 }
-"""The detector that weights alone stand for, by the kind of their network."""
+"""Detector that runs a weight file on its own, by the kind of its network."""
 
 Look = Callable[[Tensor, LabelledItem], Detection]
-"""A contender that is ready; it travels to processes."""
+"""A contender that is ready to run; it can be pickled for worker processes."""
 
-LONGEST_NAME = 60  # letters that a message tells of a name in a file
+MAX_NAME_LENGTH = 60  # letters that a message tells of a name in a file
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One detector of a run.
+    """One method of an evaluation.
 
-    prepare: makes it ready for a set's images. settings: all of them but the threshold, as JSON
-    can hold them. threshold: its default one; chosen: the one that an earlier run chose.
-    is_baseline: whether it never looks at the image. detector: its name in the catalogue; empty
-    for maps made elsewhere, and for prior:mean.
+    prepare: makes it ready for the images of a set. settings: all but the threshold, as JSON.
+    threshold: the default one; chosen: the one that an earlier run chose. is_baseline: whether it
+    ignores the image. detector: name in the catalogue; empty for likelihood maps and prior:mean.
     """
 
     name: str
@@ -78,14 +77,14 @@ def contenders(
 ) -> list[Contender]:
     """Return the contenders, each once, and the baselines, in this order.
 
-    detectors: texts as of ``candidates``. settings: values for all of them. camera: the one that
-    made the images. mean_from: the set that teaches ``prior:mean``.
-    Raises ConfigError for whatever can be refused before the run.
+    detectors: as in ``parse_contenders``. settings: values for all of them. camera: the one that
+    took the images. mean_from: set that ``prior:mean`` is computed on.
+    Raises ConfigError for mistakes that are found before the run.
     """
     entries: dict[str, Contender] = {}
     for text in detectors:
-        given = [text] if isinstance(text, Contender) else candidates(text, settings, camera)
-        for entry in given:
+        named = [text] if isinstance(text, Contender) else parse_contenders(text, settings, camera)
+        for entry in named:
             first = entries.setdefault(entry.name, entry)
             if (first.settings, first.threshold) != (entry.settings, entry.threshold):
                 raise ConfigError(entry.name, "is the name of two", "write NAME=PATH")
@@ -93,35 +92,39 @@ def contenders(
         for name in BASELINES:
             entries.setdefault(name, named_detector(name, {}))
         if masks := mean_masks(dataset, mean_from):
-            entries[MEAN] = Contender(
-                MEAN, lambda _: partial(_mean_mask, masks), {}, MEAN_THRESHOLD, is_baseline=True
+            entries[MEAN_PRIOR] = Contender(
+                MEAN_PRIOR,
+                lambda _: partial(_mean_mask, masks),
+                {},
+                MEAN_THRESHOLD,
+                is_baseline=True,
             )
     return list(entries.values())
 
 
 def reference(text: str, settings: Mapping[str, Any], camera: Camera | None = None) -> Contender:
-    """Return the one contender that all others are compared with, as ``candidates`` does."""
-    found = candidates(text, settings, camera)
-    if len(found) != 1:
+    """Return the one contender that all others are compared with, as ``parse_contenders`` does."""
+    matches = parse_contenders(text, settings, camera)
+    if len(matches) != 1:
         raise ConfigError(text, "is not one detector of this run", "name one")
-    return found[0]
+    return matches[0]
 
 
 # --- detectors --------------------------------------------------------------------------
 
 
-def candidates(
+def parse_contenders(
     text: str, settings: Mapping[str, Any] | None = None, camera: Camera | None = None
 ) -> list[Contender]:
-    """Return the contenders that a text stands for.
+    """Return the contenders that a text names.
 
     text: the name of a detector, with wildcards (the hundreds of a grid need its family:
-    ``oneclass:*:HS``); or a weight file, what ``--config`` takes, or a folder of likelihood maps,
+    ``oneclass:*:HS``); or a weight file, a value of ``--config``, or a folder of likelihood maps,
     as PATH or NAME=PATH. Raises ConfigError for anything else, WeightsError and InputError for a
     file that cannot be used.
     """
     settings = settings or {}
-    if text == MEAN:
+    if text == MEAN_PRIOR:
         return []
     if is_pattern(text):
         return [named_detector(name, settings, camera) for name in list_detectors(text)]
@@ -134,9 +137,9 @@ def candidates(
     if not name.isprintable() or set(name) & set("/\\"):
         raise ConfigError(text, f"the name {name!r} cannot be that of a file", "choose another")
     if path.is_dir():
-        return [maps_from(name or printable(path.resolve().name), path)]
+        return [contender_from_maps(name or printable(path.resolve().name), path)]
     if path.suffix == ".safetensors":
-        detector, values = BY_NETWORK[load_network(path).kind], {"weights": {"file": file}}
+        detector, values = DETECTOR_BY_NETWORK[load_network(path).kind], {"weights": {"file": file}}
     elif path.suffix == SUFFIX or file.startswith(THRESHOLDS):
         values = read_settings_file(config_file(file))
         detector = str(values.pop("detector", "fusion"))
@@ -159,7 +162,7 @@ def is_detector(name: str) -> bool:
 
 
 def named_detector(name: str, values: Mapping[str, Any], camera: Camera | None = None) -> Contender:
-    """Return a detector of the catalogue; ConfigError for settings that it does not have."""
+    """Return a detector of the catalogue; raise ConfigError for settings that it does not have."""
     entry = detector_entry(name)
     if camera is not None:
         values = merge(camera.settings_for(entry.settings), values)
@@ -182,25 +185,25 @@ def _detect(detector: Detector, image: Tensor, _: LabelledItem) -> Detection:
 # --- maps -------------------------------------------------------------------------------
 
 
-def maps_from(name: str, folder: Path) -> Contender:
-    """Likelihood maps in a folder, as ``maps:NAME``, judged as config.toml beside them says.
+def contender_from_maps(name: str, folder: Path) -> Contender:
+    """Return likelihood maps in a folder as ``maps:NAME``, thresholded as its config.toml says.
 
     Raises ConfigError or InputError for a config.toml that cannot be used.
     """
-    deciding = maps.deciding_settings(folder)
+    decision = maps.deciding_settings(folder)
     settings: dict[str, Any] = {"folder": str(folder)}
     if maps.is_of_infer(folder):
-        settings["isolated"] = deciding.isolated
+        settings["isolated"] = decision.isolated
     return Contender(
         f"maps:{name}",
-        lambda dataset: partial(_read_maps, folder, deciding, dataset),
+        lambda dataset: partial(_read_maps, folder, decision, dataset),
         settings,
-        deciding.threshold,
+        decision.threshold,
     )
 
 
 def _read_maps(
-    folder: Path, deciding: DetectorSettings, dataset: Dataset, image: Tensor, item: LabelledItem
+    folder: Path, decision: DetectorSettings, dataset: Dataset, image: Tensor, item: LabelledItem
 ) -> Detection:
     sizes = [size_of(image)]
     if dataset.view is not None:
@@ -213,40 +216,39 @@ def _read_maps(
     if item.image.is_relative_to(dataset.root):
         names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
     likelihood = maps.map_likelihood(folder, names, sizes)
-    return Detection(likelihood, maps.map_mask(folder, names, likelihood, deciding), {})
+    return Detection(likelihood, maps.map_mask(folder, names, likelihood, decision), {})
 
 
 # --- the baseline that data sets teach: the mean road mask of other groups ----------------
 
 
 def mean_masks(dataset: Dataset, mean_from: Dataset | None = None) -> dict[str, Tensor]:
-    """The mean masks (H,W) for prior:mean, by group ("" without groups).
+    """Compute the mean masks (H, W) of prior:mean, by group ("" without groups).
 
-    For a group the mean of the other ones, but those left out, which teach nobody; empty
-    where there is nothing to learn from.
-    Raises ConfigError for a second set where the groups of the first teach each other.
+    The mask of a group is the mean over the other groups, without those left out; empty where there
+    are no others. Raises ConfigError for a second set where the first one has groups.
     """
     groups = sorted({item.group or "" for item in dataset.items})
     if mean_from is not None:
         if len(groups) > 1:
             message = f"is not for {dataset.name}, whose groups teach each other"
             raise ConfigError("--mean-from", message, "leave it out")
-        return dict.fromkeys(groups, _mean(road_shares(mean_from).values()))
+        return dict.fromkeys(groups, _mean(road_frequencies(mean_from).values()))
     if len(groups) - len(dataset.left_out) < 2:
         return {}
-    shares = road_shares(dataset)
-    teachers = shares.keys() - dataset.left_out
+    frequencies = road_frequencies(dataset)
+    teachers = frequencies.keys() - dataset.left_out
     return {
-        group: _mean(share for name, share in shares.items() if name in teachers - {group})
-        for group in shares
+        group: _mean(share for name, share in frequencies.items() if name in teachers - {group})
+        for group in frequencies
     }
 
 
-def road_shares(dataset: Dataset) -> dict[str, Tensor]:
-    """How often each pixel is road, by group: float64 (H,W) in [0,1] ("" without groups).
+def road_frequencies(dataset: Dataset) -> dict[str, Tensor]:
+    """Compute how often each pixel is road, by group: float64 (H, W) in [0, 1] ("" without groups).
 
-    The share of a group's images that show road at that place, among those that have
-    truth there. All are brought to the size of the set's first label.
+    It is the fraction among the group's images with truth at that pixel. All are resized to the
+    size of the set's first label.
     """
     road: dict[str, Tensor] = {}
     valid: dict[str, Tensor] = {}
@@ -255,22 +257,22 @@ def road_shares(dataset: Dataset) -> dict[str, Tensor]:
         truth = dataset.truth(item)
         group, size = item.group or "", size or truth.road.shape
         for sums, mask in ((road, truth.road), (valid, truth.valid)):
-            sums[group] = sums.get(group, 0) + resize(mask.to(torch.float64), size)
+            sums[group] = sums.get(group, 0) + resize_map(mask.to(torch.float64), size)
     return {group: road[group] / valid[group].clamp(min=1e-9) for group in road}
 
 
-def _mean(shares: Iterable[Tensor]) -> Tensor:
-    """The mean over groups, each with the same weight as in the headline figures."""
-    return torch.stack(list(shares)).mean(0).clamp(0, 1)
+def _mean(frequencies: Iterable[Tensor]) -> Tensor:
+    """Return the mean over groups, each with the same weight as in the headline scores."""
+    return torch.stack(list(frequencies)).mean(0).clamp(0, 1)
 
 
 def _mean_mask(masks: Mapping[str, Tensor], image: Tensor, item: LabelledItem) -> Detection:
-    likelihood = resize(masks[item.group or ""], image.shape[1:]).to(torch.float32).clamp(0, 1)
+    likelihood = resize_map(masks[item.group or ""], image.shape[1:]).to(torch.float32).clamp(0, 1)
     return Detection(likelihood, likelihood >= MEAN_THRESHOLD, {})
 
 
-def resize(values: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
-    """Bring a map (H,W) to another size, linearly."""
+def resize_map(values: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
+    """Resize a map (H, W) bilinearly."""
     if values.shape == tuple(size):
         return values
     return functional.interpolate(values[None, None], size=tuple(size), mode="bilinear")[0, 0]
@@ -279,20 +281,20 @@ def resize(values: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
 # --- thresholds of an earlier run -------------------------------------------------------
 
 
-class _EarlierFigures(BaseModel):
+class _EarlierScores(BaseModel):
     maxf_threshold: float | None = Field(ge=0, le=1, allow_inf_nan=False)
     settings: dict[str, Any] = {}
 
 
 class _EarlierRun(BaseModel):
-    detectors: dict[str, _EarlierFigures]
+    detectors: dict[str, _EarlierScores]
 
 
 def with_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]:
     """Return the contenders with the thresholds that an earlier run chose on all its groups.
 
-    path: its metrics.json. Raises InputError for another file; ConfigError when the run has
-    no such detector, or it had other settings: a threshold means nothing for another detector.
+    path: its metrics.json. Raises InputError for another file; ConfigError when the run lacks the
+    detector or had other settings: a threshold is not valid for another detector.
     """
     try:
         earlier = _EarlierRun.model_validate_json(read_regular(path)).detectors
@@ -303,14 +305,14 @@ def with_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]
         raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
     chosen: list[Contender] = []
     for entry in entries:
-        figures = earlier.get(entry.name)
-        if figures is None or figures.maxf_threshold is None:
-            known = sorted(name for name in earlier if earlier[name].maxf_threshold is not None)
+        scores = earlier.get(entry.name)
+        if scores is None or scores.maxf_threshold is None:
+            names = sorted(name for name in earlier if earlier[name].maxf_threshold is not None)
             message = f"has no threshold for {entry.name}"
-            some = ", ".join(name[:LONGEST_NAME] for name in known[:10])
-            raise ConfigError(path, message, f"it has {some}")
-        if figures.settings != entry.settings:
+            listed = ", ".join(name[:MAX_NAME_LENGTH] for name in names[:10])
+            raise ConfigError(path, message, f"it has {listed}")
+        if scores.settings != entry.settings:
             message = f"chose the threshold of {entry.name} with other settings"
             raise ConfigError(path, message, "run both with the same --set")
-        chosen.append(replace(entry, chosen=figures.maxf_threshold))
+        chosen.append(replace(entry, chosen=scores.maxf_threshold))
     return chosen

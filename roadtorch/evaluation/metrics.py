@@ -1,7 +1,7 @@
-"""Measures of road maps and layout labels: counting first, formulas afterwards.
+"""Measures of road maps and layout labels: count first, then apply formulas to the counts.
 
-Maps are counted into histograms of likelihood levels, one for road and one for the rest.
-Counts are integers that add up, so memory is flat over any number of images and pooling
+Maps are counted into histograms of likelihood levels, one for road and one for background.
+Counts are integers that add up, so memory does not grow with the number of images, and pooling
 is a sum. Every formula takes counts alone, with any number of leading dimensions.
 
 The default 65,536 levels are those of a 16-bit map: the 256 levels of an 8-bit map are
@@ -25,8 +25,8 @@ from torch import Tensor
 from roadtorch.base.errors import InputError
 from roadtorch.layout.classes import CLASSES
 
-LEVELS = 65_536
-TINY = 1e-10  # KITTI adds it to its denominators
+DEFAULT_LEVELS = 65_536
+EPSILON = 1e-10  # KITTI adds it to its denominators
 RECALL_STEPS = 11  # KITTI's average precision looks at recalls 0, 0.1, …, 1
 
 
@@ -35,35 +35,35 @@ RECALL_STEPS = 11  # KITTI's average precision looks at recalls 0, 0.1, …, 1
 
 @dataclass(frozen=True)
 class RoadCounts:
-    """Pixels by likelihood level: int64 (...,levels) of true road and of true background."""
+    """Pixels by likelihood level: int64 (..., levels) of true road and of true background."""
 
     road: Tensor
-    other: Tensor
+    background: Tensor
 
     def __add__(self, more: "RoadCounts") -> "RoadCounts":
-        """The counts of both sets of maps together."""
-        return RoadCounts(self.road + more.road, self.other + more.other)
+        """Return the counts of both sets of maps together."""
+        return RoadCounts(self.road + more.road, self.background + more.background)
 
     @property
     def levels(self) -> int:
-        """How many levels the likelihood was rounded to."""
+        """Number of levels that the likelihood was rounded to."""
         return self.road.shape[-1]
 
     def __reduce__(self) -> tuple[Callable[..., "RoadCounts"], tuple[np.ndarray, ...]]:
-        """Between processes the levels that occur: of one image's 65,536 most do not."""
-        both = torch.stack([self.road, self.other]).numpy()
-        places = np.flatnonzero(both).astype(np.int32)
-        return _from_sparse, (np.array(both.shape), places, both.reshape(-1)[places])
+        """Pickle the nonzero levels alone: one image has few of the 65,536."""
+        stacked = torch.stack([self.road, self.background]).numpy()
+        indices = np.flatnonzero(stacked).astype(np.int32)
+        return _from_sparse, (np.array(stacked.shape), indices, stacked.reshape(-1)[indices])
 
 
-def _from_sparse(shape: np.ndarray, places: np.ndarray, counts: np.ndarray) -> RoadCounts:
-    both = np.zeros(shape, counts.dtype)
-    both.reshape(-1)[places] = counts
-    return RoadCounts(*torch.from_numpy(both))
+def _from_sparse(shape: np.ndarray, indices: np.ndarray, counts: np.ndarray) -> RoadCounts:
+    stacked = np.zeros(shape, counts.dtype)
+    stacked.reshape(-1)[indices] = counts
+    return RoadCounts(*torch.from_numpy(stacked))
 
 
 class Decisions(NamedTuple):
-    """Pixels by decision and truth: int64 tensors of one shape, often no dimension at all."""
+    """Pixels by decision and truth: int64 tensors of one shape, often scalars."""
 
     true_positive: Tensor
     false_positive: Tensor
@@ -71,28 +71,35 @@ class Decisions(NamedTuple):
     true_negative: Tensor
 
     def __add__(self, more: "Decisions") -> "Decisions":  # type: ignore[override]
-        """The counts of both sets of masks together."""
+        """Return the counts of both sets of masks together."""
         return Decisions(*map(operator.add, self, more))
 
 
-def level_of(likelihood: Tensor, levels: int = LEVELS) -> Tensor:
-    """The nearest of ``levels`` equally spaced levels of [0,1]; int32, same shape."""
+def quantise(likelihood: Tensor, levels: int = DEFAULT_LEVELS) -> Tensor:
+    """Round a likelihood to the nearest of equally spaced levels of [0, 1]; int32, same shape."""
     # Of what is not negative, taking the whole part is rounding down.
     return (likelihood * (levels - 1) + 0.5).to(torch.int32)
 
 
-def threshold_level(threshold: float, levels: int = LEVELS) -> int:
-    """The lowest level that reaches a threshold in [0,1]."""
+def threshold_level(threshold: float, levels: int = DEFAULT_LEVELS) -> int:
+    """Return the lowest level that reaches a threshold in [0, 1]."""
     # The small allowance lets k / (levels - 1), rounded, still mean level k.
     return math.ceil(threshold * (levels - 1) - 1e-6)
 
 
 def count_levels(
-    likelihood: Tensor, road: Tensor, valid: Tensor, levels: int = LEVELS
+    likelihood: Tensor, road: Tensor, valid: Tensor, levels: int = DEFAULT_LEVELS
 ) -> RoadCounts:
-    """Count the valid pixels of one map: likelihood (H,W) in [0,1], road and valid bool (H,W).
+    """Count the valid pixels of one map by likelihood level.
 
-    Raises InputError when the sizes differ or a likelihood is not in [0,1].
+    Args:
+        likelihood: float (H, W) in [0, 1].
+        road: true road, bool (H, W).
+        valid: pixels with truth, bool (H, W); others are ignored.
+        levels: number of levels that the likelihood is rounded to.
+
+    Raises:
+        InputError: when the sizes differ or a likelihood is not in [0, 1].
     """
     if likelihood.shape != road.shape:
         raise InputError(
@@ -104,74 +111,79 @@ def count_levels(
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
         raise InputError("likelihood", f"has values from {low:g} to {high:g}", "keep to [0, 1]")
     # One histogram: background, then road, then a last place for void.
-    place = level_of(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
-    counts = torch.bincount(place.flatten(), minlength=2 * levels + 1)
+    bins = quantise(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
+    counts = torch.bincount(bins.flatten(), minlength=2 * levels + 1)
     return RoadCounts(counts[levels : 2 * levels].clone(), counts[:levels].clone())
 
 
 def count_mask(mask: Tensor, road: Tensor, valid: Tensor) -> Decisions:
-    """Count the valid pixels of one mask; all bool (H,W)."""
+    """Count the valid pixels of one mask by decision and truth; all bool (H, W)."""
     called, true = mask & valid, road & valid
-    both = (called & true).sum()
-    false_positive, false_negative = called.sum() - both, true.sum() - both
+    true_positive = (called & true).sum()
+    false_positive, false_negative = called.sum() - true_positive, true.sum() - true_positive
     return Decisions(
-        both, false_positive, false_negative, valid.sum() - both - false_positive - false_negative
+        true_positive,
+        false_positive,
+        false_negative,
+        valid.sum() - true_positive - false_positive - false_negative,
     )
 
 
 def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
-    """The counts of the same maps rounded to fewer levels, as for instance in an 8-bit PNG."""
+    """Return the counts of the same maps rounded to fewer levels, such as those of an 8-bit PNG."""
     fine = torch.arange(counts.levels, dtype=torch.float64) / (counts.levels - 1)
-    index = level_of(fine, levels)
+    index = quantise(fine, levels)
     shape = (*counts.road.shape[:-1], levels)
-    road, other = (
+    road, background = (
         torch.zeros(shape, dtype=part.dtype).index_add_(-1, index, part)
-        for part in (counts.road, counts.other)
+        for part in (counts.road, counts.background)
     )
-    return RoadCounts(road, other)
+    return RoadCounts(road, background)
 
 
 def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
-    """The outcome of "likelihood ≥ threshold is road", at the resolution of the levels."""
+    """Return the counts of the mask "likelihood ≥ threshold", at the resolution of the levels."""
     level = threshold_level(threshold, counts.levels)
-    road, other = counts.road.sum(-1), counts.other.sum(-1)
+    road, background = counts.road.sum(-1), counts.background.sum(-1)
     true_positive, false_positive = (
-        part[..., level:].sum(-1) for part in (counts.road, counts.other)
+        part[..., level:].sum(-1) for part in (counts.road, counts.background)
     )
-    return Decisions(true_positive, false_positive, road - true_positive, other - false_positive)
+    return Decisions(
+        true_positive, false_positive, road - true_positive, background - false_positive
+    )
 
 
 # --- formulas; 0/0 is NaN, never 0 or 1 ---------------------------------------------------
 
 
 # Given the summed counts of a data set, precision, recall and f_measure are P, R and F of
-# P1, eq. 11 (Table I). They are not the means of the images' figures.
+# P1, eq. 11 (Table I). They are not the means of the images' scores.
 
 
 def precision(outcome: Decisions) -> Tensor:
-    """TP / (TP + FP), float64; NaN where nothing is called road."""
+    """Compute TP / (TP + FP), float64; NaN where nothing is predicted as road."""
     return _ratio(outcome.true_positive, outcome.true_positive + outcome.false_positive)
 
 
 def recall(outcome: Decisions) -> Tensor:
-    """TP / (TP + FN), float64; NaN where there is no road."""
+    """Compute TP / (TP + FN), float64; NaN where there is no road."""
     return _ratio(outcome.true_positive, outcome.true_positive + outcome.false_negative)
 
 
 def iou(outcome: Decisions) -> Tensor:
-    """TP / (TP + FP + FN), float64; NaN where there is neither road nor a call of road."""
+    """Compute TP / (TP + FP + FN), float64; NaN where there is neither true nor predicted road."""
     wrong = outcome.false_positive + outcome.false_negative
     return _ratio(outcome.true_positive, outcome.true_positive + wrong)
 
 
 def f_measure(outcome: Decisions) -> Tensor:
-    """2 TP / (2 TP + FP + FN), the harmonic mean of precision and recall, float64."""
+    """Compute 2 TP / (2 TP + FP + FN), the harmonic mean of precision and recall, float64."""
     wrong = outcome.false_positive + outcome.false_negative
     return _ratio(2 * outcome.true_positive, 2 * outcome.true_positive + wrong)
 
 
 def false_positive_rate(outcome: Decisions) -> Tensor:
-    """FP / (FP + TN), float64; NaN where there is no background."""
+    """Compute FP / (FP + TN), float64; NaN where there is no background."""
     return _ratio(outcome.false_positive, outcome.false_positive + outcome.true_negative)
 
 
@@ -180,36 +192,37 @@ def _ratio(part: Tensor, whole: Tensor) -> Tensor:
 
 
 def auc(counts: RoadCounts) -> Tensor:
-    """Area under the ROC curve: P(road above background), ties one half; float64 (...).
+    """Compute the area under the ROC curve: P(road above background), ties one half; float64 (...).
 
-    NaN where road or background is missing. Equals the trapezoid area (Fawcett 2006).
+    NaN without road or background. Equals the trapezoid area (Fawcett 2006).
     """
-    road, other = counts.road.to(torch.float64), counts.other.to(torch.float64)
-    below = other.cumsum(-1) - other / 2
-    return (road * below).sum(-1) / (road.sum(-1) * other.sum(-1))
+    road, background = counts.road.to(torch.float64), counts.background.to(torch.float64)
+    below = background.cumsum(-1) - background / 2
+    return (road * below).sum(-1) / (road.sum(-1) * background.sum(-1))
 
 
 def kitti_precision_recall(counts: RoadCounts) -> tuple[Tensor, Tensor]:
-    """KITTI's precision and recall for every level, float64 (...,levels) each."""
+    """Compute KITTI's precision and recall for every level, float64 (..., levels) each."""
     hit, false = (  # how many pixels have each level or a higher one
-        part.flip(-1).cumsum(-1).flip(-1).to(torch.float64) for part in (counts.road, counts.other)
+        part.flip(-1).cumsum(-1).flip(-1).to(torch.float64)
+        for part in (counts.road, counts.background)
     )
-    return hit / (hit + false + TINY), hit / hit[..., :1]
+    return hit / (hit + false + EPSILON), hit / hit[..., :1]
 
 
 def f_curve(counts: RoadCounts) -> Tensor:
-    """KITTI's F for every level, float64 (...,levels); NaN where there is no road."""
+    """Compute KITTI's F for every level, float64 (..., levels); NaN where there is no road."""
     precisions, recalls = kitti_precision_recall(counts)
-    return 2 * precisions * recalls / (precisions + recalls + TINY)
+    return 2 * precisions * recalls / (precisions + recalls + EPSILON)
 
 
 def max_f(counts: RoadCounts) -> tuple[Tensor, Tensor]:
-    """KITTI's MaxF and its threshold in [0,1], the lowest one that reaches it; float64 (...)."""
+    """Compute KITTI's MaxF, and the lowest threshold in [0, 1] that reaches it; float64 (...)."""
     return best_threshold(f_curve(counts))
 
 
 def best_threshold(curve: Tensor) -> tuple[Tensor, Tensor]:
-    """The maximum of curves (...,levels) and the first threshold that reaches it."""
+    """Return the maximum of curves (..., levels) and the first threshold that reaches it."""
     best = curve.argmax(-1)  # the first one of several
     value = curve.gather(-1, best[..., None])[..., 0]
     threshold = best.to(torch.float64) / (curve.shape[-1] - 1)
@@ -217,10 +230,10 @@ def best_threshold(curve: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def average_precision(counts: RoadCounts) -> Tensor:
-    """KITTI's AP: mean over the recalls 0, 0.1, …, 1 of the best precision at or above it.
+    """Compute KITTI's AP: mean over the recalls 0, 0.1, …, 1 of the best precision at or above it.
 
-    The recalls are accumulated in floating point as in the kit (0.30000000000000004), so
-    that a recall of exactly 0.3, 0.6 or 0.7 falls short of its step there and here.
+    The recalls are accumulated in floating point as in the kit (0.30000000000000004), so that a
+    recall of exactly 0.3, 0.6 or 0.7 falls short of its step in both.
     """
     precisions, recalls = kitti_precision_recall(counts)
     steps = torch.arange(RECALL_STEPS, dtype=torch.float64) * 0.1
@@ -232,22 +245,21 @@ def average_precision(counts: RoadCounts) -> Tensor:
 
 
 def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
-    """Confusion of layout labels, int64 (4,4): rows truth, columns decision.
+    """Count layout labels against the truth, int64 (4, 4): rows truth, columns decision.
 
-    Rows and columns are sky, vertical, horizontal and "none": void in the truth,
-    unlabelled in the decision. ``labels`` and ``truth`` are integer (H,W) with values
-    0, 1, 2 and 255.
+    labels, truth: integer (H, W), 0 sky, 1 vertical, 2 horizontal, 255 unlabelled or void. The
+    fourth row is void, the fourth column unlabelled.
     """
     rows, columns = (part.to(torch.int64).clamp(max=CLASSES) for part in (truth, labels))
     pairs = (rows * (CLASSES + 1) + columns).flatten()
     return torch.bincount(pairs, minlength=(CLASSES + 1) ** 2).reshape(CLASSES + 1, CLASSES + 1)
 
 
-# The figures leave out void and unlabelled pixels and take any leading dimensions.
+# The scores leave out void and unlabelled pixels and take any leading dimensions.
 
 
 def void_as_vertical(confusion: Tensor) -> Tensor:
-    """The confusion (...,4,4) under P2's literal reading: void counts as vertical."""
+    """Return the confusion (..., 4, 4) as P2 may be read literally: void counts as vertical."""
     moved = confusion.clone()
     moved[..., 1, :] += moved[..., 3, :]
     moved[..., 3, :] = 0
@@ -255,36 +267,36 @@ def void_as_vertical(confusion: Tensor) -> Tensor:
 
 
 def normalised_confusion(confusion: Tensor) -> Tensor:
-    """Shares of each true class by decision, (...,4,4) → float64 (...,3,3) (P2, Fig. 4b).
+    """Normalise each true class over decisions, (..., 4, 4) → float64 (..., 3, 3) (P2, Fig. 4b).
 
-    Rows sum to 1, or are NaN for a class without pixels. P2 prints vertical, horizontal,
-    sky; here the order is sky, vertical, horizontal.
+    Rows sum to 1, or are NaN for a class without pixels. The order is sky, vertical, horizontal; P2
+    prints vertical, horizontal, sky.
     """
     labelled = confusion[..., :3, :3]
     return _ratio(labelled, labelled.sum(-1, keepdim=True))
 
 
 def class_recalls(confusion: Tensor) -> Tensor:
-    """Recall of sky, vertical, horizontal, float64 (...,3); NaN for a class without pixels."""
+    """Compute the recall of sky, vertical, horizontal, float64 (..., 3); NaN without pixels."""
     return normalised_confusion(confusion).diagonal(dim1=-2, dim2=-1)
 
 
 def mean_class_recall(confusion: Tensor) -> Tensor:
-    """The mean diagonal of the row-normalised confusion over present classes, float64 (...).
+    """Compute the mean recall over the classes that have pixels, float64 (...).
 
-    What P2 calls "global average accuracy (normalized diagonal)".
+    P2 calls it "global average accuracy (normalized diagonal)".
     """
     return class_recalls(confusion).nanmean(-1)
 
 
 def layout_accuracy(confusion: Tensor) -> Tensor:
-    """Share of the labelled pixels with the right label, float64 (...)."""
+    """Compute the fraction of labelled pixels with the right label, float64 (...)."""
     labelled = confusion[..., :3, :3]
     right = labelled.diagonal(dim1=-2, dim2=-1)
     return _ratio(right.sum(-1), labelled.sum((-2, -1)))
 
 
 def labelled_share(confusion: Tensor) -> Tensor:
-    """Share of the pixels with truth that have a label, float64 (...)."""
+    """Compute the fraction of the pixels with truth that have a label, float64 (...)."""
     with_truth = confusion[..., :3, :]
     return _ratio(with_truth[..., :3].sum((-2, -1)), with_truth.sum((-2, -1)))

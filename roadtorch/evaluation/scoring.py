@@ -1,4 +1,4 @@
-"""The pass: every detector over every image once, image by image."""
+"""Counting of every detector on every image, each image read once."""
 
 import math
 import time
@@ -13,7 +13,7 @@ from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.metrics import count_layout, count_levels, count_mask
-from roadtorch.evaluation.tally import Score, Scored
+from roadtorch.evaluation.tally import ImageResult, Score
 from roadtorch.run.workers import DIED, workers_for
 
 # --- one image ------------------------------------------------------------------------
@@ -21,44 +21,44 @@ from roadtorch.run.workers import DIED, workers_for
 
 @dataclass(frozen=True)
 class LabelledImage:
-    """One item that has been read: its image, and the truth in the image's own space."""
+    """An item that has been read: its image, and the truth in the space of the image."""
 
     dataset: Dataset
     item: LabelledItem
     image: Tensor
     truth: Truth
 
-    def seen(self, values: Tensor) -> Tensor:
-        """A map (…,H,W) of the image's size in the space in which it is scored."""
+    def to_view(self, values: Tensor) -> Tensor:
+        """Warp a map (..., H, W) of the image's size to the view in which the set is scored."""
         view = self.dataset.view
         in_image = values.shape[-2:] == self.image.shape[-2:]
         return view(self.item, values) if view is not None and in_image else values
 
-    def seen_truth(self) -> Truth:
-        """The truth in the space in which it is scored."""
-        layout = None if self.truth.layout is None else self.seen(self.truth.layout)
-        return Truth(self.seen(self.truth.road), self.seen(self.truth.valid), layout)
+    def truth_in_view(self) -> Truth:
+        """Return the truth in the view in which the set is scored."""
+        layout = None if self.truth.layout is None else self.to_view(self.truth.layout)
+        return Truth(self.to_view(self.truth.road), self.to_view(self.truth.valid), layout)
 
 
-def score_look(look: Look, scene: LabelledImage, truth: Truth, shared: ImageCache) -> Score:
-    """Run one detector on one image and count; truth: as it is scored."""
-    saved, start = shared.saved, time.perf_counter()
-    detection = look(scene.image, scene.item)
+def count_image(predictor: Look, scene: LabelledImage, truth: Truth, shared: ImageCache) -> Score:
+    """Run one detector on one image and count; truth: in the view of the set."""
+    saved_before, start = shared.saved, time.perf_counter()
+    detection = predictor(scene.image, scene.item)
     # What others had made before it counts as this one's work, too.
-    seconds = time.perf_counter() - start + shared.saved - saved
-    mask, layout = scene.seen(detection.mask), detection.cues.get("layout")
+    seconds = time.perf_counter() - start + shared.saved - saved_before
+    mask, layout = scene.to_view(detection.mask), detection.cues.get("layout")
     labels = {
         "layout": None if layout is None else layout.argmax(0),
         "labels": detection.cues.get("layout_labels"),
     }
     confusions = {
-        kind: count_layout(scene.seen(values), truth.layout)
+        kind: count_layout(scene.to_view(values), truth.layout)
         for kind, values in labels.items()
         if values is not None and truth.layout is not None
     }
     return Score(
         count_levels(
-            scene.seen(detection.likelihood), truth.road, truth.valid, scene.dataset.levels
+            scene.to_view(detection.likelihood), truth.road, truth.valid, scene.dataset.levels
         ),
         count_mask(mask, truth.road, truth.valid),
         count_boundary(mask, truth.road, truth.valid),
@@ -70,41 +70,41 @@ def score_look(look: Look, scene: LabelledImage, truth: Truth, shared: ImageCach
 
 
 @dataclass(frozen=True)
-class Scoring:
-    """The task of workers: one item is read once, and every contender is scored on it."""
+class ScoringTask:
+    """Task of a worker process: read one item, count every contender on it."""
 
     dataset: Dataset
-    looks: Mapping[str, Look]
+    predictors: Mapping[str, Look]
 
-    def __call__(self, item: LabelledItem) -> Scored:
-        """Return the scores of one item.
+    def __call__(self, item: LabelledItem) -> ImageResult:
+        """Return the counts of one item.
 
-        Whatever goes wrong becomes the result's failure, and the image then counts for no
-        detector, so that all are scored on the same images.
+        An exception becomes the result's failure; the image then counts for no detector, so that
+        all are scored on the same images.
         """
         name = ""
         try:
             scene = LabelledImage(self.dataset, item, *self.dataset.read(item))
-            truth, scores = scene.seen_truth(), {}
+            truth, counts = scene.truth_in_view(), {}
             with image_cache() as shared:
-                for name, look in self.looks.items():
-                    scores[name] = score_look(look, scene, truth, shared)
-            return Scored(item, scores)
+                for name, predictor in self.predictors.items():
+                    counts[name] = count_image(predictor, scene, truth, shared)
+            return ImageResult(item, counts)
         except RoadtorchError as error:
-            return Scored(item, {}, f"{name}: {error}" if name else str(error))
+            return ImageResult(item, {}, f"{name}: {error}" if name else str(error))
         except Exception as error:  # a detector's own mistake must not end a long run
             problem = f"{type(error).__name__}: {error}"
-            return Scored(item, {}, f"{name or item.name}: {problem}")
+            return ImageResult(item, {}, f"{name or item.name}: {problem}")
 
 
-def score(
+def score_dataset(
     dataset: Dataset, contenders: Sequence[Contender], jobs: int | None = 1
-) -> Generator[Scored]:
-    """Yield a result for every item, in the set's order; jobs: processes, None for what pays."""
-    looks = {entry.name: entry.prepare(dataset) for entry in contenders}
-    task = Scoring(dataset, looks)
-    return workers_for(jobs, len(dataset.items)).map(task, dataset.items, _died)
+) -> Generator[ImageResult]:
+    """Yield a result for every item, in order; jobs: processes, None for as many as help."""
+    predictors = {entry.name: entry.prepare(dataset) for entry in contenders}
+    task = ScoringTask(dataset, predictors)
+    return workers_for(jobs, len(dataset.items)).map(task, dataset.items, _crash_result)
 
 
-def _died(item: LabelledItem) -> Scored:
-    return Scored(item, {}, str(InputError(item.image, *DIED)))
+def _crash_result(item: LabelledItem) -> ImageResult:
+    return ImageResult(item, {}, str(InputError(item.image, *DIED)))

@@ -1,7 +1,7 @@
-"""What is counted in a pass, and kept: sums by group, a few numbers of each image.
+"""Counts of an evaluation: sums by group, and a few numbers of each image.
 
-Sums have one size whatever the number of images. Of each image its 8-bit histograms
-stay (2 kB), for distributions, intervals and comparisons.
+The sums have one size whatever the number of images. Of each image the 8-bit histograms are kept
+(2 kB), for distributions, intervals and comparisons.
 """
 
 import math
@@ -16,14 +16,14 @@ from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 
-WHOLE = "all"  # the one group of a set that knows no groups
-COARSE = 256  # levels that are kept of each image
-FIRST_ROWS = 64  # images that there is room for before a column grows
+UNGROUPED = "all"  # the one group of a set that knows no groups
+IMAGE_LEVELS = 256  # levels that are kept of each image
+INITIAL_ROWS = 64  # images that there is room for before a column grows
 
 
 @dataclass(frozen=True)
 class Score:
-    """One detector's counts on one image, in the space of the truth."""
+    """Counts of one detector on one image, in the space of the truth."""
 
     road: RoadCounts
     mask: Decisions
@@ -35,17 +35,17 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Scored:
-    """What came of one image: a score for every detector, or why there is none."""
+class ImageResult:
+    """Counts of every detector on one image, or the reason of a failure."""
 
     item: LabelledItem
-    scores: Mapping[str, Score]
+    counts: Mapping[str, Score]
     failure: str = ""
 
 
 @dataclass(frozen=True)
-class Images:
-    """What is kept of n images: a row of every tensor is one of them."""
+class ImageTable:
+    """Counts of n images: a row of every tensor is one image."""
 
     names: Sequence[str]
     groups: Sequence[str]
@@ -61,68 +61,68 @@ class Images:
 
     @property
     def mask(self) -> Decisions:
-        """The outcomes of the masks, int64 (n,) each."""
+        """Counts of the masks, int64 (n,) each."""
         return Decisions(*self.outcomes.unbind(1))
 
-    def of_group(self, group: str) -> Tensor:
-        """Which of the images are of a group, bool (n,)."""
+    def group_mask(self, group: str) -> Tensor:
+        """Return which of the images are of a group, bool (n,)."""
         return torch.tensor([name == group for name in self.groups], dtype=torch.bool)
 
 
 @dataclass
 class Tally:
-    """One detector's counts so far: pixels by likelihood and group, and columns by image.
+    """Counts of one detector: pixels by likelihood and group, and columns by image.
 
     Rows are written into a few large tensors that double when they are full: thousands of small
-    ones between the large temporary ones of counting would keep their memory in use.
+    ones between the large temporary ones of counting would fragment the memory.
     """
 
     road: dict[str, RoadCounts] = field(default_factory=dict)
-    images: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
+    keys: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
     columns: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
     def add(self, item: LabelledItem, score: Score) -> None:
-        """Count one more image."""
-        group = item.group or WHOLE
+        """Add the counts of one image."""
+        group = item.group or UNGROUPED
         area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
         self.road[group] = self.road[group] + score.road if group in self.road else score.road
-        coarse = metrics.coarsen(score.road, COARSE)
+        coarse = metrics.coarsen(score.road, IMAGE_LEVELS)
         values = {
-            "road": torch.stack([coarse.road, coarse.other]).to(torch.int32),
+            "road": torch.stack([coarse.road, coarse.background]).to(torch.int32),
             "mask": torch.stack(score.mask),
             "boundary": score.boundary,
             "numbers": torch.tensor([area, best, score.seconds, score.trust], dtype=torch.float64),
         }
         confusions = {"layout": score.layout, "labels": score.labels}
         values |= {key: counts for key, counts in confusions.items() if counts is not None}
-        row = len(self.images)
+        row = len(self.keys)
         for key in values.keys() - self.columns.keys():
-            self.columns[key] = values[key].new_zeros((FIRST_ROWS, *values[key].shape))
+            self.columns[key] = values[key].new_zeros((INITIAL_ROWS, *values[key].shape))
         for key, column in self.columns.items():  # those as well that this image has not
             while len(column) <= row:
                 column = torch.cat([column, torch.zeros_like(column)])
             if key in values:
                 column[row] = values[key]
             self.columns[key] = column
-        self.images.append((item.name, group))
+        self.keys.append((item.name, group))
 
-    def kept(self, groups: Iterable[str] | None = None) -> Images:
-        """What is kept of some groups' images, group by group, or of all in their order."""
-        places = range(len(self.images))
+    def kept(self, groups: Iterable[str] | None = None) -> ImageTable:
+        """Return the images of some groups, group by group, or all in their order."""
+        indices = range(len(self.keys))
         if groups is not None:
-            places = [i for group in groups for i in places if self.images[i][1] == group]
-        return self._rows(places)
+            indices = [i for group in groups for i in indices if self.keys[i][1] == group]
+        return self._rows(indices)
 
-    def named(self, names: Container[str]) -> Images:
-        """What is kept of the images of these names, in their order."""
-        return self._rows([i for i, (name, _) in enumerate(self.images) if name in names])
+    def select(self, names: Container[str]) -> ImageTable:
+        """Return the images with these names, in their order."""
+        return self._rows([i for i, (name, _) in enumerate(self.keys) if name in names])
 
-    def _rows(self, places: Sequence[int]) -> Images:
-        chosen = torch.tensor(list(places), dtype=torch.int64)
+    def _rows(self, indices: Sequence[int]) -> ImageTable:
+        chosen = torch.tensor(list(indices), dtype=torch.int64)
         columns = {key: column[chosen] for key, column in self.columns.items()}
-        return Images(
-            [self.images[i][0] for i in places],
-            [self.images[i][1] for i in places],
+        return ImageTable(
+            [self.keys[i][0] for i in indices],
+            [self.keys[i][1] for i in indices],
             RoadCounts(*columns["road"].unbind(1)),
             columns["mask"],
             columns["boundary"],
@@ -137,23 +137,23 @@ class Tally:
 
 @dataclass(frozen=True)
 class Part:
-    """Counts of some images together, or of many draws of them: then all have (draws,…).
+    """Pooled counts of some images, or of bootstrap replicates of them: then all have (draws, …).
 
-    chosen: the outcome at the threshold of each group; None where there is none.
-    image_auc: the mean of the single images' AUC, float64 (…).
-    What follows in the list is not known of draws: labels, a confusion as ``layout``, of
-    labels that may abstain; threshold, where there is one for all; the single images.
+    at_threshold: counts at the threshold of each group; None where there is none.
+    image_auc: mean of the AUCs of single images, float64 (…).
+    Replicates lack the fields after it: labels, a confusion like ``layout``, of labels that may
+    abstain; threshold, where all groups share one; the single images.
     """
 
     road: RoadCounts
     mask: Decisions
     boundary: Tensor
     layout: Tensor | None
-    chosen: Decisions | None
+    at_threshold: Decisions | None
     image_auc: Tensor
     labels: Tensor | None = None
     threshold: float | None = None
-    images: Images | None = None
+    images: ImageTable | None = None
 
     @cached_property
     def max_f(self) -> tuple[Tensor, Tensor]:

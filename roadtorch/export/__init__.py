@@ -1,1 +1,1 @@
-"""Networks as files that run without Python: their pre- and post-processing is inside."""
+"""Export of detectors as files that run without Python, with pre- and post-processing inside."""

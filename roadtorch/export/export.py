@@ -1,4 +1,4 @@
-"""Detectors as files that run without Python."""
+"""Export of detectors as ONNX files that run without Python."""
 
 import logging
 import shutil
@@ -33,63 +33,63 @@ from roadtorch.testing.scenes import render_scene
 # --- what of a detector can be exported --------------------------------------------------
 
 
-CAN = ("fusion", "layout:cnn-7")
+EXPORTABLE_DETECTORS = ("fusion", "layout:cnn-7")
 
-ISOLATED = "dropping of isolated road"
+ISOLATED_ROAD_STEP = "dropping of isolated road"
 
-OWN_TERMS = "those of whoever trained them"
+UNKNOWN_TERMS = "those of whoever trained them"
 
-Steps = Callable[[Tensor], Mapping[str, Tensor]]
-"""An image (3,H,W) in [0,1] → maps by name, of any of which a graph may be traced."""
+MapFunction = Callable[[Tensor], Mapping[str, Tensor]]
+"""An image (3, H, W) in [0, 1] → maps by name; can be traced."""
 
-OUTPUTS: Mapping[str, str] = {
+OUTPUT_DESCRIPTIONS: Mapping[str, str] = {
     "likelihood": "float32 (N, H, W): how road-like each pixel is, 0 to 1",
     "layout": "float32 (N, 3, H, W): sky, vertical, horizontal, 0 to 1",
     "ego": "float32 (N, H, W): the vehicle that carries the camera, 0 to 1",
     "seed_area": "float32 (N, H, W): where road surely is, 0 or 1; isolated road does not touch it",
     "trust": "float32 (N): the F to expect of the mask, 0 to 1",
 }
-"""What files give, by name."""
+"""Outputs of the files, by name."""
 
 
 @dataclass(frozen=True)
-class Exportable:
-    """A part of a detector as a function, which a graph is traced of.
+class ExportPart:
+    """Part of a detector as a function that can be traced.
 
-    what: which part, in words. lacks: what Python does beside it. steps: an image (3,H,W) in
-    [0,1] → the outputs by name; where it is traced, a batch (N,3,H,W). outputs: some of
-    ``OUTPUTS``. settings: those that have a part in it. weights: the files of its networks'.
+    description: the part, in words. missing: steps that only Python does. compute: an image (3, H,
+    W) in [0, 1] → the outputs by name; a batch (N, 3, H, W) while it is traced. outputs: keys of
+    ``OUTPUT_DESCRIPTIONS``. settings: settings that it uses. weights: files of its networks.
     """
 
-    problem: str
-    lacks: str
-    steps: Steps
+    description: str
+    missing: str
+    compute: MapFunction
     outputs: tuple[str, ...]
     settings: tuple[str, ...]
     weights: tuple[Path, ...]
 
 
-def exportable(detector: Detector) -> Exportable:
-    """The part of a detector that can be exported.
+def exportable_part(detector: Detector) -> ExportPart:
+    """Return the part of a detector that can be exported.
 
-    Raises ConfigError for a detector that has none, and for settings that have no part in it.
+    Raises ConfigError for a detector that has none, and for settings that it does not use.
     """
-    part, usual = part_of(detector), detector_entry(detector.name).configured({}).model_dump()
+    part, defaults = find_part(detector), detector_entry(detector.name).configured({}).model_dump()
     for key, value in detector.settings.model_dump().items():
-        if key not in part.settings and value != usual[key]:
+        if key not in part.settings and value != defaults[key]:
             raise ConfigError(key, "has no part in what is exported", "leave it out")
     return part
 
 
-def part_of(detector: Detector) -> Exportable:
-    """The same whatever its settings; ConfigError for a detector that has none."""
+def find_part(detector: Detector) -> ExportPart:
+    """Return the part of a detector whatever its settings; raise ConfigError where it has none."""
     analysis, settings = detector.analysis, detector.settings
     if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
-        part = Exportable(
+        part = ExportPart(
             "its road, layout, ego car and trust",
-            f"filling of thin holes, {ISOLATED}",
-            partial(fused_maps, analysis, settings),
-            tuple(OUTPUTS),
+            f"filling of thin holes, {ISOLATED_ROAD_STEP}",
+            partial(fusion_maps, analysis, settings),
+            tuple(OUTPUT_DESCRIPTIONS),
             (
                 *("weights", "second", "threshold", "calibration"),
                 *("cuts", "working", "seed_area"),
@@ -101,24 +101,28 @@ def part_of(detector: Detector) -> Exportable:
             ),
         )
     elif isinstance(analysis, Cnn7) and isinstance(settings, Cnn7Settings):
-        part = Exportable(
+        part = ExportPart(
             "its likelihood and layout",
-            ISOLATED,
-            partial(ground_maps, analysis, settings),
+            ISOLATED_ROAD_STEP,
+            partial(cnn7_maps, analysis, settings),
             ("likelihood", "layout"),
             ("weights", "threshold", "working"),
             (weights_path(settings.weights.file or "cnn-7"),),
         )
     else:
-        raise ConfigError(detector.name, "cannot be exported", f"those that can: {', '.join(CAN)}")
+        raise ConfigError(
+            detector.name,
+            "cannot be exported",
+            f"those that can: {', '.join(EXPORTABLE_DETECTORS)}",
+        )
     return part
 
 
-def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dict[str, Tensor]:
-    """All of `fusion` but what takes connected regions.
+def fusion_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dict[str, Tensor]:
+    """Compute all outputs of `fusion` but the steps on connected regions.
 
-    Thin holes are not filled, and isolated road is not dropped. In the graph images are followed
-    at their own size, however large that is.
+    Thin holes are not filled, and isolated road is not removed. In the graph the likelihood is
+    refined at the image's full size, however large.
     """
     small, full = at_work(image, settings.working), size_of(image)
     cues = analysis(small)
@@ -137,57 +141,58 @@ def fused_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dic
     }
 
 
-def ground_maps(analysis: Cnn7, settings: Cnn7Settings, image: Tensor) -> dict[str, Tensor]:
-    """All of `layout:cnn-7` but the dropping of isolated road."""
+def cnn7_maps(analysis: Cnn7, settings: Cnn7Settings, image: Tensor) -> dict[str, Tensor]:
+    """Compute all outputs of `layout:cnn-7` but the removal of isolated road."""
     layout = analysis.network.potentials(at_work(image, settings.working))
     layout = resized(layout, size_of(image))
     return {"likelihood": layout[..., HORIZONTAL, :, :], "layout": layout}
 
 
-def notes_of(detector: Detector, part: Exportable) -> dict[str, str]:
-    """What the file says about itself, by name."""
+def describe_export(detector: Detector, part: ExportPart) -> dict[str, str]:
+    """Return the metadata of the file, by name."""
     return {
         "roadtorch": __version__,
         "detector": detector.name,
-        "part": part.problem,
-        "lacks": part.lacks,
+        "part": part.description,
+        "lacks": part.missing,
         "input": "image: uint8 (N, H, W, 3)",
         "colour_order": "RGB",
         "range": "0 to 255",
         "smallest_side": str(MIN_SIDE),
-        **{f"output.{name}": OUTPUTS[name] for name in part.outputs},
+        **{f"output.{name}": OUTPUT_DESCRIPTIONS[name] for name in part.outputs},
         "threshold": f"{detector.settings.threshold:g}",
         "weights": ", ".join(file.name for file in part.weights),
         "weights_sha256": ", ".join(map(digest_of, part.weights)),
-        "terms": f"{'; '.join(map(terms_with_card, part.weights))}; the code is Apache-2.0",
+        "terms": f"{'; '.join(map(describe_terms, part.weights))}; the code is Apache-2.0",
     }
 
 
-def terms_with_card(weights: Path) -> str:
-    """What weights may be used for, and where that is said."""
+def describe_terms(weights: Path) -> str:
+    """Return the terms of use of weights, and the card that states them."""
     stated = terms_of(weights)
-    return f"{stated} (see {weights.stem}.md beside the weights)" if stated else OWN_TERMS
+    return f"{stated} (see {weights.stem}.md beside the weights)" if stated else UNKNOWN_TERMS
 
 
 # --- whether a file says what Python says -----------------------------------------------
 
 
-Run = Callable[[np.ndarray], Mapping[str, np.ndarray]]
-"""Images uint8 (N,H,W,3) RGB → maps by name, by a runtime that has read a file."""
+Runner = Callable[[np.ndarray], Mapping[str, np.ndarray]]
+"""Images uint8 (N, H, W, 3) RGB → maps by name, by a runtime that has loaded a file."""
 
 BOUND = 1e-4
-"""How far a file may be off. Ours: a fortieth of the step between two grey levels."""
+"""Largest difference to Python allowed. Ours: a fortieth of the step between two grey levels."""
 
-SIZES = ((48, 64), (121, 317), (360, 480))
-"""Height and width of the rendered images on which it is tried: below the network's size, above
-it, and above the size at which detectors think."""
+PARITY_SIZES = ((48, 64), (121, 317), (360, 480))
+"""Height and width of the rendered images for the check: below the size of the network, above it,
+and above the working size of detectors.
+"""
 
 
 @dataclass(frozen=True)
 class Parity:
-    """How far a file is off what Python says: ``most`` anywhere, ``mean`` over all pixels.
+    """Differences of a file to Python: ``most`` anywhere, ``mean`` over all pixels.
 
-    where: the output, and the size of the image, with the most. images: how many were tried.
+    where: output and image size of the largest. images: number of images checked.
     """
 
     most: float
@@ -196,24 +201,24 @@ class Parity:
     images: int
 
 
-def rendered_batches() -> Iterator[np.ndarray]:
-    """Images uint8 (2,H,W,3) RGB, by day and at dusk, of each of ``SIZES``."""
-    for seed, (height, width) in enumerate(SIZES):
+def render_batches() -> Iterator[np.ndarray]:
+    """Yield images uint8 (2, H, W, 3) RGB, by day and at dusk, of each of ``PARITY_SIZES``."""
+    for seed, (height, width) in enumerate(PARITY_SIZES):
         scenes = (render_scene(seed, height, width, dusk=dusk) for dusk in (0.0, 0.9))
         yield np.stack([to_pixels(scene.image) for scene in scenes])
 
 
-def parity(run: Run, steps: Steps, batches: Iterable[np.ndarray]) -> Parity:
-    """How far ``run`` is off the steps in Python on batches of images uint8 (N,H,W,3).
+def measure_parity(run: Runner, compute: MapFunction, batches: Iterable[np.ndarray]) -> Parity:
+    """Compare ``run`` with the computation in Python on batches of images uint8 (N, H, W, 3).
 
-    What is no number is endlessly far.
+    NaN counts as an infinite difference.
     """
     images, pixels, total = 0, 0, 0.0
     extremes: list[tuple[float, str]] = []
     for batch in batches:
         maps = run(batch)
         for at, image in enumerate(batch):
-            expected = steps(from_pixels(image))
+            expected = compute(from_pixels(image))
             height, width = image.shape[:2]
             images += 1
             for name, values in maps.items():
@@ -230,37 +235,37 @@ def parity(run: Run, steps: Steps, batches: Iterable[np.ndarray]) -> Parity:
 
 OPSET = 18
 
-EXAMPLE = (2, 240, 320, 3)
-"""The shape of the images that the graph is traced with; no number of it stays but the 3."""
+EXAMPLE_SHAPE = (2, 240, 320, 3)
+"""Shape of the images that the graph is traced with; all but the 3 are dynamic."""
 
 
-class Graph(nn.Module):
-    """Steps as a module of the exporter: images uint8 (N,H,W,3) RGB → the outputs, in order.
+class ExportGraph(nn.Module):
+    """Module for the exporter: images uint8 (N, H, W, 3) RGB → the outputs, in order.
 
-    analysis: what has their weights.
+    analysis: the module that holds the weights.
     """
 
-    def __init__(self, analysis: nn.Module, steps: Steps, outputs: Sequence[str]) -> None:
+    def __init__(self, analysis: nn.Module, compute: MapFunction, outputs: Sequence[str]) -> None:
         super().__init__()
         self.analysis = analysis
-        self.steps = steps
+        self.steps = compute
         self.outputs = outputs
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        """The outputs of a batch."""
+        """Return the outputs of a batch."""
         maps = self.steps(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
         return tuple(maps[name] for name in self.outputs)
 
 
-def write_onnx(module: Graph, notes: Mapping[str, str], path: Path) -> None:
-    """Write a graph with notes about it; needs onnx and onnxscript.
+def write_onnx(module: ExportGraph, notes: Mapping[str, str], path: Path) -> None:
+    """Write a graph with its metadata; needs onnx and onnxscript.
 
-    The same module and notes give the same bytes, wherever they are made.
+    The same module and metadata give the same bytes on every machine.
     """
-    with quiet_exporter(), torch.no_grad():
+    with silence_exporter(), torch.no_grad():
         program = torch.onnx.export(
             module,
-            (torch.zeros(EXAMPLE, dtype=torch.uint8),),
+            (torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8),),
             input_names=["image"],
             output_names=list(module.outputs),
             dynamic_shapes=({0: "N", 1: "H", 2: "W"},),
@@ -276,8 +281,8 @@ def write_onnx(module: Graph, notes: Mapping[str, str], path: Path) -> None:
     program.save(str(path))
 
 
-def open_onnx(path: Path, threads: int) -> Run:
-    """What runs an ONNX file on so many threads, by ONNX Runtime."""
+def open_onnx(path: Path, threads: int) -> Runner:
+    """Return a function that runs an ONNX file with ONNX Runtime."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -294,24 +299,24 @@ def open_onnx(path: Path, threads: int) -> Run:
 
 
 @contextmanager
-def quiet_exporter() -> Iterator[None]:
-    """torch's exporter without its remarks on itself."""
-    before = logging.root.manager.disable
+def silence_exporter() -> Iterator[None]:
+    """Suppress the log messages and warnings of torch's exporter."""
+    disabled = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:
         with warnings.catch_warnings(action="ignore"):
             yield
     finally:
-        logging.disable(before)
+        logging.disable(disabled)
 
 
-NEEDS = ("onnx", "onnxscript", "onnxruntime")
-"""The packages of the extra ``onnx``."""
+REQUIRED_PACKAGES = ("onnx", "onnxscript", "onnxruntime")
+"""Packages of the extra ``onnx``."""
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written: files, what they say about themselves, and how far they are off."""
+    """Files that were written, their metadata, and their differences to Python."""
 
     files: tuple[Path, ...]
     notes: Mapping[str, str]
@@ -319,29 +324,29 @@ class Exported:
 
 
 def export_detector(detector: Detector, out: Path) -> Exported:
-    """Write what can be exported of a detector as ONNX, once it says what Python says.
+    """Write the exportable part of a detector as ONNX, after a check against Python.
 
-    Raises ConfigError for what cannot be exported, another suffix than .onnx, and a missing extra;
-    InputError when the file would be more than ``BOUND`` off (then nothing is written), and when
-    it cannot be written.
+    Raises ConfigError for a detector that cannot be exported, another suffix than .onnx, and a
+    missing extra; InputError when the file would differ by more than ``BOUND`` (then nothing is
+    written), and when it cannot be written.
     """
     if out.suffix != ".onnx":
         problem = "does not end as ONNX files do"
         raise ConfigError(out, problem, f"name it {out.stem or 'road'}.onnx")
-    if missing := [name for name in NEEDS if find_spec(name) is None]:
+    if missing := [name for name in REQUIRED_PACKAGES if find_spec(name) is None]:
         problem = f"needs {', '.join(missing)}: not installed"
         raise ConfigError("export", problem, "pip install 'roadtorch[onnx]'")
-    part = exportable(detector)
+    part = exportable_part(detector)
     make_folder(out.parent)
-    notes = notes_of(detector, part)
+    notes = describe_export(detector, part)
     with TemporaryDirectory(prefix="roadtorch.") as folder:
         path = Path(folder) / out.name
-        write_onnx(Graph(detector.analysis, part.steps, part.outputs), notes, path)
+        write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), notes, path)
         run = open_onnx(path, torch.get_num_threads())
-        apart = parity(run, part.steps, rendered_batches())
-        if not apart.most <= BOUND:
-            problem = f"would be {apart.most:.2g} off in its {apart.where}, more than {BOUND:g}"
+        parity = measure_parity(run, part.compute, render_batches())
+        if not parity.most <= BOUND:
+            problem = f"would be {parity.most:.2g} off in its {parity.where}, more than {BOUND:g}"
             raise InputError(out, problem, "nothing was written; try other versions of the extra")
         with atomic(out) as temporary:
             shutil.copyfile(path, temporary)
-    return Exported((out,), notes, apart)
+    return Exported((out,), notes, parity)

@@ -1,4 +1,4 @@
-"""Folders made of a detector: a page that finds the road in a browser, and one for model hubs."""
+"""Folders made of a detector: a page that runs it in a browser, and one for model hubs."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ from roadtorch.base.image import to_pixels, write_pixels
 from roadtorch.base.settings import to_toml
 from roadtorch.detectors.catalogue import CONFIG
 from roadtorch.detectors.detector import Detector
-from roadtorch.export.export import Exported, export_detector, part_of
+from roadtorch.export.export import Exported, export_detector, find_part
 from roadtorch.layout.weights import card_of, terms_of
 from roadtorch.testing.scenes import render_scene
 
@@ -21,43 +21,43 @@ from roadtorch.testing.scenes import render_scene
 
 STATIC = Path(__file__).with_name("static")
 
-OFFLINE = "offline.js"
-"""The service worker; it keeps the others under a name that changes with any of them."""
+SERVICE_WORKER = "offline.js"
+"""Service worker; its cache is named after the content of the other files."""
 
-RUNTIME = ("ort.wasm.min.mjs", "ort-wasm-simd-threaded.mjs", "ort-wasm-simd-threaded.wasm")
-"""What the page needs of onnxruntime-web, an npm package under the MIT licence."""
+RUNTIME_FILES = ("ort.wasm.min.mjs", "ort-wasm-simd-threaded.mjs", "ort-wasm-simd-threaded.wasm")
+"""Files that the page needs of onnxruntime-web, an npm package under the MIT licence."""
 
 RUNTIME_VERSION = "1.30.0"
 
 RUNTIME_FOLDER = Path("node_modules/onnxruntime-web/dist")
-"""Where npm puts it, below the folder in which it is called."""
+"""Folder that npm installs it to, below the working directory."""
 
 
 def export_page(detector: Detector, out: Path) -> Exported:
-    """Write the folder; the runtime is copied from ``RUNTIME_FOLDER``.
+    """Write the folder of a page; the runtime is copied from ``RUNTIME_FOLDER``.
 
-    Raises ConfigError where that is not there, for a detector whose graph has no trust, and as
-    ``export_detector``.
+    Raises ConfigError where the runtime is missing, for a detector whose graph has no trust, and as
+    ``export_detector`` does.
     """
     if not detector.name.startswith("fusion"):
         raise ConfigError(detector.name, "has no page", "take fusion or fusion:large")
-    if any(not (RUNTIME_FOLDER / name).is_file() for name in RUNTIME):
+    if any(not (RUNTIME_FOLDER / name).is_file() for name in RUNTIME_FILES):
         hint = f"npm install onnxruntime-web@{RUNTIME_VERSION}, in the folder you are in"
         raise ConfigError(RUNTIME_FOLDER, "is not there or incomplete", hint)
     exported = export_detector(detector, out / "road.onnx")
     write_pixels(out / "street.jpg", to_pixels(render_scene(2, 360, 640).image))
-    sources = [*sorted(STATIC.iterdir()), *(RUNTIME_FOLDER / name for name in RUNTIME)]
+    sources = [*sorted(STATIC.iterdir()), *(RUNTIME_FOLDER / name for name in RUNTIME_FILES)]
     digests = "".join(digest_of(path) for path in (exported.files[0], *sources))
     fetched = ["road.onnx", "street.jpg", *(source.name for source in sources)]
     for source in sources:
         with atomic(out / source.name) as temporary:
             shutil.copyfile(source, temporary)
-    worker = (STATIC / OFFLINE).read_text(encoding="utf-8")
+    worker = (STATIC / SERVICE_WORKER).read_text(encoding="utf-8")
     worker = worker.replace("VERSION", hashlib.sha256(digests.encode()).hexdigest()[:12])
     worker = worker.replace(
-        "[]", json.dumps(["./", *(name for name in fetched if name != OFFLINE)])
+        "[]", json.dumps(["./", *(name for name in fetched if name != SERVICE_WORKER)])
     )
-    with atomic(out / OFFLINE) as temporary:
+    with atomic(out / SERVICE_WORKER) as temporary:
         temporary.write_text(worker, encoding="utf-8")
     return replace(exported, files=tuple(out / name for name in fetched))
 
@@ -65,15 +65,15 @@ def export_page(detector: Detector, out: Path) -> Exported:
 # --- a model hub: weights, settings, and cards made from theirs --------------------------
 
 
-README = "README.md"
+README_FILE = "README.md"
 
-NAMES = {"weights": "model", "second": "second"}
-"""What the files of a network are called: its group of settings, and their name in the folder."""
+HUB_NAMES = {"weights": "model", "second": "second"}
+"""File name in the folder of each network, by its group of settings."""
 
-LINK = re.compile(r"\[([^\]]*)\]\((?!https?:)[^)]*\)")
-"""A link of a card to a file of roadtorch's repository, which is not beside it on a hub."""
+RELATIVE_LINK = re.compile(r"\[([^\]]*)\]\((?!https?:)[^)]*\)")
+"""A link of a card to a file of roadtorch's repository, which the folder does not hold."""
 
-FRONT = """---
+HUB_README = """---
 license: {licence}
 library_name: roadtorch
 pipeline_tag: image-segmentation
@@ -94,28 +94,28 @@ detection.mask  # bool (H,W); .likelihood, .trust
 
 
 def export_folder(detector: Detector, out: Path) -> tuple[Path, ...]:
-    """Write weights, settings and cards; ``load_detector(out)`` makes the detector again.
+    """Write weights, settings and cards; ``load_detector(out)`` loads the detector from there.
 
-    Returns the files. Raises ConfigError for a detector without a network of its own.
+    Returns the files. Raises ConfigError for a detector without a network.
     """
-    sources, settings = part_of(detector).weights, detector.settings
+    sources, settings = find_part(detector).weights, detector.settings
     make_folder(out)
-    stored, files, cards = settings, [], []
-    for (group, name), source in zip(NAMES.items(), sources, strict=False):
-        own = getattr(settings, group).model_copy(update={"file": f"{name}.safetensors"})
-        stored = stored.model_copy(update={group: own})
-        files.append(out / own.file)
+    hub_settings, files, cards = settings, [], []
+    for (group, name), source in zip(HUB_NAMES.items(), sources, strict=False):
+        network = getattr(settings, group).model_copy(update={"file": f"{name}.safetensors"})
+        hub_settings = hub_settings.model_copy(update={group: network})
+        files.append(out / network.file)
         with atomic(files[-1]) as temporary:
             shutil.copyfile(source, temporary)
         if card := card_of(source):
             cards.append(out / f"{name}.md")
-            write_text(cards[-1], LINK.sub(r"\1", card).replace(source.name, own.file))
-    write_text(out / CONFIG, to_toml(detector.name, stored))
+            write_text(cards[-1], RELATIVE_LINK.sub(r"\1", card).replace(source.name, network.file))
+    write_text(out / CONFIG, to_toml(detector.name, hub_settings))
     free = all(terms_of(source).startswith("anything") for source in sources)
     licence = "apache-2.0" if free else "other"
-    text = FRONT.format(licence=licence, name=f"roadtorch {detector.name}")
+    text = HUB_README.format(licence=licence, name=f"roadtorch {detector.name}")
     if cards:
         links = ", ".join(f"[{card.name}]({card.name})" for card in cards)
         text = f"{text}\nWhat the weights learned from: {links}.\n"
-    write_text(out / README, text)
-    return (*files, out / CONFIG, out / README, *cards)
+    write_text(out / README_FILE, text)
+    return (*files, out / CONFIG, out / README_FILE, *cards)

@@ -52,7 +52,7 @@ def whole(camvid, tmp_path_factory) -> tuple[Result, Path]:
 @pytest.fixture
 def _no_page(monkeypatch):
     """What is drawn takes longer than all that is scored here."""
-    monkeypatch.setattr(files, "run_charts", lambda _: {})
+    monkeypatch.setattr(files, "build_charts", lambda _: {})
 
 
 def metrics(out: Path) -> dict:
@@ -203,7 +203,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_p
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    monkeypatch.setattr(scoring, "Scoring", None)  # must not be reached
+    monkeypatch.setattr(scoring, "ScoringTask", None)  # must not be reached
 
     with pytest.raises(InputError, match="out: cannot be written: Permission denied"):
         run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "out")

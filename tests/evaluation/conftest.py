@@ -13,8 +13,8 @@ from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics, uncertainty
 from roadtorch.evaluation.methods import Contender, Look
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.result import DetectorFigures, summarise
-from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.result import DetectorScores, summarise
+from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import Tally
 from roadtorch.testing.scenes import RenderedScene, render_scene
 from tests.streets import write_camvid
@@ -45,7 +45,7 @@ def dataset(scenes, tmp_path_factory) -> Dataset:
     return open_dataset("camvid", root, "train")
 
 
-def looking(likelihood: Answer, **cues: Answer) -> Look:
+def answering(likelihood: Answer, **cues: Answer) -> Look:
     """A detector that answers with a function of the item's name."""
 
     def look(image, item):
@@ -55,24 +55,24 @@ def looking(likelihood: Answer, **cues: Answer) -> Look:
     return look
 
 
-def counted(dataset: Dataset, look: Look) -> Tally:
+def tally_of(dataset: Dataset, look: Look) -> Tally:
     """What is counted of one detector on every image of a set."""
     total = Tally()
-    for result in score(dataset, [Contender("it", lambda _: look)]):
+    for result in score_dataset(dataset, [Contender("it", lambda _: look)]):
         assert not result.failure
-        total.add(result.item, result.scores["it"])
+        total.add(result.item, result.counts["it"])
     return total
 
 
-def summarised(tally: Tally, threshold: float = 0.5) -> DetectorFigures:
-    """The figures of a detector with this default threshold."""
+def scores_of(tally: Tally, threshold: float = 0.5) -> DetectorScores:
+    """The scores of a detector with this default threshold."""
     return summarise(Contender("it", lambda _: NotImplemented, threshold=threshold), tally)
 
 
 # --- counts of made-up maps ------------------------------------------------------------------
 
 
-def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
+def count(scores, road, levels=metrics.DEFAULT_LEVELS) -> RoadCounts:
     """The counts of one map, all of it valid."""
     scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
     return metrics.count_levels(scores, road, torch.ones_like(road), levels)
@@ -80,7 +80,7 @@ def count(scores, road, levels=metrics.LEVELS) -> RoadCounts:
 
 def stack(*parts: RoadCounts) -> RoadCounts:
     return RoadCounts(
-        torch.stack([part.road for part in parts]), torch.stack([part.other for part in parts])
+        torch.stack([part.road for part in parts]), torch.stack([part.background for part in parts])
     )
 
 
@@ -89,5 +89,5 @@ def random_map(seed: int, levels: int = 12) -> tuple[np.ndarray, np.ndarray]:
     generator = np.random.default_rng(seed)
     road = generator.random((9, 11)) < 0.4
     road[0, :2] = True, False
-    drawn = generator.integers(0, levels, road.shape) + 3 * road
-    return np.clip(drawn, 0, levels) / levels, road
+    values = generator.integers(0, levels, road.shape) + 3 * road
+    return np.clip(values, 0, levels) / levels, road

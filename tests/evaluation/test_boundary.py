@@ -31,8 +31,8 @@ def blob(generator: np.random.Generator) -> np.ndarray:
     """A ragged mask: two rectangles and a few flipped pixels."""
     mask = np.zeros(SIZE, bool)
     for _ in range(2):
-        (top, bottom), (left, right) = (np.sort(generator.integers(0, n, 2)) for n in SIZE)
-        mask[top : bottom + 1, left : right + 1] ^= True
+        (top, bottom), (start, end) = (np.sort(generator.integers(0, n, 2)) for n in SIZE)
+        mask[top : bottom + 1, start : end + 1] ^= True
     return mask ^ (generator.random(SIZE) < 0.02)
 
 
@@ -45,16 +45,16 @@ def test_counts_equal_looking_at_every_pair_of_pixels(seed):
     generator = np.random.default_rng(seed)
     mask, road = blob(generator), blob(generator)
     if seed % 2:  # a small road, of which what is far is not looked at
-        top, left = (generator.integers(1, side) for side in SIZE)
-        road[:top] = road[:, :left] = False
+        row, column = (generator.integers(1, side) for side in SIZE)
+        road[:row] = road[:, :column] = False
     valid = generator.random(SIZE) < generator.choice([0.8, 1.0])
     tolerances = (0.0, 1 * PIXEL, 2 * PIXEL, 0.123, 5 * PIXEL, 10 * PIXEL)
 
     maps = (torch.from_numpy(mask), torch.from_numpy(road), torch.from_numpy(valid))
-    found = boundary.count_boundary(*maps, tolerances)
+    counts = boundary.count_boundary(*maps, tolerances)
 
-    assert found.dtype == torch.int64
-    assert found.tolist() == [slow.count(mask, road, valid, share) for share in tolerances]
+    assert counts.dtype == torch.int64
+    assert counts.tolist() == [slow.count(mask, road, valid, share) for share in tolerances]
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -62,12 +62,12 @@ def test_a_border_exactly_as_far_as_the_tolerance_is_within_it(threads):
     # .0075 of the diagonal of 800 x 400 is the root of 45, and (3, 6) is as far.
     mask, road = torch.zeros(2, 800, 400, dtype=torch.bool)
     mask[20:780:40, 20:380:40] = road[23:783:40, 26:386:40] = True
-    before = cv2.getNumThreads()
+    threads_before = cv2.getNumThreads()
     cv2.setNumThreads(threads)
 
     counts = boundary.count_boundary(mask, road, torch.ones_like(mask), (0.0075, 0.00749))
 
-    cv2.setNumThreads(before)
+    cv2.setNumThreads(threads_before)
     dots = int(mask.sum())
     assert counts.tolist() == [[dots] * 4, [0, dots, 0, dots]]
 

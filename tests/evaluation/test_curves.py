@@ -24,8 +24,8 @@ def test_vertical_average_of_the_worked_example():
     at_twentieths = curves.vertical_sample(images, 20).mean(0)
     curve = curves.vertical_average(curves.vertical_sample(images, 100).mean(0))
 
-    found = [float(at_twentieths[round(20 * x)]) for x in (0, 0.1, 0.25, 0.5)]
-    assert found == pytest.approx([0.375, 0.45, 0.8125, 1.0], abs=1e-12)
+    average = [float(at_twentieths[round(20 * x)]) for x in (0, 0.1, 0.25, 0.5)]
+    assert average == pytest.approx([0.375, 0.45, 0.8125, 1.0], abs=1e-12)
     assert (curve.x[:2].tolist(), curve.y[:2].tolist()) == ([0, 0], [0, 0.375])
     assert float(curves.area(curve)) == pytest.approx(0.8552, abs=6e-5)
     assert float(curves.equal_error_rate(curve)) == pytest.approx(0.247664, abs=6e-7)
@@ -63,14 +63,14 @@ def test_vertical_sample_equals_reading_the_curve_at_each_rate(steps):
     curve = slow.roc(scores, road)
     background = int((~road).sum())
 
-    found = curves.vertical_sample(count(scores, road), steps)
+    rates = curves.vertical_sample(count(scores, road), steps)
 
     # Whole pixels where i/steps is a point of the curve, so that the twin's "=" can be met.
-    wanted = [
+    fpr = [
         i * background // steps / background if i * background % steps == 0 else i / steps
         for i in range(steps + 1)
     ]
-    assert found.tolist() == pytest.approx([slow.height(curve, x) for x in wanted], abs=1e-12)
+    assert rates.tolist() == pytest.approx([slow.height(curve, x) for x in fpr], abs=1e-12)
 
 
 @pytest.mark.parametrize("bins", [1, 7, 20])
@@ -84,19 +84,28 @@ def test_calibration_equals_scikit_learn(bins):
 
     observed, predicted = calibration_curve(road, scores, n_bins=bins)
     inside = np.searchsorted(np.linspace(0, 1, bins + 1)[1:-1], scores)
-    filled = curve.share > 0
-    assert curve.share.tolist() == (np.bincount(inside, minlength=bins) / 500).tolist()
+    filled = curve.fraction > 0
+    assert curve.fraction.tolist() == (np.bincount(inside, minlength=bins) / 500).tolist()
     assert curve.predicted[filled].tolist() == pytest.approx(predicted.tolist(), abs=1e-12)
     assert curve.observed[filled].tolist() == pytest.approx(observed.tolist(), abs=1e-12)
-    gaps = np.abs(observed - predicted) * curve.share[filled].numpy()
-    assert float(curves.expected_error(counts, bins)) == pytest.approx(gaps.sum(), abs=1e-12)
-    assert float(curves.brier(counts)) == pytest.approx(brier_score_loss(road, scores), abs=1e-12)
+    gaps = np.abs(observed - predicted) * curve.fraction[filled].numpy()
+    assert float(curves.expected_calibration_error(counts, bins)) == pytest.approx(
+        gaps.sum(), abs=1e-12
+    )
+    assert float(curves.brier_score(counts)) == pytest.approx(
+        brier_score_loss(road, scores), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     "figure",
     [
-        *(metrics.auc, metrics.average_precision, curves.brier, curves.expected_error),
+        *(
+            metrics.auc,
+            metrics.average_precision,
+            curves.brier_score,
+            curves.expected_calibration_error,
+        ),
         lambda counts: metrics.max_f(counts)[0],
         lambda counts: curves.operating_points(counts).x,
         lambda counts: curves.area(curves.operating_points(counts)),
@@ -121,5 +130,5 @@ def test_curves_of_one_class_are_nan(road):
     assert bool(curves.equal_error_rate(curves.operating_points(lacking)).isnan())
     assert bool(curves.area(curves.roc(lacking)).isnan())
     nothing = RoadCounts(torch.zeros(256, dtype=torch.int64), torch.zeros(256, dtype=torch.int64))
-    assert curves.brier(nothing).isnan()
-    assert curves.expected_error(nothing).isnan()
+    assert curves.brier_score(nothing).isnan()
+    assert curves.expected_calibration_error(nothing).isnan()

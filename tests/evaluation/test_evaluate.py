@@ -15,9 +15,9 @@ from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import metrics, scoring
 from roadtorch.evaluation.evaluate import evaluate
-from roadtorch.evaluation.report.files import document
+from roadtorch.evaluation.report.files import build_document
 from roadtorch.evaluation.result import Evaluation
-from roadtorch.evaluation.tally import WHOLE
+from roadtorch.evaluation.tally import UNGROUPED
 from roadtorch.testing.scenes import write_image
 from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
 
@@ -46,20 +46,20 @@ def found(camvid) -> Evaluation:
 
 
 def test_metrics_json_has_every_figure_under_its_key(found):
-    content = document(found, "the command")
+    content = build_document(found, "the command")
 
-    one, figures = content["detectors"][ORACLE], found.detectors[ORACLE]
+    section, scores = content["detectors"][ORACLE], found.detectors[ORACLE]
     assert json.loads(json.dumps(content, allow_nan=False)) == content
     assert content["command"] == "the command"
-    assert one["maxf"] == figures.headline["maxf"]
-    assert one["layout"]["void_as_vertical"]["mean"] <= 1
-    assert one["pooled"]["boundary_f"].keys() == {"0.00375", "0.0075"}
-    assert one["ci95"]["layout_mean"] == [1, 1]
-    assert one["maxf_threshold"] == figures.best_threshold
+    assert section["maxf"] == scores.headline["maxf"]
+    assert section["layout"]["void_as_vertical"]["mean"] <= 1
+    assert section["pooled"]["boundary_f"].keys() == {"0.00375", "0.0075"}
+    assert section["ci95"]["layout_mean"] == [1, 1]
+    assert section["maxf_threshold"] == scores.best_threshold
     assert {name: each["baseline"] for name, each in content["detectors"].items()} == {
         ORACLE: False, "prior:rows": True, "prior:triangle": True, "prior:mean": True
     }  # fmt: skip
-    assert one["settings"] == DECISION | {"doubt": 0.2}
+    assert section["settings"] == DECISION | {"doubt": 0.2}
     assert content["detectors"]["prior:rows"]["settings"] == DECISION
     assert content["paired"]["against"] == ORACLE
     assert content["paired"]["detectors"]["prior:rows"]["maxf"]
@@ -76,21 +76,21 @@ def test_the_detector_to_compare_with_joins_the_run(camvid):
 
 
 def test_sets_without_groups_use_the_default_or_another_threshold(found, camvid, plain, tmp_path):
-    write_json(tmp_path / "metrics.json", document(found, ""))
+    write_json(tmp_path / "metrics.json", build_document(found, ""))
     settings = {"doubt": 0.2}
 
-    own = evaluate(plain, [ORACLE], settings=settings).detectors
-    given = evaluate(
+    by_default = evaluate(plain, [ORACLE], settings=settings).detectors
+    by_earlier = evaluate(
         plain, [ORACLE], settings=settings, mean_from=camvid,
         threshold_from=tmp_path / "metrics.json",
     ).detectors  # fmt: skip
 
-    assert own[ORACLE].groups == own[ORACLE].pooled == {}
-    assert own[ORACLE].thresholds == {WHOLE: 0.5}
-    assert "prior:mean" not in own
-    assert given[ORACLE].threshold_from == "an earlier run"
+    assert by_default[ORACLE].groups == by_default[ORACLE].pooled == {}
+    assert by_default[ORACLE].thresholds == {UNGROUPED: 0.5}
+    assert "prior:mean" not in by_default
+    assert by_earlier[ORACLE].threshold_from == "an earlier run"
     for name in (ORACLE, "prior:mean", "prior:rows"):
-        assert given[name].headline["threshold"] == found.detectors[name].best_threshold
+        assert by_earlier[name].headline["threshold"] == found.detectors[name].best_threshold
 
 
 def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid, tmp_path):
@@ -98,15 +98,15 @@ def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid
         road = (SCENES[name].road * 255).to(torch.uint8)
         cv2.imwrite(str(tmp_path / f"{name}.png"), road.numpy())
 
-    theirs = evaluate(camvid, [f"net={tmp_path}"])
+    run = evaluate(camvid, [f"net={tmp_path}"])
 
-    assert set(theirs.detectors) == {"maps:net", "prior:rows", "prior:triangle", "prior:mean"}
-    assert theirs.detectors["maps:net"].headline["maxf"] == pytest.approx(1)
-    assert theirs.detectors["maps:net"].headline["iou_mask"] == 1
+    assert set(run.detectors) == {"maps:net", "prior:rows", "prior:triangle", "prior:mean"}
+    assert run.detectors["maps:net"].headline["maxf"] == pytest.approx(1)
+    assert run.detectors["maps:net"].headline["iou_mask"] == 1
     missing = next(iter(SCENES))
-    assert [one.image for one in theirs.failures] == [missing]
-    assert f"maps:net: {tmp_path / missing}.png: is missing" in theirs.failures[0].reason
-    assert theirs.images == 5
+    assert [one.image for one in run.failures] == [missing]
+    assert f"maps:net: {tmp_path / missing}.png: is missing" in run.failures[0].reason
+    assert run.images == 5
 
 
 def test_maps_may_lie_as_the_images_do_in_the_set(plain, tmp_path):
@@ -114,10 +114,10 @@ def test_maps_may_lie_as_the_images_do_in_the_set(plain, tmp_path):
     for name, scene in SCENES.items():
         cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), 255 * scene.road.numpy())
 
-    theirs = evaluate(plain, [f"net={tmp_path}"])
+    run = evaluate(plain, [f"net={tmp_path}"])
 
-    assert theirs.failures == []
-    assert theirs.detectors["maps:net"].headline["iou_mask"] == 1
+    assert run.failures == []
+    assert run.detectors["maps:net"].headline["iou_mask"] == 1
 
 
 # --- what is refused -----------------------------------------------------------------------------
@@ -151,8 +151,8 @@ def test_another_file_than_a_metrics_json_is_refused(camvid, tmp_path, text):
 def test_what_can_be_refused_is_refused_before_the_run(
     found, camvid, tmp_path, monkeypatch, detector, options, message
 ):
-    monkeypatch.setattr(scoring, "Scoring", None)  # must not be reached
-    write_json(tmp_path / "metrics.json", document(found, ""))
+    monkeypatch.setattr(scoring, "ScoringTask", None)  # must not be reached
+    write_json(tmp_path / "metrics.json", build_document(found, ""))
     values = {"metrics.json": tmp_path / "metrics.json", "camvid": camvid}
     options = {key: values.get(str(value), value) for key, value in options.items()}
 
@@ -195,23 +195,23 @@ def without_times(content):
 
 def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
     out = GROUPS[2]
-    others = tuple(item for item in camvid.items if item.group != out)
+    remaining = tuple(item for item in camvid.items if item.group != out)
     whole = evaluate(camvid, ["grey-uniformity"])
 
-    found = evaluate(leave_out(camvid, [out]), ["grey-uniformity"])
-    alone = evaluate(replace(camvid, items=others), ["grey-uniformity"])
+    run = evaluate(leave_out(camvid, [out]), ["grey-uniformity"])
+    alone = evaluate(replace(camvid, items=remaining), ["grey-uniformity"])
 
-    kept, expected = (without_times(document(one, ""))["detectors"] for one in (found, alone))
+    kept, expected = (without_times(build_document(one, ""))["detectors"] for one in (run, alone))
     for name, one in kept.items():
         assert set(one.pop("left_out")) == {out}
         assert expected[name].pop("left_out") == {}
         assert one == expected[name]
-    assert (found.groups, found.left_out, found.images) == (list(GROUPS[:2]), [out], 6)
+    assert (run.groups, run.left_out, run.images) == (list(GROUPS[:2]), [out], 6)
     # It is scored at the threshold that the others share, and by all that needs none as before.
-    grey = found.detectors["grey-uniformity"]
+    grey = run.detectors["grey-uniformity"]
     assert grey.group(out)["threshold"] == grey.best_threshold
     assert grey.group(out)["maxf"] == whole.detectors["grey-uniformity"].group(out)["maxf"]
-    assert document(found, "")["left_out"] == [out]
+    assert build_document(run, "")["left_out"] == [out]
 
 
 def test_a_condition_has_the_figures_of_its_images_whatever_their_group(camvid):
@@ -220,11 +220,11 @@ def test_a_condition_has_the_figures_of_its_images_whatever_their_group(camvid):
     chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))
 
     name = "grey-uniformity"
-    found = evaluate(replace(camvid, items=items), [name]).detectors[name]
+    scores = evaluate(replace(camvid, items=items), [name]).detectors[name]
     alone = evaluate(replace(camvid, items=chosen), [name]).detectors[name].pooled
 
-    rain = found.conditions["rain"]
-    assert set(found.conditions) == {"rain", "dusk"}
+    rain = scores.conditions["rain"]
+    assert set(scores.conditions) == {"rain", "dusk"}
     assert rain["images"] == 2
     for key in ("f_mask", "iou_mask", "auc_mean", "boundary_f/0.0075"):
         assert rain[key] == pytest.approx(alone[key], abs=1e-12), key
@@ -235,7 +235,7 @@ def test_a_condition_has_the_figures_of_its_images_whatever_their_group(camvid):
     for item in chosen:
         truth, detection = camvid.truth(item), load_detector(name).detect(read_image(item.image))
         counts = metrics.count_levels(detection.likelihood, truth.road, truth.valid, 256)
-        f.append(metrics.decisions_at(counts, found.thresholds[item.group or ""]))
+        f.append(metrics.decisions_at(counts, scores.thresholds[item.group or ""]))
     assert rain["f"] == pytest.approx(float(metrics.f_measure(f[0] + f[1])))
 
 
@@ -246,7 +246,7 @@ def test_a_condition_without_a_image_that_could_be_scored_has_no_figures(camvid,
     broken = open_dataset("camvid", root)
     items = (replace(broken.items[0], conditions=("fog",)), *broken.items[1:])
 
-    found = evaluate(replace(broken, items=items), ["prior:rows"])
+    run = evaluate(replace(broken, items=items), ["prior:rows"])
 
-    assert found.conditions == []
-    assert "conditions" not in document(found, "")["detectors"]["prior:rows"]
+    assert run.conditions == []
+    assert "conditions" not in build_document(run, "")["detectors"]["prior:rows"]

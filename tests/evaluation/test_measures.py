@@ -39,7 +39,7 @@ def test_the_example_in_the_document_runs(tmp_path, monkeypatch, capsys):
 
     exec(compile(code, "docs/evaluation.md", "exec"), {})
 
-    told = capsys.readouterr().out
-    assert "prior:mean" in told
-    assert all(group in told for group in GROUPS)
+    output = capsys.readouterr().out
+    assert "prior:mean" in output
+    assert all(group in output for group in GROUPS)
     assert "alarms" in (tmp_path / "results/report.html").read_text()

@@ -9,7 +9,7 @@ from roadtorch.base.errors import ConfigError, WeightsError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, every_kth
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.methods import candidates, contenders, mean_masks, resize
+from roadtorch.evaluation.methods import contenders, mean_masks, parse_contenders, resize_map
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.road.fusion import prior_rows
@@ -43,7 +43,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
 )
 def test_a_text_names_a_detector_a_file_or_a_folder(files, text, name, detector):
-    (entry,) = candidates(text)
+    (entry,) = parse_contenders(text)
 
     assert (entry.name, entry.detector) == (name, detector)
     if detector == "cpf":
@@ -52,7 +52,7 @@ def test_a_text_names_a_detector_a_file_or_a_folder(files, text, name, detector)
 
 def test_settings_reach_what_has_a_detector_and_go_before_those_of_a_file(files):
     thresholds = [
-        candidates(text, {"threshold": 0.75})[0].threshold
+        parse_contenders(text, {"threshold": 0.75})[0].threshold
         for text in ("cpf", "mine/a=b.toml", "theirs")
     ]
 
@@ -74,7 +74,7 @@ def test_settings_reach_what_has_a_detector_and_go_before_those_of_a_file(files)
 )
 def test_a_text_that_names_nothing_is_refused(files, text, error, message):
     with pytest.raises(error, match=message):
-        candidates(text)
+        parse_contenders(text)
 
 
 def test_each_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
@@ -91,27 +91,27 @@ def test_each_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
 def test_the_mean_mask_is_the_other_groups(dataset, scenes):
     shares = {}
     for group in GROUPS:
-        own = [scene for name, scene in scenes.items() if name.startswith(group)]
-        road = torch.stack([scene.road & ~scene.void for scene in own]).double().sum(0)
-        seen = torch.stack([~scene.void for scene in own]).double().sum(0)
-        shares[group] = road / seen.clamp(min=1e-9)
+        members = [scene for name, scene in scenes.items() if name.startswith(group)]
+        road = torch.stack([scene.road & ~scene.void for scene in members]).double().sum(0)
+        valid = torch.stack([~scene.void for scene in members]).double().sum(0)
+        shares[group] = road / valid.clamp(min=1e-9)
 
-    found = mean_masks(dataset)["0001TP"]
+    mask = mean_masks(dataset)["0001TP"]
 
-    assert torch.allclose(found, (shares["0006R0"] + shares["0016E5"]) / 2)
+    assert torch.allclose(mask, (shares["0006R0"] + shares["0016E5"]) / 2)
     assert mean_masks(every_kth(dataset, 1)) == {}  # one group alone teaches nothing
 
 
 def test_a_mask_from_elsewhere_is_brought_to_the_size_of_the_image(dataset):
-    one = every_kth(dataset, 1)
+    single = every_kth(dataset, 1)
 
-    *_, mean = contenders(one, (), {}, mean_from=dataset)
-    found = mean.prepare(one)(torch.zeros(3, 24, 32), one.items[0])
+    *_, mean = contenders(single, (), {}, mean_from=dataset)
+    detection = mean.prepare(single)(torch.zeros(3, 24, 32), single.items[0])
 
     assert mean.name == "prior:mean"
-    assert found.likelihood.shape == (24, 32)
-    assert found.likelihood[0].max() < 0.1
-    assert found.likelihood[-1].mean() > 0.5
+    assert detection.likelihood.shape == (24, 32)
+    assert detection.likelihood[0].max() < 0.1
+    assert detection.likelihood[-1].mean() > 0.5
 
 
 # --- on real labels ------------------------------------------------------------------------------
@@ -123,7 +123,7 @@ def baseline_scores(dataset: Dataset, maps: dict | None = None) -> dict[str, flo
     for item in dataset.items:
         truth, group = dataset.truth(item), item.group or ""
         size = truth.road.shape
-        likelihood = resize(maps[group], size) if maps else prior_rows(*size)
+        likelihood = resize_map(maps[group], size) if maps else prior_rows(*size)
         more = metrics.count_levels(likelihood, truth.road, truth.valid)
         counts[group] = counts[group] + more if group in counts else more
     return {group: float(metrics.max_f(part)[0]) for group, part in counts.items()}
@@ -131,9 +131,9 @@ def baseline_scores(dataset: Dataset, maps: dict | None = None) -> dict[str, flo
 
 @pytest.mark.data
 def test_row_prior_on_camvid_by_group(data_root):
-    found = baseline_scores(open_dataset("camvid", data_root / "camvid"))
+    scores = baseline_scores(open_dataset("camvid", data_root / "camvid"))
 
-    assert found == pytest.approx({"0001TP": 0.834, "0006R0": 0.905, "0016E5": 0.852}, abs=6e-4)
+    assert scores == pytest.approx({"0001TP": 0.834, "0006R0": 0.905, "0016E5": 0.852}, abs=6e-4)
 
 
 @pytest.mark.data

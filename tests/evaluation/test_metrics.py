@@ -48,7 +48,7 @@ def test_iou_at_a_threshold_and_of_a_mask_leave_void_out(seed):
     assert int(outcome.true_negative) == (valid & ~road & (scores < 0.5)).sum()
 
 
-@pytest.mark.parametrize("levels", [2, 13, 256, metrics.LEVELS])
+@pytest.mark.parametrize("levels", [2, 13, 256, metrics.DEFAULT_LEVELS])
 def test_level_counts_equal_counting_pixel_by_pixel(levels):
     generator = np.random.default_rng(levels)
     scores = generator.random((7, 9)).astype(np.float32)
@@ -56,11 +56,11 @@ def test_level_counts_equal_counting_pixel_by_pixel(levels):
     road, valid = generator.random((2, 7, 9)) < [[[0.4]], [[0.8]]]
 
     maps = (torch.from_numpy(scores), torch.from_numpy(road), torch.from_numpy(valid))
-    found = metrics.count_levels(*maps, levels)
+    counts = metrics.count_levels(*maps, levels)
 
-    on_road, other = slow.count_levels(scores, road, valid, levels)
-    assert np.array_equal(found.road.numpy(), on_road)
-    assert np.array_equal(found.other.numpy(), other)
+    on_road, background = slow.count_levels(scores, road, valid, levels)
+    assert np.array_equal(counts.road.numpy(), on_road)
+    assert np.array_equal(counts.background.numpy(), background)
 
 
 # --- P1: precision, recall and F of a whole data set (eq. 11) -------------------------------------
@@ -166,25 +166,25 @@ KITTI_COUNTED = {
 def test_counts_of_the_development_kit_at_single_thresholds(name):
     outcomes = {k: metrics.decisions_at(kitti_cases()[name], k / 255) for k in KITTI_COUNTED[name]}
 
-    found = {
+    errors = {
         k: (int(outcome.false_negative), int(outcome.false_positive))
         for k, outcome in outcomes.items()
     }
 
-    assert found == KITTI_COUNTED[name]
+    assert errors == KITTI_COUNTED[name]
 
 
 def test_8_bit_maps_score_the_same_at_16_bits():
     scores, road, valid = kitti_frame(0)
-    fine, coarse = kitti_counts(scores, road, valid, metrics.LEVELS), kitti_cases()["first"]
+    fine, coarse = kitti_counts(scores, road, valid, metrics.DEFAULT_LEVELS), kitti_cases()["first"]
 
     assert torch.equal(metrics.max_f(fine)[0], metrics.max_f(coarse)[0])
     assert torch.equal(metrics.auc(fine), metrics.auc(coarse))
     assert torch.equal(metrics.coarsen(fine).road, coarse.road)
-    assert torch.equal(metrics.coarsen(fine).other, coarse.other)
+    assert torch.equal(metrics.coarsen(fine).background, coarse.background)
 
 
-@pytest.mark.parametrize("levels", [256, metrics.LEVELS])
+@pytest.mark.parametrize("levels", [256, metrics.DEFAULT_LEVELS])
 def test_a_threshold_means_the_lowest_level_that_reaches_it(levels):
     for k in range(0, levels, max(1, levels // 500)):
         assert metrics.threshold_level(k / (levels - 1), levels) == k
@@ -226,9 +226,9 @@ def test_layout_confusion_equals_counting_pixels():
     generator = np.random.default_rng(0)
     labels, truth = (generator.choice([0, 1, 2, 255], (7, 8)).astype(np.uint8) for _ in range(2))
 
-    found = metrics.count_layout(torch.from_numpy(labels), torch.from_numpy(truth))
+    confusion = metrics.count_layout(torch.from_numpy(labels), torch.from_numpy(truth))
 
-    assert np.array_equal(found.numpy(), confusion_matrix(truth.ravel(), labels.ravel()))
+    assert np.array_equal(confusion.numpy(), confusion_matrix(truth.ravel(), labels.ravel()))
 
 
 #                         sky vert. horiz. unlabelled
@@ -259,11 +259,11 @@ def test_figures_of_a_confusion_by_hand():
 
 
 def test_figures_of_several_confusions_are_those_of_each():
-    both = torch.stack([CONFUSION, 2 * CONFUSION.T])
+    stacked = torch.stack([CONFUSION, 2 * CONFUSION.T])
 
     for formula in (
         *(metrics.class_recalls, metrics.normalised_confusion, metrics.void_as_vertical),
         *(metrics.mean_class_recall, metrics.layout_accuracy, metrics.labelled_share),
     ):
         alone = torch.stack([formula(CONFUSION), formula(2 * CONFUSION.T)])
-        assert torch.equal(formula(both), alone)
+        assert torch.equal(formula(stacked), alone)

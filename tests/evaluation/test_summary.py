@@ -1,4 +1,4 @@
-"""From counts to figures: groups, their means, thresholds chosen on other groups."""
+"""From counts to scores: groups, their means, thresholds chosen on other groups."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.report.files import COLUMNS, image_rows
+from roadtorch.evaluation.report.files import IMAGE_COLUMNS, image_rows
 from roadtorch.evaluation.result import (
     Comparison,
     Evaluation,
@@ -25,23 +25,26 @@ from roadtorch.evaluation.result import (
 )
 from roadtorch.evaluation.tally import Score, Tally
 from roadtorch.layout.classes import NAMES
-from tests.evaluation.conftest import GROUPS, counted, looking, summarised
+from tests.evaluation.conftest import GROUPS, answering, scores_of, tally_of
 
 
 def counts_of(road_levels: dict[int, int], other_levels: dict[int, int], levels=11) -> RoadCounts:
-    road, other = torch.zeros(levels, dtype=torch.int64), torch.zeros(levels, dtype=torch.int64)
-    for part, chosen in ((road, road_levels), (other, other_levels)):
+    road, background = (
+        torch.zeros(levels, dtype=torch.int64),
+        torch.zeros(levels, dtype=torch.int64),
+    )
+    for part, chosen in ((road, road_levels), (background, other_levels)):
         for level, number in chosen.items():
             part[level] = number
-    return RoadCounts(road, other)
+    return RoadCounts(road, background)
 
 
-# --- figures -------------------------------------------------------------------------------------
+# --- scores -------------------------------------------------------------------------------------
 
 
 def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
-    perfect = summarised(counted(dataset, looking(lambda n: scenes[n].road)))
-    inverted = summarised(counted(dataset, looking(lambda n: ~scenes[n].road)))
+    perfect = scores_of(tally_of(dataset, answering(lambda n: scenes[n].road)))
+    inverted = scores_of(tally_of(dataset, answering(lambda n: ~scenes[n].road)))
 
     for one in MEASURES:
         if one.key in perfect.headline and not one.key.startswith("layout/"):
@@ -58,9 +61,9 @@ def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
 def test_headline_is_the_mean_over_groups_of_pooled_counts(dataset, scenes):
     generator = torch.Generator().manual_seed(0)
     noise = {name: torch.rand(48, 64, generator=generator) for name in scenes}
-    found = counted(dataset, looking(lambda n: (0.4 * scenes[n].road + noise[n]) / 1.4))
+    tally = tally_of(dataset, answering(lambda n: (0.4 * scenes[n].road + noise[n]) / 1.4))
 
-    figures = summarised(found)
+    scores = scores_of(tally)
 
     by_hand = []
     for group in GROUPS:
@@ -72,11 +75,11 @@ def test_headline_is_the_mean_over_groups_of_pooled_counts(dataset, scenes):
             if n.startswith(group)
         ]
         by_hand.append(float(metrics.max_f(counts[0] + counts[1])[0]))
-        assert figures.groups[group]["maxf"] == pytest.approx(by_hand[-1])
-    assert figures.headline["maxf"] == pytest.approx(sum(by_hand) / 3)
-    everything = found.road["0001TP"] + found.road["0006R0"] + found.road["0016E5"]
-    assert figures.pooled["maxf"] == pytest.approx(float(metrics.max_f(everything)[0]))
-    assert figures.pooled["images"] == 6
+        assert scores.groups[group]["maxf"] == pytest.approx(by_hand[-1])
+    assert scores.headline["maxf"] == pytest.approx(sum(by_hand) / 3)
+    everything = tally.road["0001TP"] + tally.road["0006R0"] + tally.road["0016E5"]
+    assert scores.pooled["maxf"] == pytest.approx(float(metrics.max_f(everything)[0]))
+    assert scores.pooled["images"] == 6
 
 
 def test_an_image_without_road_is_skipped_in_the_mean_auc():
@@ -85,18 +88,18 @@ def test_an_image_without_road_is_skipped_in_the_mean_auc():
     total.add(item, score({5: 3}, {2: 3}, seconds=0.1))
     total.add(replace(item, name="b"), score({}, {2: 3}, seconds=0.3))
 
-    figures = summarised(total)
+    scores = scores_of(total)
 
-    assert figures.headline["auc_mean"] == 1
-    assert figures.headline["ms_per_image"] == pytest.approx(200)
+    assert scores.headline["auc_mean"] == 1
+    assert scores.headline["ms_per_image"] == pytest.approx(200)
 
 
-def score(road: dict[int, int], other: dict[int, int], seconds: float) -> Score:
-    hits, rest = (torch.tensor(sum(part.values())) for part in (road, other))
+def score(road: dict[int, int], background: dict[int, int], seconds: float) -> Score:
+    hits, negatives = (torch.tensor(sum(part.values())) for part in (road, background))
     none = torch.tensor(0)
-    mask = metrics.Decisions(hits, none, none, rest)
+    mask = metrics.Decisions(hits, none, none, negatives)
     border = torch.zeros((len(boundary.TOLERANCES), 4), dtype=torch.int64)
-    return Score(counts_of(road, other), mask, border, None, None, seconds)
+    return Score(counts_of(road, background), mask, border, None, None, seconds)
 
 
 # --- thresholds ----------------------------------------------------------------------------------
@@ -106,12 +109,12 @@ def test_held_out_thresholds_never_see_their_own_group():
     # Two groups part cleanly at level 4, the third at level 8: peeking would move them.
     low, high = counts_of({4: 10}, {3: 10}), counts_of({8: 10}, {7: 10})
 
-    found = held_out_thresholds({"a": low, "b": low, "c": high})
+    thresholds = held_out_thresholds({"a": low, "b": low, "c": high})
 
-    assert found["c"] == pytest.approx(0.4)
+    assert thresholds["c"] == pytest.approx(0.4)
     changed = held_out_thresholds({"a": low, "b": low, "c": counts_of({2: 9}, {1: 9})})
-    assert changed["c"] == found["c"]
-    assert changed["a"] != found["a"]
+    assert changed["c"] == thresholds["c"]
+    assert changed["a"] != thresholds["a"]
 
 
 def test_groups_weigh_the_same_in_the_choice():
@@ -125,11 +128,11 @@ def test_groups_weigh_the_same_in_the_choice():
 def test_where_thresholds_come_from():
     counts = counts_of({4: 10}, {3: 10})
 
-    own = Contender("it", lambda _: NotImplemented, threshold=0.6)
+    contender = Contender("it", lambda _: NotImplemented, threshold=0.6)
 
-    assert choose_thresholds(own, {"all": counts})[1] == {"all": 0.6}
-    assert choose_thresholds(replace(own, chosen=0.2), {"all": counts})[1] == {"all": 0.2}
-    assert choose_thresholds(own, {"a": counts, "b": counts})[1]["a"] == 0.4
+    assert choose_thresholds(contender, {"all": counts})[1] == {"all": 0.6}
+    assert choose_thresholds(replace(contender, chosen=0.2), {"all": counts})[1] == {"all": 0.2}
+    assert choose_thresholds(contender, {"a": counts, "b": counts})[1]["a"] == 0.4
 
 
 def test_iou_is_taken_at_the_held_out_threshold(dataset, scenes):
@@ -137,9 +140,9 @@ def test_iou_is_taken_at_the_held_out_threshold(dataset, scenes):
         scale = 0.3 if name.startswith("0001TP") else 1.0
         return scale * (0.4 + 0.6 * scenes[name].road)
 
-    figures = summarised(counted(dataset, looking(likelihood)))
+    scores = scores_of(tally_of(dataset, answering(likelihood)))
 
-    dusk = figures.groups["0001TP"]
+    dusk = scores.groups["0001TP"]
     assert dusk["maxf"] == pytest.approx(1)
     assert dusk["threshold"] > 0.3
     assert dusk["iou"] == 0
@@ -157,19 +160,19 @@ def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
         truth = scenes[name].layout
         return torch.where(truth == 2, 255, truth)
 
-    road = looking(lambda n: scenes[n].road, layout=potentials, layout_labels=labels)
-    figures = summarised(counted(dataset, road))
+    road = answering(lambda n: scenes[n].road, layout=potentials, layout_labels=labels)
+    scores = scores_of(tally_of(dataset, road))
 
-    group = figures.groups["0001TP"]
+    group = scores.groups["0001TP"]
     assert [group[f"layout/{name}"] for name in NAMES] == [1, 1, 0]
-    assert figures.headline["layout/mean"] == pytest.approx(2 / 3)
+    assert scores.headline["layout/mean"] == pytest.approx(2 / 3)
     assert group["layout/labelled/mean"] == 1
     assert 0.2 < group["layout/labelled_share"] < 0.8
-    own = [scene for name, scene in scenes.items() if name.startswith("0001TP")]
-    right = sum(int(((one.layout != 2) & ~one.void).sum()) for one in own)
-    known = sum(int((~one.void).sum()) for one in own)
-    assert group["layout/accuracy"] == pytest.approx(right / known)
-    assert figures.headline["layout/confusion/horizontal/vertical"] == 1
+    members = [scene for name, scene in scenes.items() if name.startswith("0001TP")]
+    right = sum(int(((one.layout != 2) & ~one.void).sum()) for one in members)
+    valid = sum(int((~one.void).sum()) for one in members)
+    assert group["layout/accuracy"] == pytest.approx(right / valid)
+    assert scores.headline["layout/confusion/horizontal/vertical"] == 1
 
 
 # --- trust, calibration --------------------------------------------------------------------------
@@ -190,18 +193,18 @@ def trusting(scenes, trusts: Mapping[str, float | None]):
 def test_trust_is_measured_on_all_images_together_and_by_group(dataset, scenes):
     knowing = {name: 1 - place / 10 for place, name in enumerate(scenes)}
 
-    tally = counted(dataset, trusting(scenes, knowing))
-    figures = summarised(tally)
-    blind = summarised(counted(dataset, trusting(scenes, dict.fromkeys(scenes, 0.5)))).headline
+    tally = tally_of(dataset, trusting(scenes, knowing))
+    scores = scores_of(tally)
+    blind = scores_of(tally_of(dataset, trusting(scenes, dict.fromkeys(scenes, 0.5)))).headline
 
     kept = tally.kept()
     f, trusts = metrics.f_measure(kept.mask), torch.tensor([knowing[name] for name in kept.names])
-    correlation = figures.headline["trust/rank_correlation"]
+    correlation = scores.headline["trust/rank_correlation"]
     assert correlation == pytest.approx(spearmanr(trusts, f)[0])
-    assert figures.headline["trust/aurc_random"] == pytest.approx(float((1 - f).mean()))
-    assert figures.headline["trust/error"] == pytest.approx(float((trusts - f).abs().mean()))
-    assert figures.groups["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
-    assert math.isnan(figures.headline["trust/rank_correlation_within"])  # two images a group
+    assert scores.headline["trust/aurc_random"] == pytest.approx(float((1 - f).mean()))
+    assert scores.headline["trust/error"] == pytest.approx(float((trusts - f).abs().mean()))
+    assert scores.groups["0001TP"]["trust/rank_correlation"] == pytest.approx(1)
+    assert math.isnan(scores.headline["trust/rank_correlation_within"])  # two images a group
     assert blind["trust/aurc"] == pytest.approx(blind["trust/aurc_random"])
     assert math.isnan(blind["trust/rank_correlation"])
 
@@ -209,14 +212,14 @@ def test_trust_is_measured_on_all_images_together_and_by_group(dataset, scenes):
 def test_images_without_trust_are_left_out_and_detectors_without_any_have_no_figure(
     dataset, scenes
 ):
-    first, *others = scenes
-    some = {first: None, **dict.fromkeys(others, 0.9)}
+    first, *trusted = scenes
+    some = {first: None, **dict.fromkeys(trusted, 0.9)}
 
-    tally = counted(dataset, trusting(scenes, some))
-    never = summarised(counted(dataset, trusting(scenes, dict.fromkeys(scenes, None))))
+    tally = tally_of(dataset, trusting(scenes, some))
+    never = scores_of(tally_of(dataset, trusting(scenes, dict.fromkeys(scenes, None))))
 
-    rest = 1 - metrics.f_measure(tally.named(others).mask)
-    assert summarised(tally).headline["trust/aurc_random"] == pytest.approx(float(rest.mean()))
+    risks = 1 - metrics.f_measure(tally.select(trusted).mask)
+    assert scores_of(tally).headline["trust/aurc_random"] == pytest.approx(float(risks.mean()))
     assert not any(key.startswith("trust/") for key in (*never.headline, *never.pooled))
 
 
@@ -231,18 +234,18 @@ def test_a_row_holds_f_and_iou_of_the_mask_and_its_trust(dataset, scenes):
         mask[24:] = True
         return Detection(mask.float(), mask, {}, 0.625 if item.name == first else None)
 
-    tally = counted(dataset, look)
+    tally = tally_of(dataset, look)
     left_out = {GROUPS[1]: {}}
-    figures = replace(summarised(tally), left_out=left_out)
-    run = Evaluation(dataset, {"it": figures}, Comparison("it", {}), tallies={"it": tally})
+    scores = replace(scores_of(tally), left_out=left_out)
+    run = Evaluation(dataset, {"it": scores}, Comparison("it", {}), tallies={"it": tally})
     rows = {row["image"]: row for row in image_rows(run)}
 
-    road, seen = scenes[first].road & ~scenes[first].void, ~scenes[first].void
-    hits, decided = int((road[24:]).sum()), int(seen[24:].sum())
+    road, valid = scenes[first].road & ~scenes[first].void, ~scenes[first].void
+    hits, decided = int((road[24:]).sum()), int(valid[24:].sum())
     f, iou = (float(rows[first][key]) for key in ("f_mask", "iou_mask"))
     assert f == pytest.approx(2 * hits / (decided + int(road.sum())), abs=1e-6)
     assert iou == pytest.approx(hits / (decided + int(road.sum()) - hits), abs=1e-6)
     assert [row["trust"] for row in rows.values()] == ["0.625000", *[""] * 5]
     for row in rows.values():
-        assert tuple(row) == COLUMNS
+        assert tuple(row) == IMAGE_COLUMNS
         assert row["status"] == ("left out" if row["group"] == GROUPS[1] else "ok")

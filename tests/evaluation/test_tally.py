@@ -11,9 +11,9 @@ from roadtorch.data.dataset import LabelledItem, every_kth
 from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import Contender, contenders, named_detector
-from roadtorch.evaluation.scoring import score
+from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import Tally
-from tests.evaluation.conftest import GROUPS, counted, looking, summarised
+from tests.evaluation.conftest import GROUPS, answering, scores_of, tally_of
 
 
 def look(image, item) -> Detection:
@@ -21,7 +21,7 @@ def look(image, item) -> Detection:
 
 
 def test_one_image_more_costs_little_memory(dataset):
-    tally = counted(dataset, look)
+    tally = tally_of(dataset, look)
     size = sum(tensor[0].nbytes for tensor in tally.columns.values())
 
     assert size < 2500  # bytes: 256 levels of road and of background, 4 each
@@ -29,31 +29,31 @@ def test_one_image_more_costs_little_memory(dataset):
 
 def test_images_with_and_without_layout_may_be_mixed_in_any_order(dataset):
     item, tally = dataset.items[0], Tally()
-    shown = next(score(dataset, [Contender("it", lambda _: look)])).scores["it"]
-    assert shown.layout is not None
+    with_layout = next(score_dataset(dataset, [Contender("it", lambda _: look)])).counts["it"]
+    assert with_layout.layout is not None
     for index in range(200):  # more than there is room for at first, before and after
         is_shown = 90 <= index < 100
-        counts = shown if is_shown else replace(shown, layout=None)
+        counts = with_layout if is_shown else replace(with_layout, layout=None)
         tally.add(replace(item, name=f"{index}"), counts)
 
     kept = tally.kept()
     layout = kept.layout
 
     assert list(kept.names) == [f"{index}" for index in range(200)]
-    assert (kept.road.road == counted(dataset, look).kept().road.road[0]).all()
+    assert (kept.road.road == tally_of(dataset, look).kept().road.road[0]).all()
     assert layout is not None
     assert len(layout) == 200
     assert torch.equal(layout.flatten(1).sum(1) > 0, (torch.arange(200) // 10) == 9)
 
 
 def test_images_come_group_by_group_when_groups_are_asked_for(dataset):
-    tally = counted(dataset, look)
+    tally = tally_of(dataset, look)
 
-    found = tally.kept(GROUPS[2:0:-1])
+    table = tally.kept(GROUPS[2:0:-1])
 
-    assert list(found.groups) == [GROUPS[2]] * 2 + [GROUPS[1]] * 2
-    assert torch.equal(found.road.road, tally.named(found.names).road.road[[2, 3, 0, 1]])
-    assert tally.kept(GROUPS[2:]).names == found.names[:2]
+    assert list(table.groups) == [GROUPS[2]] * 2 + [GROUPS[1]] * 2
+    assert torch.equal(table.road.road, tally.select(table.names).road.road[[2, 3, 0, 1]])
+    assert tally.kept(GROUPS[2:]).names == table.names[:2]
 
 
 def test_counts_go_between_processes_whole_and_small() -> None:
@@ -63,11 +63,11 @@ def test_counts_go_between_processes_whole_and_small() -> None:
     counts = metrics.count_levels(likelihood, road, torch.ones_like(road))
 
     message = pickle.dumps(counts)
-    found = pickle.loads(message)
+    restored = pickle.loads(message)
 
-    assert torch.equal(found.road, counts.road)
-    assert torch.equal(found.other, counts.other)
-    assert found.road.dtype == torch.int64
+    assert torch.equal(restored.road, counts.road)
+    assert torch.equal(restored.background, counts.background)
+    assert restored.road.dtype == torch.int64
     assert len(message) < 20 * 4800 < counts.road.numel() * 8
 
 
@@ -77,7 +77,9 @@ def test_counts_go_between_processes_whole_and_small() -> None:
 def test_results_keep_the_order_of_the_set_and_every_kth_spreads(dataset):
     chosen = every_kth(dataset, 3)
 
-    names = [result.item.name for result in score(chosen, [named_detector("prior:rows", {})])]
+    names = [
+        result.item.name for result in score_dataset(chosen, [named_detector("prior:rows", {})])
+    ]
 
     assert names == [dataset.items[i].name for i in (0, 2, 4)]
 
@@ -86,7 +88,7 @@ def test_a_detector_that_breaks_is_named(dataset):
     def look(image, item):
         raise ZeroDivisionError("no road")
 
-    result = next(score(dataset, [Contender("mine", lambda _: look)]))
+    result = next(score_dataset(dataset, [Contender("mine", lambda _: look)]))
 
     assert result.failure == "mine: ZeroDivisionError: no road"
 
@@ -94,14 +96,17 @@ def test_a_detector_that_breaks_is_named(dataset):
 def test_two_processes_give_the_results_of_one(dataset):
     methods = contenders(dataset, (), {})  # the baselines
 
-    one, two = list(score(dataset, methods)), list(score(dataset, methods, jobs=2))
+    serial, parallel = (
+        list(score_dataset(dataset, methods)),
+        list(score_dataset(dataset, methods, jobs=2)),
+    )
 
-    assert [result.item for result in one] == [result.item for result in two]
-    for first, second in zip(one, two, strict=True):
-        assert first.scores.keys() == second.scores.keys() == {one.name for one in methods}
-        for name, found in first.scores.items():
-            assert torch.equal(found.road.road, second.scores[name].road.road)
-            assert torch.equal(found.road.other, second.scores[name].road.other)
+    assert [result.item for result in serial] == [result.item for result in parallel]
+    for first, second in zip(serial, parallel, strict=True):
+        assert first.counts.keys() == second.counts.keys() == {one.name for one in methods}
+        for name, counts in first.counts.items():
+            assert torch.equal(counts.road.road, second.counts[name].road.road)
+            assert torch.equal(counts.road.background, second.counts[name].road.background)
 
 
 # --- views ---------------------------------------------------------------------------------------
@@ -126,21 +131,25 @@ def test_maps_and_truth_are_scored_in_the_view_of_the_set(dataset, scenes):
         likelihood[:24] = ~likelihood[:24]
         return likelihood
 
-    plain, seen = (summarised(counted(one, looking(above))).headline for one in (dataset, viewed))
+    plain, in_view = (
+        scores_of(tally_of(one, answering(above))).headline for one in (dataset, viewed)
+    )
 
     assert plain["maxf"] < 0.9
-    assert seen["maxf"] == pytest.approx(1)
+    assert in_view["maxf"] == pytest.approx(1)
     first = dataset.items[0].name
     whole = scenes[first]
-    seen_counts = counted(replace(viewed, items=dataset.items[:1]), looking(above)).road["0001TP"]
+    seen_counts = tally_of(replace(viewed, items=dataset.items[:1]), answering(above)).road[
+        "0001TP"
+    ]
     assert int(seen_counts.road.sum()) == 4 * int((whole.road & ~whole.void)[24:].sum())
 
 
 def test_the_levels_of_the_set_are_those_that_are_told_apart(dataset):
-    pale = looking(lambda name: torch.full((48, 64), 0.4))
+    pale = answering(lambda name: torch.full((48, 64), 0.4))
     two = replace(dataset, levels=2)
 
-    found = counted(two, pale)
+    tally = tally_of(two, pale)
 
-    assert found.road["0001TP"].levels == 2
-    assert summarised(found).best_threshold == 0
+    assert tally.road["0001TP"].levels == 2
+    assert scores_of(tally).best_threshold == 0

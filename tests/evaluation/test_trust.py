@@ -49,11 +49,11 @@ def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
 def test_the_risk_of_equals_is_the_mean_over_their_orders(pairs):
     trusts, f = columns(pairs)
 
-    curve = trust.risk_coverage(trusts, f)
+    curve = trust.risk_coverage_curve(trusts, f)
 
     risks = slow.risks(trusts.tolist(), f.tolist())
     assert curve.y.tolist() == pytest.approx(risks, abs=1e-9)
-    assert trust.risk_area(curve) == pytest.approx(sum(risks) / len(risks), abs=1e-9)
+    assert trust.aurc(curve) == pytest.approx(sum(risks) / len(risks), abs=1e-9)
     assert curve.x.tolist() == pytest.approx([(k + 1) / len(f) for k in range(len(f))])
 
 
@@ -61,42 +61,44 @@ def test_within_groups_what_differs_between_them_counts_for_nothing():
     # In each group trust has the wrong order; the groups' levels give the right one over all.
     trusts = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9], dtype=torch.float64)
     f = torch.tensor([0.4, 0.3, 0.2, 0.1, 0.9, 0.8, 0.7, 0.6], dtype=torch.float64)
-    both = Trusted(trusts, f, ["a"] * 4 + ["b"] * 4)
+    samples = Trusted(trusts, f, ["a"] * 4 + ["b"] * 4)
 
-    assert trust.rank_correlation(both.trust, both.f) > 0.5
-    assert trust.correlation_within(both) == pytest.approx(-1)
+    assert trust.rank_correlation(samples.trust, samples.f) > 0.5
+    assert trust.correlation_within(samples) == pytest.approx(-1)
 
 
 def test_a_group_of_three_has_no_correlation_of_its_own():
     f = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.9, 0.8, 0.7])
     groups = ["a"] * 4 + ["b"] * 3
 
-    found = trust.correlation_within(Trusted(f.sort().values, f, groups))
+    correlation = trust.correlation_within(Trusted(f.sort().values, f, groups))
 
-    assert found == pytest.approx(1)
+    assert correlation == pytest.approx(1)
     assert math.isnan(trust.correlation_within(Trusted(f[4:], f[4:], groups[4:])))
 
 
 def test_nothing_to_tell_apart_is_nan():
-    same, f = torch.full((5,), 0.5), torch.linspace(0.1, 0.5, 5)
+    constant, f = torch.full((5,), 0.5), torch.linspace(0.1, 0.5, 5)
     nothing = torch.zeros(0)
 
-    for pair in ((same, f), (nothing, nothing)):
+    for pair in ((constant, f), (nothing, nothing)):
         assert math.isnan(trust.rank_correlation(*pair))
         assert math.isnan(trust.failure_auc(*pair, 0.6))
-    assert math.isnan(trust.risk_area(trust.risk_coverage(nothing, nothing)))
+    assert math.isnan(trust.aurc(trust.risk_coverage_curve(nothing, nothing)))
 
 
 # --- disagreement -----------------------------------------------------------------------
 
 
-def change(number: int, differs: float, before: float = 0.5, after: float = 0.6) -> Disagreement:
+def change(
+    number: int, differs: float, trust_before: float = 0.5, trust_after: float = 0.6
+) -> Disagreement:
     item = LabelledItem(f"image_{number:02d}", Path("x.png"), Path("x.png"))
-    return Disagreement(item, differs, 0.3, 0.3 + differs, before, after)
+    return Disagreement(item, differs, 0.3, 0.3 + differs, trust_before, trust_after)
 
 
-def numbers(found: list[Disagreement]) -> list[int]:
-    return [int(one.item.name[-2:]) for one in found]
+def numbers(ranked: list[Disagreement]) -> list[int]:
+    return [int(one.item.name[-2:]) for one in ranked]
 
 
 def test_half_changed_most_and_the_others_are_spread_down_to_the_least() -> None:
@@ -118,11 +120,15 @@ def test_no_image_is_chosen_twice_and_none_is_missing(images: int, count: int) -
 
 
 def test_the_means_leave_out_images_without_trust() -> None:
-    found = [change(0, 0.1, 0.5, 0.7), change(1, 0.3, 0.6, 0.3), change(2, 0.2, math.nan, math.nan)]
+    changes = [
+        change(0, 0.1, 0.5, 0.7),
+        change(1, 0.3, 0.6, 0.3),
+        change(2, 0.2, math.nan, math.nan),
+    ]
 
-    both = made_contender("before"), made_contender("after")
-    seen = Disagreements(scored({"it": None}).dataset, both, found, [])
-    table = summary_table(Adaptation(seen, (Path("a"), Path("b")), found, None, []))
+    methods = made_contender("before"), made_contender("after")
+    comparison = Disagreements(scored({"it": None}).dataset, methods, changes, [])
+    table = summary_table(Adaptation(comparison, (Path("a"), Path("b")), changes, None, []))
 
     minus = "\N{MINUS SIGN}"
     rows = {name: [(cell.text, cell.note) for cell in cells] for name, cells in table.rows()}

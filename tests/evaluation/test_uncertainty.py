@@ -12,17 +12,17 @@ from roadtorch.data.dataset import Dataset
 from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.result import DetectorFigures
+from roadtorch.evaluation.result import DetectorScores
 from roadtorch.testing.scenes import RenderedScene
-from tests.evaluation.conftest import GROUPS, counted, summarised
+from tests.evaluation.conftest import GROUPS, scores_of, tally_of
 
 
 def test_interval_of_a_mean_is_the_textbook_one():
     generator = torch.Generator().manual_seed(1)
     values = torch.randn(200, generator=generator, dtype=torch.float64)
 
-    drawn = uncertainty.bootstrap_weights(200, generator.manual_seed(2), 4000)
-    low, high = uncertainty.interval(drawn.to(values.dtype) @ values / 200)
+    weights = uncertainty.bootstrap_weights(200, generator.manual_seed(2), 4000)
+    low, high = uncertainty.interval(weights.to(values.dtype) @ values / 200)
 
     error = float(values.std()) / math.sqrt(200)
     assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)
@@ -38,7 +38,7 @@ def test_draws_without_a_value_are_left_out():
 
 # --- of a run -------------------------------------------------------------------------------------
 
-Measured = tuple[DetectorFigures, uncertainty.Draws]
+Measured = tuple[DetectorScores, uncertainty.Replicates]
 
 
 def blurred(road: Tensor, name: str, noise: float) -> Tensor:
@@ -57,21 +57,21 @@ def measured(dataset: Dataset, scenes, noise: float) -> Measured:
         layout = torch.stack([(scores == kind).float() for kind in range(3)]) + blur
         return Detection(likelihood, likelihood > 0.5, {"layout": layout})
 
-    tally = counted(dataset, look)
-    figures = summarised(tally)
-    return figures, uncertainty.resample(tally, figures)
+    tally = tally_of(dataset, look)
+    scores = scores_of(tally)
+    return scores, uncertainty.bootstrap(tally, scores)
 
 
 def test_every_headline_figure_has_an_interval_around_it(dataset, scenes):
-    figures, draws = measured(dataset, scenes, 0.7)
+    scores, draws = measured(dataset, scenes, 0.7)
 
-    found = uncertainty.intervals(draws)
+    intervals = uncertainty.score_intervals(draws)
 
-    assert set(found) == {one.key for one in MEASURES if one.interval}
-    for name, (low, high) in found.items():
-        assert low <= figures.headline[name] <= high
+    assert set(intervals) == {one.key for one in MEASURES if one.interval}
+    for name, (low, high) in intervals.items():
+        assert low <= scores.headline[name] <= high
         assert 0 <= high - low < 0.2
-    assert found["maxf"][1] > found["maxf"][0]
+    assert intervals["maxf"][1] > intervals["maxf"][0]
 
 
 def test_draws_are_those_of_a_plain_bootstrap_the_same_for_both(dataset, scenes):
@@ -95,10 +95,10 @@ def test_draws_are_those_of_a_plain_bootstrap_the_same_for_both(dataset, scenes)
     assert len(apart.argmin(1).unique()) > 20  # of 27 different ones
 
 
-def pooled_f(shown: Sequence[RenderedScene], masks: Sequence[Tensor]) -> float:
+def pooled_f(scenes: Sequence[RenderedScene], masks: Sequence[Tensor]) -> float:
     """F of masks of some scenes together, by loops."""
     right = decided = true = 0
-    for one, mask in zip(shown, masks, strict=True):
+    for one, mask in zip(scenes, masks, strict=True):
         right += int((mask & one.road & ~one.void).sum())
         decided += int((mask & ~one.void).sum())
         true += int((one.road & ~one.void).sum())
@@ -108,21 +108,21 @@ def pooled_f(shown: Sequence[RenderedScene], masks: Sequence[Tensor]) -> float:
 def test_pairs_are_signed_share_their_draws_and_have_the_figures_of_both(dataset, scenes):
     runs = {"good": measured(dataset, scenes, 0.72), "poor": measured(dataset, scenes, 0.75)}
     runs |= {"again": runs["good"], "bare": (runs["good"][0], dict(runs["good"][1]))}
-    detectors = {name: figures for name, (figures, _) in runs.items()}
+    detectors = {name: scores for name, (scores, _) in runs.items()}
     draws = {name: own for name, (_, own) in runs.items()}
     draws["bare"] = {key: own for key, own in draws["bare"].items() if key != "layout/mean"}
 
-    found = uncertainty.compare(detectors, draws, "good").differences
-    other = uncertainty.compare(detectors, draws, "poor").differences
+    differences = uncertainty.compare_detectors(detectors, draws, "good").differences
+    reverse = uncertainty.compare_detectors(detectors, draws, "poor").differences
 
-    assert found["again"]["maxf"].value == 0
-    assert found["again"]["maxf"].interval == (0, 0)
-    assert found["poor"]["maxf"].interval.high < 0  # worse on every image
-    assert found["poor"]["brier"].interval.low > 0
-    low, high = found["poor"]["maxf"].interval
-    assert low < found["poor"]["maxf"].value < high
-    assert other["good"]["maxf"].interval == pytest.approx((-high, -low))
-    # Paired, the interval is far narrower than those of the two figures.
-    alone = uncertainty.intervals(draws["poor"])["maxf"]
+    assert differences["again"]["maxf"].value == 0
+    assert differences["again"]["maxf"].interval == (0, 0)
+    assert differences["poor"]["maxf"].interval.high < 0  # worse on every image
+    assert differences["poor"]["brier"].interval.low > 0
+    low, high = differences["poor"]["maxf"].interval
+    assert low < differences["poor"]["maxf"].value < high
+    assert reverse["good"]["maxf"].interval == pytest.approx((-high, -low))
+    # Paired, the interval is far narrower than those of the two scores.
+    alone = uncertainty.score_intervals(draws["poor"])["maxf"]
     assert high - low < 0.7 * (alone.high - alone.low)
-    assert set(found["again"]) - set(found["bare"]) == {"layout/mean"}
+    assert set(differences["again"]) - set(differences["bare"]) == {"layout/mean"}

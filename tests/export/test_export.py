@@ -21,12 +21,12 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.export.export import (
     BOUND,
     Exported,
-    Graph,
+    ExportGraph,
+    describe_export,
     export_detector,
-    exportable,
-    notes_of,
+    exportable_part,
+    measure_parity,
     open_onnx,
-    parity,
     write_onnx,
 )
 from roadtorch.layout.weights import shipped_weights
@@ -60,10 +60,10 @@ def cnn7(folder: Path) -> Exported:
 
 
 def test_a_file_says_what_the_network_says_at_any_size_and_batch(fusion: Exported) -> None:
-    steps = exportable(load_detector(NAME)).steps
+    steps = exportable_part(load_detector(NAME)).compute
     batches = [images(*size, count=2) for size in SIZES]
 
-    apart = parity(open_onnx(fusion.files[0], 1), steps, batches)
+    apart = measure_parity(open_onnx(fusion.files[0], 1), steps, batches)
 
     assert apart.most < BOUND
     assert apart.mean < apart.most
@@ -87,7 +87,7 @@ def test_a_file_names_the_weights_of_ones_own(tmp_path: Path) -> None:
     first, second = ({"file": str(path)} for path in paths)
     detector = load_detector("fusion", weights=first, second=second, threshold=0.9)
 
-    notes = notes_of(detector, exportable(detector))
+    notes = describe_export(detector, exportable_part(detector))
 
     assert notes["weights"] == "0.safetensors, 1.safetensors"
     assert notes["weights_sha256"] == ", ".join(map(digest_of, paths))
@@ -98,8 +98,8 @@ def test_a_file_names_the_weights_of_ones_own(tmp_path: Path) -> None:
 def test_one_detector_gives_one_file(cnn7: Exported, tmp_path: Path) -> None:
     again, detector = tmp_path / "again.onnx", load_detector("layout:cnn-7")
 
-    part = exportable(detector)
-    write_onnx(Graph(detector.analysis, part.steps, part.outputs), cnn7.notes, again)
+    part = exportable_part(detector)
+    write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), cnn7.notes, again)
 
     assert again.read_bytes() == cnn7.files[0].read_bytes()
 
@@ -179,7 +179,7 @@ def test_parity_counts_what_is_no_number_as_endlessly_far() -> None:
     def run(_: np.ndarray) -> dict[str, np.ndarray]:
         return {"likelihood": np.full((1, 16, 20), np.nan, np.float32)}
 
-    apart = parity(run, lambda _: {"likelihood": torch.zeros(16, 20)}, [images(16, 20)])
+    apart = measure_parity(run, lambda _: {"likelihood": torch.zeros(16, 20)}, [images(16, 20)])
 
     assert apart.most == float("inf")
     assert apart.where == "likelihood at 20×16"
@@ -216,7 +216,7 @@ def test_the_example_needs_neither_torch_nor_roadtorch(fusion: Exported, tmp_pat
 
     for name in ("a.jpg", "b.png"):
         image = read_image(source / name)
-        expected = exportable(load_detector(NAME)).steps(image)["likelihood"]
+        expected = exportable_part(load_detector(NAME)).compute(image)["likelihood"]
         likelihood = read_image((tmp_path / "maps" / "sub" / name).with_suffix(".png"))[0]
         assert torch.allclose(likelihood, expected, atol=1 / 255)
 
@@ -248,10 +248,10 @@ def test_the_example_in_cpp_says_what_python_says(fusion: Exported, tmp_path: Pa
 
     words = [str(program), str(fusion.files[0]), str(tmp_path / "street.ppm"), str(map_)]
     environment = {**os.environ, "LD_LIBRARY_PATH": str(tmp_path)}
-    said = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    result = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
 
     outputs = open_onnx(fusion.files[0], 1)(image[None])
     share, trust = (outputs["likelihood"] >= 0.5).mean(), float(outputs["trust"][0])
-    assert said.stdout == f"160x120, road {int(100 * share)} %, trust {round(trust, 2):g}\n"
+    assert result.stdout == f"160x120, road {int(100 * share)} %, trust {round(trust, 2):g}\n"
     read = np.asarray(Image.open(map_)) / 255
     np.testing.assert_allclose(read, outputs["likelihood"][0], atol=0.51 / 255)

@@ -74,9 +74,9 @@ def test_a_step_of_a_graph_says_of_a_batch_what_python_says_of_each(
     expected = torch.stack([step(*each) for each in zip(*parts, strict=True)])
 
     with exporting():
-        found = step(*parts)
+        actual = step(*parts)
 
-    assert torch.allclose(found.double(), expected.double(), atol=2e-5)
+    assert torch.allclose(actual.double(), expected.double(), atol=2e-5)
 
 
 SIDES = st.integers(2, 80)  # torch does not enlarge columns that are alone
@@ -87,7 +87,7 @@ SIDES = st.integers(2, 80)  # torch does not enlarge columns that are alone
 def test_matrices_resize_as_torch_does(height: int, width: int, rows: int, columns: int) -> None:
     maps = torch.rand(2, 3, height, width)
     with exporting():
-        found = resized(maps, (rows, columns))
+        actual = resized(maps, (rows, columns))
 
     expected = F.interpolate(maps, (rows, columns), mode="bilinear", antialias=True)
-    assert torch.allclose(found, expected, atol=1e-5)
+    assert torch.allclose(actual, expected, atol=1e-5)

@@ -89,8 +89,8 @@ def test_masks_and_trust_are_those_of_python(page: "Page", tmp_path: Path) -> No
 
 @BROWSER
 def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(page: "Page") -> None:
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
     page.evaluate("navigator.serviceWorker.ready")
     page.wait_for_function("navigator.serviceWorker.controller")
     page.context.set_offline(True)
@@ -102,7 +102,7 @@ def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(page
 
     assert page.evaluate("roadtorch.state().mask.includes(1)")
     origin = page.evaluate("location.origin")
-    assert all(url.startswith((origin, f"blob:{origin}")) for url in asked), asked
+    assert all(url.startswith((origin, f"blob:{origin}")) for url in requests), requests
 
 
 @BROWSER

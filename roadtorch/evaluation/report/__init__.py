@@ -1,1 +1,1 @@
-"""What a run leaves behind: tables on the screen, files, a page, sheets of images."""
+"""Output of an evaluation: tables on the screen, files, an HTML page, montages of images."""

@@ -1,4 +1,4 @@
-"""The page at the end of an adaptation: before and after, on one page."""
+"""Page at the end of an adaptation: masks, trust and agreement before and after."""
 
 import math
 import statistics
@@ -16,27 +16,34 @@ from roadtorch.base.image import read_image, tint_mask, to_pixels
 from roadtorch.base.image_cache import image_cache
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
-from roadtorch.evaluation.report.charts import BASELINE, COLOURS, DASHES, WIDTH, Series, svg_uri
+from roadtorch.evaluation.measure import UNDEFINED
+from roadtorch.evaluation.report.charts import (
+    BASELINE_COLOUR,
+    COLOURS,
+    DASHES,
+    WIDTH,
+    Series,
+    svg_uri,
+)
 from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned, jpeg_uri
 from roadtorch.evaluation.report.table import (
     MINUS,
-    NONE,
     Cell,
     Table,
-    page_text,
-    percent,
-    share,
-    signed,
+    format_number,
+    format_percent,
+    format_signed,
+    render_page,
 )
 
 
 @dataclass(frozen=True)
 class Adaptation:
-    """What a run changed.
+    """Changes by an adaptation.
 
-    seen: the images as the detectors before and after see them; files: their weights. shown:
-    the images on the page. taught: None for networks without a teacher's maps. rows: round,
-    epoch and error of each epoch. verdict: whether to adopt it, and why; empty where nobody judged.
+    seen: masks before and after; files: the two weight files. shown: images on the page. taught:
+    None for networks without a teacher's maps. rows: round, epoch and loss of each epoch. verdict:
+    whether to adopt it, and why; empty without a verdict.
     """
 
     seen: Disagreements
@@ -48,13 +55,13 @@ class Adaptation:
 
 
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
-    """Write the page: one file that asks for no other."""
+    """Write the page as one self-contained file."""
     items = [image.item for image in adaptation.shown]
     caption = "only before blue, only after orange"
-    sheets = both_sheets(adaptation.seen, items, caption)
+    sheets = draw_sheets(adaptation.seen, items, caption)
     is_part = len(items) < len(adaptation.seen.images)
     loss_chart = svg_uri(WIDTH, 260, partial(draw_losses, rows=adaptation.rows))
-    differs = [image.differs for image in adaptation.seen.images]
+    differs = [image.difference for image in adaptation.seen.images]
     values = {
         "one": adaptation,
         "mean": statistics.fmean(differs),
@@ -65,28 +72,32 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
         "summary": summary_table(adaptation),
         "charts": [loss_chart, trust_chart(adaptation)],
     }
-    write_text(path, page_text("adaptation.html", command, values))
+    write_text(path, render_page("adaptation.html", command, values))
 
 
-def both_sheets(seen: Disagreements, items: Iterable[LabelledItem], caption: str) -> list[str]:
-    """Return for each item a JPEG for the page: the overlays of both, and what differs."""
-    looks = {contender.name: contender.prepare(seen.dataset) for contender in seen.methods}
+def draw_sheets(
+    comparison: Disagreements, items: Iterable[LabelledItem], caption: str
+) -> list[str]:
+    """Return for each item a JPEG for the page: the two overlays, and their difference."""
+    predictors = {
+        contender.name: contender.prepare(comparison.dataset) for contender in comparison.methods
+    }
     sheets = []
     for item in items:
         image = read_image(item.image)
         with image_cache():
-            masks = {name: look(image, item).mask.numpy() for name, look in looks.items()}
+            masks = {name: look(image, item).mask.numpy() for name, look in predictors.items()}
         pixels = to_pixels(image)
         tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
-        tiles[caption] = differing(pixels, *masks.values())
+        tiles[caption] = difference_tile(pixels, *masks.values())
         height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
         sheet = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
         sheets.append(jpeg_uri(sheet))
     return sheets
 
 
-def differing(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return pixels uint8 (H,W,3), grey, with what one mask (H,W) alone has in blue or orange."""
+def difference_tile(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return grey pixels, uint8 (H, W, 3), with road of one mask (H, W) alone in blue or orange."""
     grey = np.repeat(pixels.mean(2, keepdims=True), 3, axis=2) * 0.7
     for mask, colour in ((first & ~second, BLUE), (second & ~first, VERMILLION)):
         grey[mask] = 0.35 * grey[mask] + 0.65 * np.array(colour)
@@ -94,30 +105,30 @@ def differing(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.n
 
 
 def summary_table(adaptation: Adaptation) -> Table:
-    """What can be said without a label: road, trust and agreement before and after."""
+    """Return means before and after that need no labels: road, trust, agreement."""
     images, rows = adaptation.seen.images, {}
-    road = [(image.first, image.second) for image in images]
+    road = [(image.first_road, image.second_road) for image in images]
     rows["share of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
     if trusts := [(image.first_trust, image.second_trust) for image in images if image.has_trust]:
-        before, after = map(statistics.fmean, zip(*trusts, strict=True))
+        start, end = map(statistics.fmean, zip(*trusts, strict=True))
         rose = sum(second > first for first, second in trusts)
         fell = sum(second < first for first, second in trusts)
-        change = Cell(signed(after - before), note=f"rose on {rose}, fell on {fell} images")
-        rows["trust"] = (Cell(share(before)), Cell(share(after)), change)
+        change = Cell(format_signed(end - start), note=f"rose on {rose}, fell on {fell} images")
+        rows["trust"] = (Cell(format_number(start)), Cell(format_number(end)), change)
     if adaptation.taught is not None:
-        before, after = adaptation.taught.before, adaptation.taught.after
-        rows["agrees with the teacher on road"] = _row(before.road, after.road)
-        rows["agrees with the teacher on layout"] = _row(before.layout, after.layout)
+        start, end = adaptation.taught.before, adaptation.taught.after
+        rows["agrees with the teacher on road"] = _row(start.road, end.road)
+        rows["agrees with the teacher on layout"] = _row(start.layout, end.layout)
     table = Table("mean over the images", list(rows))
     for place, header in enumerate(("before", "after", "change")):
         table.add(header, [row[place] for row in rows.values()])
     return table
 
 
-def _row(before: float, after: float) -> tuple[Cell, Cell, Cell]:
-    """Return two fractions, and the difference in points of a per cent."""
-    change = NONE if math.isnan(before + after) else f"{100 * (after - before):+.1f} points"
-    return Cell(percent(before)), Cell(percent(after)), Cell(change.replace("-", MINUS))
+def _row(start: float, end: float) -> tuple[Cell, Cell, Cell]:
+    """Return two fractions, and their difference in percentage points."""
+    change = UNDEFINED if math.isnan(start + end) else f"{100 * (end - start):+.1f} points"
+    return Cell(format_percent(start)), Cell(format_percent(end)), Cell(change.replace("-", MINUS))
 
 
 # --- charts ------------------------------------------------------------------------------
@@ -128,10 +139,10 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
     axes = figure.subplots()
     rounds = sorted({row["round"] for row in rows})
     for place, number in enumerate(rounds):
-        own = [row for row in rows if row["round"] == number]
+        epoch_rows = [row for row in rows if row["round"] == number]
         line = place % len(COLOURS)
         series = Series(f"round {number}", COLOURS[line], DASHES[line])
-        epochs, losses = ([row[key] for row in own] for key in ("epoch", "loss"))
+        epochs, losses = ([row[key] for row in epoch_rows] for key in ("epoch", "loss"))
         axes.plot(epochs, losses, marker=".", label=series.name, **series.line(1.5))
     axes.set(xlabel="epoch", ylabel="mean loss of the epoch")
     if len(rounds) > 1:
@@ -150,10 +161,10 @@ def trust_chart(adaptation: Adaptation) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        axes.plot([0, 1], [0, 1], color=BASELINE, linewidth=1)
-        before, after = zip(*pairs, strict=True)
-        axes.plot(before, after, "o", color=COLOURS[0], mfc="none", markersize=5)
-        low = max(0.0, min(*before, *after) - 0.05)
+        axes.plot([0, 1], [0, 1], color=BASELINE_COLOUR, linewidth=1)
+        start, end = zip(*pairs, strict=True)
+        axes.plot(start, end, "o", color=COLOURS[0], mfc="none", markersize=5)
+        low = max(0.0, min(*start, *end) - 0.05)
         axes.set(xlabel="trust before", ylabel="trust after", xlim=(low, 1), ylim=(low, 1))
 
     return svg_uri(WIDTH, 260, draw)

@@ -1,7 +1,7 @@
-"""The charts of a run: ROC, reliability, and F by group, each as an SVG image inside a page.
+"""Charts of an evaluation: ROC, reliability, and F by group, each as an SVG image inside a page.
 
 Colours are those of Okabe and Ito, "Color Universal Design" (2008), and every detector has
-a dash pattern too. The same figures give the same bytes: no dates, no fonts.
+a dash pattern too. The same scores give the same bytes: no dates, no fonts.
 """
 
 import base64
@@ -27,18 +27,18 @@ MAX_SERIES = 8  # detectors in a chart, best first
 
 MAX_BASELINES = 4
 
-MAX_LETTERS = 34  # letters of a name in a chart
+MAX_LABEL_LENGTH = 34  # letters of a name in a chart
 
 WIDTH = 460  # points, of one panel
 
-STEPS = 200  # of the false positive rate, in the mean over groups
+CHART_FPR_STEPS = 200  # of the false positive rate, in the mean over groups
 
 COLOURS = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7"),  # blue, vermillion, green, purple
     *("#e69f00", "#56b4e9", "#000000", "#f0e442"),  # orange, sky blue, black, yellow
 )
 
-BASELINE, GRID, INK = "#7f7f7f", "#d9d9d9", "#1a1a1a"
+BASELINE_COLOUR, GRID, INK = "#7f7f7f", "#d9d9d9", "#1a1a1a"
 
 DASHES = ((), (7, 2), (2, 1.5), (7, 2, 1.5, 2), (4, 2), (9, 2, 4, 2), (12, 3), (5, 1.5, 1, 1.5))
 
@@ -54,7 +54,7 @@ STYLE: dict[Any, Any] = {
     "text.parse_math": False,  # a $ in a name is a $
     "text.color": INK,
     "axes.labelcolor": INK,
-    "axes.edgecolor": BASELINE,
+    "axes.edgecolor": BASELINE_COLOUR,
     "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -62,8 +62,8 @@ STYLE: dict[Any, Any] = {
     "axes.grid": True,
     "grid.color": GRID,
     "grid.linewidth": 0.7,
-    "xtick.color": BASELINE,
-    "ytick.color": BASELINE,
+    "xtick.color": BASELINE_COLOUR,
+    "ytick.color": BASELINE_COLOUR,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
     "legend.frameon": False,
@@ -78,7 +78,7 @@ STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Series:
-    """A detector as all charts show it."""
+    """A detector's name and line style, the same in all charts."""
 
     name: str
     colour: str
@@ -86,12 +86,12 @@ class Series:
     is_baseline: bool = False
 
     def line(self, width: float) -> dict[str, Any]:
-        """Return how Matplotlib draws it."""
+        """Return the line style as Matplotlib's keywords."""
         return {"color": self.colour, "linewidth": width, "dashes": self.dash or (None, None)}
 
 
 def choose_series(evaluation: Evaluation) -> list[Series]:
-    """Return the detectors that charts show, by rank: the eight best, the four best baselines."""
+    """Return the detectors in charts, by rank: the eight best, the four best baselines."""
     ranked, detectors = evaluation.ranked(), evaluation.detectors
     best = [name for name in ranked if not detectors[name].is_baseline][:MAX_SERIES]
     baselines = [name for name in ranked if detectors[name].is_baseline][:MAX_BASELINES]
@@ -100,14 +100,14 @@ def choose_series(evaluation: Evaluation) -> list[Series]:
         for name, colour, dash in zip(best, COLOURS, DASHES, strict=False)
     ]
     series += [
-        Series(name, BASELINE, dash, is_baseline=True)
+        Series(name, BASELINE_COLOUR, dash, is_baseline=True)
         for name, dash in zip(baselines, BASELINE_DASHES, strict=False)
     ]
     return sorted(series, key=lambda detector: ranked.index(detector.name))
 
 
-def run_charts(evaluation: Evaluation) -> Mapping[str, str]:
-    """Return the charts of a run by title, as ``svg_uri`` gives them."""
+def build_charts(evaluation: Evaluation) -> Mapping[str, str]:
+    """Return the charts of an evaluation by title, as ``svg_uri`` gives them."""
     series = choose_series(evaluation)
     charts = {
         "ROC": svg_uri(2 * WIDTH, 420, lambda figure: draw_roc(figure, series, evaluation)),
@@ -124,19 +124,19 @@ def run_charts(evaluation: Evaluation) -> Mapping[str, str]:
 
 
 def group_counts(evaluation: Evaluation, name: str) -> list[RoadCounts]:
-    """Return the pixels of each group that counts, of one detector."""
+    """Return the pixels by level of each group that counts, of one detector."""
     roads = evaluation.tallies[name].road
     return [roads[group] for group in evaluation.detectors[name].counting]
 
 
 def mean_roc(groups: Sequence[RoadCounts]) -> Curve:
     """Return the vertical average of the groups' pooled curves: each group weighs the same."""
-    rates = torch.stack([curves.vertical_sample(counts, STEPS) for counts in groups])
+    rates = torch.stack([curves.vertical_sample(counts, CHART_FPR_STEPS) for counts in groups])
     return curves.vertical_average(rates.nanmean(0))
 
 
 def draw_roc(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -> None:
-    """Draw the mean ROC curves over groups, and beside them the corner at few false positives.
+    """Draw the mean ROC curves over groups, and on the right the corner of few false positives.
 
     Thin lines are the groups of the best detector.
     """
@@ -157,14 +157,14 @@ def draw_roc(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -
 
 
 def draw_reliability(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -> None:
-    """Draw the ratio of road among pixels of each likelihood; below, how many pixels have it."""
+    """Draw the fraction of road by likelihood; below, the fraction of pixels."""
     upper, lower = figure.subplots(2, sharex=True, height_ratios=(3, 1))
     upper.plot([0, 1], [0, 1], color=GRID, linewidth=1)
     for depth, detector in enumerate(series):
         groups = [curves.reliability(part) for part in group_counts(evaluation, detector.name)]
         predicted, observed, ratio = (
             torch.stack([getattr(group, key) for group in groups]).nanmean(0)
-            for key in ("predicted", "observed", "share")
+            for key in ("predicted", "observed", "fraction")
         )
         _draw_curve(upper, Curve(predicted, observed), detector, depth)
         _draw_curve(lower, Curve(predicted, ratio), detector, depth)
@@ -177,36 +177,36 @@ def draw_reliability(figure: Figure, series: Sequence[Series], evaluation: Evalu
 def draw_groups(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -> None:
     """Draw F of the mask of every group, the lowest of the best detector on top."""
     detectors, axes = evaluation.detectors, figure.subplots()
-    first = F_MASK.known(detectors[series[0].name].groups)
+    first = F_MASK.get_defined(detectors[series[0].name].groups)
     groups = sorted(evaluation.groups, key=lambda group: first.get(group, 1.0))
     for depth, detector in enumerate(series):
         values = [F_MASK.of(detectors[detector.name].group(group)) for group in groups]
         face = "none" if detector.is_baseline else detector.colour
         axes.plot(values, range(len(groups)), "o", color=detector.colour, mfc=face,
-                  label=short(detector.name), zorder=4 - depth / 100)  # fmt: skip
-    axes.set_yticks(range(len(groups)), [short(group) for group in groups])
+                  label=shorten(detector.name), zorder=4 - depth / 100)  # fmt: skip
+    axes.set_yticks(range(len(groups)), [shorten(group) for group in groups])
     axes.set_ylim(len(groups) - 0.5, -0.5)
     axes.set_xlabel("F of the mask at the default threshold")
     figure.legend(loc="outside lower center", ncols=2)
 
 
 def _draw_curve(axes: Axes, curve: Curve, detector: Series, depth: int) -> None:
-    """Draw a curve, a higher one for a better detector."""
+    """Draw a curve; better detectors are drawn over others."""
     style = detector.line(1.2 if detector.is_baseline else 2)
-    axes.plot(curve.x, curve.y, **style, label=short(detector.name), zorder=4 - depth / 100)
+    axes.plot(curve.x, curve.y, **style, label=shorten(detector.name), zorder=4 - depth / 100)
 
 
 # --- as an image inside a page ----------------------------------------------------------
 
 
-def short(name: str) -> str:
-    """Return a name that can stand in a chart: printable, and not too long."""
+def shorten(name: str) -> str:
+    """Return a name for a chart: printable, and not too long."""
     text = "".join(letter if letter.isprintable() else "?" for letter in name)
-    return text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 10]}…{text[-9:]}"
+    return text if len(text) <= MAX_LABEL_LENGTH else f"{text[: MAX_LABEL_LENGTH - 10]}…{text[-9:]}"
 
 
 def svg_uri(width: float, height: float, draw: Callable[[Figure], None]) -> str:
-    """Return a figure of so many points, drawn by ``draw``, as the address of an SVG image."""
+    """Return a figure of width × height points, drawn by ``draw``, as the data URI of an SVG."""
     file = io.StringIO()
     with matplotlib.rc_context(), warnings.catch_warnings():
         # Letters that the measuring font lacks: the reader's browser has its own fonts.

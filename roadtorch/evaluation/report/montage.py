@@ -1,4 +1,4 @@
-"""Sheets of images to look at: what a detector saw, and what it made of it."""
+"""Montages of an evaluation: rows of image, cues, likelihood and decision."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -14,18 +14,18 @@ from roadtorch.base.image import to_pixels, write_pixels
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation.methods import Look
-from roadtorch.evaluation.result import Evaluation, best_median_worst, images_by_f
+from roadtorch.evaluation.result import Evaluation, rank_images, select_examples
 from roadtorch.evaluation.scoring import LabelledImage
-from roadtorch.evaluation.tally import WHOLE
+from roadtorch.evaluation.tally import UNGROUPED
 from roadtorch.layout.classes import layout_colours
 
 MAX_DETECTORS = 8  # detectors with sheets
 
 TILE_WIDTH = 320  # pixels
 
-CAPTION = 18  # pixels of height
+CAPTION_HEIGHT = 18  # pixels of height
 
-MAX_WIDTH = 1200  # pixels of a sheet on the page; ours: as wide as it is shown
+MAX_PAGE_WIDTH = 1200  # pixels of a sheet on the page; ours: as wide as it is shown
 
 JPEG_QUALITY = 80  # on pages; ours: no artefact is seen at the size they are shown
 
@@ -35,67 +35,69 @@ BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe 
 def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, dict[str, str]]:
     """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
 
-    Baselines get none, and of many detectors only the ``MAX_DETECTORS`` with the highest MaxF do.
-    Returns the images for the page, by detector and part.
+    At most ``MAX_DETECTORS`` with the highest MaxF get one, baselines none. Returns the images for
+    the page, by detector and part.
     """
     detectors = evaluation.detectors
-    shown = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
+    ranked = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
     sheets: dict[str, dict[str, str]] = {}
-    for name in shown[:MAX_DETECTORS]:
+    for name in ranked[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
-        look = detectors[name].contender.prepare(evaluation.dataset)
-        order = images_by_f(evaluation.tallies[name], detectors[name])
-        for part, images in best_median_worst(order, count).items():
+        predictor = detectors[name].contender.prepare(evaluation.dataset)
+        order = rank_images(evaluation.tallies[name], detectors[name])
+        for part, images in select_examples(order, count).items():
             if images:
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
-                made = sheet(evaluation.dataset, look, images, thresholds)
-                write_pixels(path, made)
-                sheets.setdefault(name, {})[part] = jpeg_uri(_small(made))
+                pixels = draw_sheet(evaluation.dataset, predictor, images, thresholds)
+                write_pixels(path, pixels)
+                sheets.setdefault(name, {})[part] = jpeg_uri(_shrink(pixels))
     return sheets
 
 
-def sheet(
+def draw_sheet(
     dataset: Dataset,
-    look: Look,
+    predictor: Look,
     chosen: Sequence[tuple[float, str]],
     thresholds: Mapping[str, float],
 ) -> np.ndarray:
-    """One sheet, uint8 RGB (H,W,3): a row of tiles for each chosen (F, image name)."""
+    """Draw one montage, uint8 RGB (H, W, 3): a row of tiles for each chosen (F, image name)."""
     by_name = {item.name: item for item in dataset.items}
     rows = []
     for value, name in chosen:
         item = by_name[name]
-        rows.append(sheet_row(dataset, look, item, thresholds[item.group or WHOLE], value))
+        rows.append(
+            draw_sheet_row(dataset, predictor, item, thresholds[item.group or UNGROUPED], value)
+        )
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
     return np.concatenate(rows)
 
 
-def sheet_row(
-    dataset: Dataset, look: Look, item: LabelledItem, threshold: float, value: float
+def draw_sheet_row(
+    dataset: Dataset, predictor: Look, item: LabelledItem, threshold: float, value: float
 ) -> np.ndarray:
-    """Image, layout, uniformity, likelihood and decision of one item, side by side.
+    """Draw image, layout, uniformity, likelihood and decision of one item side by side.
 
-    A map that was made for another view, as KITTI's are, is shown in that view.
+    A map that was made for another view, such as KITTI's bird's-eye view, is shown in that view.
     """
     image, truth = dataset.read(item)
-    shown, detection = image, look(image, item)
+    viewed, detection = image, predictor(image, item)
     if detection.likelihood.shape != truth.road.shape:
         scene = LabelledImage(dataset, item, image, truth)
-        shown, truth = scene.seen(image), scene.seen_truth()
+        viewed, truth = scene.to_view(image), scene.truth_in_view()
     decided = detection.likelihood >= threshold
     tiles = {
         f"{item.name}  F {value:.3f}": to_pixels(image),
         **cue_tiles(detection),
         "likelihood": heat(detection.likelihood),
-        "decision (blue), truth (line)": decision_tile(shown, decided, truth),
+        "decision (blue), truth (line)": decision_tile(viewed, decided, truth),
     }
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
     return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)
 
 
 def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
-    """Tiles of the cues that a detection has, among layout and uniformity."""
+    """Return tiles of the detection's cues layout and uniformity, where it has them."""
     tiles, cues = {}, detection.cues
     if "layout_labels" in cues or "layout" in cues:
         labels = cues["layout_labels"] if "layout_labels" in cues else cues["layout"].argmax(0)
@@ -108,13 +110,13 @@ def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
 
 
 def heat(values: Tensor) -> np.ndarray:
-    """A map (H,W) in [0,1] as colours from dark blue to yellow, uint8 RGB (H,W,3)."""
+    """Colour a map (H, W) in [0, 1] from dark blue to yellow, uint8 RGB (H, W, 3)."""
     levels = (values * 255).round().to(torch.uint8).contiguous().numpy()
     return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_CIVIDIS)[..., ::-1])
 
 
 def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
-    """The image with the decided road tinted blue, void black, the true road outlined."""
+    """Draw the predicted road blue, void black, and the outline of the true road."""
     tint = torch.tensor(BLUE)[:, None, None] / 255
     tinted = torch.where(decided, 0.45 * image + 0.55 * tint, image) * truth.valid
     pixels = to_pixels(tinted)
@@ -126,26 +128,26 @@ def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
 
 
 def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
-    """A tile of the sheet's width and that height, black where it is of another shape."""
+    """Fit a tile into TILE_WIDTH × height under a caption, with black bars where it is narrower."""
     scale = min(TILE_WIDTH / tile.shape[1], height / tile.shape[0])
     size = (max(1, round(tile.shape[1] * scale)), max(1, round(tile.shape[0] * scale)))
     small = cv2.resize(tile, size, interpolation=cv2.INTER_AREA)
-    canvas = np.zeros((CAPTION + height, TILE_WIDTH, 3), np.uint8)
+    canvas = np.zeros((CAPTION_HEIGHT + height, TILE_WIDTH, 3), np.uint8)
     text = printable(text)  # OpenCV crashes on other names
     cv2.putText(canvas, text, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE, 1, cv2.LINE_AA)
-    left = (TILE_WIDTH - size[0]) // 2
-    canvas[CAPTION : CAPTION + size[1], left : left + size[0]] = small
+    offset = (TILE_WIDTH - size[0]) // 2
+    canvas[CAPTION_HEIGHT : CAPTION_HEIGHT + size[1], offset : offset + size[0]] = small
     return canvas
 
 
-def _small(sheet: np.ndarray) -> np.ndarray:
-    """Return a sheet, uint8 RGB (H,W,3), as wide as the page shows it at most."""
-    scale = min(1.0, MAX_WIDTH / sheet.shape[1])
+def _shrink(sheet: np.ndarray) -> np.ndarray:
+    """Return a montage, uint8 RGB (H, W, 3), at most as wide as the page shows it."""
+    scale = min(1.0, MAX_PAGE_WIDTH / sheet.shape[1])
     return cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def jpeg_uri(pixels: np.ndarray) -> str:
-    """Pixels uint8 RGB (H,W,3) as a JPEG inside a page."""
+    """Return pixels, uint8 RGB (H, W, 3), as the data URI of a JPEG."""
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     encoded = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), options)[1]
     return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}"

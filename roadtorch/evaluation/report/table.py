@@ -1,4 +1,4 @@
-"""One table in three forms: text for a screen, Markdown, and HTML; and how pages are written."""
+"""A table in three forms: text for a screen, Markdown, HTML; and rendering of pages."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -8,31 +8,29 @@ from typing import Any
 import jinja2
 
 from roadtorch.base.version import __version__
-from roadtorch.evaluation.measure import Figures, Measure
-
-NONE = "–"
+from roadtorch.evaluation.measure import UNDEFINED, Measure, Scores
 
 MINUS = "\N{MINUS SIGN}"
 
 
-def share(value: float) -> str:
-    """Return three decimals."""
-    return NONE if math.isnan(value) else f"{value:.3f}"
+def format_number(value: float) -> str:
+    """Return a number with three decimals."""
+    return UNDEFINED if math.isnan(value) else f"{value:.3f}"
 
 
-def signed(value: float) -> str:
-    """Return three decimals with a sign."""
-    return NONE if math.isnan(value) else f"{value:+.3f}".replace("-", MINUS)
+def format_signed(value: float) -> str:
+    """Return a number with three decimals and its sign."""
+    return UNDEFINED if math.isnan(value) else f"{value:+.3f}".replace("-", MINUS)
 
 
-def percent(value: float) -> str:
-    """Return per cent with one decimal."""
-    return NONE if math.isnan(value) else f"{100 * value:.1f} %"
+def format_percent(value: float) -> str:
+    """Return a fraction in per cent with one decimal."""
+    return UNDEFINED if math.isnan(value) else f"{100 * value:.1f} %"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell: its text, whether it stands out, and a note beside it, such as an interval."""
+    """A cell: its text, whether it is bold, and a note below it, such as an interval."""
 
     text: str
     strong: bool = False
@@ -59,16 +57,20 @@ class Table:
         self.headers.append(header)
         self.columns.append(list(cells))
 
-    def measure(
-        self, measure: Measure, parts: Iterable[Figures], header: str = "", is_ranked: bool = True
+    def add_measure(
+        self,
+        measure: Measure,
+        scores_by_row: Iterable[Scores],
+        header: str = "",
+        is_ranked: bool = True,
     ) -> None:
-        """Add a column of a measure, the best value strong; none if no part has the measure."""
-        rows = list(parts)
-        if any(measure.key in figures for figures in rows):
-            values = [measure.of(figures) for figures in rows]
+        """Add a column of a measure, the best value bold; nothing if no row has the measure."""
+        scores = list(scores_by_row)
+        if any(measure.key in values for values in scores):
+            values = [measure.of(values) for values in scores]
             is_alone = sum(not math.isnan(value) for value in values) < 2
             best = measure.best(values) if is_ranked and not is_alone else None
-            cells = (Cell(measure.text(value, NONE), value == best) for value in values)
+            cells = (Cell(measure.format(value), value == best) for value in values)
             self.add(header or measure.name, cells)
 
     def rows(self) -> list[tuple[str, list[Cell]]]:
@@ -80,34 +82,34 @@ class Table:
         """Return the table for a screen; notes, which are intervals, have a column of their own."""
         columns = [[self.title, *self.names]]
         for header, cells in zip(self.headers, self.columns, strict=True):
-            columns.append([header, *(_plain(cell.text) for cell in cells)])
+            columns.append([header, *(_to_ascii(cell.text) for cell in cells)])
             if any(cell.note for cell in cells):
-                columns.append(["95 %", *(_plain(cell.note) for cell in cells)])
+                columns.append(["95 %", *(_to_ascii(cell.note) for cell in cells)])
         omitted = f"\n{self.omitted} more are in metrics.json (--out DIR)" if self.omitted else ""
         return aligned(list(zip(*columns, strict=True))) + omitted
 
-    def markdown(self) -> str:
-        """Return the table as Markdown, notes in brackets."""
+    def to_markdown(self) -> str:
+        """Return the table as Markdown, notes in parentheses."""
         rows = [
             [name, *(f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in cells)]
             for name, cells in self.rows()
         ]
         rule = ["---", *("---:" for _ in self.headers)]
         lines = [[self.title, *self.headers], rule, *rows]
-        return "".join(f"| {' | '.join(map(_escaped, cells))} |\n" for cells in lines)
+        return "".join(f"| {' | '.join(map(_escape, cells))} |\n" for cells in lines)
 
 
-def _plain(text: str) -> str:
-    """Return a cell that can be searched for and copied from a screen."""
-    return "-" if text == NONE else text.replace(MINUS, "-")
+def _to_ascii(text: str) -> str:
+    """Replace dashes and minus signs of a cell, so that it can be searched for and copied."""
+    return "-" if text == UNDEFINED else text.replace(MINUS, "-")
 
 
-def _escaped(text: str) -> str:
+def _escape(text: str) -> str:
     return text.replace("\\", "\\\\").replace("|", "\\|")
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text in columns: the first to the left, the others to the right."""
+    """Return rows of text in aligned columns: the first to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for first, *cells in rows:
@@ -118,20 +120,20 @@ def aligned(rows: Sequence[Sequence[str]]) -> str:
 
 # --- pages ------------------------------------------------------------------------------
 
-PAGES = jinja2.Environment(
+TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("roadtorch.evaluation.report", "."),
     autoescape=True,
     trim_blocks=True,
     lstrip_blocks=True,
 )
-PAGES.filters |= {"share": share, "percent": percent}
+TEMPLATES.filters |= {"number": format_number, "percent": format_percent}
 
 
-def page_text(template: str, command: str, values: Mapping[str, Any]) -> str:
-    """Return a page from a template of this package, one file that asks for no other.
+def render_page(template: str, command: str, values: Mapping[str, Any]) -> str:
+    """Return a self-contained page from a template of this package.
 
-    Whatever is put in is text and only text. command: what made the page.
+    All values are escaped. command: the command line that made the page.
     """
-    text = PAGES.get_template(template).render(**values, version=__version__, command=command)
+    text = TEMPLATES.get_template(template).render(**values, version=__version__, command=command)
     # A file name may hold bytes that are no text.
     return text.encode("utf-8", "backslashreplace").decode()

@@ -28,7 +28,7 @@ def noisy(seed: int, gain: float, pixels: int = 4000) -> RoadCounts:
 
 def test_groups_weigh_the_same_whatever_their_size_and_those_without_road_nothing() -> None:
     small, big = noisy(1, 0.2, 4000), noisy(2, 2.0, 40000)
-    empty = RoadCounts(torch.zeros_like(small.road), small.other)
+    empty = RoadCounts(torch.zeros_like(small.road), small.background)
 
     area = float(curves.area(charts.mean_roc([small, big])))
 
@@ -64,16 +64,16 @@ def test_lines_and_marks_are_the_figures_of_the_run(oracle_run: Evaluation) -> N
     observed = torch.stack([curves.reliability(part).observed for part in counts]).nanmean(0)
     assert np.array_equal(lines[ORACLE].get_ydata(), observed, equal_nan=True)
     marks = {line.get_label(): line.get_xdata() for line in groups.axes[0].lines}
-    shown = [text.get_text() for text in groups.axes[0].get_yticklabels()]
+    labels = [text.get_text() for text in groups.axes[0].get_yticklabels()]
     for name, values in marks.items():
-        figures = oracle_run.detectors[str(name)].groups
-        assert np.array_equal(values, [F_MASK.of(figures[group]) for group in shown])
+        scores = oracle_run.detectors[str(name)].groups
+        assert np.array_equal(values, [F_MASK.of(scores[group]) for group in labels])
 
 
 def test_names_are_text_and_long_ones_keep_both_ends() -> None:
-    assert charts.short("<b>$x$ \x01") == "<b>$x$ ?"
-    short = charts.short("oneclass:" + "x" * 100 + ":linear")
-    assert len(short) == charts.MAX_LETTERS
+    assert charts.shorten("<b>$x$ \x01") == "<b>$x$ ?"
+    short = charts.shorten("oneclass:" + "x" * 100 + ":linear")
+    assert len(short) == charts.MAX_LABEL_LENGTH
     assert (short[:9], short[-7:]) == ("oneclass:", ":linear")
 
 
@@ -81,11 +81,11 @@ def test_the_same_figures_give_the_same_bytes_whatever_the_user_prefers() -> Non
     def draw(figure: Figure) -> None:
         figure.subplots().set_xlabel("<b>$x_1$ \N{CJK UNIFIED IDEOGRAPH-9053}")
 
-    one = charts.svg_uri(90, 90, draw)
+    expected = charts.svg_uri(90, 90, draw)
     with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "red"}):
-        assert charts.svg_uri(90, 90, draw) == one
+        assert charts.svg_uri(90, 90, draw) == expected
         assert matplotlib.rcParams["font.size"] == 30
-    svg = base64.b64decode(one.split(",")[1]).decode()
+    svg = base64.b64decode(expected.split(",")[1]).decode()
     assert "<b>" not in svg
     assert "&lt;b&gt;$x_1$ \N{CJK UNIFIED IDEOGRAPH-9053}" in svg
     assert not any(tag in svg for tag in ("<script", "<image", "<a "))

@@ -51,9 +51,9 @@ class Tags(HTMLParser):
 def test_names_are_text_wherever_they_stand_and_nothing_leaves_the_page(
     oracle_run: Evaluation, tmp_path: Path
 ) -> None:
-    own = oracle_run.detectors[ORACLE]
+    scores = oracle_run.detectors[ORACLE]
     evaluation = replace(
-        changed(oracle_run, ORACLE, contender=replace(own.contender, name=HOSTILE)),
+        changed(oracle_run, ORACLE, contender=replace(scores.contender, name=HOSTILE)),
         dataset=replace(oracle_run.dataset, split=HOSTILE),
         comparison=replace(oracle_run.comparison, against=HOSTILE),
         failures=[Failure(HOSTILE, HOSTILE, HOSTILE)],

@@ -9,14 +9,14 @@ import pytest
 
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.report.table import Cell, Table
-from roadtorch.evaluation.report.tables import MAX_SHOWN, run_tables, screen, shortlist
+from roadtorch.evaluation.report.tables import MAX_LISTED, build_tables, screen, shortlist
 from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Interval
 from tests.reports import GROUPS, NAMES, changed, made_run, scored
 
 
 def texts(evaluation: Evaluation, most: int | None = 20) -> Mapping[str, str]:
     """The tables as text by their title."""
-    return {table.title: table.text() for table in run_tables(evaluation, most)}
+    return {table.title: table.text() for table in build_tables(evaluation, most)}
 
 
 def test_a_table_is_text_and_markdown() -> None:
@@ -30,7 +30,7 @@ def test_a_table_is_text_and_markdown() -> None:
         "c         -       -",
         "2 more are in metrics.json (--out DIR)",
     ]
-    assert table.markdown().splitlines() == [
+    assert table.to_markdown().splitlines() == [
         "| name | F | change |",
         "| --- | ---: | ---: |",
         "| a\\|b | 0.912 | \N{MINUS SIGN}0.100 (\N{MINUS SIGN}0.2 to +0.1) |",
@@ -44,11 +44,11 @@ def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
 
     text = screen(evaluation)
 
-    kept = ["fusion", *worse[: MAX_SHOWN - 1], "prior:rows", "prior:mean"]
+    kept = ["fusion", *worse[: MAX_LISTED - 1], "prior:rows", "prior:mean"]
     assert shortlist(evaluation) == kept
     assert text.endswith("61 more detectors, with lower MaxF, are in metrics.json (--out DIR)")
-    assert worse[MAX_SHOWN - 2] in text
-    assert worse[MAX_SHOWN - 1] not in text
+    assert worse[MAX_LISTED - 2] in text
+    assert worse[MAX_LISTED - 1] not in text
 
 
 def test_of_many_groups_the_worst_are_shown_and_have_a_table_with_the_worst_on_top() -> None:
@@ -76,10 +76,10 @@ def test_groups_that_are_left_out_are_listed_below_the_mean() -> None:
     groups = dict(evaluation.detectors["fusion"].groups)
     left_out = {GROUPS[0]: groups.pop(GROUPS[0])}
 
-    shown = texts(changed(evaluation, "fusion", groups=groups, left_out=left_out))
+    tables = texts(changed(evaluation, "fusion", groups=groups, left_out=left_out))
 
-    assert f"MaxF {GROUPS[0]}" not in shown["detector"]
-    rows = shown["fusion by group"].splitlines()[1:]
+    assert f"MaxF {GROUPS[0]}" not in tables["detector"]
+    rows = tables["fusion by group"].splitlines()[1:]
     assert [row.split("  ")[0] for row in rows] == [*GROUPS[1:], "mean", "0001TP (left out)"]
 
 
@@ -94,13 +94,13 @@ def test_conditions_have_a_table_and_baselines_none() -> None:
         parts = {"day": {"f_mask": 0.8, "maxf": 0.9}, "night": {"f_mask": 0.3, "maxf": 0.5}}
         evaluation = changed(evaluation, name, conditions=parts)
 
-    shown = texts(evaluation)
+    tables = texts(evaluation)
 
-    assert [line.split("  ")[0] for line in shown["fusion by condition"].splitlines()] == [
+    assert [line.split("  ")[0] for line in tables["fusion by condition"].splitlines()] == [
         *("fusion by condition", "night (1 group)", "day (3 groups)")
     ]
-    assert shown["fusion by condition"].splitlines()[1].split()[-3:] == ["0.300", "0.500", "0.500"]
-    assert "prior:rows by condition" not in shown
+    assert tables["fusion by condition"].splitlines()[1].split()[-3:] == ["0.300", "0.500", "0.500"]
+    assert "prior:rows by condition" not in tables
 
 
 def test_only_detectors_with_trust_have_a_row_of_it() -> None:
@@ -126,11 +126,11 @@ def test_detectors_without_a_score_stand_last() -> None:
 @pytest.mark.parametrize("key", [measure.key for measure in MEASURES])
 def test_a_measure_that_is_missing_or_undefined_somewhere_is_a_dash(key: str) -> None:
     whole = made_run()
-    figures = whole.detectors["fusion"]
-    headline = {name: value for name, value in figures.headline.items() if name != key}
-    groups = {**figures.groups, "0006R0": {}}
+    scores = whole.detectors["fusion"]
+    headline = {name: value for name, value in scores.headline.items() if name != key}
+    groups = {**scores.groups, "0006R0": {}}
     lacking = changed(whole, "fusion", headline=headline, groups=groups)
-    undefined = {name: {**part, key: math.nan} for name, part in figures.groups.items()}
+    undefined = {name: {**part, key: math.nan} for name, part in scores.groups.items()}
     nothing = {"labeller": {"maxf": Difference(math.nan, Interval())}, "cpf:v2": {}}
     run = changed(replace(whole, comparison=Comparison("fusion", nothing)), "labeller",
                   groups=undefined, intervals={})  # fmt: skip
