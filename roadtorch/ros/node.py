@@ -31,7 +31,7 @@ from roadtorch.ros.messages import (
     label_info_message,
     ros_module,
 )
-from roadtorch.run.loop import Inference, detections
+from roadtorch.run.loop import Inference, detect_frames
 from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import CONFIDENCE, GRIDS, LABELS, MASK, OVERLAY, pixels_of
 
@@ -190,7 +190,7 @@ class RoadNode:
         self.node.get_logger().info(f"{self.detector.name} looks at {topic}")
         self.node.create_timer(SECOND, self._diagnose)
         source = self.inbox.source(topic, stop)
-        with closing(detections(source, self.infer, Workers(), self.steady, stop=stop)) as frames:
+        with closing(detect_frames(source, self.infer, Workers(), self.steady, stop=stop)) as frames:
             for frame in frames:
                 if isinstance(frame.outcome, RoadtorchError):
                     self.refused += 1

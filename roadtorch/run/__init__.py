@@ -1,1 +1,1 @@
-"""Resumable runs over images and footage: engines, index, records."""
+"""Resumable runs over images and footage: workers, index.csv, run.json, writers."""

@@ -1,4 +1,4 @@
-"""The folder of a run's results: locked, and who owns which name in it."""
+"""The output folder of a run: locked for one run, and holding results of one setting only."""
 
 import re
 import tempfile
@@ -12,24 +12,24 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.maps import CONFIG
 from roadtorch.run.ledger import INDEX
 
-ELSEWHERE = "give another --out"
-COCO, RUN = "coco.json", "run.json"
+OUT_HINT = "give another --out"
+COCO_FILE, RUN_FILE = "coco.json", "run.json"
 
 
 @contextmanager
 def output_lock(out: Path) -> Iterator[None]:
-    """A folder for the results of this run alone, without what killed runs left half-written.
+    """Create and lock an output folder, and remove half-written files of killed runs.
 
-    Raises InputError before the work when it cannot be written, or another run writes there.
+    Raises InputError when it cannot be written, or another run holds the lock.
     """
     if re.match(r"[A-Za-z0-9+.-]{2,}:/", str(out)):
-        raise InputError(out, "is an address", "give a folder, and copy or sync it")
-    make_folder(out, ELSEWHERE)
+        raise InputError(out, "is an address", "give a local folder, then copy or sync it")
+    make_folder(out, OUT_HINT)
     try:
         tempfile.TemporaryFile(dir=out).close()
     except OSError as error:
         problem = f"cannot be written: {error.strerror}"
-        raise InputError(out, problem, ELSEWHERE) from None
+        raise InputError(out, problem, OUT_HINT) from None
     with locked(out, "wait for it, or give another --out"):
         remove_leftovers([out])
         yield
@@ -37,20 +37,19 @@ def output_lock(out: Path) -> Iterator[None]:
 
 @contextmanager
 def result_folder(out: Path, effective: str, overwrite: bool) -> Iterator[None]:
-    """Lock the folder of a run's results for this run, with its settings, ``effective``, in it.
+    """Lock an output folder and write the effective settings, as TOML, into it.
 
-    Raises as ``output_lock``, and ConfigError if earlier settings were different, unless
-    ``overwrite``: a second run with another detector would skip what the first one did, and the
-    folder would mix the results of both.
+    Raises as ``output_lock``, and ConfigError where the folder holds results of different settings,
+    unless ``overwrite``: the second run would skip what the first one did, and mix their results.
     """
     with output_lock(out):
         config, effective = out / CONFIG, effective + "\n"
         try:
-            is_other = config.exists() and read_regular(config) != printable(effective).encode()
+            differs = config.exists() and read_regular(config) != printable(effective).encode()
         except OSError as error:
-            raise InputError(config, f"cannot be read: {error.strerror}", ELSEWHERE) from None
-        if is_other and (out / INDEX).exists() and not overwrite:
+            raise InputError(config, f"cannot be read: {error.strerror}", OUT_HINT) from None
+        if differs and (out / INDEX).exists() and not overwrite:
             problem = f"holds results of other settings ({CONFIG})"
-            raise ConfigError(out, problem, ELSEWHERE + ", or --overwrite")
+            raise ConfigError(out, problem, OUT_HINT + ", or --overwrite")
         write_text(config, effective)
         yield

@@ -1,7 +1,7 @@
-"""index.csv: what is done, with which settings, for which bytes; a row for every item.
+"""index.csv: one row for each image, frame and source, with its status, method and input hash.
 
-Rows are appended as they come, so that a killed run loses none but one that is cut, and are sorted
-at the end.
+Rows are appended as results arrive, so that a killed run loses at most the row being written, and
+sorted at the end.
 """
 
 import csv
@@ -19,19 +19,20 @@ from roadtorch.inputs.item import Item, Source
 
 INDEX = "index.csv"
 DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
-"""What the status of a row begins with; after a colon it says why."""
+"""Status of a row; all but ``done`` are followed by a colon and the reason."""
 
-BAG_LIST = "metadata.yaml"
+BAG_METADATA_FILE = "metadata.yaml"
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of index.csv. ``ms`` is the time from reading to the last file written.
+    """A row of index.csv, all values as text.
 
-    trust: the expected F of the mask, empty where the detector does not say.
-    saved: the kinds of results that were written; method: what they were made with, see
-    ``Method``; sha256: of the bytes of the image. seconds: of a frame, since its source began.
-    cues: their names, between slashes, which stand in no file's name.
+    ms: milliseconds from reading to the last file written. trust: predicted F-score of the mask,
+    0 to 1, empty where the detector has none. saved: kinds of results written, separated by
+    spaces. method: see ``Method``. sha256: of the image file. seconds: time stamp of a frame,
+    relative to the start of its source. cues: names of cues, separated by slashes, which no file
+    name can contain.
     """
 
     file: str
@@ -49,49 +50,48 @@ class Row:
 
     @property
     def failed(self) -> bool:
-        """Whether there is no result, or, of footage, only a part of it."""
+        """True where there is no result, or only a part of a video's frames."""
         return self.status.startswith((FAILED, PARTIAL))
 
     @property
     def doubtful(self) -> bool:
-        """Whether the result should be looked at before it is used."""
+        """True where the result should be checked by eye before it is used."""
         return self.status.startswith(DOUBTFUL)
 
 
-COLUMNS = list(Row.__dataclass_fields__)
+INDEX_COLUMNS = list(Row.__dataclass_fields__)
 
 
 def failed_row(name: str, error: object) -> Row:
-    """The row of what has no result; its status says why, on one line."""
+    """Return the row of an item without a result, with the error in its status."""
     return Row(name, status=f"{FAILED}: {' '.join(str(error).split())}")
 
 
 @dataclass(frozen=True)
 class Method:
-    """What results are made with: two runs of one method give the same bytes.
+    """Everything but the image that results depend on: two runs of one method give the same bytes.
 
-    key: of everything that the results depend on but the image, see ``roadtorch.run.memo.key_of``.
-    kinds: what is written.
+    key: hash of it, see ``roadtorch.run.memo.key_of``. kinds: kinds of results that are written.
     """
 
     key: str
     kinds: tuple[str, ...]
 
-    def made(self, row: Row) -> Row:
-        """The row of a result with what it was made with; failed rows stay as they are."""
+    def mark(self, row: Row) -> Row:
+        """Return a row marked as made with this method; a failed row is returned unchanged."""
         return row if row.failed else replace(row, saved=" ".join(self.kinds), method=self.key)
 
     def covers(self, row: Row | None) -> bool:
-        """Whether a row says that these kinds were made with this method, of whatever bytes."""
+        """Return whether a row lists all these kinds, made with this method."""
         if row is None or row.failed or row.method != self.key:
             return False
         return set(self.kinds) <= set(row.saved.split())
 
 
 def read_index(path: Path) -> dict[str, Row]:
-    """The rows of an index.csv by file, of each its last one; empty when there is none.
+    """Read the last row of each file in an index.csv; empty where the index does not exist.
 
-    Raises InputError when a file of that name is something else.
+    Raises InputError for a file of that name that is not an index.
     """
     if not path.exists():
         return {}
@@ -104,48 +104,48 @@ def read_index(path: Path) -> dict[str, Row]:
             raise TypeError("a row is cut short")
         return {row.file: row for row in rows}
     except (OSError, UnicodeDecodeError, TypeError, KeyError, csv.Error):
-        raise InputError(path, "is not an index of ours", "give another --out") from None
+        raise InputError(path, "is not an index of roadtorch", "give another --out") from None
 
 
 def write_index(path: Path, rows: Iterable[Row]) -> None:
     """Write rows, sorted by file, as index.csv."""
-    write_text(path, csv_text(COLUMNS, map(asdict, sorted(rows, key=lambda row: row.file))))
+    write_text(path, csv_text(INDEX_COLUMNS, map(asdict, sorted(rows, key=lambda row: row.file))))
 
 
 def has_result(folder: Path, name: str) -> bool:
-    """Return whether a result exists; a bag that is a folder is one once it has its list."""
+    """Return whether a result exists; a ROS 2 bag does once its metadata.yaml is written."""
     path = folder / name
-    with suppress(OSError):  # a name that is too long, which nothing can have
-        return path.is_file() or (path / BAG_LIST).is_file()
+    with suppress(OSError):  # the name is too long for a file
+        return path.is_file() or (path / BAG_METADATA_FILE).is_file()
     return False
 
 
 class Ledger:
-    """The rows of a folder of results while a run adds to them; see ``open_ledger``."""
+    """The index of an output folder while a run adds rows to it; see ``open_ledger``."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.rows = read_index(path)
 
     def is_done(self, item: Item | Source, method: Method, suffixes: Sequence[str]) -> bool:
-        """Return whether an item is done, with this method, for the bytes that it has now.
+        """Return whether an item has all its files, made with this method from its current bytes.
 
-        All files have to exist, those of the cues that its row names among them.
+        ``{}`` in a suffix stands for the name of each cue in the item's row.
         """
         row = self.rows.get(item.row_name)
         if row is None or not method.covers(row) or item.digest is None:
             return False
         cues = filter(None, row.cues.split("/"))
-        named = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
-        return self.is_complete(item, [*suffixes, *named]) and row.sha256 == item.digest() != ""
+        of_cues = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
+        return self.has_files(item, [*suffixes, *of_cues]) and row.sha256 == item.digest() != ""
 
-    def is_complete(self, item: Item | Source, suffixes: Iterable[str]) -> bool:
-        """Return whether all files exist whose names are known beforehand."""
+    def has_files(self, item: Item | Source, suffixes: Iterable[str]) -> bool:
+        """Return whether the files of all suffixes exist, except those of cues."""
         ends = [end for end in suffixes if "{}" not in end]
         return all(has_result(self.path.parent, item.name + end) for end in ends)
 
     def add(self, row: Row) -> None:
-        """Keep one more row, with the kinds that the same method gave of the same bytes before.
+        """Append a row, and keep the kinds saved earlier by the same method from the same bytes.
 
         Raises InputError when it cannot be written.
         """
@@ -154,31 +154,31 @@ class Ledger:
             kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
             row = replace(row, saved=" ".join(kinds))
         self.rows[row.file] = row
-        text = csv_text(COLUMNS, [asdict(row)])
+        text = csv_text(INDEX_COLUMNS, [asdict(row)])
         try:
             with self.path.open("ab", buffering=0) as file:
                 file.write(printable(text if not file.tell() else text.partition("\n")[2]).encode())
         except OSError as error:
-            refusal = unwritable(self.path, error)
-            refusal.exit_code = ExitCode.SOME_FAILED  # what was finished before stays
-            raise refusal from None
+            failure = unwritable(self.path, error)
+            failure.exit_code = ExitCode.SOME_FAILED  # earlier results are kept
+            raise failure from None
 
-    def forget_frames(self, name: str) -> None:
-        """Leave out the rows of a source's frames: it is looked at anew."""
-        own = re.compile(rf"{re.escape(name)}/{FRAME_NUMBER}")
-        for file in [file for file in self.rows if own.fullmatch(file)]:
+    def drop_frames(self, name: str) -> None:
+        """Drop the rows of a source's frames, before it is processed again."""
+        frame = re.compile(rf"{re.escape(name)}/{FRAME_NUMBER}")
+        for file in [file for file in self.rows if frame.fullmatch(file)]:
             del self.rows[file]
 
 
 FRAME_NUMBER = r"\d{6,}"
-"""What follows ``NAME/`` in the names of a source's frames."""
+"""Pattern of a frame's number, which follows ``NAME/`` of its source."""
 
 
 @contextmanager
 def open_ledger(path: Path) -> Iterator[Ledger]:
-    """The ledger in a file, sorted at the end of the block, however that comes.
+    """Open the ledger of an index.csv, and write it sorted when the block ends, even by an error.
 
-    Raises InputError for a file that is no index, and for one that cannot be written.
+    Raises InputError for a file that is not an index, or cannot be written.
     """
     ledger = Ledger(path)
     write_index(path, ledger.rows.values())

@@ -1,8 +1,8 @@
-"""The loop of every command: read, infer, write, remember.
+"""The loop of every command: read, infer, write, add a row to index.csv.
 
-A command chooses the inference and the writers. On images that stand alone workers do all of it,
-from reading to writing; on frames of footage they only infer, for frames smooth one another and go
-into one video. The results do not depend on who works.
+A command chooses the inference and the writers. Workers process single images from reading to
+writing; of frames they only compute the evidence, for temporal smoothing and videos need all
+frames in order. Results do not depend on the number of workers.
 """
 
 import os
@@ -26,21 +26,20 @@ from roadtorch.detectors.detector import Detector, Evidence
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady
-from roadtorch.run.folder import ELSEWHERE
+from roadtorch.run.folder import OUT_HINT
 from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row
 from roadtorch.run.workers import DIED, Workers
 
 Value = TypeVar("Value")
 
-# --- what is done to items ----------------------------------------------------------------
+# --- single images ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Inference:
-    """A detector, for images of one camera where that is known.
+    """A detector on a torch device, optionally for the images of one camera.
 
-    device: where the tensors are while the road is looked for; steps of OpenCV fetch what they
-    need.
+    device: of image and detector; steps in OpenCV copy what they need to the CPU.
     """
 
     detector: Detector
@@ -48,93 +47,93 @@ class Inference:
     device: str = "cpu"
 
     def __call__(self, image: Tensor) -> Detection:
-        """Detect the road in an image (3,H,W)."""
-        return self.detector.to(self.device).detect(self.checked(image))
+        """Detect the road in an image (3, H, W)."""
+        return self.detector.to(self.device).detect(self.move(image))
 
     def find(self, image: Tensor) -> Evidence:
-        """Do the part of it that needs no other frame."""
-        return self.detector.to(self.device).find(self.checked(image))
+        """Compute the evidence of a frame, the part of detection that needs no other frame."""
+        return self.detector.to(self.device).find(self.move(image))
 
-    def checked(self, image: Tensor) -> Tensor:
-        """Return the image on its device; InputError where it is of another camera."""
+    def move(self, image: Tensor) -> Tensor:
+        """Move an image to the device; InputError where it does not fit the camera."""
         if self.camera is not None:
             self.camera.check(image)
         return image.to(self.device)
 
 
 class Writer(Protocol):
-    """Writes detections: into files of each item, or into one that ``close()`` finishes."""
+    """A writer of detections, into files of each item or into one that ``close()`` finishes."""
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write one; gives what index.csv says otherwise than usual. InputError on a fault."""
+        """Write a detection, and return columns of index.csv to override; InputError on failure."""
         ...
 
 
 class FileWriter(Writer, Protocol):
-    """Writes files of each item, below ``folder``."""
+    """A writer of separate files for each item, below ``folder``."""
 
     @property
     def folder(self) -> Path:
-        """The folder of the results."""
+        """Output folder."""
         ...
 
     @property
     def suffixes(self) -> Sequence[str]:
-        """How the names of its files end, ``{}`` standing for the names of the cues."""
+        """Suffixes of its files; ``{}`` stands for the name of a cue."""
         ...
 
 
 @dataclass(frozen=True)
 class Task:
-    """All that is done to an image that stands alone: read, infer, write."""
+    """The work on a single image: read, infer, write."""
 
     infer: Callable[[Tensor], Detection]
     writer: FileWriter
     method: Method
 
     def __call__(self, item: Item) -> Row:
-        """Return the row of one image; whatever goes wrong inside stays inside."""
+        """Process an image and return its row; an error becomes a failed row."""
         return write_row(item, lambda: self.infer(item.read()), self.writer, self.method)
 
 
 def write_row(
     item: Item, detect: Callable[[], Detection], writer: FileWriter, method: Method, ms: float = 0
 ) -> Row:
-    """Write the results of an image or a frame and return its row, a failed one on any fault.
+    """Write the results of an image or frame, and return its row, a failed one on any error.
 
-    detect: gives the detection, or raises why there is none. ms: what was spent on it before.
+    detect: returns the detection or raises. ms: milliseconds spent on the item before this call.
     """
     start = perf_counter()
     seconds = "" if item.seconds is None else f"{item.seconds:.3f}"
     try:
         detection = detect()
         if writer.suffixes:
-            make_folder((writer.folder / item.name).parent, ELSEWHERE)
+            make_folder((writer.folder / item.name).parent, OUT_HINT)
         changes = writer.write(item, detection)
         height, width = detection.mask.shape
         row = Row(
             item.row_name,
             str(width),
             str(height),
-            elapsed(start, ms),
+            elapsed_ms(start, ms),
             road_share=f"{float(detection.mask.double().mean()):.4f}",
             trust="" if detection.trust is None else f"{detection.trust:.2f}",
             status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
             sha256=item.digest() if item.digest else "",
             seconds=seconds,
         )
-        return method.made(replace(row, **changes))
-    except Exception as error:  # one that trips a detector must not cost the night's run
+        return method.mark(replace(row, **changes))
+    except Exception as error:  # one image that breaks a detector must not end a long run
         return replace(failed_row(item.row_name, fault(item.origin, error)), seconds=seconds)
 
 
-def elapsed(start: float, before: float = 0.0) -> str:
-    """Return the milliseconds since a moment, and those before it."""
-    return f"{before + 1000 * (perf_counter() - start):.0f}"
+def elapsed_ms(start: float, ms: float = 0.0) -> str:
+    """Format the milliseconds since ``start`` (``perf_counter``), plus ``ms``."""
+    return f"{ms + 1000 * (perf_counter() - start):.0f}"
 
 
 def crashed_row(item: Item) -> Row:
-    """Return the row of an image over which a worker died."""
+    """Return the row of an image whose worker process died."""
     return failed_row(item.row_name, InputError(item.origin, *DIED))
 
 
@@ -142,9 +141,9 @@ def crashed_row(item: Item) -> Row:
 
 
 class FrameResult(NamedTuple):
-    """A frame and what was detected in it, or why it has no result.
+    """A frame with its detection, or with the error that prevented one.
 
-    ms: from reading to the end of detection.
+    ms: milliseconds from reading to the end of detection.
     """
 
     item: Item
@@ -152,14 +151,14 @@ class FrameResult(NamedTuple):
     ms: float
 
     def detection(self) -> Detection:
-        """Return the detection, or raise what went wrong."""
+        """Return the detection, or raise the error."""
         if isinstance(self.outcome, RoadtorchError):
             raise self.outcome
         return self.outcome
 
 
-def _timed(where: str, step: Callable[[], Value]) -> tuple[Value | RoadtorchError, float]:
-    """Do a step on a frame: its result, or what went wrong, and the milliseconds that it took."""
+def _time_step(where: str, step: Callable[[], Value]) -> tuple[Value | RoadtorchError, float]:
+    """Run a step on a frame; return its result or error, and the milliseconds it took."""
     start = perf_counter()
     try:
         result = step()
@@ -169,14 +168,14 @@ def _timed(where: str, step: Callable[[], Value]) -> tuple[Value | RoadtorchErro
 
 
 @dataclass(frozen=True)
-class _Find:
-    """What workers do with frames; cues: whether those are wanted in full size, too."""
+class _EvidenceTask:
+    """The workers' part of the work on a frame; cues: whether to return full-size cues."""
 
     inference: Inference
     cues: bool
 
     def __call__(self, image: Tensor | RoadtorchError) -> tuple[Evidence | RoadtorchError, float]:
-        return _timed("image", partial(self._evidence, image))
+        return _time_step("image", partial(self._evidence, image))
 
     def _evidence(self, image: Tensor | RoadtorchError) -> Evidence:
         if isinstance(image, RoadtorchError):
@@ -186,7 +185,7 @@ class _Find:
         return evidence._replace(cues=cues, image=None)
 
 
-def detections(
+def detect_frames(
     source: Source,
     inference: Inference,
     workers: Workers,
@@ -196,27 +195,27 @@ def detections(
 ) -> Generator[FrameResult]:
     """Detect the road in every frame of a source, in order.
 
-    cues: whether the detections have them. A frame that cannot be read or looked at has no
-    detection, and the others go on. Raises what ``source.items`` raises.
+    cues: whether detections contain cues. A frame that cannot be read or processed yields an error
+    result. Raises what ``source.items`` raises.
     """
     waiting: deque[tuple[Item, Tensor | RoadtorchError, float]] = deque()
 
     def images(items: Iterable[Item]) -> Iterator[Tensor | RoadtorchError]:
         for item in items:
-            image, ms = _timed(item.origin, item.read)
+            image, ms = _time_step(item.origin, item.read)
             waiting.append((item, image, ms))
             yield image
 
     items = source.items()
-    asked = items if stop is None else until_stopped(items, stop, source.live)
+    frames = items if stop is None else until_stopped(items, stop, source.live)
     with closing(items) if isinstance(items, Generator) else nullcontext():
         crashed = InputError("image", *DIED), 0.0
-        results = workers.map(_Find(inference, cues), images(asked), lambda _: crashed)
+        results = workers.map(_EvidenceTask(inference, cues), images(frames), lambda _: crashed)
         with closing(results):
             for evidence, find_ms in results:
                 item, image, read_ms = waiting.popleft()
                 step = partial(_conclude, item, image, evidence, inference.detector, steady)
-                outcome, ms = _timed(item.origin, step)
+                outcome, ms = _time_step(item.origin, step)
                 yield FrameResult(item, outcome, read_ms + find_ms + ms)
 
 
@@ -227,7 +226,7 @@ def _conclude(
     detector: Detector,
     steady: Steady | None,
 ) -> Detection:
-    """Decide on a frame; the temporal filter sees one frame after the other, in order."""
+    """Decide the mask of a frame, after temporal smoothing; called on the frames in order."""
     if isinstance(evidence, RoadtorchError):
         raise evidence
     assert isinstance(image, Tensor)
@@ -279,7 +278,7 @@ def detect_stream(
     """
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
-    with closing(detections(source, Inference(detector), Workers(), steady)) as frames:
+    with closing(detect_frames(source, Inference(detector), Workers(), steady)) as frames:
         for done, frame in enumerate(frames, 1):
             if failed is not None and isinstance(frame.outcome, RoadtorchError):
                 failed(frame.item, frame.outcome)

@@ -1,4 +1,4 @@
-"""What commands remember beside their results: named arrays, under a key of all they depend on."""
+"""Caches on disk: named tensors in .npz files, under a hash of everything they depend on."""
 
 import hashlib
 import io
@@ -19,21 +19,20 @@ from roadtorch.layout.weights import tensors_hash, weights_path
 
 Arrays = dict[str, Tensor]
 
-KEY = "key"
-"""The array that holds the key."""
+KEY_NAME = "key"
+"""Name of the array that holds the cache key."""
 
-CACHED = 1000
-"""Files whose arrays are kept in memory, about 0.2 MB each: reading and unpacking one takes a
-quarter of the time of varying it."""
+MAX_CACHED_FILES = 1000
+"""Number of files kept in memory, about 0.2 MB each: reading and unpacking a file takes a quarter
+of the time of augmenting it."""
 
 
 def key_of(*parts: object) -> str:
-    """Return a key of all that a result depends on, and of our version: 32 hexadecimal digits.
+    """Return a cache key of all inputs of a result and roadtorch's version: 32 hexadecimal digits.
 
-    Of a path the bytes count, of a folder those of all files below it; of a detector its settings,
-    the files that they name, and its weights; of all else what ``repr`` gives. Whatever is not done
-    again because it was done before (results of ``infer``, images made ready for training, frames
-    of an adaptation, views of ``annotate``) has such a key.
+    A path is hashed by its bytes, a folder by those of all files below it; a detector by its
+    settings, the files that they name, and its weights; anything else by its ``repr``. Used for
+    results of ``infer``, prepared training images, frames of an adaptation, views of ``annotate``.
     """
     digest = hashlib.sha256(__version__.encode())
     for part in parts:
@@ -48,64 +47,61 @@ def key_of(*parts: object) -> str:
     return digest.hexdigest()[:32]
 
 
-def paths_in(settings: object) -> list[Path]:
-    """The files and folders that texts of nested settings name, as far as they exist.
-
-    Weights that ship count by their name.
-    """
+def find_paths(settings: object) -> list[Path]:
+    """Return the existing files and folders named in nested settings, shipped weights included."""
     if isinstance(settings, Mapping):
         settings = list(settings.values())
     if isinstance(settings, list | tuple):
-        return [path for value in settings for path in paths_in(value)]
+        return [path for value in settings for path in find_paths(value)]
     path = weights_path(str(settings)) if isinstance(settings, str | Path) else Path()
     return [path] if path.name and path.exists() else []
 
 
 def file_digests(settings: object) -> dict[str, str]:
-    """SHA-256 of the files that nested settings name, by path: ``paths_in`` without folders."""
-    return {str(path): digest_of(path) for path in paths_in(settings) if path.is_file()}
+    """Return the SHA-256 by path of the files named in nested settings (no folders)."""
+    return {str(path): digest_of(path) for path in find_paths(settings) if path.is_file()}
 
 
 def kept(path: Path, key: str | None, *names: str) -> Arrays | None:
-    """The arrays that ``keep`` wrote under that key, those named or all; None where there are none.
+    """Read cached tensors, all or those named; None where they are missing or damaged.
 
-    A file that is damaged, or of another key, holds none. Without a key any will do.
+    key: the key they were written with by ``keep``; None accepts any.
     """
     try:
-        arrays = read_arrays(path, *names, *((KEY,) if names else ()))
+        arrays = read_arrays(path, *names, *((KEY_NAME,) if names else ()))
     except (InputError, KeyError):
         return None
-    own = arrays.pop(KEY, None)
-    if own is None or key not in (None, bytes(own.tolist()).decode()):
+    stored = arrays.pop(KEY_NAME, None)
+    if stored is None or key not in (None, bytes(stored.tolist()).decode()):
         return None
     return arrays
 
 
 def keep(path: Path, key: str, arrays: Arrays) -> None:
-    """Write named tensors under a key, whole or not at all; folders are made."""
+    """Write named tensors with their cache key atomically; create missing folders."""
     make_folder(path.parent)
-    write_arrays(path, {**arrays, KEY: torch.tensor(list(key.encode()), dtype=torch.uint8)})
+    write_arrays(path, {**arrays, KEY_NAME: torch.tensor(list(key.encode()), dtype=torch.uint8)})
 
 
 def write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write named tensors as compressed NumPy archive, whole or not at all."""
+    """Write named tensors atomically as a compressed .npz archive."""
     with atomic(path) as temporary, temporary.open("wb") as file:
         named = {name: value.numpy() for name, value in arrays.items()}
         np.savez_compressed(file, allow_pickle=False, **named)
 
 
 def read_arrays(path: Path, *names: str) -> Arrays:
-    """The named tensors of an archive, all where none is named; InputError for a damaged one."""
+    """Read the named tensors of an .npz archive, by default all; InputError where it is damaged."""
     try:
         with np.load(io.BytesIO(read_regular(path)), allow_pickle=False) as archive:
             arrays = {name: torch.from_numpy(archive[name]) for name in names or archive.files}
             if arrays:
                 return arrays
-            raise ValueError("the list of its members says that there are none")
-    except Exception:  # zipfile, zlib and NumPy raise anything for foreign bytes
+            raise ValueError("the archive has no members")
+    except Exception:  # zipfile, zlib and NumPy raise various errors for damaged bytes
         raise InputError(path, "is damaged", "remove it; it will be made again") from None
 
 
 def cached_arrays() -> Callable[..., Arrays]:
-    """``read_arrays`` that keeps what it has read last; nobody may change what it gives."""
-    return lru_cache(maxsize=CACHED)(read_arrays)
+    """Return ``read_arrays`` with an LRU cache; callers must not change the tensors in place."""
+    return lru_cache(maxsize=MAX_CACHED_FILES)(read_arrays)

@@ -1,4 +1,4 @@
-"""What a run does, and how: images, sources, what is written of each; its options."""
+"""The plan of a run: its images and sources, the outputs of each, and the options of the run."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.data.maps import CONFIG
 from roadtorch.inputs.find import Inputs
 from roadtorch.inputs.item import Item, Source
-from roadtorch.run.folder import COCO, ELSEWHERE, RUN
+from roadtorch.run.folder import COCO_FILE, OUT_HINT, RUN_FILE
 from roadtorch.run.ledger import FRAME_NUMBER, INDEX
 from roadtorch.run.loop import FileWriter, Writer
 from roadtorch.run.workers import Workers, processors, workers_for
@@ -23,9 +23,9 @@ from roadtorch.run.workers import Workers, processors, workers_for
 class RunOptions:
     """Options of a run.
 
-    jobs: processes, or actors on Ray; None for as many as pay. overwrite: redo what is done. quiet:
-    no progress on stderr. engine: ``local``, ``ray`` for a cluster of this machine, or the address
-    of one. threads: within an image. device: of torch.
+    jobs: number of processes, or of actors on Ray; None for an automatic number. overwrite: redo
+    finished results. quiet: no progress on stderr. engine: ``local``, ``ray`` for a Ray cluster on
+    this machine, or the address of one. threads: per image. device: torch device.
     """
 
     jobs: int | None = None
@@ -37,7 +37,7 @@ class RunOptions:
 
     @contextmanager
     def workers(self, count: int | None) -> Iterator[Workers]:
-        """Give the workers for so many items (None: unknown); ConfigError where Ray is missing."""
+        """Open workers for ``count`` items (None: unknown); ConfigError where Ray is missing."""
         if self.engine == "local":
             yield workers_for(self.jobs, count, self.device)
             return
@@ -49,10 +49,10 @@ class RunOptions:
 
 
 class Writers(NamedTuple):
-    """What writes the frames of one source.
+    """The writers of one source.
 
-    files: files of each frame; where they cannot be written, the frame has failed. streams: files
-    of the whole source, such as videos; where they cannot be written, the source ends.
+    files: writes files of each frame; an error fails that frame. streams: write files of the whole
+    source, such as videos; an error ends the source.
     """
 
     files: FileWriter
@@ -60,33 +60,34 @@ class Writers(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What a command writes of one source.
+    """The outputs of a command for one source.
 
-    kinds: what index.csv says was saved. suffixes: of the files of the whole source; of_frames: of
-    those of each frame. open: what writes, closed behind the block. cues: whether it needs them.
+    kinds: kinds of results, as in index.csv. suffixes: of files of the whole source.
+    frame_suffixes: of files of each frame. open: opens the writers, and closes them after the
+    block. cues: whether the writers need full-size cues.
     """
 
     kinds: tuple[str, ...]
     suffixes: Sequence[str]
-    of_frames: Sequence[str]
+    frame_suffixes: Sequence[str]
     open: Callable[[], AbstractContextManager[Writers]]
     cues: bool = False
 
 
 class Plan(NamedTuple):
-    """What a run does: images that stand alone, and sources."""
+    """The single images and the sources (videos, streams, bags) that a run processes."""
 
     images: Sequence[Item]
     sources: Sequence[tuple[Source, Output]]
 
     @property
     def count(self) -> int | None:
-        """How many images there are; None where there is footage as well."""
+        """Number of images; None where there is footage as well."""
         return None if self.sources else len(self.images)
 
     @property
     def row_names(self) -> list[str]:
-        """What index.csv calls all of them."""
+        """Names of all images and sources in index.csv."""
         names = [item.row_name for item in self.images]
         return names + [source.row_name for source, _ in self.sources]
 
@@ -97,40 +98,40 @@ def plan(
     suffixes: Sequence[str],
     output: Callable[[Source], Output] | None = None,
 ) -> Plan:
-    """Return what is to be done; no file is written yet.
+    """Plan a run, and check that no two results share a file name; nothing is written yet.
 
-    out: the folder of the results. suffixes: of the results of an image. output: what is written
-    of a source. Raises ConfigError when two images or sources share a result, and when one would
-    replace an image.
+    out: output folder. suffixes: of the results of a single image. output: returns the outputs of
+    a source. Raises ConfigError where two inputs would write the same file, or one would overwrite
+    an input image.
     """
-    owners: dict[str, str] = dict.fromkeys((INDEX, CONFIG, COCO, RUN), "the run itself")
+    owners: dict[str, str] = dict.fromkeys((INDEX, CONFIG, COCO_FILE, RUN_FILE), "the run itself")
     sources = [(source, output(source)) for source in inputs.sources] if output else []
     numbered: dict[str, str] = {}
     # Path.resolve raises for a link to itself.
     files = [item.file for item in inputs.images] + [source.path for source in inputs.sources]
     images = {os.path.realpath(file) for file in files if file is not None}
 
-    def take(name: str, origin: str, other: str | None = None) -> None:
-        """Note whose result has a name, as index.csv calls it: two names may be one there."""
-        other = other or owners.get(printable(name))
-        if other is not None:
+    def claim(name: str, origin: str, owner: str | None = None) -> None:
+        """Claim a result's name as index.csv spells it: distinct file names may coincide there."""
+        owner = owner or owners.get(printable(name))
+        if owner is not None:
             problem = f"both would write {out}/{name}"
             raise ConfigError(
-                f"{other} and {origin}", problem, "rename one, or use two --out folders"
+                f"{owner} and {origin}", problem, "rename one, or use two --out folders"
             )
         if os.path.realpath(out / name) in images:
-            raise ConfigError(out / name, "is one of the images", ELSEWHERE)
+            raise ConfigError(out / name, "is one of the input images", OUT_HINT)
         owners[printable(name)] = origin
 
     for item in inputs.images:
         for suffix in [suffix for suffix in suffixes if "{}" not in suffix] or [""]:
-            take(item.name + suffix, item.origin)
+            claim(item.name + suffix, item.origin)
         folder, _, last = item.name.rpartition("/")
         if re.fullmatch(FRAME_NUMBER, last):
             numbered[folder] = item.origin
     for source, written in sources:
-        frames = numbered.get(source.name) if written.of_frames else None
-        take(source.name, source.origin, frames)
+        owner = numbered.get(source.name) if written.frame_suffixes else None
+        claim(source.name, source.origin, owner)
         for suffix in written.suffixes:
-            take(source.name + suffix, source.origin)
+            claim(source.name + suffix, source.origin)
     return Plan(inputs.images, sources)

@@ -1,4 +1,4 @@
-"""Workers on Ray: actors, on this machine or on a cluster."""
+"""Workers as Ray actors, on this machine or on a cluster."""
 
 import logging
 import os
@@ -17,12 +17,12 @@ from typing import Any
 
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError
-from roadtorch.run.workers import Workers, pickled
+from roadtorch.run.workers import Workers, pickle_value
 
-PATIENCE = 10.0  # seconds until a cluster has to answer; ours
-STORE = 100 * 2**20  # bytes of a local cluster's object store; rows and weights are small
+CONNECT_TIMEOUT = 10.0  # seconds to wait for a cluster; ours
+OBJECT_STORE_BYTES = 100 * 2**20  # of a local cluster; rows and weights are small
 
-QUIET = {
+QUIET_VARIABLES = {
     "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent anywhere
     "RAY_BACKEND_LOG_LEVEL": "fatal",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
@@ -30,19 +30,19 @@ QUIET = {
 
 
 class Actor:
-    """What a worker of a cluster does: it unpickles the task once, and does item after item."""
+    """A worker of a cluster: unpickles the task once, then processes one item after the other."""
 
     def __init__(self, task: bytes, threads: Threads) -> None:
         threads.set()
         self._task: Callable[[Any], Any] = pickle.loads(task)
 
     def work(self, item: bytes) -> bytes:
-        """Return the pickled result of the task on a pickled item."""
-        return pickled(self._task(pickle.loads(item)))
+        """Apply the task to a pickled item and return the pickled result."""
+        return pickle_value(self._task(pickle.loads(item)))
 
 
 class RayPool:
-    """Actors with one processor each, and with a GPU each where the device is one."""
+    """A pool of actors with one CPU each, and one GPU each where the device is CUDA."""
 
     def __init__(self, device: str, is_cluster: bool, task: Callable[[Any], Any]) -> None:
         import ray
@@ -52,8 +52,8 @@ class RayPool:
         self._ray: Any = ray
         self._task = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
         self._threads = Threads.of_now()
-        # OpenMP and BLAS read it before torch is loaded; Ray itself would say one thread. The
-        # workers of a local cluster have the environment of this process.
+        # OpenMP and BLAS read it before torch is loaded; Ray's default is one thread. Workers of a
+        # local cluster inherit the environment of this process.
         variables = {"OMP_NUM_THREADS": str(self._threads.torch)}
         options: dict[str, Any] = {"num_cpus": 1}
         options |= {"num_gpus": 1} if device.startswith("cuda") else {}
@@ -61,43 +61,43 @@ class RayPool:
         self._kind: Any = ray.remote(**options)(Actor)
 
     def start(self) -> Any:
-        """As ``Pool.start``."""
+        """Start an actor."""
         return self._kind.remote(self._task, self._threads)
 
     def submit(self, worker: Any, item: bytes) -> Future[bytes]:
-        """As ``Pool.submit``."""
+        """Send an item to an actor."""
         return worker.work.remote(item).future()
 
     def end(self, workers: Sequence[Any]) -> None:
-        """As ``Pool.end``."""
+        """Kill actors."""
         for worker in workers:
-            with suppress(Exception):  # it, or the whole cluster, has ended
+            with suppress(Exception):  # the actor or the whole cluster has already ended
                 self._ray.kill(worker)
 
 
 @contextmanager
 def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Workers]:
-    """Give so many workers of a cluster, which is left, or ended where it is one of this machine.
+    """Connect to a Ray cluster for the block; a local one is started, and ended after it.
 
-    address: of the cluster; None for one of this machine. Raises ConfigError where Ray is not
-    installed, or no cluster is at the address.
+    address: of the cluster; None starts one on this machine. Raises ConfigError where Ray is not
+    installed, or no cluster answers.
     """
-    # What a local cluster's processes find in their environment.
-    os.environ.update(QUIET, OMP_NUM_THREADS=str(Threads.of_now().torch))
+    # Inherited by the processes of a local cluster.
+    os.environ.update(QUIET_VARIABLES, OMP_NUM_THREADS=str(Threads.of_now().torch))
     with TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder:
-        ray = _imported()
+        ray = _import_ray()
         try:
-            with _without_stderr(), _deaf_children():
-                _join(ray, workers, address, folder)
+            with _silence_stderr(), _ignore_sigint():
+                _connect(ray, workers, address, folder)
             yield Workers(workers, partial(RayPool, device, address is not None))
         finally:
             ray.shutdown()
 
 
-def _imported() -> Any:
-    """Ray, told to show no bars, plans and advice; what goes wrong is raised."""
+def _import_ray() -> Any:
+    """Import Ray with its warnings and log messages silenced; errors are raised."""
     try:
-        # It reads deprecated settings of its own when it is imported.
+        # Importing Ray warns of deprecated settings that it reads itself.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             import ray
@@ -109,50 +109,50 @@ def _imported() -> Any:
 
 
 @contextmanager
-def _without_stderr() -> Iterator[None]:
-    """Send what libraries write to file number 2 nowhere: Ray announces its quiet there."""
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
+def _silence_stderr() -> Iterator[None]:
+    """Redirect file descriptor 2 to /dev/null: Ray's native code prints to it while starting."""
+    stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
     try:
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(null)
 
 
 @contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Processes that are started in the block ignore SIGINT, which a terminal sends to all.
+def _ignore_sigint() -> Iterator[None]:
+    """Let processes started in the block ignore SIGINT, which a terminal sends to its whole group.
 
-    A cluster that ends at once takes the driver with it, before it has saved what is finished.
+    A cluster that ended at once would end this process before it has saved finished results.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
 
 
-def _join(ray: Any, workers: int, address: str | None, folder: str) -> None:
+def _connect(ray: Any, workers: int, address: str | None, folder: str) -> None:
     quiet = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if address is None:
         ray.init(
             num_cpus=workers,
             include_dashboard=False,
-            object_store_memory=STORE,
+            object_store_memory=OBJECT_STORE_BYTES,
             _node_ip_address="127.0.0.1",
             _temp_dir=folder,
             **quiet,
         )
         return
     try:
-        if at := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", address):
-            # Where nobody listens Ray itself would try for minutes.
-            socket.create_connection((at[1], int(at[2])), timeout=PATIENCE).close()
+        if match := re.fullmatch(r"(?:ray://)?([\w.-]+):(\d+)", address):
+            # Where nothing listens, Ray itself would retry for minutes.
+            socket.create_connection((match[1], int(match[2])), timeout=CONNECT_TIMEOUT).close()
         ray.init(address=address, **quiet)
     except (OSError, ValueError, RuntimeError) as error:
         problem = f"no Ray cluster answers: {' '.join(str(error).split())[:200]}"

@@ -1,4 +1,4 @@
-"""run.json: what a run was, with which versions, on what, and how it ended."""
+"""run.json: the command, settings, versions, inputs and exit status of a run."""
 
 import hashlib
 import platform
@@ -18,7 +18,7 @@ from roadtorch.base.signals import Terminated
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import corrected_images, tensors_hash
-from roadtorch.run.folder import RUN
+from roadtorch.run.folder import RUN_FILE
 from roadtorch.run.ledger import INDEX, read_index
 
 
@@ -30,10 +30,10 @@ def recorded(
     options: Mapping[str, object],
     command: str,
 ) -> Iterator[None]:
-    """Write run.json behind the block, which is the run, however it ends.
+    """Write run.json when the block, which is the run, ends in any way.
 
-    files: the images of this run, as index.csv names them. options: what else is to be kept of
-    how it was started. command: as it was typed.
+    files: names of the run's images in index.csv. options: further options to record. command: the
+    command line as typed.
     """
     started, status = _now(), ExitCode.SOME_FAILED
     try:
@@ -48,12 +48,12 @@ def recorded(
     finally:
         index = folder / INDEX
         rows = read_index(index)
-        own = [rows[file] for file in files if file in rows]
-        done = sorted((row for row in own if not row.failed), key=lambda row: row.file)
+        tried = [rows[file] for file in files if file in rows]
+        done = sorted((row for row in tried if not row.failed), key=lambda row: row.file)
         inputs = "".join(f"{row.sha256}  {row.file}\n" for row in done)
         settings = detector.settings.model_dump(mode="json")
         document = {
-            "versions": {  # those that results may depend on
+            "versions": {  # results may depend on these
                 "roadtorch": __version__,
                 "torch": torch.__version__,
                 "numpy": np.__version__,
@@ -75,13 +75,13 @@ def recorded(
             "images": {
                 "all": len(files),
                 "done": len(done),
-                "doubtful": sum(row.doubtful for row in own),
-                "failed": len(own) - len(done),
-                "not_tried": len(files) - len(own),
+                "doubtful": sum(row.doubtful for row in tried),
+                "failed": len(tried) - len(done),
+                "not_tried": len(files) - len(tried),
             },
-            "exit_status": int(len(done) < len(own)) if status is None else status,
+            "exit_status": int(len(done) < len(tried)) if status is None else status,
         }
-        write_json(folder / RUN, document)
+        write_json(folder / RUN_FILE, document)
 
 
 def _now() -> str:

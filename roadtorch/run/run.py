@@ -1,4 +1,4 @@
-"""A run of a command into one folder: what is left to do is done, and remembered."""
+"""A run of a command into one output folder; finished results are skipped, new ones recorded."""
 
 import sys
 from collections import Counter
@@ -18,7 +18,7 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop, stop_on_signals
 from roadtorch.inputs.item import Item, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.folder import ELSEWHERE, result_folder
+from roadtorch.run.folder import OUT_HINT, result_folder
 from roadtorch.run.ledger import (
     DONE,
     DOUBTFUL,
@@ -34,8 +34,8 @@ from roadtorch.run.loop import (
     Inference,
     Task,
     crashed_row,
-    detections,
-    elapsed,
+    detect_frames,
+    elapsed_ms,
     until_stopped,
     write_row,
 )
@@ -43,12 +43,12 @@ from roadtorch.run.plan import Output, Plan, RunOptions, Writers
 from roadtorch.run.workers import Workers
 
 LEAST_TRUSTED = 5
-"""Images that are named at the end of a run, to be looked at first."""
+"""Number of least trusted images that are listed at the end of a run."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run into one folder: what it remembers, who works, how it goes."""
+    """A run into one output folder, with its index, workers and options."""
 
     folder: Path
     ledger: Ledger
@@ -56,20 +56,20 @@ class Run:
     options: RunOptions
 
     def all(self, plan: Plan, task: Task, of_footage: Method, steady: bool = True) -> int:
-        """Work through what is planned; the exit code.
+        """Process all images and sources of a plan, and return the exit code.
 
-        task: on images; look at frames is its own. of_footage: what sources are made with.
+        of_footage: method of the sources, in the place of the task's. steady: whether to smooth
+        over time.
         """
         failed = self.images(plan.images, task)
-        return max(failed, self.footage(plan, replace(task, method=of_footage), steady))
+        return max(failed, self.process_sources(plan, replace(task, method=of_footage), steady))
 
     def images(self, items: Sequence[Item], task: Task) -> int:
-        """Work through the images that are not done yet; the exit code.
+        """Process the images that are not done yet, and return the exit code.
 
-        An image is done when index.csv says so, of this method and of the bytes that it has now,
-        and its files exist. One that fails becomes a failed row, and the others go on. At the first
-        SIGINT or SIGTERM what is in hand is finished, and all that is done is kept:
-        KeyboardInterrupt.
+        An image is done when index.csv lists it with this method and its current bytes, and its
+        files exist. A failing image becomes a failed row. The first SIGINT or SIGTERM lets started
+        images finish, then raises KeyboardInterrupt.
         """
         if not items:
             return 0
@@ -78,48 +78,44 @@ class Run:
         todo = [
             item for item in items if redo or not self.ledger.is_done(item, task.method, suffixes)
         ]
-        known = [] if redo else [item for item in todo if item.row_name in rows]
-        again = sum(self.ledger.is_complete(item, suffixes) for item in known)
+        outdated = [] if redo else [item for item in todo if item.row_name in rows]
+        again = sum(self.ledger.has_files(item, suffixes) for item in outdated)
         with stop_on_signals() as stop:
-            made = self.workers.map(task, until_stopped(todo, stop), crashed_row)
-            tried = list(self._recorded(made, "image", total=len(todo)))
+            results = self.workers.map(task, until_stopped(todo, stop), crashed_row)
+            tried = list(self._record(results, "image", total=len(todo)))
             self._remove_leftovers(items)  # of workers that died
         stop.interrupt()
         failed = sum(rows[item.row_name].failed for item in todo)
         if not self.options.quiet or failed:
-            done_now = f"{len(todo) - failed} done" + (f" ({again} anew)" if again else "")
-            others = {"skipped (done before)": len(items) - len(todo), FAILED: failed}
-            self._summarise(done_now, others)
-            for line in least_trusted(tried):
+            done = f"{len(todo) - failed} done" + (f" ({again} redone)" if again else "")
+            counts = {"skipped (done before)": len(items) - len(todo), FAILED: failed}
+            self._print_summary(done, counts)
+            for line in least_trusted_lines(tried):
                 click.echo(line)
         return 1 if failed else 0
 
-    def footage(self, plan: Plan, task: Task, steady: bool) -> int:
-        """Work through the sources that are not done yet; the exit code.
+    def process_sources(self, plan: Plan, task: Task, steady: bool) -> int:
+        """Process the sources that are not done yet, and return the exit code.
 
-        steady: whether frames are steadied. A source is done when index.csv
-        says so, of this method and of the bytes that its file has now, and its files are there;
-        live ones never are. One that fails becomes a failed row, a partial one where some frames
-        were done, and the others go on. When interrupted, what was finished is kept, the videos
-        with what they have.
+        A source is done as an image is; live ones never are. A failing source becomes a failed
+        row, or a partial one where some frames were done. When interrupted, finished frames are
+        kept, and videos are closed after the last of them.
         """
         if not plan.sources:
             return 0
         skipped, ended = 0, Counter[str]()
         for source, output in plan.sources:
-            own = replace(task, method=replace(task.method, kinds=output.kinds))
+            source_task = replace(task, method=replace(task.method, kinds=output.kinds))
             redo = self.options.overwrite
-            if not redo and self.ledger.is_done(source, own.method, output.suffixes):
+            if not redo and self.ledger.is_done(source, source_task.method, output.suffixes):
                 skipped += 1
                 continue
-            row = self._source(source, output, own, steady)
+            row = self._process_source(source, output, source_task, steady)
             ended[row.status.partition(":")[0]] += 1
         failed = ended[PARTIAL] + ended[FAILED]
         if not self.options.quiet or failed:
-            others = {"skipped (done before)": skipped}
-            self._summarise(
-                f"{ended[DONE]} done", others | {x: ended[x] for x in (PARTIAL, FAILED)}
-            )
+            counts = {"skipped (done before)": skipped, PARTIAL: ended[PARTIAL]}
+            self._print_summary(f"{ended[DONE]} done", counts | {FAILED: ended[FAILED]})
         return 1 if failed else 0
 
     def _remove_leftovers(self, items: Iterable[Item]) -> None:
@@ -128,27 +124,27 @@ class Run:
 
     # --- one source ---------------------------------------------------------------------
 
-    def _source(self, source: Source, output: Output, task: Task, steady: bool) -> Row:
-        """Work through the frames of a source as far as possible; its row, which is remembered."""
-        count, place = _Count(), self.folder / source.name
-        remove_leftovers([place.parent, place])
-        make_folder(place.parent, ELSEWHERE)
-        self.ledger.forget_frames(source.name)
+    def _process_source(self, source: Source, output: Output, task: Task, steady: bool) -> Row:
+        """Process the frames of a source as far as possible, and return its recorded row."""
+        count, folder = _Count(), self.folder / source.name
+        remove_leftovers([folder.parent, folder])
+        make_folder(folder.parent, OUT_HINT)
+        self.ledger.drop_frames(source.name)
         error: BaseException | None = None
         try:
             with stop_on_signals() as stop, output.open() as writers:
-                rows = self._frames(source, task, writers, output.cues, steady, stop)
-                for row in self._recorded(rows, "frame", total=source.count):
+                rows = self._frame_rows(source, task, writers, output.cues, steady, stop)
+                for row in self._record(rows, "frame", total=source.count):
                     count.add(row)
             stop.interrupt()
         except (RoadtorchError, KeyboardInterrupt) as raised:
             error = raised
-        row = task.method.made(_row_of_source(source, count, error))
+        row = task.method.mark(_source_row(source, count, error))
         row = row if row.failed else replace(row, sha256=source.digest())
         self.ledger.add(row)
         if not self.options.quiet:
             click.echo(f"roadtorch: {row.file}: {count}", err=True)
-            for line in least_trusted(count.least)[1:] if count.doubtful else []:
+            for line in least_trusted_lines(count.least)[1:] if count.doubtful else []:
                 click.echo(line, err=True)
         if isinstance(error, KeyboardInterrupt):
             raise error
@@ -156,13 +152,13 @@ class Run:
             click.echo(f"roadtorch: {row.status}", err=True)
         return row
 
-    def _frames(
+    def _frame_rows(
         self, source: Source, task: Task, writers: Writers, cues: bool, steady: bool, stop: Stop
     ) -> Iterator[Row]:
-        """Yield the rows of frames, which smooth one another and go into the same files."""
-        filtering, infer = Steady(SteadySettings()) if steady else None, task.infer
+        """Detect and write the frames of a source in order, and yield their rows."""
+        smoothing, infer = Steady(SteadySettings()) if steady else None, task.infer
         assert isinstance(infer, Inference)
-        with closing(detections(source, infer, self.workers, filtering, cues, stop)) as frames:
+        with closing(detect_frames(source, infer, self.workers, smoothing, cues, stop)) as frames:
             for frame in frames:
                 files, method = writers.files, task.method
                 row = write_row(frame.item, frame.detection, files, method, frame.ms)
@@ -170,14 +166,14 @@ class Run:
                 if not isinstance(frame.outcome, RoadtorchError):
                     for writer in writers.streams:
                         writer.write(frame.item, frame.outcome)
-                yield row if row.failed else replace(row, ms=elapsed(start, float(row.ms)))
+                yield row if row.failed else replace(row, ms=elapsed_ms(start, float(row.ms)))
 
-    # --- what is told -------------------------------------------------------------------
+    # --- output on the terminal ---------------------------------------------------------
 
-    def _recorded(self, rows: Any, unit: str, total: int | None) -> Iterator[Row]:
-        """The same rows with what ``Progress`` shows, each failure on a line, all remembered.
+    def _record(self, rows: Any, unit: str, total: int | None) -> Iterator[Row]:
+        """Add rows to the index as they arrive, show progress, and print failures.
 
-        Closing this closes them.
+        Closing this generator closes ``rows``.
         """
         quiet = self.options.quiet
         with closing(rows), Progress(rows, total=total, unit=unit, quiet=quiet) as bar:
@@ -187,9 +183,9 @@ class Run:
                 self.ledger.add(row)
                 yield row
 
-    def _summarise(self, done: str, others: Mapping[str, int]) -> None:
-        """One line on stderr: what was done, and what became of others, where there are some."""
-        parts = [done, *(f"{count} {problem}" for problem, count in others.items() if count)]
+    def _print_summary(self, done: str, counts: Mapping[str, int]) -> None:
+        """Print one line on stderr with the counts that are not zero."""
+        parts = [done, *(f"{count} {status}" for status, count in counts.items() if count)]
         click.echo(f"roadtorch: {', '.join(parts)}; results in {self.folder}", err=True)
 
 
@@ -201,10 +197,10 @@ def open_run(
     options: RunOptions,
     record: AbstractContextManager[None] | None = None,
 ) -> Iterator[Run]:
-    """Open a run over so many items into a folder; see ``result_folder`` and ``open_ledger``.
+    """Open a run over ``count`` items (None: unknown) into an output folder.
 
-    effective: the settings, for config.toml. record: what stands around the run, such as
-    ``roadtorch.run.record.recorded``.
+    effective: all settings as TOML, written to config.toml. record: context entered around the
+    run, such as ``roadtorch.run.record.recorded``. Raises as ``result_folder`` and ``open_ledger``.
     """
     with (
         options.workers(count) as workers,
@@ -219,20 +215,17 @@ def _trust(row: Row) -> float:
     return float(row.trust or "inf")
 
 
-def least_trusted(rows: Iterable[Row]) -> list[str]:
-    """Lines that name the images whose masks should be looked at first, the worst on top.
-
-    None where no row has a trust.
-    """
+def least_trusted_lines(rows: Iterable[Row]) -> list[str]:
+    """Return lines that list the least trusted images, the worst first; empty without trusts."""
     judged = sorted((row for row in rows if row.trust), key=_trust)
     if not judged:
         return []
     doubtful = sum(row.doubtful for row in judged)
-    shown = [
+    lines = [
         f"  {row.trust}  {row.file}{row.status.removeprefix(DONE).removeprefix(DOUBTFUL)}"
         for row in judged[:LEAST_TRUSTED]
     ]
-    return [f"roadtorch: {doubtful} doubtful of {len(judged)}; least trusted:", *shown]
+    return [f"roadtorch: {doubtful} doubtful of {len(judged)}; least trusted:", *lines]
 
 
 # --- one source ---------------------------------------------------------------------------
@@ -240,9 +233,9 @@ def least_trusted(rows: Iterable[Row]) -> list[str]:
 
 @dataclass
 class _Count:
-    """What was counted over the frames of one source.
+    """Counts over the frames of one source.
 
-    ms: of the done ones; last: of them; least: those of the least trust.
+    ms: milliseconds of all done frames. last: row of the last one. least: least trusted rows.
     """
 
     done: int = 0
@@ -263,24 +256,24 @@ class _Count:
             self.least = nsmallest(LEAST_TRUSTED, [*self.least, row], key=_trust)
 
     def __str__(self) -> str:
-        """In words."""
+        """Return the counts as text."""
         parts = [f"{self.done} frames"]
         parts += [f"{self.doubtful} doubtful"] if self.doubtful else []
         parts += [f"{self.failed} failed"] if self.failed else []
         return ", ".join(parts)
 
 
-def _row_of_source(source: Source, count: _Count, error: BaseException | None) -> Row:
-    """Return the row of a source; to be interrupted is the usual end of a live one."""
-    why = ""
+def _source_row(source: Source, count: _Count, error: BaseException | None) -> Row:
+    """Return the row of a source; an interruption is the usual end of a live one."""
+    reason = ""
     if isinstance(error, RoadtorchError):
-        why = " ".join(str(error).split())
+        reason = " ".join(str(error).split())
     elif error is not None and not source.live:
-        why = f"{source.origin}: was interrupted (run it again)"
+        reason = f"{source.origin}: was interrupted (run it again)"
     elif count.failed:
-        of = f"{count.done} of {count.done + count.failed} frames"
-        why = f"{source.origin}: {of} (see the rows of the others)"
-    status = f"{PARTIAL if count.done else FAILED}: {why}" if why else DONE
+        frames = f"{count.failed} of {count.done + count.failed} frames failed"
+        reason = f"{source.origin}: {frames} (see their rows in index.csv)"
+    status = f"{PARTIAL if count.done else FAILED}: {reason}" if reason else DONE
     last = count.last
     row = Row(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
     return replace(row, seconds=last.seconds)

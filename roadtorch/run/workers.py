@@ -1,8 +1,8 @@
-"""Parallel work by processes with one thread each; results come in the order of the items.
+"""Parallel work in processes; results come in the order of the items.
 
-Processes rather than threads: half of the work on an image is Python's, between small steps of
-torch, so that two threads of one process are hardly faster than one. Threads within an item stay
-as they are set in this process, and with them every byte.
+Processes rather than threads: half of the time on an image is spent in Python, between small steps
+of torch, so that two threads of one process are hardly faster than one. Each worker has the number
+of torch threads of this process, so that results are the same to the byte.
 """
 
 import copyreg
@@ -29,79 +29,78 @@ from roadtorch.base.compute import Threads, check_device, keep_freed_memory
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import SIGNALS, end_with_parent, interrupting_none_started
 
-Given = TypeVar("Given")
-Result = TypeVar("Result")
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
-MIN_ITEMS = 4
-"""Items a worker, from which making one pays; ours: it costs as much as one image."""
+MIN_ITEMS_PER_WORKER = 4
+"""Fewest items for which a worker is started; ours: starting one takes as long as one image."""
 
-AHEAD = 2
-"""Items a worker that may be done before the one that is next is; ours: images are uneven."""
+MAX_AHEAD = 2
+"""Most items a worker may finish ahead of the next result; ours: images take unequal times."""
 
-PATIENCE = 10.0
-"""Seconds that a worker gets to end what it has in hand, before it is killed."""
+SHUTDOWN_TIMEOUT = 10.0
+"""Seconds that a worker gets to finish its item, before it is killed."""
 
-DIED = ("a worker died over it", "run it again; with less memory, --jobs 1")
-"""What went wrong with an item over which a worker died, and what to do."""
+DIED = ("its worker process died", "run it again, with --jobs 1 if memory is short")
+"""Problem and hint of an item whose worker process died."""
 
 # --- in order -----------------------------------------------------------------------------
 
 
 class Pool(Protocol):
-    """Workers that do one task. crashes: what a future raises where a worker died."""
+    """Workers for one task. crashes: exceptions of a future whose worker died."""
 
     crashes: tuple[type[Exception], ...]
 
     def start(self) -> Any:
-        """Return another worker; InputError where there can be none."""
+        """Start a worker; InputError where that is impossible."""
         ...
 
     def submit(self, worker: Any, item: bytes) -> Future[bytes]:
-        """Return the pickled result of the task on a pickled item."""
+        """Send a pickled item to a worker; the future holds the pickled result."""
         ...
 
     def end(self, workers: Sequence[Any]) -> None:
-        """End workers, within ``PATIENCE``."""
+        """Stop workers within ``SHUTDOWN_TIMEOUT``."""
         ...
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Up to ``jobs`` processes of this machine, or workers of another pool; one: this process."""
+    """Up to ``jobs`` processes (one: this process itself), or workers of another pool."""
 
     jobs: int = 1
     pool: Callable[[Callable[[Any], Any]], Pool] | None = None
 
     def map(
         self,
-        task: Callable[[Given], Result],
-        items: Iterable[Given],
-        died: Callable[[Given], Result],
-    ) -> Generator[Result]:
+        task: Callable[[_Item], _Result],
+        items: Iterable[_Item],
+        on_crash: Callable[[_Item], _Result],
+    ) -> Generator[_Result]:
         """Yield the results of a task on all items, in their order, a few items ahead at most.
 
-        died: gives the result of an item over which a worker died; others take its place. Task,
-        items and results are pickled where another process does the work. Closing this ends it.
-        InputError where a process cannot be started.
+        on_crash: returns the result of an item whose worker died; the worker is replaced. Task,
+        items and results are pickled for other processes. Closing the generator stops the workers.
+        Raises InputError where a process cannot be started.
         """
         if self.pool is None and self.jobs == 1:
             return (task(item) for item in items)
         pool = _ProcessPool(task) if self.pool is None else self.pool(task)
-        return _map_in_order(pool, self.jobs, iter(items), died)
+        return _map_in_order(pool, self.jobs, iter(items), on_crash)
 
 
 def _map_in_order(
-    pool: Pool, jobs: int, items: Iterator[Given], died: Callable[[Given], Result]
-) -> Generator[Result]:
+    pool: Pool, jobs: int, items: Iterator[_Item], on_crash: Callable[[_Item], _Result]
+) -> Generator[_Result]:
     """Yield the results of all items in their order; see ``Workers.map``.
 
-    A worker has at most one item in hand, and its death costs that one. All workers are there
-    before the first item is asked for: a copy of a process must not have what reading brings, such
-    as a decoder's threads.
+    A worker has at most one item, so that its death costs only that item. All workers start before
+    the first item is read: a forked process must not inherit, say, a decoder's threads.
     """
     idle: list[Any] = []
     busy: dict[Future[bytes], Any] = {}
-    pending: deque[tuple[Given, Future[bytes]]] = deque()
+    pending: deque[tuple[_Item, Future[bytes]]] = deque()
     is_over, error = False, None
     try:
         for _ in range(jobs):
@@ -110,17 +109,17 @@ def _map_in_order(
             while pending and pending[0][1].done():
                 item, future = pending.popleft()
                 is_crash = isinstance(future.exception(), pool.crashes)
-                yield died(item) if is_crash else pickle.loads(future.result())
-            if idle and len(pending) < AHEAD * jobs and not is_over:
+                yield on_crash(item) if is_crash else pickle.loads(future.result())
+            if idle and len(pending) < MAX_AHEAD * jobs and not is_over:
                 try:
                     item = next(items)
                 except StopIteration:
                     is_over = True
-                except Exception as raised:  # reported behind the results of what came before
+                except Exception as raised:  # re-raised after the results of earlier items
                     is_over, error = True, raised
                 else:
                     worker = idle.pop()
-                    future = pool.submit(worker, pickled(item))
+                    future = pool.submit(worker, pickle_value(item))
                     busy[future] = worker
                     pending.append((item, future))
             elif busy:
@@ -139,34 +138,34 @@ def _map_in_order(
 
 
 def processors() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def workers_for(jobs: int | None, count: int | None = None, device: str = "cpu") -> Workers:
-    """Return the workers for so many items (None: unknown) with ``--jobs``; None: what pays.
+    """Return workers for ``count`` items (None: unknown) and ``--jobs``.
 
-    That is one process a processor, none for a few items, and none beside a GPU.
+    Without ``--jobs``: one process per processor, and only this process for few items or a GPU.
     """
     if jobs is None:
         jobs = processors() if device == "cpu" else 1
-        jobs = jobs if count is None else min(jobs, count // MIN_ITEMS)
+        jobs = jobs if count is None else min(jobs, count // MIN_ITEMS_PER_WORKER)
     return Workers(max(jobs, 1))
 
 
 def settle(threads: int, device: str = "cpu") -> None:
-    """Set threads and memory; ConfigError for a device that torch or this machine lacks."""
+    """Set the threads of torch and OpenCV, and malloc; ConfigError for an unavailable device."""
     Threads(threads, threads).set()
     keep_freed_memory()
     check_device(device, f"--device {device}")
 
 
-def pickled(value: object) -> bytes:
-    """Return a value as bytes for another process, which ``pickle.loads`` reads.
+def pickle_value(value: object) -> bytes:
+    """Pickle a value for another process, to be read by ``pickle.loads``.
 
-    Tensors go as arrays, in a third of the time that torch takes for its own form of them.
+    Tensors are pickled as NumPy arrays, in a third of the time of torch's own format.
     """
     data = io.BytesIO()
     pickler = pickle.Pickler(data, pickle.HIGHEST_PROTOCOL)
@@ -176,8 +175,8 @@ def pickled(value: object) -> bytes:
 
 
 def _reduce_tensor(tensor: Tensor) -> Any:
-    if tensor.is_contiguous():  # NumPy would change the order of others
-        with suppress(TypeError, RuntimeError):  # of types that NumPy lacks; of what learns
+    if tensor.is_contiguous():  # NumPy would change the strides of other tensors
+        with suppress(TypeError, RuntimeError):  # dtypes that NumPy lacks; tensors with gradients
             return torch.from_numpy, (tensor.numpy(),)
     return tensor.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
 
@@ -185,14 +184,14 @@ def _reduce_tensor(tensor: Tensor) -> Any:
 # --- processes of this machine --------------------------------------------------------------
 
 _task: Callable[[Any], Any] | None = None
-"""What this process does, where it is a worker."""
+"""Task of this process, where it is a worker."""
 
 
 class _ProcessPool:
-    """Executors with one process each, so that it is known what that had in hand.
+    """Executors with one process each, so that the item of a dead process is known.
 
-    Copies of this process, so that nothing is loaded twice, where it can be copied: on Linux, and
-    without a GPU or several threads of OpenMP, which do not survive that.
+    Processes are forked, so that nothing is loaded twice, where that is safe: on Linux, without
+    CUDA and without several OpenMP threads, neither of which survives a fork.
     """
 
     crashes: tuple[type[Exception], ...] = (BrokenExecutor,)
@@ -200,23 +199,23 @@ class _ProcessPool:
     def __init__(self, task: Callable[[Any], Any]) -> None:
         self._threads = Threads.of_now()
         is_plain = self._threads.torch == 1 and not torch.cuda.is_initialized()
-        is_copied = sys.platform == "linux" and is_plain
-        self._context = get_context("fork" if is_copied else "spawn")
-        self._inherited = task if is_copied else None
+        forks = sys.platform == "linux" and is_plain
+        self._context = get_context("fork" if forks else "spawn")
+        self._inherited = task if forks else None
         # Bytes, because torch would share tensors between processes through sockets. They are sent
-        # once the process runs: Python waits for ever for one that dies over its arguments.
-        self._sent = None if is_copied else pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
+        # once the process runs: Python waits forever for one that dies reading its arguments.
+        self._sent = None if forks else pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
         self._processes: dict[ProcessPoolExecutor, set[BaseProcess]] = {}
 
     def start(self) -> ProcessPoolExecutor:
-        """As ``Pool.start``."""
+        """Start an executor with one process."""
         earlier = set(active_children())
         try:
             arguments = (self._threads, self._inherited)
-            executor = ProcessPoolExecutor(1, self._context, _become_worker, arguments)
+            executor = ProcessPoolExecutor(1, self._context, _initialise_worker, arguments)
             with interrupting_none_started():
-                executor.submit(_load, self._sent)
-        except (OSError, RuntimeError) as error:  # RuntimeError: of a thread that serves it
+                executor.submit(_load_task, self._sent)
+        except (OSError, RuntimeError) as error:  # RuntimeError: its thread cannot start
             for process in set(active_children()) - earlier:
                 process.kill()
             problem = f"no process can be started: {getattr(error, 'strerror', None) or error}"
@@ -225,37 +224,37 @@ class _ProcessPool:
         return executor
 
     def submit(self, worker: ProcessPoolExecutor, item: bytes) -> Future[bytes]:
-        """As ``Pool.submit``."""
+        """Send an item to an executor."""
         try:
-            return worker.submit(_work, item)
-        except BrokenExecutor as error:  # it died with nothing in hand
+            return worker.submit(_run_task, item)
+        except BrokenExecutor as error:  # the process died without an item
             future = Future[bytes]()
             future.set_exception(error)
             return future
 
     def end(self, workers: Sequence[ProcessPoolExecutor]) -> None:
-        """As ``Pool.end``."""
+        """Shut executors down, and kill processes that take too long."""
         processes = set[BaseProcess]().union(*(self._processes.pop(worker) for worker in workers))
 
         def kill() -> None:
             for process in processes:
                 process.kill()
 
-        timer = Timer(PATIENCE, kill)
+        timer = Timer(SHUTDOWN_TIMEOUT, kill)
         timer.start()
         try:
             for worker in workers:
                 worker.shutdown(cancel_futures=True)
-        finally:  # also where a second signal comes
+        finally:  # also after a second signal
             timer.cancel()
             kill()
 
 
-def _become_worker(threads: Threads, task: Callable[[Any], Any] | None) -> None:
-    """Prepare a process to do a task; signals are for the process that made this one."""
+def _initialise_worker(threads: Threads, task: Callable[[Any], Any] | None) -> None:
+    """Prepare a worker process for its task; stop signals are left to the parent process."""
     global _task
     _task = task
-    gc.freeze()  # nothing of the other process is ended here: its threads are not
+    gc.freeze()  # no finalizer of the parent's objects may run here: its threads do not exist
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     end_with_parent()
@@ -263,13 +262,13 @@ def _become_worker(threads: Threads, task: Callable[[Any], Any] | None) -> None:
     keep_freed_memory()
 
 
-def _load(task: bytes | None) -> None:
-    """Take the task, unless this process is a copy that has it."""
+def _load_task(task: bytes | None) -> None:
+    """Load the task, unless it was inherited from the parent process."""
     global _task
     if task is not None:
         _task = pickle.loads(task)
 
 
-def _work(item: bytes) -> bytes:
+def _run_task(item: bytes) -> bytes:
     assert _task is not None
-    return pickled(_task(pickle.loads(item)))
+    return pickle_value(_task(pickle.loads(item)))

@@ -32,7 +32,7 @@ MISTAKES = {
     # Inputs and outputs
     "infer bare": "bare: holds no images (",
     "infer none": "none: does not exist (",
-    "infer x.jpg x.mask.png --out .": "x.mask.png: is one of the images (",
+    "infer x.jpg x.mask.png --out .": "x.mask.png: is one of the input images (",
     "infer x.jpg x.png": "x.jpg and x.png: both would write ",
     "infer x.jpg --out x.png": "x.png: cannot be made a folder: File exists (",
     "infer x.jpg --out x.png/below": "x.png/below: cannot be made a folder: ",

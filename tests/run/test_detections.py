@@ -15,7 +15,7 @@ from roadtorch.base.signals import Stop
 from roadtorch.camera.camera import Camera
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.loop import FrameResult, Inference, detections
+from roadtorch.run.loop import FrameResult, Inference, detect_frames
 from roadtorch.run.workers import Workers
 from tests.command import save_image
 from tests.streets import scene
@@ -133,7 +133,7 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 
     never = Never()
 
-    frames = list(detections(of_scenes(5), Inference(GREY), workers, never))  # type: ignore[arg-type]
+    frames = list(detect_frames(of_scenes(5), Inference(GREY), workers, never))  # type: ignore[arg-type]
 
     for frame in frames:
         detection = frame.detection()
@@ -147,7 +147,7 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 @pytest.mark.parametrize("cues", [True, False])
 def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
     alone, side_by_side = (
-        list(detections(of_scenes(7), Inference(GREY), workers, Steady(SteadySettings()), cues))
+        list(detect_frames(of_scenes(7), Inference(GREY), workers, Steady(SteadySettings()), cues))
         for workers in (Workers(), Workers(3))
     )
 
@@ -163,18 +163,18 @@ def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
 @pytest.mark.parametrize("workers", [Workers(), Workers(2)])
 def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) -> None:
     source = of_scenes(4, bad=1)
-    frames = list(detections(source, Inference(ROWS), workers))
+    frames = list(detect_frames(source, Inference(ROWS), workers))
     assert [frame.item.number for frame in frames if is_missed(frame)] == [1]
 
     other = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
-    for number, frame in enumerate(detections(source, other, workers)):
+    for number, frame in enumerate(detect_frames(source, other, workers)):
         assert str(frame.outcome).startswith(f"frame {number}: is ")
 
 
 def test_stopping_ends_the_frames() -> None:
     closed: list[bool] = []
     stop = Stop()
-    frames = detections(of_scenes(10**6, closed), Inference(ROWS), Workers(), stop=stop)
+    frames = detect_frames(of_scenes(10**6, closed), Inference(ROWS), Workers(), stop=stop)
     next(frames)
     stop.ask(signal.SIGINT)
     assert len(list(frames)) <= 1

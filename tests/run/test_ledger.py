@@ -13,7 +13,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run import ledger as module
 from roadtorch.run import memo
 from roadtorch.run.ledger import (
-    COLUMNS,
+    INDEX_COLUMNS,
     Method,
     Row,
     failed_row,
@@ -24,14 +24,14 @@ from roadtorch.run.ledger import (
 from roadtorch.run.memo import (
     cached_arrays,
     file_digests,
+    find_paths,
     keep,
     kept,
     key_of,
-    paths_in,
     read_arrays,
 )
 
-HEAD = ",".join(COLUMNS) + "\n"
+HEAD = ",".join(INDEX_COLUMNS) + "\n"
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_the_end_comes_after_an_error_too_and_a_cut_row_counts_for_nothing(path:
 def test_what_is_no_index_of_ours_is_refused(path: Path, text: str) -> None:
     path.write_bytes(text.encode("latin-1"))
 
-    with pytest.raises(InputError, match=r"index\.csv: is not an index of ours"):
+    with pytest.raises(InputError, match=r"index\.csv: is not an index of roadtorch"):
         read_index(path)
 
 
@@ -113,9 +113,9 @@ def test_frames_of_a_source_are_forgotten_and_nothing_else(path: Path) -> None:
     with open_ledger(path) as ledger:
         for name in names:
             ledger.add(Row(name))
-        ledger.forget_frames("drive")
+        ledger.drop_frames("drive")
         assert [*ledger.rows] == names[2:]
-        ledger.forget_frames("b")
+        ledger.drop_frames("b")
 
     assert [*read_index(path)] == sorted(names[2:5])
 
@@ -135,7 +135,7 @@ def test_a_full_disk_is_one_error_and_rows_stay(
 
 def test_a_method_covers_what_it_made() -> None:
     method = Method("key", ("mask", "npy"))
-    row = method.made(Row("a", sha256="s"))
+    row = method.mark(Row("a", sha256="s"))
 
     assert (row.saved, row.method) == ("mask npy", "key")
     assert method.covers(row)
@@ -145,7 +145,7 @@ def test_a_method_covers_what_it_made() -> None:
     assert not method.covers(None)
     failed = failed_row("a", ValueError("oh\nno"))
     assert failed.status == "failed: oh no"
-    assert method.made(failed) == failed
+    assert method.mark(failed) == failed
     assert not method.covers(replace(row, status="partial: x"))
 
 
@@ -219,9 +219,9 @@ def test_a_key_changes_with_every_part(tmp_path: Path, monkeypatch: pytest.Monke
     (folder / "below" / "x").rename(folder / "y")
     keys.append(key_of("a", 1, file, folder))
     settings = {"a": str(file), "b": {"c": [file, "none"], "d": 3, "e": ""}, "f": str(folder)}
-    assert paths_in(settings) == [file, file, folder]
+    assert find_paths(settings) == [file, file, folder]
     assert list(file_digests(settings)) == [str(file)]
-    assert [path.name for path in paths_in({"w": "cnn-7"})] == ["cnn-7.safetensors"]
+    assert [path.name for path in find_paths({"w": "cnn-7"})] == ["cnn-7.safetensors"]
     detector = load_detector("prior:rows")
     keys += [key_of(detector), key_of(load_detector("prior:rows", threshold=0.4))]
     changed = load_detector("layout:cnn-7")

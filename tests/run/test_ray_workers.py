@@ -101,7 +101,7 @@ def test_a_killed_worker_costs_one_image(images: Path, expected: Path, tmp_path:
     assert lines[-1] == f"roadtorch: 15 done, 2 failed; results in {out}"
     assert failed.pop("bad.png")["status"] in lines[0] + lines[1]
     ((name, row),) = failed.items()
-    assert f"{images}/{name}: a worker died over it" in row["status"]
+    assert f"{images}/{name}: its worker process died" in row["status"]
     assert row["status"] in lines[0] + lines[1]
     done = {file: data for file, data in bytes_in(expected).items() if name[:2] != file[:2]}
     assert {file: data for file, data in bytes_in(out).items() if name[:2] != file[:2]} == done

@@ -53,7 +53,7 @@ def test_other_options_are_not_done_before(
     again, third, fewer = run(*options), run(*options), run(*options, "--save", "likelihood")
 
     call("infer", footage, *ROWS, "--out", tmp_path / "alone", *options)
-    assert again.stderr == f"roadtorch: 3 done (3 anew); results in {out}\n"
+    assert again.stderr == f"roadtorch: 3 done (3 redone); results in {out}\n"
     assert bytes_in(tmp_path / "alone").items() <= bytes_in(out).items()
     for nothing_new in (third, fewer):
         assert nothing_new.stderr.startswith("roadtorch: 0 done, 3 skipped")
@@ -71,7 +71,7 @@ def test_results_made_otherwise_are_done_anew_even_without_their_config(
 
     again = run(*(("--threshold", "0.9") if problem == "settings" else ()))
 
-    assert again.stderr.startswith("roadtorch: 3 done (3 anew);")
+    assert again.stderr.startswith("roadtorch: 3 done (3 redone);")
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_files_of_cues_that_were_removed_are_made_again(
     fewer, again = call(*words, "mask"), call(*words, f"mask,{kind}")
 
     assert fewer.stderr.startswith("roadtorch: 0 done, 3 skipped")
-    assert again.stderr.startswith("roadtorch: 1 done (1 anew), 2 skipped")
+    assert again.stderr.startswith("roadtorch: 1 done (1 redone), 2 skipped")
     assert bytes_in(out) == before
 
 
@@ -158,7 +158,9 @@ def test_a_death_costs_its_image_alone_and_is_told(
         result = call(*run, out)
 
     assert result.exit_code == 1
-    why = f"{footage}/b.png: a worker died over it (run it again; with less memory, --jobs 1)"
+    why = (
+        f"{footage}/b.png: its worker process died (run it again, with --jobs 1 if memory is short)"
+    )
     assert f"roadtorch: failed: {why}\n" in result.stderr
     statuses = {name: row["status"] for name, row in rows_of(out).items()}
     assert statuses == {"a.jpg": "done", "b.png": f"failed: {why}", "sub/c.png": "done"}

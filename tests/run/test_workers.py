@@ -18,7 +18,7 @@ import torch
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import InputError
 from roadtorch.run import workers
-from roadtorch.run.workers import AHEAD, MIN_ITEMS, Workers, processors, workers_for
+from roadtorch.run.workers import MAX_AHEAD, MIN_ITEMS_PER_WORKER, Workers, processors, workers_for
 from tests.command import ROWS, save_image
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
@@ -69,7 +69,7 @@ def test_reading_ahead_is_bounded() -> None:
 
     with closing(Workers(2).map(work, items(), died)) as results:
         for count, _ in enumerate(results, 1):
-            assert len(taken) <= count + AHEAD * 2
+            assert len(taken) <= count + MAX_AHEAD * 2
             if count == 9:
                 break
 
@@ -101,14 +101,14 @@ def test_closing_ends_the_workers_at_once() -> None:
 
     results.close()
 
-    assert time.monotonic() - start < workers.PATIENCE / 2
+    assert time.monotonic() - start < workers.SHUTDOWN_TIMEOUT / 2
     for process in makers:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
 
 
 def test_a_worker_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "PATIENCE", 0.1)
+    monkeypatch.setattr(workers, "SHUTDOWN_TIMEOUT", 0.1)
     results = Workers(2).map(time.sleep, [0, 600, 600], lambda _: None)
     next(results)
     start = time.monotonic()
@@ -174,7 +174,7 @@ def test_a_users_file_is_no_module_of_workers_that_are_started_anew(
     [
         (1, None, "cpu", 1),
         (3, 1, "cpu", 3),
-        (None, 2 * MIN_ITEMS - 1, "cpu", 1),
+        (None, 2 * MIN_ITEMS_PER_WORKER - 1, "cpu", 1),
         (None, 10_000, "cpu", processors()),
         (None, None, "cpu", processors()),
         (None, None, "cuda", 1),
@@ -197,7 +197,7 @@ def test_how_many_workers(jobs: int | None, count: int | None, device: str, expe
     ids=["image", "turned", "mask", "half", "learning", "number"],
 )
 def test_tensors_reach_another_process_as_they_are(tensor: torch.Tensor) -> None:
-    copy = pickle.loads(workers.pickled(("name", tensor)))[1]
+    copy = pickle.loads(workers.pickle_value(("name", tensor)))[1]
 
     assert torch.equal(copy, tensor)
     assert (copy.dtype, copy.stride()) == (tensor.dtype, tensor.stride())

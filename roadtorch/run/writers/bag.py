@@ -179,9 +179,9 @@ class BagWriter:
         return self._writer.add_connection(topic, kind, typestore=self.types, **options)
 
     def _unwritable(self, error: OSError) -> InputError:
-        refusal = unwritable(self.path, error)
+        failure = unwritable(self.path, error)
         rest = f"; what there is lies in {self._folder}" if self._folder.exists() else ""
-        return InputError(self.path, refusal.problem + rest, refusal.hint)
+        return InputError(self.path, failure.problem + rest, failure.hint)
 
 
 def is_result(path: Path) -> bool:

@@ -14,7 +14,7 @@ from roadtorch.camera.mounting import Pitch, Placing, median_pitch
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.bags import camera_info, image_topic, is_bag
 from roadtorch.inputs.item import Source
-from roadtorch.run.loop import Inference, detections
+from roadtorch.run.loop import Inference, detect_frames
 from roadtorch.run.plan import Output, Writer, Writers
 from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
@@ -175,7 +175,7 @@ def steadied(placing: Placing, infer: Inference, source: Source) -> Placing:
     """
     pitches: list[Pitch] = []
     error: RoadtorchError | None = None
-    with closing(detections(source.sampled(MEDIAN_FRAMES), infer, Workers())) as frames:
+    with closing(detect_frames(source.sampled(MEDIAN_FRAMES), infer, Workers())) as frames:
         for frame in frames:
             try:
                 detection = frame.detection()

@@ -9,7 +9,7 @@ import numpy as np
 
 from roadtorch.base.atomic import atomic
 from roadtorch.data.polygons import coco_region, read_outlined_mask
-from roadtorch.run.folder import COCO
+from roadtorch.run.folder import COCO_FILE
 from roadtorch.run.ledger import INDEX, has_result, read_index
 
 POLYGONS = ".labelme.json"
@@ -44,7 +44,7 @@ def write_coco(folder: Path) -> None:
         size = int(ready[file].height), int(ready[file].width)
         return read_outlined_mask(folder / _annotation(folder, file), size)
 
-    with atomic(folder / COCO) as temporary, temporary.open("w", encoding="utf-8") as text:
+    with atomic(folder / COCO_FILE) as temporary, temporary.open("w", encoding="utf-8") as text:
         text.writelines(coco_text(images, mask_of))
 
 

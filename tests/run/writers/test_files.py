@@ -92,7 +92,7 @@ def test_labels_never_replace_the_images(call: Call, footage: Path) -> None:
     result = call("label", footage, "--out", footage)
 
     assert result.exit_code == 2
-    assert "b.png: is one of the images" in result.stderr
+    assert "b.png: is one of the input images" in result.stderr
     assert (footage / "b.png").read_bytes() == before
 
 
