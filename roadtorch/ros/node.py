@@ -190,7 +190,9 @@ class RoadNode:
         self.node.get_logger().info(f"{self.detector.name} looks at {topic}")
         self.node.create_timer(SECOND, self._diagnose)
         source = self.inbox.source(topic, stop)
-        with closing(detect_frames(source, self.infer, Workers(), self.steady, stop=stop)) as frames:
+        with closing(
+            detect_frames(source, self.infer, Workers(), self.steady, stop=stop)
+        ) as frames:
             for frame in frames:
                 if isinstance(frame.outcome, RoadtorchError):
                     self.refused += 1
