@@ -459,7 +459,7 @@ def load(kind: str) -> None:
         if not module.name.endswith("__main__"):
             with suppress(ImportError):  # of an extra that is not installed
                 importlib.import_module(module.name)
-    loop.SAVE_EVERY = 0.0  # save as often as that can be done
+    loop.SAVE_INTERVAL = 0.0  # save as often as that can be done
     if kind not in ("clock", "ros"):
         time.time = lambda: 1e9
 

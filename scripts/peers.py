@@ -30,7 +30,7 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, decisions_at, f_measure, max_f
 from scripts.readme_figures import keep_records
 
-OURS = ("fusion", "fusion:large")
+RUN_FILES = ("fusion", "fusion:large")
 
 Predict = Callable[[Tensor], Tensor]
 """An image (3,H,W) in [0,1] → how road-like each pixel is, (H,W) in [0,1]."""
@@ -45,7 +45,7 @@ def likelihood_of(detector: Detector, image: Tensor) -> Tensor:
 def load_networks(folder: Path) -> dict[str, Predict]:
     """Load our detectors and the networks of a folder, by name."""
     networks: dict[str, Predict] = {
-        name: partial(likelihood_of, load_detector(name)) for name in OURS
+        name: partial(likelihood_of, load_detector(name)) for name in RUN_FILES
     }
     sys.path.insert(0, str(folder))
     for file in sorted(folder.glob("*.py")):
@@ -86,9 +86,13 @@ def score(networks: Mapping[str, Predict], many: Path) -> dict[str, float]:
             values[f"peers.{name}.{key}"] = fmean(f_of.values())
             values[f"peers.{name}.{key}.worst"] = min(f_of.values())
             values |= {f"peers.{name}.{key}@{camera}": f for camera, f in f_of.items()}
-    for name in OURS:
+    for name in RUN_FILES:
         leads = (
-            max(values[f"peers.{other}.f_mask@{camera}"] for other in networks if other not in OURS)
+            max(
+                values[f"peers.{other}.f_mask@{camera}"]
+                for other in networks
+                if other not in RUN_FILES
+            )
             - values[f"peers.{name}.f_mask@{camera}"]
             for camera in counts[name]
         )

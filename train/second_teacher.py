@@ -39,11 +39,11 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.image_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import keep, kept, key_of
-from roadtorch.train.augmentation import reframed
+from roadtorch.train.augmentation import warp
 from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.images import ImageRecipe
-from roadtorch.train.prepared import from_bytes, to_bytes
-from roadtorch.train.teachers import shrunk
+from roadtorch.train.prepared import from_uint8, to_uint8
+from roadtorch.train.teachers import encode_maps
 
 VOID = 255
 
@@ -131,13 +131,13 @@ def varied(sample: Sample, at: np.random.Generator) -> Sample:
     move = at.uniform(-room, room, 2)
     theta = [[squeeze / zoom, 0, move[0]], [0, 1 / squeeze / zoom, move[1]]]
     frame = torch.tensor([theta], dtype=torch.float32)
-    image = reframed(sample.image[None], frame, "border")[0].clamp(1e-4, 1)
+    image = warp(sample.image[None], frame, "border")[0].clamp(1e-4, 1)
     gamma, tint = np.exp(at.normal(0, 0.3)), torch.from_numpy(np.exp(at.normal(0, 0.07, (3, 1, 1))))
     grey = image.mean(0, keepdim=True)
     image = (grey + at.uniform(0.4, 1.3) * (image - grey)).clamp(1e-4, 1) ** gamma
     image = (image * tint.float() * np.exp(at.normal(0, 0.15))).clamp(0, 1)
-    targets = reframed(sample.targets[None], frame, "border")[0]
-    return Sample(image, targets, reframed(sample.known[None], frame, "zeros")[0])
+    targets = warp(sample.targets[None], frame, "border")[0]
+    return Sample(image, targets, warp(sample.known[None], frame, "zeros")[0])
 
 
 class Seen(NamedTuple):
@@ -163,8 +163,8 @@ def seen(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> 
             with torch.autocast("cpu", torch.bfloat16):
                 maps = network.backbone(small.contiguous(memory_format=torch.channels_last))
             features.append([each[0].half() for each in maps])
-            targets.append(to_bytes(resized(one.targets, fine).clamp(0, 1)))
-            known.append(to_bytes(resized(one.known, fine).clamp(0, 1)))
+            targets.append(to_uint8(resized(one.targets, fine).clamp(0, 1)))
+            known.append(to_uint8(resized(one.known, fine).clamp(0, 1)))
     levels = [torch.stack(level) for level in zip(*features, strict=True)]
     return Seen(levels, torch.stack(targets), torch.stack(known))
 
@@ -228,7 +228,7 @@ def batch(
     ]
     targets = torch.stack([parts[part][0].targets[row] for part, row in rows])
     known = torch.stack([parts[part][0].known[row] for part, row in rows])
-    return features, from_bytes(targets), from_bytes(known)
+    return features, from_uint8(targets), from_uint8(known)
 
 
 def learn(given: argparse.Namespace) -> None:
@@ -295,7 +295,7 @@ def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
     """Encode a sample at a size: image, maps (4, h, w), ego car (h, w); unknown is uncertain."""
     doubt = torch.tensor([1 / CLASSES] * CLASSES + [0.5, 0.5])[:, None, None]
     maps = sample.targets * sample.known + doubt * (1 - sample.known)
-    return shrunk(sample.image, maps[:EGO], maps[EGO], size)
+    return encode_maps(sample.image, maps[:EGO], maps[EGO], size)
 
 
 def taught(
@@ -316,7 +316,7 @@ def taught(
     maps = torch.cat([(layout + own["layout"]) / 2, road[None]])
     ego = (car + own["ego"]) / 2
     ego = torch.where(ego > 0.7, 1.0, torch.where(ego < 0.3, 0.0, 0.5))
-    return shrunk(image, maps, ego, size)
+    return encode_maps(image, maps, ego, size)
 
 
 def main() -> None:

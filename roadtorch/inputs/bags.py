@@ -17,24 +17,22 @@ from torch import Tensor
 
 from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name
-from roadtorch.inputs.image_messages import COMPRESSED, RAW, image_of
+from roadtorch.inputs.image_messages import COMPRESSED_TYPE, IMAGE_TYPE, image_of
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-SUFFIXES = (".bag", ".db3", ".mcap")
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-SOME = 16  # messages that tell the rate
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+RATE_MESSAGES = 16  # messages that tell the rate
 
 
 @dataclass(frozen=True)
 class ImageTopic:
     """A topic with images: name, number of messages, coordinate frame of the first one.
 
-    Attributes:
-        rate: messages per second, estimated from the first ones; None for a single message.
-        generation: 1 for ROS 1, 2 for ROS 2.
+    rate: messages per second, estimated; None for a single message. generation: 1 or 2, of ROS.
     """
 
     name: str
@@ -63,16 +61,16 @@ class CameraInfo:
     frame_id: str
 
 
-def is_bag(given: str) -> bool:
+def is_bag(origin: str) -> bool:
     """Return whether a path is a bag by its suffix, or a folder with a ROS 2 recording."""
-    path = Path(given)
+    path = Path(origin)
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() or bool(_recordings(path))
-    return path.suffix in SUFFIXES
+        return (path / "metadata.yaml").is_file() or bool(_recording_files(path))
+    return path.suffix in BAG_SUFFIXES
 
 
 def bag_source(
-    given: str,
+    origin: str,
     topic: str | None = None,
     selection: Selection = Selection(),  # noqa: B008  # it is frozen
 ) -> Source:
@@ -90,29 +88,29 @@ def bag_source(
         InputError: if it is no bag or has no images.
         ConfigError: if the topic does not exist or has to be chosen.
     """
-    images = image_topic(given, topic)
+    images = image_topic(origin, topic)
     count = None
     if not selection.start and selection.end is None:
         count = len(range(images.count)[:: selection.every][: selection.limit])
-    every = partial(_every_frame, given, images.name)
+    every = partial(_bag_frames, origin, images.name)
     return Source(
-        name=_name(given),
-        origin=given,
+        name=_source_name(origin),
+        origin=origin,
         items=lambda: selection.of(every()),
         rate=images.rate and images.rate / selection.every,
         count=count,
     )
 
 
-def image_topic(given: str, topic: str | None = None) -> ImageTopic:
+def image_topic(origin: str, topic: str | None = None) -> ImageTopic:
     """Return the image topic of a name, or the only one; raises as ``bag_source``."""
-    with _opened(given) as bag:
-        name = _chosen(given, bag, topic)
-        messages: list[Message] = []
-        with suppress(InputError), closing(_messages(given, bag, name)) as every:
-            messages.extend(islice(every, SOME))
+    with _open_bag(origin) as bag:
+        name = _choose_topic(origin, bag, topic)
+        messages: list[BagMessage] = []
+        with suppress(InputError), closing(_read_messages(origin, bag, name)) as every:
+            messages.extend(islice(every, RATE_MESSAGES))
         if not messages:
-            raise InputError(given, f"has no images on {name}", "give another --topic or bag")
+            raise InputError(origin, f"has no images on {name}", "give another --topic or bag")
         stamps = sorted(message.stamp for message in messages)
         steps = [late - early for early, late in pairwise(stamps)]
         step = statistics.median(steps) if steps else 0
@@ -123,7 +121,7 @@ def image_topic(given: str, topic: str | None = None) -> ImageTopic:
         return ImageTopic(name, count, frame_id, rate, 2 if bag.is2 else 1)
 
 
-def camera_info(given: str, topic: str | None = None) -> CameraInfo:
+def camera_info(origin: str, topic: str | None = None) -> CameraInfo:
     """Return the first ``camera_info`` message that belongs to an image topic.
 
     ``/camera/image_raw`` and ``/camera/image_raw/compressed`` have ``/camera/camera_info``
@@ -132,23 +130,21 @@ def camera_info(given: str, topic: str | None = None) -> CameraInfo:
     Raises:
         InputError: if there is no such topic, or its K is empty.
     """
-    with _opened(given) as bag:
-        name = _chosen(given, bag, topic)
+    with _open_bag(origin) as bag:
+        name = _choose_topic(origin, bag, topic)
         kinds = {link.topic: link.msgtype for link in bag.connections}
-        base = name.removesuffix("/compressed") if kinds[name] == COMPRESSED else name
+        base = name.removesuffix("/compressed") if kinds[name] == COMPRESSED_TYPE else name
         sibling = f"{base.rpartition('/')[0]}/camera_info"
-        infos = sorted(other for other, kind in kinds.items() if kind == CAMERA_INFO)
+        infos = sorted(topic_name for topic_name, kind in kinds.items() if kind == CAMERA_INFO_TYPE)
         if sibling not in infos:
-            hint = f"there is {', '.join(infos)}" if infos else "give the calibration yourself"
-            raise InputError(given, f"has no camera_info {sibling} beside {name}", hint)
-        message = next(_messages(given, bag, sibling), None)
+            hint = f"there is {', '.join(infos)}" if infos else "pass a calibration"
+            raise InputError(origin, f"has no camera_info {sibling} beside {name}", hint)
+        message = next(_read_messages(origin, bag, sibling), None)
         info = message.content if message else None
         matrix = np.array(getattr(info, "k", getattr(info, "K", np.zeros(9))), float).reshape(3, 3)
         if info is None or not matrix[0, 0] > 0:
-            problem = f"says nothing of its camera on {sibling}"
-            raise InputError(
-                given, problem, "calibrate the camera, or give the calibration yourself"
-            )
+            problem = f"has no calibration on {sibling}"
+            raise InputError(origin, problem, "calibrate the camera, or pass a calibration")
         distortion = np.array(getattr(info, "d", getattr(info, "D", ())), float)
         size = int(info.width), int(info.height)
         return CameraInfo(matrix, distortion, info.distortion_model, *size, info.header.frame_id)
@@ -157,28 +153,30 @@ def camera_info(given: str, topic: str | None = None) -> CameraInfo:
 # --- topics -----------------------------------------------------------------------------
 
 
-def _chosen(given: str, reader: "AnyReader", topic: str | None) -> str:
+def _choose_topic(origin: str, reader: "AnyReader", topic: str | None) -> str:
     """Return the name of the image topic; ConfigError or InputError that lists the topics."""
     kinds = {link.topic: link.msgtype for link in reader.connections}
-    images = sorted(name for name, kind in kinds.items() if kind in (RAW, COMPRESSED))
+    images = sorted(name for name, kind in kinds.items() if kind in (IMAGE_TYPE, COMPRESSED_TYPE))
     images = [name for name in images if not name.endswith("/compressedDepth")]
     if not images:
-        there = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
-        raise InputError(given, "has no images", f"there is {there}" if there else "it is empty")
+        topics = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
+        raise InputError(
+            origin, "has no images", f"there is {topics}" if topics else "the bag is empty"
+        )
     hint = f"give one of {', '.join(images)}"
     if topic is None and len(images) > 1:
-        raise ConfigError(given, f"has {len(images)} topics with images", f"--topic: {hint}")
+        raise ConfigError(origin, f"has {len(images)} topics with images", f"--topic: {hint}")
     if topic is not None and topic not in images:
         if topic not in kinds:
             raise unknown_name("topic", topic, images)
-        raise InputError(given, f"has {kinds[topic]} on {topic}, no images", hint)
+        raise InputError(origin, f"has {kinds[topic]} on {topic}, no images", hint)
     return topic or images[0]
 
 
 # --- messages ---------------------------------------------------------------------------
 
 
-class Message(NamedTuple):
+class BagMessage(NamedTuple):
     """A message: time stamp in nanoseconds, and its content or the reason why it has none."""
 
     stamp: int
@@ -186,18 +184,18 @@ class Message(NamedTuple):
     damage: str
 
 
-def _every_frame(given: str, topic: str) -> Generator[Item]:
-    with _opened(given) as bag:
+def _bag_frames(origin: str, topic: str) -> Generator[Item]:
+    with _open_bag(origin) as bag:
         first = None
-        for number, message in enumerate(_messages(given, bag, topic)):
+        for number, message in enumerate(_read_messages(origin, bag, topic)):
             first = message.stamp if first is None else first
-            origin = f"{given}:{topic}#{number}"
-            read = partial(_unreadable, origin, message.damage)
+            frame_origin = f"{origin}:{topic}#{number}"
+            read = partial(_raise_unreadable, frame_origin, message.damage)
             if message.content is not None:
-                read = partial(image_of, message.content, origin)
+                read = partial(image_of, message.content, frame_origin)
             yield Item(
-                f"{_name(given)}/{number:06d}",
-                origin,
+                f"{_source_name(origin)}/{number:06d}",
+                frame_origin,
                 read,
                 number=number,
                 seconds=(message.stamp - first) / 1e9,
@@ -205,79 +203,79 @@ def _every_frame(given: str, topic: str) -> Generator[Item]:
             )
 
 
-def _unreadable(origin: str, damage: str) -> Tensor:
+def _raise_unreadable(origin: str, damage: str) -> Tensor:
     raise InputError(origin, f"cannot be read: {damage}", "record it again")
 
 
-def _messages(given: str, bag: "AnyReader", topic: str) -> Generator[Message]:
+def _read_messages(origin: str, bag: "AnyReader", topic: str) -> Generator[BagMessage]:
     """Yield the messages of a topic as recorded; InputError at the end where some are missing."""
     links = [link for link in bag.connections if link.topic == topic]
     waiting = bag.messages(connections=links)
-    count, every = 0, sum(link.msgcount for link in links)
-    ending = ""
+    count, total, ending = 0, sum(link.msgcount for link in links), ""
     while True:
         try:
             link, time, data = next(waiting)
         except StopIteration:
             break
-        except Exception as broken:  # zlib, struct, sqlite, …
-            ending = f", ends early: {reason(broken)}"
+        except Exception as error:  # zlib, struct, sqlite, …
+            ending = f": {reason(error)}"
             break
         count += 1
         try:
             content: Any = bag.deserialize(data, link.msgtype)
             stamp = content.header.stamp
-        except Exception as broken:  # foreign bytes make the deserialiser raise anything
-            yield Message(time, None, reason(broken))
+        except Exception as error:  # foreign bytes make the deserialiser raise anything
+            yield BagMessage(time, None, reason(error))
         else:
-            yield Message(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
-    if ending or count < every:
-        problem = f"{count} of {every} frames{ending}"
-        raise InputError(given, problem, "what could be read was given")
+            yield BagMessage(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
+    if ending or count < total:
+        problem = f"only {count} of {total} frames can be read{ending}"
+        raise InputError(origin, problem, "they were used")
 
 
 # --- bags -------------------------------------------------------------------------------
 
 
-def _name(given: str) -> str:
-    path = Path(given)
+def _source_name(origin: str) -> str:
+    path = Path(origin)
     return path.name if path.is_dir() else path.stem
 
 
-def _recordings(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix in SUFFIXES[1:])
+def _recording_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix in BAG_SUFFIXES[1:])
 
 
 @contextmanager
-def _opened(given: str) -> "Iterator[AnyReader]":
+def _open_bag(origin: str) -> "Iterator[AnyReader]":
     """Open a bag; InputError if rosbags cannot read it, ConfigError if rosbags is missing."""
-    path = Path(given)
+    path = Path(origin)
     if not path.exists():
-        raise InputError(given, "does not exist", "check the name")
+        raise InputError(origin, "does not exist", "check the name")
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         problem = "cannot be read without the package rosbags"
-        raise ConfigError(given, problem, "pip install 'roadtorch[bags]'") from None
+        raise ConfigError(origin, problem, "pip install 'roadtorch[bags]'") from None
     paths = [path]
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        paths = _recordings(path)
-    if not all(one.is_file() or one.is_dir() for one in paths):
-        raise InputError(given, "is or holds a pipe or a device", "give a bag")
+        paths = _recording_files(path)
+    if not all(file.is_file() or file.is_dir() for file in paths):
+        raise InputError(origin, "is or contains a pipe or a device", "give a bag")
     try:
         # Bags without definitions are older than ROS 2 Iron; images are the same in all of them.
         reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     except Exception as error:  # zlib, struct, sqlite, …
         problem = f"cannot be read as a bag: {reason(error)}"
-        raise InputError(given, problem, f"if its end is missing: {_mending(path)}") from None
+        hint = f"if its end is missing: {_repair_command(path)}"
+        raise InputError(origin, problem, hint) from None
     with closing(reader):
         yield reader
 
 
-def _mending(path: Path) -> str:
+def _repair_command(path: Path) -> str:
     """Return the command that repairs a bag, or the first recording in a folder."""
-    files = _recordings(path) if path.is_dir() else [path]
+    files = _recording_files(path) if path.is_dir() else [path]
     commands = {".bag": "rosbag reindex", ".mcap": "mcap recover"}
     return commands.get(files[0].suffix if files else "", "ros2 bag reindex")

@@ -11,8 +11,8 @@ from roadtorch.base.decoding import check_pixels
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import decode_image, from_pixels, undecodable
 
-RAW = "sensor_msgs/msg/Image"
-COMPRESSED = "sensor_msgs/msg/CompressedImage"
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 
 PLAIN = {  # channels, bits, the places of red, green and blue
     **{"mono8": (1, 8, (0, 0, 0)), "8UC1": (1, 8, (0, 0, 0)), "mono16": (1, 16, (0, 0, 0))},
@@ -58,17 +58,17 @@ def image_of(message: Any, origin: str) -> Tensor:
     try:
         if encoding in PLAIN:
             channels, bits, order = PLAIN[encoding]
-            return from_pixels(_rows(message, channels, bits)[..., order])
+            return from_pixels(_read_rows(message, channels, bits)[..., order])
         if encoding in YUV:
-            return from_pixels(cv2.cvtColor(_rows(message, 2, 8), YUV[encoding]))
+            return from_pixels(cv2.cvtColor(_read_rows(message, 2, 8), YUV[encoding]))
         pattern = encoding.rstrip("0123456789")
-        mosaic = _rows(message, 1, int(encoding.removeprefix(pattern)))
+        mosaic = _read_rows(message, 1, int(encoding.removeprefix(pattern)))
         return from_pixels(cv2.cvtColor(mosaic, BAYER[pattern]))
     except (ValueError, cv2.error) as error:
         raise InputError(origin, f"cannot be read: {reason(error)}", "record it again") from None
 
 
-def _rows(message: Any, channels: int, bits: int) -> np.ndarray:
+def _read_rows(message: Any, channels: int, bits: int) -> np.ndarray:
     """Return the samples (H, W, C) of a message in native byte order, without row padding."""
     row = message.width * channels * bits // 8
     step = message.step or row

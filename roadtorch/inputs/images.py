@@ -20,41 +20,41 @@ from roadtorch.base.image import READABLE, SUFFIXES, decode_image, read_image
 from roadtorch.base.urls import answer, scheme_of, slug, url_bytes, without_password
 from roadtorch.inputs.item import Item
 
-RESULTS = (".likelihood.png", ".mask.png", ".overlay.jpg")  # ours; never images to look at
+RESULT_SUFFIXES = (".likelihood.png", ".mask.png", ".overlay.jpg")  # our results, never inputs
 
 
-class File(NamedTuple):
+class ListedFile(NamedTuple):
     """A file: its path, and its relative name with suffix."""
 
     path: Path
     name: str
 
 
-def files_at(
-    given: str | os.PathLike[str], wanted: Callable[[str], bool], apart: Path | None = None
-) -> list[File] | File:
+def list_files(
+    location: str | os.PathLike[str], accepts: Callable[[str], bool], apart: Path | None = None
+) -> list[ListedFile] | ListedFile:
     """Return the matching files of a folder or glob in a fixed order; a single file as it is.
 
     Folders are searched recursively except for hidden ones and ``apart``. A glob stands for the
     files that it matches or, if none of them is wanted, for the folders. Names are relative to the
     folder, or to the part of the glob before its first wildcard. InputError for a URL.
     """
-    path = os.fspath(given)
+    path = os.fspath(location)
     if scheme_of(path):
-        raise InputError(path, "is an address that is not read", "download it, or mount it")
+        raise InputError(path, "cannot be read from a URL", "download it, or mount it")
     if glob.has_magic(path) and not os.path.exists(path):
         root = Path(*takewhile(lambda part: not glob.has_magic(part), Path(path).parts))
         matches = {match: os.path.isdir(match) for match in sorted(glob.glob(path, recursive=True))}
-        files = [match for match in matches if not matches[match] and wanted(basename(match))]
+        files = [match for match in matches if not matches[match] and accepts(basename(match))]
         folders = [match for match in matches if matches[match] and not files]
     elif os.path.isdir(path):
         root, files, folders = Path(path), [], [path]
     else:
-        return File(Path(path), basename(path))
+        return ListedFile(Path(path), basename(path))
     for folder in folders:
-        files += [file for file in _files_below(folder, apart) if wanted(basename(file))]
+        files += [file for file in _files_below(folder, apart) if accepts(basename(file))]
     paths = map(Path, dict.fromkeys(files))
-    return [File(path, path.relative_to(root).as_posix()) for path in paths]
+    return [ListedFile(path, path.relative_to(root).as_posix()) for path in paths]
 
 
 def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
@@ -72,14 +72,14 @@ def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
         yield from (os.path.join(top, name) for name in sorted(names))
 
 
-def names_image(name: str) -> bool:
+def is_image_name(name: str) -> bool:
     """Return whether a file name is that of an image: not hidden, no result of roadtorch."""
     name = name.lower()
-    is_ours = name.endswith(RESULTS) or ".cue." in name
+    is_ours = name.endswith(RESULT_SUFFIXES) or ".cue." in name
     return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
 
 
-def image_item(path: Path, name: str) -> Item:
+def make_image_item(path: Path, name: str) -> Item:
     """Make an item of an image file."""
     read, digest = partial(read_image, path), partial(digest_of, path)
     return Item(name, str(path), read, digest, path.suffix, path)
@@ -88,14 +88,14 @@ def image_item(path: Path, name: str) -> Item:
 # --- images by http ---------------------------------------------------------------------
 
 
-def web_image(url: str) -> Item | None:
+def open_web_image(url: str) -> Item | None:
     """Return the image at a URL; None where the server sends something else.
 
     A server's stream of images (``multipart/…``) is no image. Raises InputError where there is no
     answer and the name is an image's; other URLs may be streams, which are waited for.
     """
     path = PurePosixPath(urlsplit(url).path)
-    name, is_named = slug(path.with_suffix("").as_posix()), names_image(path.name)
+    name, is_named = slug(path.with_suffix("").as_posix()), is_image_name(path.name)
     try:
         with answer(url) as response:
             kind = response.headers.get_content_maintype()
@@ -129,11 +129,11 @@ def _digest_remote(url: str) -> str:
 # --- several ----------------------------------------------------------------------------
 
 
-def images_at(given: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
+def list_images(location: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
     """Return the images of a folder or glob, possibly none; a file is returned as it is."""
-    files = files_at(given, names_image, apart)
+    files = list_files(location, is_image_name, apart)
     return [
-        image_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
+        make_image_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
         for file in (files if isinstance(files, list) else [files])
     ]
 
@@ -149,14 +149,14 @@ def find_images(inputs: Iterable[str | os.PathLike[str]], apart: Path | None = N
         InputError: for a folder or glob without images, and if none of the files exists.
     """
     images: list[Item] = []
-    for given in inputs:
-        images += (here := images_at(given, apart))
-        if not here:
-            raise InputError(given, "holds no images", f"give {READABLE} files")
-    return each_once(images)
+    for location in inputs:
+        images += (listed := list_images(location, apart))
+        if not listed:
+            raise InputError(location, "holds no images", f"give {READABLE} files")
+    return drop_duplicates(images)
 
 
-def each_once(images: Sequence[Item]) -> list[Item]:
+def drop_duplicates(images: Sequence[Item]) -> list[Item]:
     """Drop repeated images; InputError if none of them exists."""
     if images and not any(item.file is None or item.file.exists() for item in images):
         raise InputError(images[0].origin, "does not exist", "check the name")

@@ -90,7 +90,7 @@ class Selection:
         until = float("inf") if self.end is None else self.end
         early = takewhile(lambda item: item.clock < until, items)
         inside = (item for item in early if item.clock >= self.start)
-        stepped = (item for place, item in enumerate(inside) if place % self.every == 0)
+        stepped = (item for index, item in enumerate(inside) if index % self.every == 0)
         try:
             yield from islice(stepped, self.limit)
         finally:
@@ -100,8 +100,8 @@ class Selection:
     def of_images(self, images: Sequence[Value]) -> Sequence[Value]:
         """Return the selected images; ConfigError if a time is given, which images lack."""
         if images and (self.start or self.end is not None):
-            problem = "images have no time"
-            raise ConfigError("--start, --end", problem, "choose with --every and --limit")
+            problem = "images have no time stamps"
+            raise ConfigError("--start, --end", problem, "use --every and --limit")
         return images[:: self.every][: self.limit]
 
 
@@ -149,6 +149,6 @@ class Source:
         return replace(self, items=lambda: chosen.of(self.items()), count=None)
 
 
-def spread(values: Sequence[Value], most: int) -> Sequence[Value]:
+def evenly_spaced(values: Sequence[Value], most: int) -> Sequence[Value]:
     """Return at most ``most`` values at equal steps, beginning with the first."""
     return values[:: max(1, -(-len(values) // most))]

@@ -17,67 +17,69 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.image import from_pixels
 from roadtorch.base.urls import without_password
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.inputs.video import import_av, moving_images, reason_of, upright
+from roadtorch.inputs.video import ffmpeg_reason, first_video_stream, import_av, upright_image
 
 Connection = Callable[[], Generator[Callable[[], Tensor]]]
 """Opens a connection and yields functions that read an image; raises InputError when it fails or
 ends."""
 
-Newest = tuple[int, float, int, Callable[[], Tensor]]
+NewestFrame = tuple[int, float, int, Callable[[], Tensor]]
 """Frame number, clock in seconds, time stamp in nanoseconds, and the function that reads it."""
 
 STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp", "udp", "mms")
 """URL schemes that are read as video streams."""
 
-GRACE = 5.0  # seconds beyond the time limit, for what FFmpeg does not interrupt (names looked up)
+GRACE_PERIOD = (
+    5.0  # seconds beyond the time limit, for what FFmpeg does not interrupt (names looked up)
+)
 
 
 @dataclass(frozen=True)
-class Patience:
+class RetryPolicy:
     """Timeout and reconnection of a stream."""
 
-    answer: float = 10
-    tries: int = 5
-    pause: float = 0.5
+    timeout: float = 10  # seconds to wait for an answer or a frame
+    retries: int = 5  # reconnections in a row
+    backoff: float = 0.5  # seconds before the first reconnection, then doubled
 
     @property
-    def longest(self) -> float:
+    def total_timeout(self) -> float:
         """Seconds until the last reconnection has failed."""
-        pauses = self.pause * (2**self.tries - 1)
-        return (self.tries + 1) * self.answer + pauses + GRACE
+        pauses = self.backoff * (2**self.retries - 1)
+        return (self.retries + 1) * self.timeout + pauses + GRACE_PERIOD
 
 
 def camera_source(
     number: int,
     selection: Selection,
-    patience: Patience = Patience(),
+    policy: RetryPolicy = RetryPolicy(),
 ) -> Source:
     """Make a live source of OpenCV's camera of a number."""
-    connect = partial(_camera, number)
-    return live_source(connect, f"camera-{number}", f"camera:{number}", selection, patience)
+    connect = partial(_read_camera, number)
+    return live_source(connect, f"camera-{number}", f"camera:{number}", selection, policy)
 
 
 def stream_source(
     url: str,
     name: str,
     selection: Selection,
-    patience: Patience = Patience(),
+    policy: RetryPolicy = RetryPolicy(),
 ) -> Source:
     """Make a live source of a stream's URL (RTSP, HTTP, RTMP, UDP, SRT)."""
-    connect = partial(_stream, url, patience)
-    return live_source(connect, name, without_password(url), selection, patience)
+    connect = partial(_read_stream, url, policy)
+    return live_source(connect, name, without_password(url), selection, policy)
 
 
 def live_source(
-    connect: Connection, name: str, origin: str, selection: Selection, patience: Patience
+    connect: Connection, name: str, origin: str, selection: Selection, policy: RetryPolicy
 ) -> Source:
     """Make a live source of a connection, which is reopened when it breaks."""
-    newest = partial(newest_frames, connect, name, origin, patience)
+    newest = partial(newest_frames, connect, name, origin, policy)
     return Source(name, origin, items=lambda: selection.of(newest()), live=True)
 
 
 def newest_frames(
-    connect: Connection, name: str, origin: str, patience: Patience
+    connect: Connection, name: str, origin: str, policy: RetryPolicy
 ) -> Generator[Item]:
     """Yield the newest frame on each request; frames between are numbered and dropped.
 
@@ -85,14 +87,14 @@ def newest_frames(
     time of arrival in nanoseconds since 1970. Raises InputError if the first connection fails, or
     a later one cannot be reopened in time.
     """
-    newest: Queue[Newest | InputError] = Queue()
+    newest: Queue[NewestFrame | InputError] = Queue()
     stop = Event()
-    reader = Thread(target=_read, args=(newest, stop, connect, patience), daemon=True)
+    reader = Thread(target=_fill_queue, args=(newest, stop, connect, policy), daemon=True)
     reader.start()
     first: float | None = None
     try:
         while True:
-            limit = patience.answer * 2 + GRACE if first is None else patience.longest
+            limit = policy.timeout * 2 + GRACE_PERIOD if first is None else policy.total_timeout
             try:
                 frame = newest.get(timeout=limit)
             except Empty:
@@ -112,11 +114,11 @@ def newest_frames(
             )
     finally:
         stop.set()
-        reader.join(GRACE)
+        reader.join(GRACE_PERIOD)
 
 
-def _read(
-    newest: "Queue[Newest | InputError]", stop: Event, connect: Connection, patience: Patience
+def _fill_queue(
+    newest: "Queue[NewestFrame | InputError]", stop: Event, connect: Connection, policy: RetryPolicy
 ) -> None:
     """Keep only the newest frame in the queue and reconnect; end with the error that stopped it."""
     failures, count = 0, 0
@@ -135,43 +137,43 @@ def _read(
         except Exception as error:  # a thread's error would be seen by nobody
             last = InputError("stream", f"{type(error).__name__}: {error}", "report it")
         failures += 1
-        if not count or failures > patience.tries:
+        if not count or failures > policy.retries:
             if count:
-                problem = f"{last.problem}; connected to anew {failures - 1} times in vain"
-                last = InputError(last.where, problem, "start it again when the stream is back")
+                problem = f"{last.problem}; reconnecting failed {failures - 1} times"
+                last = InputError(last.where, problem, "run it again when the stream is back")
             return newest.put(last)
-        stop.wait(patience.pause * 2 ** (failures - 1))
+        stop.wait(policy.backoff * 2 ** (failures - 1))
 
 
 # --- connections ------------------------------------------------------------------------
 
 
-def _stream(url: str, patience: Patience) -> Generator[Callable[[], Tensor]]:
+def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor]]:
     """Yield the frames of one connection to a stream."""
     av, origin = import_av(), without_password(url)
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
-        with av.open(url, options=options, timeout=patience.answer) as container:
-            stream = moving_images(url, container)
-            decode = partial(upright, av.video.reformatter.VideoReformatter())
+        with av.open(url, options=options, timeout=policy.timeout) as container:
+            stream = first_video_stream(url, container)
+            decode = partial(upright_image, av.video.reformatter.VideoReformatter())
             for frame in container.decode(stream):
                 yield partial(decode, frame)
     except (av.FFmpegError, UnicodeError) as error:
-        problem = f"cannot be read: {reason_of(error)}"
+        problem = f"cannot be read: {ffmpeg_reason(error)}"
         if isinstance(error, av.error.ExitError | TimeoutError):
-            problem = f"gives no answer within {patience.answer:g} seconds"
+            problem = f"gives no answer within {policy.timeout:g} seconds"
         raise InputError(origin, problem, "check the address and the stream") from None
     raise InputError(origin, "has ended", "check the stream")
 
 
-def _camera(number: int) -> Generator[Callable[[], Tensor]]:
+def _read_camera(number: int) -> Generator[Callable[[], Tensor]]:
     """Yield the frames of a camera by OpenCV; PyAV's wheels lack FFmpeg's camera input."""
     with quiet_opencv():
         camera = cv2.VideoCapture(number)
     try:
         if not camera.isOpened():
-            there = sorted(path.name for path in Path("/dev").glob("video*"))
-            hint = f"there are {', '.join(there)}" if there else "no camera is connected"
+            devices = sorted(path.name for path in Path("/dev").glob("video*"))
+            hint = f"there are {', '.join(devices)}" if devices else "no camera is connected"
             raise InputError(f"camera:{number}", "no such camera", hint)
         while True:
             is_read, pixels = camera.read()

@@ -27,19 +27,19 @@ VIDEO_SUFFIXES = (
 )
 """Suffixes that folders are searched for; FFmpeg reads further ones, if named."""
 
-MADE_HERE = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # ours; never videos to look at
+VIDEO_RESULTS = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # our results, never inputs
 
-SILENCE = 10.0  # seconds within which an address has to answer
+ANSWER_TIMEOUT = 10.0  # seconds within which an address has to answer
 
-SLACK = 0.5
+END_TOLERANCE = 0.5
 """Tolerated gap in seconds between the last frame and the declared duration; cameras that record
 sound leave as much."""
 
 
-def names_video(name: str) -> bool:
+def is_video_name(name: str) -> bool:
     """Return whether a file name is that of a video and of no result of roadtorch."""
     name = name.lower()
-    return name.endswith(VIDEO_SUFFIXES) and not name.endswith(MADE_HERE) and name[0] != "."
+    return name.endswith(VIDEO_SUFFIXES) and not name.endswith(VIDEO_RESULTS) and name[0] != "."
 
 
 def import_av() -> Any:
@@ -61,7 +61,7 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
         selection: selection of the frames.
     """
     rate = None
-    with suppress(InputError), opened_video(path) as (_, stream):
+    with suppress(InputError), open_video(path) as (_, stream):
         rate = stream.average_rate or stream.guessed_rate
 
     def frames() -> Iterator[Item]:
@@ -70,10 +70,9 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
             for count, frame in enumerate(chosen, 1):  # noqa: B007
                 yield frame
         if not count:
-            problem = "has no frame" + (
-                f" from {selection.start:g} s on" if selection.start else ""
-            )
-            raise InputError(path, problem, "give a video that has, or another --start and --end")
+            begin = f" from {selection.start:g} s on" if selection.start else ""
+            problem = f"has no frame{begin}"
+            raise InputError(path, problem, "give another video, --start or --end")
 
     return Source(
         name=name,
@@ -88,32 +87,33 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
 
 
 @contextmanager
-def opened_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]]":
+def open_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]]":
     """Open a video; yield its container and first video stream, InputError if there is none."""
     av = import_av()
     if isinstance(path, Path) and not path.is_file():
         problem = "is no file" if path.exists() else "does not exist"
         raise InputError(path, problem, "check the name")
     try:
-        container = av.open(f"file:{path}" if isinstance(path, Path) else path, timeout=SILENCE)
+        url = f"file:{path}" if isinstance(path, Path) else path
+        container = av.open(url, timeout=ANSWER_TIMEOUT)
     except (av.FFmpegError, UnicodeError) as error:
-        problem = f"cannot be decoded as video: {reason_of(error)}"
+        problem = f"cannot be decoded as video: {ffmpeg_reason(error)}"
         raise InputError(path, problem, "give MP4, AVI, MKV, MOV or WebM that plays") from None
     with container:
-        yield container, moving_images(path, container)
+        yield container, first_video_stream(path, container)
 
 
-def moving_images(path: Path | str, container: "InputContainer") -> "VideoStream":
+def first_video_stream(path: Path | str, container: "InputContainer") -> "VideoStream":
     """Return the first video stream that is no cover image; InputError if there is none."""
     av = import_av()
     cover = av.stream.Disposition.attached_pic
     videos = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not videos:
-        problem = "has sound and no moving images" if container.streams.audio else "has no images"
+        problem = "has audio but no video" if container.streams.audio else "has no video"
         raise InputError(path, problem, "give a video")
     stream = videos[0]
     if stream.codec_context is None:
-        raise InputError(path, "is of a codec that FFmpeg cannot decode", "convert it to H.264")
+        raise InputError(path, "uses a codec that FFmpeg cannot decode", "convert it to H.264")
     with undecodable(path):
         check_pixels(stream.codec_context.width, stream.codec_context.height)
     # A frame may be larger than what the header says.
@@ -123,12 +123,12 @@ def moving_images(path: Path | str, container: "InputContainer") -> "VideoStream
     return stream
 
 
-def reason_of(error: Exception) -> str:
+def ffmpeg_reason(error: Exception) -> str:
     """Return FFmpeg's message of an error, without its number and name."""
     return getattr(error, "strerror", None) or str(error)
 
 
-class Clock:
+class StreamClock:
     """Seconds since the start of a stream, by time stamps or else by the frame rate."""
 
     def __init__(self, stream: "VideoStream") -> None:
@@ -149,7 +149,7 @@ class Clock:
         return self._last
 
 
-class EntryPoint(NamedTuple):
+class SeekPoint(NamedTuple):
     """Where decoding starts: packets to skip, number and time stamp of the first frame."""
 
     packets: int = 0
@@ -170,32 +170,32 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
 
     Raises:
         InputError: if the video cannot be opened and, after the last frame, if FFmpeg cannot read
-            on or it ends more than ``SLACK`` before the declared duration.
+            on or it ends more than ``END_TOLERANCE`` before the declared duration.
     """
-    begins = _entry_point(path, start) if start > 0 else EntryPoint()
-    with opened_video(path) as (container, stream):
-        clock, number, end = Clock(stream), begins.number, 0.0
-        decode = partial(upright, import_av().video.reformatter.VideoReformatter())
+    entry = _find_seek_point(path, start) if start > 0 else SeekPoint()
+    with open_video(path) as (container, stream):
+        clock, number, end = StreamClock(stream), entry.number, 0.0
+        decode = partial(upright_image, import_av().video.reformatter.VideoReformatter())
         try:
-            for image in _decoded(container, stream, begins):
+            for image in _decode_frames(container, stream, entry):
                 seconds = clock.seconds(image.pts)
-                lasts = float(image.duration or 0) * float(image.time_base or 0)
-                end = max(end, seconds + (lasts or clock.step))
+                duration = float(image.duration or 0) * float(image.time_base or 0)
+                end = max(end, seconds + (duration or clock.step))
                 origin = f"{path}: frame {number}"
                 read = partial(_damaged, origin) if image.is_corrupt else partial(decode, image)
                 frame = f"{name}/{number:06d}"
                 yield Item(frame, origin, read, number=number, seconds=seconds)
                 number += 1
         except import_av().FFmpegError as error:
-            problem = f"ends after {end:.1f} seconds: {reason_of(error)}"
+            problem = f"ends after {end:.1f} seconds: {ffmpeg_reason(error)}"
             raise InputError(path, problem, "copy it again, or repair it") from None
-        length = declared_seconds(container, stream)
-    if number > begins.number and end + SLACK < length:
+        length = declared_duration(container, stream)
+    if number > entry.number and end + END_TOLERANCE < length:
         problem = f"ends after {end:.1f} of {length:.1f} seconds"
-        raise InputError(path, problem, "what could be read was used; copy it again, or repair it")
+        raise InputError(path, problem, "the rest was used; copy it again, or repair it")
 
 
-def declared_seconds(container: "InputContainer", stream: "VideoStream") -> float:
+def declared_duration(container: "InputContainer", stream: "VideoStream") -> float:
     """Return the duration in seconds that the container declares; 0 if it declares none."""
     if stream.duration:
         return float(stream.duration * (stream.time_base or 0))
@@ -206,32 +206,32 @@ def _damaged(origin: str) -> Tensor:
     raise InputError(origin, "is damaged", "copy the video again, or repair it")
 
 
-def _entry_point(path: Path | str, start: float) -> EntryPoint:
+def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
     """Find the last key frame at or before ``start`` seconds without decoding."""
-    begins, leading = EntryPoint(), 0
-    with opened_video(path) as (container, stream), suppress(import_av().FFmpegError):
-        clock = Clock(stream)
-        for place, packet in enumerate(container.demux(stream)):
+    entry, leading = SeekPoint(), 0
+    with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
+        clock = StreamClock(stream)
+        for index, packet in enumerate(container.demux(stream)):
             if packet.pts is None:
                 continue
             seconds = clock.seconds(packet.pts)
             if packet.is_keyframe and seconds > start:
                 break
             if packet.is_keyframe:
-                begins, leading = EntryPoint(place, place, packet.pts), 0
-            elif begins.pts is not None and packet.pts < begins.pts:
+                entry, leading = SeekPoint(index, index, packet.pts), 0
+            elif entry.pts is not None and packet.pts < entry.pts:
                 leading += 1
-    return begins._replace(number=begins.number + leading)
+    return entry._replace(number=entry.number + leading)
 
 
-def _decoded(
-    container: "InputContainer", stream: "VideoStream", begins: EntryPoint
+def _decode_frames(
+    container: "InputContainer", stream: "VideoStream", entry: SeekPoint
 ) -> "Iterator[VideoFrame]":
     """Yield the frames from an entry point on, then raise FFmpegError if one cannot be decoded.
 
     Frames shown before the key frame are dropped, as they depend on earlier ones.
     """
-    av, first = import_av(), begins.pts or 0
+    av, first = import_av(), entry.pts or 0
     errors: list[Exception] = []
 
     def decoded(decode: Callable[[], "list[VideoFrame]"]) -> "list[VideoFrame]":
@@ -242,7 +242,7 @@ def _decoded(
             return []
 
     try:
-        for packet in islice(container.demux(stream), begins.packets, None):
+        for packet in islice(container.demux(stream), entry.packets, None):
             yield from decoded(packet.decode)
     except av.FFmpegError as error:
         errors.insert(0, error)
@@ -254,13 +254,13 @@ def _decoded(
 def count_frames(path: Path) -> int:
     """Count the frames of a video file without decoding; InputError if it is no video."""
     count = 0
-    with opened_video(path) as (container, stream), suppress(import_av().FFmpegError):
+    with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
         for packet in container.demux(stream):
             count += packet.size > 0
     return count
 
 
-def upright(reformatter: "VideoReformatter", image: "VideoFrame") -> Tensor:
+def upright_image(reformatter: "VideoReformatter", image: "VideoFrame") -> Tensor:
     """Convert a frame to an image in [0, 1], shape (3, H, W), rotated as the metadata says.
 
     Args:

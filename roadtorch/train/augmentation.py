@@ -24,7 +24,7 @@ from roadtorch.base.settings import Settings
 from roadtorch.base.vision import import_torchvision
 from roadtorch.layout.classes import CLASSES
 from roadtorch.run.memo import read_arrays
-from roadtorch.train.prepared import from_bytes
+from roadtorch.train.prepared import from_uint8
 
 GRAIN_CELLS = (4, 12, 40)
 """Cells across the image at which grain is sampled: stones and ruts, near and far."""
@@ -159,12 +159,12 @@ def uniform(generator: torch.Generator, count: int, low: float, high: float) -> 
     return low + (high - low) * torch.rand(count, generator=generator)
 
 
-def drawn(generator: torch.Generator, *bounds: tuple[float, float]) -> list[float]:
+def sample(generator: torch.Generator, *bounds: tuple[float, float]) -> list[float]:
     """Sample one number between each pair of bounds."""
     return [float(uniform(generator, 1, low, high)) for low, high in bounds]
 
 
-def draw_frames(
+def sample_affine(
     count: int, size: tuple[int, int], geometry: GeometryAugmentation, at: torch.Generator
 ) -> Tensor:
     """Sample affine maps (n, 2, 3) from augmented to original coordinates, both in [-1, 1].
@@ -172,7 +172,7 @@ def draw_frames(
     Of the whole image (mirrored, zoomed, stretched, rotated, translated), or of a lower crop of it,
     mirrored and narrowed by less than its height is cut.
     """
-    mirror = _mirrors(count, at)
+    mirror = _sample_mirrors(count, at)
     zoom = torch.exp(uniform(at, count, -geometry.scale, geometry.scale))
     width = zoom * torch.exp(uniform(at, count, -geometry.stretch, geometry.stretch))
     angle = uniform(at, count, -geometry.rotation, geometry.rotation) * (math.pi / 180)
@@ -182,21 +182,21 @@ def draw_frames(
     down = torch.stack([mirror * sin * aspect / width, cos / zoom, move[1]], 1)
     whole = torch.stack([across, down], 1)
     is_lower = torch.rand(count, generator=at) < geometry.lower
-    mirror = _mirrors(count, at)
+    mirror = _sample_mirrors(count, at)
     cut = uniform(at, count, 0, geometry.cut)
     width = 1 - cut * uniform(at, count, 0.3, 1)
-    aside = (1 - width) * uniform(at, count, -1, 1)
-    none = torch.zeros(count)
-    across = torch.stack([mirror * width, none, aside], 1)
-    lower = torch.stack([across, torch.stack([none, 1 - cut, cut], 1)], 1)
+    offset = (1 - width) * uniform(at, count, -1, 1)
+    zero = torch.zeros(count)
+    across = torch.stack([mirror * width, zero, offset], 1)
+    lower = torch.stack([across, torch.stack([zero, 1 - cut, cut], 1)], 1)
     return torch.where(is_lower[:, None, None], lower, whole)
 
 
-def _mirrors(count: int, at: torch.Generator) -> Tensor:
+def _sample_mirrors(count: int, at: torch.Generator) -> Tensor:
     return torch.randint(2, (count,), generator=at) * 2 - 1
 
 
-def reframed(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
+def warp(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
     """Warp maps (n, C, H, W) by affine maps (n, 2, 3); padding: "border" or "zeros"."""
     grid = F.affine_grid(frames, list(maps.shape), align_corners=False)
     return F.grid_sample(maps, grid, padding_mode=outside, align_corners=False)
@@ -205,17 +205,17 @@ def reframed(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
 # --- light ------------------------------------------------------------------------------
 
 
-def relit(image: Tensor, light: LightAugmentation, at: torch.Generator) -> Tensor:
+def jitter_light(image: Tensor, light: LightAugmentation, at: torch.Generator) -> Tensor:
     """Apply random gamma, gain, tint, saturation and noise to an image (1, 3, H, W) in [0, 1]."""
     adjust = import_torchvision().transforms.v2.functional
-    gamma, gain = (math.exp(drawn(at, (-top, top))[0]) for top in (light.gamma, light.gain))
+    gamma, gain = (math.exp(sample(at, (-top, top))[0]) for top in (light.gamma, light.gain))
     tint = torch.exp(uniform(at, 3, -light.tint, light.tint)).reshape(1, 3, 1, 1)
-    colour, noise = drawn(at, (1 - light.saturation, 1 + light.saturation), (0, light.noise / 255))
+    colour, noise = sample(at, (1 - light.saturation, 1 + light.saturation), (0, light.noise / 255))
     image = adjust.adjust_saturation(adjust.adjust_gamma(image, gamma), colour)
     return (image * gain * tint + noise * torch.randn(image.shape, generator=at)).clamp(0, 1)
 
 
-def resurfaced(
+def retexture_road(
     image: Tensor, road: Tensor, ground: Tensor, surface: SurfaceAugmentation, at: torch.Generator
 ) -> Tensor:
     """Change colour and grain of road and other ground in an image (1, 3, H, W) in [0, 1].
@@ -223,16 +223,16 @@ def resurfaced(
     road, ground: soft masks (1, 1, H, W) in [0, 1]. Shapes stay, so that road is not recognised by
     its being grey.
     """
-    for share in (road, ground):
+    for mask in (road, ground):
         colour = torch.exp(uniform(at, 3, -surface.tint, surface.tint)).reshape(1, 3, 1, 1)
         gain = torch.exp(uniform(at, 1, -surface.gain, surface.gain))
         depth = uniform(at, 1, 0, surface.grain)
-        new = gain * colour * (1 + depth * grain(image.shape[-2:], at))
-        image = image * (1 + share * (new - 1))
+        new = gain * colour * (1 + depth * sample_grain(image.shape[-2:], at))
+        image = image * (1 + mask * (new - 1))
     return image.clamp(0, 1)
 
 
-def grain(size: Sequence[int], at: torch.Generator) -> Tensor:
+def sample_grain(size: Sequence[int], at: torch.Generator) -> Tensor:
     """Sample noise (1, 1, H, W) at several scales, of about unit deviation."""
     layers = [
         F.interpolate(
@@ -245,7 +245,7 @@ def grain(size: Sequence[int], at: torch.Generator) -> Tensor:
     return torch.stack(layers).sum(0)
 
 
-def shaded(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -> Tensor:
+def add_shadow(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -> Tensor:
     """Cast a hard shadow across the lower part of an image (1, 3, H, W) in [0, 1].
 
     It is a band at any angle: of a bridge or wall across the road, of a row of houses along it.
@@ -253,15 +253,17 @@ def shaded(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -> Te
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
     along = torch.linspace(-0.5, 0.5, width)
-    angle, aside, half = drawn(at, (0, math.pi), (-0.3, 0.3), (0.05, shadow.widest))
-    edge, horizon = drawn(at, (0.002, 0.03), (0.3, 0.6))
-    off = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - aside
-    inside = ((half - off.abs()) / edge).sigmoid() * ((down - horizon) / SHADOW_END).sigmoid()
-    (level,) = drawn(at, (shadow.darkest, MAX_SHADOW_LEVEL))
+    angle, offset, half = sample(at, (0, math.pi), (-0.3, 0.3), (0.05, shadow.widest))
+    edge, horizon = sample(at, (0.002, 0.03), (0.3, 0.6))
+    distance = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - offset
+    inside = ((half - distance.abs()) / edge).sigmoid() * ((down - horizon) / SHADOW_END).sigmoid()
+    (level,) = sample(at, (shadow.darkest, MAX_SHADOW_LEVEL))
     return image * (1 - (1 - level) * inside)
 
 
-def at_night(image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.Generator) -> Tensor:
+def darken_to_night(
+    image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.Generator
+) -> Tensor:
     """Darken an image (1, 3, H, W) in [0, 1] to a night lit by headlights and a few lamps.
 
     unlit: soft mask (1, 1, H, W) of what headlights leave dark, the ego car and the sky. The beam
@@ -271,25 +273,24 @@ def at_night(image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.G
     down = torch.linspace(0, 1, height)[:, None]
     across = torch.linspace(-0.5, 0.5, width)
     ranges = (0.35, 0.55), (-0.1, 0.1), (0.4, 1.5), (0.15, 0.35)
-    horizon, aside, spread, nearest = drawn(at, *ranges)
+    horizon, offset, evenly_spaced, nearest = sample(at, *ranges)
     below = (down - horizon).clamp_min(0)
-    beam = torch.exp(-(((across - aside) / (0.06 + spread * below)) ** 2))
+    beam = torch.exp(-(((across - offset) / (0.06 + evenly_spaced * below)) ** 2))
     reach = (below / nearest) * torch.exp(1 - below / nearest)
-    dark = float(torch.exp(uniform(at, 1, math.log(night.darkest), math.log(0.3))))
-    light = dark + (1 - dark) * beam * reach * (1 - unlit)
+    ambient = float(torch.exp(uniform(at, 1, math.log(night.darkest), math.log(0.3))))
+    light = ambient + (1 - ambient) * beam * reach * (1 - unlit)
     warmth = float(uniform(at, 1, 0, 0.3))
     tint = torch.tensor([1 + warmth, 1, 1 - warmth]).reshape(1, 3, 1, 1)
-    lamps = sum(
-        (lamp(image.shape[-2:], horizon, at) for _ in range(int(uniform(at, 1, 0, night.lamps)))),
-        torch.zeros(1, 1, height, width),
-    )
+    lamps = torch.zeros(1, 1, height, width)
+    for _ in range(int(uniform(at, 1, 0, night.lamps))):
+        lamps = lamps + render_lamp(image.shape[-2:], horizon, at)
     return (image * light * tint + lamps * tint).clamp(0, 1)
 
 
 # --- weather ----------------------------------------------------------------------------
 
 
-class Scene(NamedTuple):
+class SceneMasks(NamedTuple):
     """Soft masks (1, 1, H, W) in [0, 1] of an image: sky, ground including road, road, ego car."""
 
     sky: Tensor
@@ -298,23 +299,23 @@ class Scene(NamedTuple):
     ego: Tensor
 
 
-def in_weather(
-    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+def add_weather(
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
     """Add fog, snow, rain or a wet road to an image (1, 3, H, W) in [0, 1]."""
-    kind = (in_fog, under_snow, wetted, in_rain)[int(torch.randint(4, (), generator=at))]
+    kind = (add_fog, add_snow, wet_road, add_rain)[int(torch.randint(4, (), generator=at))]
     street = kind(image, scene, weather, at).clamp(0, 1)
     return torch.lerp(street, image, scene.ego)
 
 
-def horizon_of(scene: Scene) -> float:
+def ground_horizon(scene: SceneMasks) -> float:
     """Return the fraction of the height at which the ground begins, on average over the columns."""
     rows = (scene.ground + scene.ego).clamp_max(1).mean((0, 1, 3))
     return 1 - float(rows.sum()) / len(rows)
 
 
-def in_fog(
-    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+def add_fog(
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
     """Add fog: transmission falls exponentially with distance.
 
@@ -322,50 +323,51 @@ def in_fog(
     the ground below it, and the sky is hidden.
     """
     height = image.shape[-2]
-    down = torch.linspace(0, 1, height)[:, None] - horizon_of(scene) + 0.05
-    far = scene.ground * (1 / down.clamp_min(0.02))
-    far = far.flip(-2).cummax(-2).values.flip(-2)
-    wide = image.shape[-1] // 8  # air has no edges
-    far = F.avg_pool2d(far, (1, 2 * wide + 1), 1, (0, wide), count_include_pad=False)
-    thick, level = drawn(at, (0.02, weather.thickest), (1, 2))
+    down = torch.linspace(0, 1, height)[:, None] - ground_horizon(scene) + 0.05
+    distance = scene.ground * (1 / down.clamp_min(0.02))
+    distance = distance.flip(-2).cummax(-2).values.flip(-2)
+    reach = image.shape[-1] // 8  # air has no edges
+    distance = F.avg_pool2d(distance, (1, 2 * reach + 1), 1, (0, reach), count_include_pad=False)
+    density, level = sample(at, (0.02, weather.thickest), (1, 2))
     level = min(0.9, level * float(image.mean()))
-    seen = torch.exp(-thick * far) * (1 - scene.sky)
+    transmission = torch.exp(-density * distance) * (1 - scene.sky)
     tint = 1 + uniform(at, 3, -0.05, 0.05).reshape(1, 3, 1, 1)
-    return torch.lerp(level * tint.expand_as(image), image, seen)
+    return torch.lerp(level * tint.expand_as(image), image, transmission)
 
 
-def under_snow(
-    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+def add_snow(
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
     """Add patches of snow to the ground beside the road, sometimes to the road as well."""
-    on_road, much, level = drawn(at, (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0))
-    lies = scene.ground * (1 - scene.road) + scene.road * max(on_road, 0)
-    patches = (2 * grain(image.shape[-2:], at) + 2 * float(uniform(at, 1, -0.5, 2))).sigmoid()
-    return torch.lerp(image, torch.full_like(image, level), much * lies * patches)
+    on_road, amount, level = sample(at, (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0))
+    ground = scene.ground * (1 - scene.road) + scene.road * max(on_road, 0)
+    grain = sample_grain(image.shape[-2:], at)
+    patches = (2 * grain + 2 * float(uniform(at, 1, -0.5, 2))).sigmoid()
+    return torch.lerp(image, torch.full_like(image, level), amount * ground * patches)
 
 
-def wetted(
-    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+def wet_road(
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
     """Darken the road and mirror what is beyond it in puddles."""
-    height, horizon = image.shape[-2], horizon_of(scene)
+    height, horizon = image.shape[-2], ground_horizon(scene)
     rows = 2 * horizon * height - torch.arange(height)
     mirrored = image[..., rows.round().long().clamp(0, height - 1), :]
-    shine, dark = drawn(at, (0.15, weather.mirror), (0.5, 1.0))
-    puddles = (3 * grain(image.shape[-2:], at) + float(uniform(at, 1, -2, 3))).sigmoid()
+    reflection, level = sample(at, (0.15, weather.mirror), (0.5, 1.0))
+    puddles = (3 * sample_grain(image.shape[-2:], at) + float(uniform(at, 1, -2, 3))).sigmoid()
     wet = scene.road * puddles
-    return torch.lerp(image * (1 - wet * (1 - dark)), mirrored, shine * wet)
+    return torch.lerp(image * (1 - wet * (1 - level)), mirrored, reflection * wet)
 
 
-def in_rain(
-    image: Tensor, scene: Scene, weather: WeatherAugmentation, at: torch.Generator
+def add_rain(
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
 ) -> Tensor:
     """Add falling streaks, drops on the glass that blur what is behind them, and a veil."""
     size, level = image.shape[-2:], float(image.mean()) * 1.3 + 0.1
-    share, veil, drops = drawn(at, (0, weather.streaks), (0, 0.3), (0, 0.02))
-    starts = (torch.rand(1, 1, *size, generator=at) < share).to(image)
-    long = 2 * int(uniform(at, 1, 1, 7)) + 1
-    streaks = F.max_pool2d(starts, (long, 1), 1, (long // 2, 0)) * 0.4
+    density, veil, drops = sample(at, (0, weather.streaks), (0, 0.3), (0, 0.02))
+    starts = (torch.rand(1, 1, *size, generator=at) < density).to(image)
+    length = 2 * int(uniform(at, 1, 1, 7)) + 1
+    streaks = F.max_pool2d(starts, (length, 1), 1, (length // 2, 0)) * 0.4
     blurred = F.avg_pool2d(image.flip(-2), 9, 1, 4, count_include_pad=False)
     glass = (torch.rand(1, 1, *size, generator=at) < drops / 5).to(image)
     glass = F.avg_pool2d(F.max_pool2d(glass, 7, 1, 3), 3, 1, 1)
@@ -373,13 +375,13 @@ def in_rain(
     return torch.lerp(image, torch.full_like(image, level), veil)
 
 
-def lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:
+def render_lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:
     """Render the light (1, 1, H, W) of a lamp or of another car's headlights, above the horizon."""
     ranges = (0.1, horizon + 0.02), (0, 1), (0.003, 0.02), (0.3, MAX_LAMP)
-    row, column, wide, peak = drawn(at, *ranges)
+    row, column, radius, peak = sample(at, *ranges)
     down = torch.linspace(0, size[0] / size[1], size[0])[:, None] - row * size[0] / size[1]
     across = torch.linspace(0, 1, size[1]) - column
-    return (peak * torch.exp(-(down**2 + across**2) / wide**2))[None, None]
+    return (peak * torch.exp(-(down**2 + across**2) / radius**2))[None, None]
 
 
 # --- ego cars ---------------------------------------------------------------------------
@@ -392,7 +394,7 @@ class EgoCar(NamedTuple):
     ego: Tensor
 
 
-def draw_ego_car(
+def sample_ego_car(
     recordings: Mapping[str, Sequence[Path]], settings: EgoCarAugmentation, at: torch.Generator
 ) -> EgoCar:
     """Sample an augmented ego car: a recording uniformly, then one of its frames."""
@@ -400,25 +402,28 @@ def draw_ego_car(
     frames = recordings[names[int(torch.randint(len(names), (), generator=at))]]
     path = frames[int(torch.randint(len(frames), (), generator=at))]
     arrays = read_arrays(path, "image", "ego")
-    ego = from_bytes(arrays["ego"])[None, None] > 0.75  # 0.5 is unknown
-    return varied(EgoCar(from_bytes(arrays["image"])[None], ego.to(torch.float32)), settings, at)
+    ego = from_uint8(arrays["ego"])[None, None] > 0.75  # 0.5 is unknown
+    car = EgoCar(from_uint8(arrays["image"])[None], ego.to(torch.float32))
+    return jitter_ego_car(car, settings, at)
 
 
-def varied(car: EgoCar, settings: EgoCarAugmentation, at: torch.Generator) -> EgoCar:
+def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, at: torch.Generator) -> EgoCar:
     """Scale, mirror and relight an ego car; its lower edge stays at the bottom of the image."""
     adjust = import_torchvision().transforms.v2.functional
-    grown = float(torch.exp(uniform(at, 1, -settings.flattest, settings.tallest)))
-    wider = float(torch.exp(uniform(at, 1, 0, settings.widest)))  # no gap at the sides
+    height_scale = float(torch.exp(uniform(at, 1, -settings.flattest, settings.tallest)))
+    width_scale = float(torch.exp(uniform(at, 1, 0, settings.widest)))  # no gap at the sides
     mirror = 1 - 2 * int(torch.randint(2, (), generator=at))
-    aside = float(uniform(at, 1, -1, 1)) * (1 - 1 / wider)
-    frame = torch.tensor([[[mirror / wider, 0, aside], [0, 1 / grown, 1 - 1 / grown]]])
+    offset = float(uniform(at, 1, -1, 1)) * (1 - 1 / width_scale)
+    frame = torch.tensor(
+        [[[mirror / width_scale, 0, offset], [0, 1 / height_scale, 1 - 1 / height_scale]]]
+    )
     gamma, gain, *tint = torch.exp(uniform(at, 5, -settings.light, settings.light)).tolist()
-    image = adjust.adjust_gamma(reframed(car.image, frame, "border"), gamma) * gain
+    image = adjust.adjust_gamma(warp(car.image, frame, "border"), gamma) * gain
     colour = torch.tensor(tint).pow(EGO_TINT).reshape(1, 3, 1, 1)
-    return EgoCar((image * colour).clamp(0, 1), reframed(car.ego, frame, "border"))
+    return EgoCar((image * colour).clamp(0, 1), warp(car.ego, frame, "border"))
 
 
-def laid_over(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, Tensor]:
+def paste_ego_car(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, Tensor]:
     """Paste an ego car over an image (1, 3, H, W) and its targets (1, 8, H, W).
 
     On it the road is 0, the layout has no weight and the ego car is known.

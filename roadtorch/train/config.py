@@ -88,7 +88,7 @@ class PatchCentres(Settings):
     )
 
 
-class PeoplesShare(Settings):
+class CorrectionWeight(Settings):
     """Weight of human corrections against machine labels, where a run has some."""
 
     weight: float = Field(
@@ -109,7 +109,7 @@ class PeoplesShare(Settings):
     )
 
 
-class Beginning(Settings):
+class CommonTraining(Settings):
     """Settings that both kinds of training have."""
 
     random_seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
@@ -118,10 +118,10 @@ class Beginning(Settings):
         description="weight file of the same network to start from, or the name of one that is "
         "shipped, such as layout-free; none: new weights",
     )
-    corrections: PeoplesShare = PeoplesShare()
+    corrections: CorrectionWeight = CorrectionWeight()
 
 
-class PatchTraining(Beginning):
+class PatchTraining(CommonTraining):
     """Training of a patch network, as P2 trains CNN-7."""
 
     name: ClassVar[str] = "patches"
@@ -215,7 +215,7 @@ class Rounds(Settings):
     )
 
 
-class ImageTraining(Beginning):
+class ImageTraining(CommonTraining):
     """Training of a whole-image network with heads for layout, road and ego car. Ours."""
 
     name: ClassVar[str] = "images"
@@ -251,18 +251,18 @@ def build_training(values: dict[str, Any]) -> Training:
 
     Raises ConfigError for an unknown kind, and for keys and values as any settings do.
     """
-    rest = dict(values)
-    kind = str(rest.pop("kind", PatchTraining.name))  # whatever it is: a list has no hash
+    nested = dict(values)
+    kind = str(nested.pop("kind", PatchTraining.name))  # whatever it is: a list has no hash
     if kind not in KINDS:
         raise unknown_name("kind of training", kind, KINDS)
     try:
-        settings = build_settings(KINDS[kind], rest)
+        settings = build_settings(KINDS[kind], nested)
     except ConfigError:
-        if kind == ImageTraining.name and isinstance(network := rest.get("network"), Mapping):
+        if kind == ImageTraining.name and isinstance(network := nested.get("network"), Mapping):
             # Of two kinds pydantic reports the mistakes of both; it is a backbone's that has heads.
-            own = BackboneNetworkSettings if "heads" in network else ImageNetworkSettings
-            alone = create_model("ImageTraining", __base__=Settings, network=(own, own()))
-            build_settings(alone, {"network": network})
+            chosen = BackboneNetworkSettings if "heads" in network else ImageNetworkSettings
+            isolated = create_model("ImageTraining", __base__=Settings, network=(chosen, chosen()))
+            build_settings(isolated, {"network": network})
         raise
     if isinstance(settings, PatchTraining):
         for name in ("scale", "noise"):

@@ -17,11 +17,11 @@ from roadtorch.inputs.item import Item
 from roadtorch.layout.weights import people_behind, weights_path
 from roadtorch.run.memo import Arrays, write_arrays
 from roadtorch.train.config import Descent, ImageTraining, Training
-from roadtorch.train.prepared import name_of
+from roadtorch.train.prepared import image_file_name
 
 # --- which ------------------------------------------------------------------------------
 
-OTHERS = "give the images that were corrected"
+WRONG_IMAGES = "give the images that were corrected"
 
 
 def corrections_by_image(
@@ -39,12 +39,12 @@ def corrections_by_image(
             continue
         if image_size(image.path) != correction.labels.shape:
             message = "has another size than when it was corrected"
-            raise InputError(image.path, message, OTHERS)
-        by_name[name_of(image)] = correction
+            raise InputError(image.path, message, WRONG_IMAGES)
+        by_name[image_file_name(image)] = correction
     if corrections and not by_name:
         count = len(corrections) - 1
         message = f"and {count} others are corrected, and none of them is among --images"
-        raise InputError(corrections[0].image, message, OTHERS)
+        raise InputError(corrections[0].image, message, WRONG_IMAGES)
     return by_name
 
 
@@ -59,12 +59,12 @@ def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any]
     labels = [correction.labels for correction in corrections.values()]
     return {
         "images": len(corrections),
-        "pixels": sum(int((each > 0).sum()) for each in labels),
+        "pixels": sum(int((label_map > 0).sum()) for label_map in labels),
         "sha256": digest.hexdigest(),
     }
 
 
-def paced(descent: Descent, halfway: float, images: int) -> Descent:
+def scale_learning_rate(descent: Descent, halfway: float, images: int) -> Descent:
     """Scale the learning rate by n / (n + halfway) for n corrected images; 0 leaves it. Ours.
 
     Few images that are unlike those to come then do less harm, and twenty are learned in as many
@@ -93,7 +93,7 @@ def write_corrections(
 # --- what fusion makes of the weights ---------------------------------------------------
 
 
-def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
+def write_fusion_config(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
     """Write a config of ``fusion`` with the weights beside it; return False without road labels.
 
     With true labels, a log odds of 0 separates road from background, not the usual centre.
@@ -114,7 +114,7 @@ def write_corrected(path: Path, weights: Path, corrections: Sequence[Correction]
 # --- what the weights say of them -------------------------------------------------------
 
 
-def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
+def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:
     """Return the corrections that the initial and the teacher's weights were trained with.
 
     Raises WeightsError for an unusable weight file.
@@ -126,7 +126,7 @@ def corrections_behind(training: Training) -> list[Mapping[str, Any]]:
     return [run for number, run in enumerate(runs) if run not in runs[:number]]
 
 
-def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
+def format_card(runs: Sequence[Mapping[str, Any]]) -> str:
     """Format the card beside weights that were trained with human corrections."""
     lines = [
         "# Weights trained with corrections of people",
@@ -138,5 +138,5 @@ def card_of(behind: Sequence[Mapping[str, Any]]) -> str:
         "|---|---|---|",
     ]
     keys = ("images", "pixels", "sha256")
-    lines += ["| " + " | ".join(str(run.get(key, "")) for key in keys) + " |" for run in behind]
+    lines += ["| " + " | ".join(str(run.get(key, "")) for key in keys) + " |" for run in runs]
     return "\n".join([*lines, ""])

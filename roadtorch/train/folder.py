@@ -27,19 +27,19 @@ from roadtorch.base.errors import ConfigError, InputError, WeightsError
 from roadtorch.base.version import __version__
 from roadtorch.inputs.item import Item
 from roadtorch.run.memo import file_digests, key_of
-from roadtorch.train.prepared import PreparedImage, name_of
+from roadtorch.train.prepared import PreparedImage, image_file_name
 
 FORMAT = 2
 """Format of checkpoints; raised when older code could not resume from them."""
 
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
 IMAGES, WEIGHTS, PAGE = "images.csv", "weights.safetensors", "adaptation.html"
-OURS = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, PAGE)
+RUN_FILES = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, PAGE)
 LABELS = "labels-1"
 """Folder of the labels by the network that a run starts from."""
 
-ELSEWHERE = "give another --out"
-NO_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
+OTHER_OUT = "give another --out"
+BAD_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
 
 
 def config_hash(values: Mapping[str, Any]) -> str:
@@ -47,13 +47,13 @@ def config_hash(values: Mapping[str, Any]) -> str:
     return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-def record_of(
+def make_record(
     config: Mapping[str, Any],
     images: Sequence[Item],
     corrections: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """Return the content of run.json: settings, images and corrections, with a key of each."""
-    files = [(name_of(image), digest_of(image.path)) for image in images]
+    files = [(image_file_name(image), digest_of(image.path)) for image in images]
     return {
         "roadtorch": __version__,
         "config": config,
@@ -74,30 +74,30 @@ class RunFolder:
     path: Path
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Create the folder and lock it; InputError if another run holds the lock."""
-        make_folder(self.path, ELSEWHERE)
-        with locked(self.path, f"wait for it, or {ELSEWHERE}"):
+        make_folder(self.path, OTHER_OUT)
+        with locked(self.path, f"wait for it, or {OTHER_OUT}"):
             yield
 
     def check(self, record: Mapping[str, Any]) -> None:
-        """Check, without writing, that a run with this record (``record_of``) may use the folder.
+        """Check, without writing, that a run with this record (``make_record``) may use the folder.
 
         The folder has no files of a run, or those of a run with the same version, settings, images
         and corrections. Raises ConfigError, InputError.
         """
-        before = self._record()
-        if before is None:
-            for name in OURS:
+        previous = self._record()
+        if previous is None:
+            for name in RUN_FILES:
                 if (self.path / name).exists():
                     message = f"holds {name}, which is not of a run"
-                    raise ConfigError(self.path, message, ELSEWHERE)
+                    raise ConfigError(self.path, message, OTHER_OUT)
             return
-        if before["roadtorch"] != record["roadtorch"]:
-            message = f"holds a run of roadtorch {before['roadtorch']}"
-            raise ConfigError(self.path, message, ELSEWHERE)
+        if previous["roadtorch"] != record["roadtorch"]:
+            message = f"holds a run of roadtorch {previous['roadtorch']}"
+            raise ConfigError(self.path, message, OTHER_OUT)
         for part, key in record["keys"].items():
-            if before["keys"].get(part) != key:
+            if previous["keys"].get(part) != key:
                 message = f"holds a run with other {part}"
                 raise ConfigError(self.path, message, f"give those of {RUN}, or another --out")
 
@@ -117,7 +117,7 @@ class RunFolder:
                 return record
         except (ValueError, KeyError, TypeError, OSError, RecursionError):
             pass
-        raise InputError(path, "is not the record of a run", ELSEWHERE)
+        raise InputError(path, "is not the record of a run", OTHER_OUT)
 
     # --- how far it is ----------------------------------------------------------------------
 
@@ -142,7 +142,7 @@ class RunFolder:
                 state = torch.load(path, weights_only=True)
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
-            raise WeightsError(path, *NO_CHECKPOINT) from None
+            raise WeightsError(path, *BAD_CHECKPOINT) from None
         if number != FORMAT:
             message = f"has the format {number}; this roadtorch reads {FORMAT}"
             raise WeightsError(path, message, "use the roadtorch that made it")

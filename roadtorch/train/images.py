@@ -31,23 +31,23 @@ from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.loop import (
     IMAGE_ORDER,
-    VARIATION,
+    IMAGE_VARIATION,
     Batch,
     TrainingInputs,
-    generator_at,
+    make_generator,
     seeded,
 )
-from roadtorch.train.prepared import from_bytes, to_bytes
-from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of
+from roadtorch.train.prepared import from_uint8, to_uint8
+from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
 from roadtorch.train.teachers import (
-    PLANES,
+    TARGET_PLANES,
     Targets,
     best_class,
     label_with_network,
-    lends_ego,
     load_teacher,
+    make_targets,
     prepare_image,
-    targets_of,
+    shows_ego_car,
 )
 
 EGO_CARS = "ego-cars"
@@ -87,13 +87,13 @@ class ImageSamples:
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """Yield the one batch of a chunk; its targets are ``Targets`` stacked to eight planes."""
         training = self.training
-        generator = generator_at(training.random_seed, IMAGE_ORDER, 0, epoch)
-        order = draw_members(self.shares, self.count, generator)
+        generator = make_generator(training.random_seed, IMAGE_ORDER, 0, epoch)
+        order = sample_members(self.shares, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
-        generator = generator_at(training.random_seed, VARIATION, 0, epoch, chunk)
+        generator = make_generator(training.random_seed, IMAGE_VARIATION, 0, epoch, chunk)
         geometry = training.augmentation.geometry
-        frames = augmentation.draw_frames(len(members), size, geometry, generator)
+        frames = augmentation.sample_affine(len(members), size, geometry, generator)
         seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
         draws = zip(members, frames.split(1), seeds, strict=True)
         images, targets = map(torch.cat, zip(*(self._one(*draw) for draw in draws), strict=True))
@@ -106,66 +106,66 @@ class ImageSamples:
     def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """Return an augmented, normalised image (1, 3, H, W) and its targets (1, 8, H, W)."""
         training, at = self.training, torch.Generator().manual_seed(seed)
-        vary = training.augmentation
+        settings = training.augmentation
         image, targets = self._unvaried(member)
-        image = augmentation.reframed(image, frame, "border")
-        planes = augmentation.reframed(torch.cat(targets, 1), frame, "zeros")
+        image = augmentation.warp(image, frame, "border")
+        planes = augmentation.warp(torch.cat(targets, 1), frame, "zeros")
 
         def chosen(share: float) -> bool:
             return float(torch.rand((), generator=at)) < share
 
-        if chosen(vary.surface.share):
-            known = Targets(*planes.split(PLANES, 1))
-            ground = known.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - known.road)
-            image = augmentation.resurfaced(image, known.road, ground, vary.surface, at)
-        if chosen(vary.shadow.share):
-            image = augmentation.shaded(image, vary.shadow, at)
-        if self.ego_cars and chosen(vary.ego_car.share):
-            car = augmentation.draw_ego_car(self.ego_cars, vary.ego_car, at)
-            image, planes = augmentation.laid_over(image, planes, car)
-        if chosen(vary.weather.share):
-            known = Targets(*planes.split(PLANES, 1))
-            sky, ground = (known.layout[:, k : k + 1] for k in (SKY, HORIZONTAL))
-            scene = augmentation.Scene(sky, ground, known.road, known.ego * known.ego_weight)
-            image = augmentation.in_weather(image, scene, vary.weather, at)
-        if chosen(vary.night.share):
-            known = Targets(*planes.split(PLANES, 1))
-            unlit = (known.layout[:, SKY : SKY + 1] + known.ego).clamp_max(1)
-            image = augmentation.at_night(image, unlit, vary.night, at)
-        image = augmentation.relit(image, vary.light, at)
+        if chosen(settings.surface.share):
+            parts = Targets(*planes.split(TARGET_PLANES, 1))
+            ground = parts.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - parts.road)
+            image = augmentation.retexture_road(image, parts.road, ground, settings.surface, at)
+        if chosen(settings.shadow.share):
+            image = augmentation.add_shadow(image, settings.shadow, at)
+        if self.ego_cars and chosen(settings.ego_car.share):
+            car = augmentation.sample_ego_car(self.ego_cars, settings.ego_car, at)
+            image, planes = augmentation.paste_ego_car(image, planes, car)
+        if chosen(settings.weather.share):
+            parts = Targets(*planes.split(TARGET_PLANES, 1))
+            sky, ground = (parts.layout[:, k : k + 1] for k in (SKY, HORIZONTAL))
+            scene = augmentation.SceneMasks(sky, ground, parts.road, parts.ego * parts.ego_weight)
+            image = augmentation.add_weather(image, scene, settings.weather, at)
+        if chosen(settings.night.share):
+            parts = Targets(*planes.split(TARGET_PLANES, 1))
+            unlit = (parts.layout[:, SKY : SKY + 1] + parts.ego).clamp_max(1)
+            image = augmentation.darken_to_night(image, unlit, settings.night, at)
+        image = augmentation.jitter_light(image, settings.light, at)
         return normalise(image[0], training.network.normalisation).pixels[None], planes
 
     def _unvaried(self, member: int) -> tuple[Tensor, Targets]:
         """Return a prepared image (1, 3, H, W) in [0, 1] and its targets."""
         training, file, network = self.training, self.files[member], None
         arrays = self.read(file, "image", "maps", "ego")
-        image, maps, ego = (from_bytes(arrays[name])[None] for name in ("image", "maps", "ego"))
+        image, maps, ego = (from_uint8(arrays[name])[None] for name in ("image", "maps", "ego"))
         if self.labels:
-            network = from_bytes(self.read(self.labels[member], "maps")["maps"])[None]
-        targets = targets_of(maps, ego[None], network, training.teacher, training.rounds)
+            network = from_uint8(self.read(self.labels[member], "maps")["maps"])[None]
+        targets = make_targets(maps, ego[None], network, training.teacher, training.rounds)
         if file in self.corrected:
-            planes = from_bytes(self.read(self.corrected[file], "planes")["planes"])[None]
+            planes = from_uint8(self.read(self.corrected[file], "planes")["planes"])[None]
             targets = corrected_targets(targets, planes, training.corrections.weight)
         return image, targets
 
 
-def draw_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
+def sample_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
     """Sample ``count`` members in random order, each in proportion to its weight; int64 (count,).
 
     Systematic sampling: a member whose expected number is 1.6 is sampled once or twice, and with
     equal weights and n samples each is sampled once.
     """
-    fair = shares.to(torch.float64).cumsum(0)
-    fair = fair / fair[-1] * count
+    expected = shares.to(torch.float64).cumsum(0)
+    expected = expected / expected[-1] * count
     steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=at)) * 0.999
-    chosen = torch.searchsorted(fair, steps + 5e-4).clamp(max=len(shares) - 1)
+    chosen = torch.searchsorted(expected, steps + 5e-4).clamp(max=len(shares) - 1)
     return chosen[torch.randperm(count, generator=at)]
 
 
 # --- what people said -------------------------------------------------------------------
 
 
-HALF = 0.5
+MIN_CORRECTED = 0.5
 """Fraction of a cell's pixels that have to be corrected for the cell to count as corrected."""
 
 
@@ -175,34 +175,34 @@ def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Target
     planes: (B, 6, H, W) in [0, 1], of ``PictureRecipe.shrink``. Void removes both; corrected road
     is no ego car.
     """
-    road, other, void, layout = planes.split((1, 1, 1, CLASSES), 1)
-    known, left_out = road + other >= HALF, void > HALF
-    share = road / (road + other).clamp_min(1e-6)
-    layout_share = layout.sum(1, keepdim=True)
-    layout_known, no_ego = layout_share >= HALF, road >= HALF
+    road, not_road, void, layout = planes.split((1, 1, 1, CLASSES), 1)
+    is_corrected, is_void = road + not_road >= MIN_CORRECTED, void > MIN_CORRECTED
+    road_fraction = road / (road + not_road).clamp_min(1e-6)
+    layout_fraction = layout.sum(1, keepdim=True)
+    has_layout, is_road = layout_fraction >= MIN_CORRECTED, road >= MIN_CORRECTED
 
-    def weighed(own: Tensor, where: Tensor) -> Tensor:
-        return torch.where(where, weight, own).masked_fill(left_out, 0)
+    def weighed(machine: Tensor, where: Tensor) -> Tensor:
+        return torch.where(where, weight, machine).masked_fill(is_void, 0)
 
     return Targets(
-        torch.where(layout_known, layout / layout_share.clamp_min(1e-6), targets.layout),
-        weighed(targets.layout_weight, layout_known),
-        torch.where(known, share, targets.road),
-        weighed(targets.road_weight, known),
-        torch.where(no_ego, 0, targets.ego),
-        torch.where(no_ego, weight, targets.ego_weight),
+        torch.where(has_layout, layout / layout_fraction.clamp_min(1e-6), targets.layout),
+        weighed(targets.layout_weight, has_layout),
+        torch.where(is_corrected, road_fraction, targets.road),
+        weighed(targets.road_weight, is_corrected),
+        torch.where(is_road, 0, targets.ego),
+        torch.where(is_road, weight, targets.ego_weight),
     )
 
 
-def corrected_shares(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
+def reweight_corrected(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
     """Scale sampling weights (n,) so that corrected images, bool (n,), get ``share`` of the sum.
 
     Unchanged if all images are corrected, or none.
     """
     if not corrected.any() or corrected.all():
         return shares
-    own, others = shares[corrected].sum(), shares[~corrected].sum()
-    return torch.where(corrected, shares * (share / own), shares * ((1 - share) / others))
+    corrected_sum, rest_sum = shares[corrected].sum(), shares[~corrected].sum()
+    return shares * torch.where(corrected, share / corrected_sum, (1 - share) / rest_sum)
 
 
 # --- loss -------------------------------------------------------------------------------
@@ -212,7 +212,7 @@ def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Ten
     """Sum the mean losses of a batch's images; targets are soft, or the best class alone."""
     scores = network(batch.inputs).float()
     small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
-    targets = Targets(*small.split(PLANES, 1))
+    targets = Targets(*small.split(TARGET_PLANES, 1))
     if training.teacher.targets == "hard":
         best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
         road = (targets.road >= 0.5).to(targets.road)
@@ -236,7 +236,7 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 # --- a run ------------------------------------------------------------------------------
 
 
-TEACHER_PARTS = {"detector", "weights", "views", "working"}
+TEACHER_KEYS = {"detector", "weights", "views", "working"}
 """Settings of a teacher on which its maps depend."""
 
 
@@ -250,7 +250,7 @@ class ImageRecipe:
         self._recordings: Mapping[str, Path] = {}
         self._prepared = Path()
         self.preparation = {  # size, and what the teacher's maps depend on
-            **(teacher := training.teacher.model_dump(include=TEACHER_PARTS)),
+            **(teacher := training.teacher.model_dump(include=TEACHER_KEYS)),
             "files": file_digests(teacher),
             "size": [training.network.height, training.network.width],
             "recordings": training.recordings.model_dump(include={"separator", "least"}),
@@ -267,7 +267,7 @@ class ImageRecipe:
 
     def make(self, image: Tensor, name: str) -> Arrays:
         """Prepare an image at the network's size, with the teacher's maps and the ego car."""
-        ego = ego_of(self._recordings.get(name), image)
+        ego = read_ego(self._recordings.get(name), image)
         return prepare_image(image, ego, self._teacher, self._training)
 
     def shrink(self, correction: Correction) -> Arrays:
@@ -281,7 +281,7 @@ class ImageRecipe:
         planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
         planes += [layout == number for number in range(CLASSES)]
         stacked = torch.stack(planes).to(torch.float32)
-        return {"planes": to_bytes(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
+        return {"planes": to_uint8(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
     def network(self, start: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""
@@ -294,21 +294,21 @@ class ImageRecipe:
         with seeded(self._training.random_seed, 0):
             return ImageNetwork(settings)
 
-    def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
+    def samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
         """Return augmented images with their targets, and the labels of an initial network."""
-        training, files, labels = self._training, given.files, list[Path]()
-        if isinstance(given.start, WholeImageNetwork):
-            network = given.start.eval()
-            labels = label_with_network(files, given.labels, network, stop, quiet)
+        training, files, labels = self._training, inputs.files, list[Path]()
+        if isinstance(inputs.start, WholeImageNetwork):
+            network = inputs.start.eval()
+            labels = label_with_network(files, inputs.labels, network, stop, quiet)
         names = []
         for file in files:
             stem = file.relative_to(self._prepared).with_suffix("").with_suffix("").as_posix()
-            names.append(recording_of(stem, training.recordings.separator))
+            names.append(recording_name(stem, training.recordings.separator))
         sizes, cars = Counter(names), dict[str, list[Path]]()
         for name, file in zip(names, files, strict=True):
-            if lends_ego(file):
+            if shows_ego_car(file):
                 cars.setdefault(name, []).append(file)
         shares = torch.tensor([sizes[name] ** -training.recordings.evenness for name in names])
-        corrected = torch.tensor([file in given.corrected for file in files])
-        shares = corrected_shares(shares, corrected, training.corrections.share)
-        return ImageSamples(training, files, labels, shares, cars, given.corrected)
+        corrected = torch.tensor([file in inputs.corrected for file in files])
+        shares = reweight_corrected(shares, corrected, training.corrections.share)
+        return ImageSamples(training, files, labels, shares, cars, inputs.corrected)

@@ -19,30 +19,30 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop
 from roadtorch.layout.weights import LayoutNetwork, fill
 from roadtorch.train.config import Descent, Stopping
-from roadtorch.train.folder import CHECKPOINT, NO_CHECKPOINT, RunFolder
+from roadtorch.train.folder import BAD_CHECKPOINT, CHECKPOINT, RunFolder
 
 # --- randomness -------------------------------------------------------------------------
 
 
-PATCH_ORDER, CENTRES, PATCH_VARIATION, IMAGE_ORDER, VARIATION = range(5)
+PATCH_ORDER, CENTRES, PATCH_VARIATION, IMAGE_ORDER, IMAGE_VARIATION = range(5)
 """First number of a generator's key, so that each use has generators of its own."""
 
 
-def generator_at(seed: int, *place: int) -> torch.Generator:
+def make_generator(seed: int, *key: int) -> torch.Generator:
     """Return the generator of a seed and a key (use, epoch, chunk, …).
 
     No state is carried from one key to the next, so a resumed run samples what the uninterrupted
     one would have sampled.
     """
-    state = np.random.SeedSequence([seed, *place]).generate_state(1, np.uint64)[0]
+    state = np.random.SeedSequence([seed, *key]).generate_state(1, np.uint64)[0]
     return torch.Generator().manual_seed(int(state >> np.uint64(1)))
 
 
 @contextmanager
-def seeded(seed: int, *place: int) -> Iterator[None]:
+def seeded(seed: int, *key: int) -> Iterator[None]:
     """Seed torch's global generator within the block, and restore it afterwards."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(generator_at(seed, *place).initial_seed())
+        torch.manual_seed(make_generator(seed, *key).initial_seed())
         yield
 
 
@@ -68,15 +68,15 @@ class MovingAverage(Generic[Network]):
     @torch.no_grad()
     def add(self, network: nn.Module, steps: int) -> None:
         """Update the average with the weights after ``steps`` steps."""
-        kept = min(self._ema, steps / (steps + WARM_UP_STEPS))
+        decay = min(self._ema, steps / (steps + WARM_UP_STEPS))
         for mean, weight in zip(self.network.parameters(), network.parameters(), strict=True):
-            mean.lerp_(weight, 1 - kept)
+            mean.lerp_(weight, 1 - decay)
 
 
 # --- steps and epochs -------------------------------------------------------------------
 
 
-SAVE_EVERY = 60.0  # seconds of work that a power cut may cost
+SAVE_INTERVAL = 60.0  # seconds of work that a power cut may cost
 
 
 class TrainingInputs(NamedTuple):
@@ -161,12 +161,12 @@ class Loop:
             fill(self.average.network, state["average"], path)
             self._optimiser.load_state_dict(state["optimiser"])
         except (KeyError, TypeError, ValueError, AttributeError):
-            raise WeightsError(path, *NO_CHECKPOINT) from None
+            raise WeightsError(path, *BAD_CHECKPOINT) from None
 
     def train(self) -> None:
         """Train from ``progress`` to the last epoch, or until a stop is requested.
 
-        Saves a checkpoint after each epoch, every ``SAVE_EVERY`` seconds and before it returns.
+        Saves a checkpoint after each epoch, every ``SAVE_INTERVAL`` seconds and before it returns.
         Raises ConfigError if the loss is no longer finite.
         """
         self.network.train()
@@ -197,7 +197,7 @@ class Loop:
             progress.seconds += time.perf_counter() - start
             bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
             bar.update()
-            if time.monotonic() - saved > SAVE_EVERY:
+            if time.monotonic() - saved > SAVE_INTERVAL:
                 self.save()
                 saved = time.monotonic()
             if self.stop.asked:

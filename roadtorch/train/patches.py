@@ -34,10 +34,10 @@ from roadtorch.train.loop import (
     PATCH_VARIATION,
     Batch,
     TrainingInputs,
-    generator_at,
+    make_generator,
     seeded,
 )
-from roadtorch.train.prepared import from_bytes, to_bytes
+from roadtorch.train.prepared import from_uint8, to_uint8
 
 # --- where ------------------------------------------------------------------------------
 
@@ -48,9 +48,9 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
     The points are at equal angles, the first below the centroid, and clamped to the image.
     """
     height, width = segments.shape
-    places = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    coordinates = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     size = segment_size(segments, int(segments.max()) + 1)
-    centroid = segment_mean(torch.stack(places).to(torch.float32), segments, size).T
+    centroid = segment_mean(torch.stack(coordinates).to(torch.float32), segments, size).T
     turns = torch.arange(settings.around) * (2 * math.pi / max(1, settings.around))
     around = torch.stack([turns.cos(), turns.sin()], 1) * settings.distance
     moves = torch.cat([torch.zeros(1, 2), around])
@@ -79,7 +79,7 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
 # --- where people spoke -----------------------------------------------------------------
 
 
-SPACING = 8
+CORRECTION_SPACING = 8
 """Pixels at working size between patches in corrected areas, about the distance of superpixels."""
 
 
@@ -91,94 +91,97 @@ class LabelledCentres(NamedTuple):
     weights: Tensor
 
 
-def corrected_centres(
+def merge_corrections(
     labelled: LabelledCentres, correction: Arrays, weight: float
 ) -> LabelledCentres:
     """Replace machine-labelled centres in corrected areas by a grid of corrected ones.
 
     correction: of ``PatchRecipe.shrink``.
     """
-    layout, known = correction["layout"], correction["known"].bool()
+    layout, is_corrected = correction["layout"], correction["known"].bool()
     rows, columns = labelled.centres.long().unbind(1)
-    kept = ~known[rows, columns]
-    places = torch.zeros_like(known)
-    places[SPACING // 2 :: SPACING, SPACING // 2 :: SPACING] = True
-    new = (places & (layout != UNLABELLED)).nonzero()
-    classes = layout[new[:, 0], new[:, 1]].to(labelled.classes.dtype)
+    is_machine = ~is_corrected[rows, columns]
+    positions = torch.zeros_like(is_corrected)
+    grid = slice(CORRECTION_SPACING // 2, None, CORRECTION_SPACING)
+    positions[grid, grid] = True
+    added = (positions & (layout != UNLABELLED)).nonzero()
+    classes = layout[added[:, 0], added[:, 1]].to(labelled.classes.dtype)
     return LabelledCentres(
-        torch.cat([labelled.centres[kept], new.to(labelled.centres.dtype)]),
-        torch.cat([labelled.classes[kept], classes]),
-        torch.cat([labelled.weights[kept], torch.full((len(new),), weight)]),
+        torch.cat([labelled.centres[is_machine], added.to(labelled.centres.dtype)]),
+        torch.cat([labelled.classes[is_machine], classes]),
+        torch.cat([labelled.weights[is_machine], torch.full((len(added),), weight)]),
     )
 
 
-def repeated(files: Sequence[Path], corrected: Container[Path], share: float) -> list[Path]:
+def oversample(files: Sequence[Path], corrected: Container[Path], share: float) -> list[Path]:
     """Repeat corrected files until they are about ``share`` of all; keep each at least once."""
-    own = [file for file in files if file in corrected]
-    others = len(files) - len(own)
-    if not own or not others or share == 1:
-        return own if own and share == 1 else list(files)
-    times = max(1, round(share * others / ((1 - share) * len(own))))
+    corrected_files = [file for file in files if file in corrected]
+    machine_count = len(files) - len(corrected_files)
+    if not corrected_files or not machine_count or share == 1:
+        return corrected_files if corrected_files and share == 1 else list(files)
+    times = max(1, round(share * machine_count / ((1 - share) * len(corrected_files))))
     return [file for file in files for _ in range(times if file in corrected else 1)]
 
 
 # --- how they are cut -------------------------------------------------------------------
 
 
-NOISES = 256
+NOISE_PATCHES = 256
 """Noise patches sampled for a chunk; each patch uses one, scaled by its own deviation."""
 
 
-class Draw(NamedTuple):
+class Variation(NamedTuple):
     """Random variation of n patches.
 
     centre: (n, 2), row and column. scale: magnification. turn: radians. noise: standard deviation
-    in grey levels of 255. which: int64, index of the noise patch.
+    in grey levels of 255. noise_patch: int64, its index.
     """
 
     centre: Tensor
     scale: Tensor
     turn: Tensor
     noise: Tensor
-    which: Tensor
+    noise_patch: Tensor
 
-    def at(self, index: Tensor) -> "Draw":
+    def at(self, index: Tensor) -> "Variation":
         """Select some of the patches."""
-        return Draw(*(values[index] for values in self))
+        return Variation(*(values[index] for values in self))
 
 
-def draw_variation(centre: Tensor, settings: PatchAugmentation, generator: torch.Generator) -> Draw:
+def sample_variation(
+    centre: Tensor, settings: PatchAugmentation, generator: torch.Generator
+) -> Variation:
     """Sample scales, angles and noise of patches at centres (n, 2)."""
     count = len(centre)
     angle = math.radians(settings.rotation)
-    return Draw(
+    return Variation(
         centre.to(torch.float32),
         uniform(generator, count, settings.min_scale, settings.max_scale),
         uniform(generator, count, -angle, angle),
         uniform(generator, count, settings.min_noise, settings.max_noise),
-        torch.randint(NOISES, (count,), generator=generator),
+        torch.randint(NOISE_PATCHES, (count,), generator=generator),
     )
 
 
-def draw_noise(patch: int, generator: torch.Generator) -> Tensor:
-    """Sample the noise of a chunk, standard normal, shape (NOISES, 3, P, P)."""
-    return torch.randn(NOISES, 3, patch, patch, generator=generator)
+def sample_noise(patch: int, generator: torch.Generator) -> Tensor:
+    """Sample the noise of a chunk, standard normal, shape (NOISE_PATCHES, 3, P, P)."""
+    return torch.randn(NOISE_PATCHES, 3, patch, patch, generator=generator)
 
 
-def cut_patches(pixels: Tensor, draw: Draw, patch: int) -> Tensor:
+def extract_patches(pixels: Tensor, params: Variation, patch: int) -> Tensor:
     """Extract patches (n, 3, P, P) from an image (3, H, W), bilinear, reflected at the border.
 
     At scale 1 and angle 0 they are the inputs of ``PatchNetwork.dense``: P/2 pixels before the
     centre, one less behind it.
     """
-    count, (height, width) = len(draw.centre), pixels.shape[-2:]
+    count, (height, width) = len(params.centre), pixels.shape[-2:]
     offsets = torch.arange(patch, dtype=torch.float32) - patch // 2
-    along, aside = (f(draw.turn) / draw.scale for f in (torch.cos, torch.sin))
+    along, aside = (f(params.turn) / params.scale for f in (torch.cos, torch.sin))
     grid = torch.empty(count, patch, patch, 2)
     # column = sin·down + cos·across, row = cos·down - sin·across; written where they are needed
     for axis, (down, across, length) in enumerate(((aside, along, width), (along, -aside, height))):
         unit = 2 / max(1, length - 1)  # from pixels to -1 (first) … 1 (last)
-        start = draw.centre[:, 1 - axis] * unit - 1
+        start = params.centre[:, 1 - axis] * unit - 1
         down = down[:, None] * offsets * unit + start[:, None]
         across = across[:, None] * offsets * unit
         torch.add(down[:, :, None], across[:, None, :], out=grid[..., axis])
@@ -192,17 +195,17 @@ def cut_patches(pixels: Tensor, draw: Draw, patch: int) -> Tensor:
 
 
 def add_noise(
-    patches: Tensor, draw: Draw, noises: Tensor, gain: float, out: Tensor | None = None
+    patches: Tensor, params: Variation, noise: Tensor, gain: float, out: Tensor | None = None
 ) -> Tensor:
     """Add noise to patches (n, 3, P, P); gain: factor from [0, 1] to the patches' units."""
-    deviation = (draw.noise * (gain / 255))[:, None, None, None]
-    return torch.addcmul(patches, noises.index_select(0, draw.which), deviation, out=out)
+    deviation = (params.noise * (gain / 255))[:, None, None, None]
+    return torch.addcmul(patches, noise.index_select(0, params.noise_patch), deviation, out=out)
 
 
 # --- samples ----------------------------------------------------------------------------
 
 
-BLOCK = 128
+PATCH_BLOCK = 128
 """Patches extracted at a time, so that intermediate results stay in the cache."""
 
 
@@ -225,7 +228,7 @@ class PatchSamples:
         self._weights = class_weights(files, training)
         self._groups = -(-len(files) // training.mix)
         patch = training.network.topology.patch
-        self._room = torch.empty(0, 3, patch, patch)  # kept: fresh memory costs as much as cutting
+        self._buffer = torch.empty(0, 3, patch, patch)  # fresh memory is as slow as extraction
 
     @property
     def chunks(self) -> int:
@@ -239,38 +242,40 @@ class PatchSamples:
         order = self._shuffled(len(self._files), PATCH_ORDER, epoch, visit)
         members = order[group * training.mix :][: training.mix].tolist()
         labelled = [self._centres_of(member, epoch, visit) for member in members]
-        generator = generator_at(training.random_seed, PATCH_VARIATION, epoch, chunk)
+        generator = make_generator(training.random_seed, PATCH_VARIATION, epoch, chunk)
         centres, classes, counts = (torch.cat(parts) for parts in zip(*labelled, strict=True))
-        draw = draw_variation(centres, training.augmentation, generator)
-        noises = draw_noise(training.network.topology.patch, generator)
+        params = sample_variation(centres, training.augmentation, generator)
+        noise = sample_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
         steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
         image = torch.arange(len(members)).repeat_interleave(
             torch.tensor([len(part.classes) for part in labelled])
         )
         by_image = image[shuffled].argsort(stable=True)
-        cut = shuffled[by_image]
-        self._cut(members, image[cut], draw.at(cut), noises)
-        places = by_image.argsort().tensor_split(len(steps))
-        for step, place in zip(steps, places, strict=True):
+        buffer_order = shuffled[by_image]
+        self._fill_buffer(members, image[buffer_order], params.at(buffer_order), noise)
+        buffer_rows = by_image.argsort().tensor_split(len(steps))
+        for step, rows in zip(steps, buffer_rows, strict=True):
             if len(step):
                 targets = classes[step].long()
-                patches = self._room.index_select(0, place)
+                patches = self._buffer.index_select(0, rows)
                 yield Batch(patches, targets, self._weights[targets] * counts[step])
 
-    def _cut(self, members: list[int], image_of: Tensor, draw: Draw, noises: Tensor) -> None:
-        """Fill the buffer with the patches of ``draw``; image: that of each (n,), ascending."""
+    def _fill_buffer(
+        self, members: list[int], images: Tensor, params: Variation, noise: Tensor
+    ) -> None:
+        """Fill the buffer with the patches of ``params``; images: index of each (n,), ascending."""
         network = self._training.network
         patch = network.topology.patch
-        if len(self._room) < len(image_of):
-            self._room = torch.empty(len(image_of), 3, patch, patch)
+        if len(self._buffer) < len(images):
+            self._buffer = torch.empty(len(images), 3, patch, patch)
         for number, member in enumerate(members):
-            image = from_bytes(self._read(self._files[member], "image")["image"])
+            image = from_uint8(self._read(self._files[member], "image")["image"])
             pixels, gain = normalise(image, network.normalisation)
-            for index in (image_of == number).nonzero()[:, 0].split(BLOCK):
+            for index in (images == number).nonzero()[:, 0].split(PATCH_BLOCK):
                 if len(index):
-                    own, room = draw.at(index), self._room[index[0] : index[-1] + 1]
-                    add_noise(cut_patches(pixels, own, patch), own, noises, gain, room)
+                    part, target = params.at(index), self._buffer[index[0] : index[-1] + 1]
+                    add_noise(extract_patches(pixels, part, patch), part, noise, gain, target)
 
     def _centres_of(self, member: int, epoch: int, visit: int) -> LabelledCentres:
         """Return the patches of an image at one visit in an epoch."""
@@ -279,19 +284,19 @@ class PatchSamples:
         labelled = LabelledCentres(arrays["centres"], classes, torch.ones(len(classes)))
         if (correction := self._corrected.get(self._files[member])) is not None:
             planes = read_arrays(correction, "layout", "known")
-            labelled = corrected_centres(labelled, planes, self._training.corrections.weight)
+            labelled = merge_corrections(labelled, planes, self._training.corrections.weight)
         order = self._shuffled(len(labelled.classes), CENTRES, epoch, member)
         order = order[visit :: self._training.passes]
         return LabelledCentres(*(values[order] for values in labelled))
 
-    def _shuffled(self, count: int, *place: int) -> Tensor:
-        return torch.randperm(count, generator=generator_at(self._training.random_seed, *place))
+    def _shuffled(self, count: int, *key: int) -> Tensor:
+        return torch.randperm(count, generator=make_generator(self._training.random_seed, *key))
 
 
 def squared_error(network: nn.Module, batch: Batch) -> Tensor:
     """Sum |potentials - one-hot|² over patches, weighted. P2, section 3.1."""
-    wanted = F.one_hot(batch.targets, CLASSES).to(batch.inputs)
-    return ((network(batch.inputs) - wanted).square().sum(1) * batch.weights).sum()
+    one_hot = F.one_hot(batch.targets, CLASSES).to(batch.inputs)
+    return ((network(batch.inputs) - one_hot).square().sum(1) * batch.weights).sum()
 
 
 # --- a run -----------------------------------------------------------------------------
@@ -325,11 +330,11 @@ class PatchRecipe:
         labels = label_layout(small, training.labeller, working, training.superpixels).labels
         centres = find_centres(training.superpixels.cut(small), training.centres)
         classes = labels[centres[:, 0], centres[:, 1]]
-        known = classes != UNLABELLED
+        is_labelled = classes != UNLABELLED
         return {
-            "image": to_bytes(small),
-            "centres": centres[known].to(torch.int16),
-            "classes": classes[known].to(torch.uint8),
+            "image": to_uint8(small),
+            "centres": centres[is_labelled].to(torch.int16),
+            "classes": classes[is_labelled].to(torch.uint8),
         }
 
     def shrink(self, correction: Correction) -> Arrays:
@@ -351,7 +356,7 @@ class PatchRecipe:
         with seeded(self._training.random_seed, 0):
             return PatchNetwork(self._training.network)
 
-    def samples(self, given: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
+    def samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
         """Return the augmented patches of prepared images, corrected images oversampled."""
-        often = repeated(given.files, given.corrected, self._training.corrections.share)
-        return PatchSamples(often, self._training, given.corrected)
+        oversampled = oversample(inputs.files, inputs.corrected, self._training.corrections.share)
+        return PatchSamples(oversampled, self._training, inputs.corrected)

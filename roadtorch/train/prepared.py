@@ -20,12 +20,12 @@ from roadtorch.run.memo import Arrays, keep, kept
 from roadtorch.run.workers import DIED, workers_for
 
 
-def to_bytes(values: Tensor) -> Tensor:
+def to_uint8(values: Tensor) -> Tensor:
     """Convert values in [0, 1] to uint8, rounded."""
     return values.mul(255).round_().to(torch.uint8)
 
 
-def from_bytes(values: Tensor) -> Tensor:
+def from_uint8(values: Tensor) -> Tensor:
     """Convert uint8 to float32 in [0, 1]."""
     return values.to(torch.float32).div_(255)
 
@@ -53,7 +53,7 @@ class Preparation:
 
     def __call__(self, image: Item) -> PreparedImage:
         """Prepare an image unless its file is up to date; ConfigError if a setting is wrong."""
-        name, key = name_of(image), self.key(image)
+        name, key = image_file_name(image), self.key(image)
         file = self.folder / f"{name}.npz"
         if kept(file, key) is not None:  # all of it is read: damage would end the training later
             return PreparedImage(name, file)
@@ -93,9 +93,9 @@ def prepare(
 
 
 def _died(image: Item) -> PreparedImage:
-    return PreparedImage(name_of(image), None, str(InputError(image.origin, *DIED)))
+    return PreparedImage(image_file_name(image), None, str(InputError(image.origin, *DIED)))
 
 
-def name_of(image: Item) -> str:
+def image_file_name(image: Item) -> str:
     """Return an image's relative name with its suffix, which two images of one stem need."""
     return image.name + image.suffix

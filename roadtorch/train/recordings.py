@@ -13,7 +13,7 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import Stop
 from roadtorch.camera.footage import still_ego
 from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
-from roadtorch.inputs.item import Item, spread
+from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, keep, kept, key_of
 from roadtorch.train.config import Recordings
@@ -21,18 +21,18 @@ from roadtorch.train.config import Recordings
 MAX_FRAMES = 120
 """Frames of a recording that are examined, evenly spaced; more show nothing new."""
 
-SEEN = WorkingSize(pixels=640 * 480)
+FRAME_SIZE = WorkingSize(pixels=640 * 480)
 """Size to which frames are reduced, as all frames of a recording are in memory at once."""
 
-COLUMNS, JUMP, MAX_JUMPS = 160, 0.012, 0.1
+EDGE_COLUMNS, EDGE_JUMP, MAX_EDGE_JUMPS = 160, 0.012, 0.1
 """Columns at which the edge of an ego car is compared, the step between neighbours that counts as a
 jump (fraction of the height), and the fraction of jumps from which it is no smooth edge."""
 
-SHAPES = 10
+ASPECT_BINS = 10
 """Bins per unit of width / height, by which frames are grouped."""
 
 
-def recording_of(name: str, separator: str) -> str:
+def recording_name(name: str, separator: str) -> str:
     """Return a name up to its last separator; all of it without one, or without a separator set."""
     return name.rpartition(separator)[0] if separator and separator in name else name
 
@@ -49,49 +49,49 @@ def find_ego_cars(
         return {}
     recordings: dict[str, list[Item]] = {}
     for image in images:
-        recordings.setdefault(recording_of(image.name, settings.separator), []).append(image)
-    long = {name: each for name, each in recordings.items() if len(each) >= settings.least}
+        recordings.setdefault(recording_name(image.name, settings.separator), []).append(image)
+    long = {name: group for name, group in recordings.items() if len(group) >= settings.least}
     files = {name: folder / f"{name}.npz" for name in long}
     bar = Progress(files.items(), desc="ego cars", unit="image", quiet=quiet)
     for name, file in until_stopped(bar, stop):
-        frames = spread(long[name], MAX_FRAMES)
+        frames = evenly_spaced(long[name], MAX_FRAMES)
         key = key_of(settings.least, *(image.path for image in frames))
         if kept(file, key) is None:
-            keep(file, key, ego_cars(frames, settings.least))
-    return {image.name: files[name] for name, each in long.items() for image in each}
+            keep(file, key, detect_ego_cars(frames, settings.least))
+    return {image.name: files[name] for name, group in long.items() for image in group}
 
 
-def ego_cars(images: Sequence[Item], least: int) -> Arrays:
+def detect_ego_cars(images: Sequence[Item], least: int) -> Arrays:
     """Detect the ego car bool (H, W) in images of one camera, for each aspect ratio."""
     shapes: dict[int, list[Tensor]] = {}
     for image in images:
         with suppress(InputError):  # reported when it is made ready
-            frame = at_work(read_image(image.path), SEEN)
-            shapes.setdefault(shape_of(frame), []).append(frame)
+            frame = at_work(read_image(image.path), FRAME_SIZE)
+            shapes.setdefault(aspect_bin(frame), []).append(frame)
     cars = {
         str(shape): still_ego(frames) for shape, frames in shapes.items() if len(frames) >= least
     }
-    return {shape: ego for shape, ego in cars.items() if ego is not None and is_line(ego)}
+    return {shape: ego for shape, ego in cars.items() if ego is not None and has_smooth_edge(ego)}
 
 
-def is_line(ego: Tensor) -> bool:
+def has_smooth_edge(ego: Tensor) -> bool:
     """Return whether the upper edge of an ego car bool (H, W) is smooth, as a bonnet's is.
 
     In few frames of a slow drive kerbs and lane marks look static too, but their edge jumps.
     """
     height, width = ego.shape
     first = torch.where(ego.any(0), ego.to(torch.uint8).argmax(0), height) / height
-    edge = first[torch.arange(COLUMNS) * width // COLUMNS]
-    return float((edge.diff().abs() > JUMP).double().mean()) <= MAX_JUMPS
+    edge = first[torch.arange(EDGE_COLUMNS) * width // EDGE_COLUMNS]
+    return float((edge.diff().abs() > EDGE_JUMP).double().mean()) <= MAX_EDGE_JUMPS
 
 
-def shape_of(image: Tensor) -> int:
+def aspect_bin(image: Tensor) -> int:
     """Return the bin of an image's aspect ratio, the same for all frames of a camera."""
-    return round(SHAPES * image.shape[-1] / image.shape[-2])
+    return round(ASPECT_BINS * image.shape[-1] / image.shape[-2])
 
 
-def ego_of(file: Path | None, image: Tensor) -> Tensor | None:
+def read_ego(file: Path | None, image: Tensor) -> Tensor | None:
     """Read the ego car of an image's recording, bool (H, W) of the image; None if there is none."""
-    shape = str(shape_of(image))
+    shape = str(aspect_bin(image))
     cars = kept(file, None, shape) if file else None
     return at_image_size(cars[shape], size_of(image)) if cars else None

@@ -27,22 +27,22 @@ from roadtorch.layout.weights import (
 )
 from roadtorch.train.config import ImageTraining, Training, as_values
 from roadtorch.train.corrections import (
-    card_of,
-    corrections_behind,
     corrections_by_image,
     corrections_summary,
-    paced,
-    write_corrected,
+    format_card,
+    inherited_corrections,
+    scale_learning_rate,
     write_corrections,
+    write_fusion_config,
 )
 from roadtorch.train.folder import (
+    BAD_CHECKPOINT,
     CHECKPOINT,
     LABELS,
-    NO_CHECKPOINT,
     WEIGHTS,
     RunFolder,
     config_hash,
-    record_of,
+    make_record,
 )
 from roadtorch.train.images import ImageRecipe
 from roadtorch.train.loop import Loop, TrainingInputs, TrainingProgress
@@ -53,7 +53,7 @@ Recipe = PatchRecipe | ImageRecipe
 
 PREPARED, CORRECTIONS = "prepared", "corrections"
 
-FUSION = "fusion.toml"
+FUSION_CONFIG = "fusion.toml"
 """Config of the detector ``fusion`` with the weights of a run with corrections."""
 
 
@@ -92,21 +92,21 @@ def train(training: Training, request: Request) -> Outcome:
     images = find_images([request.images], apart=request.out)
     with stop_on_signals() as stop:
         folder = RunFolder(request.out)
-        start, recipe = load_start(training), recipe_of(training)
-        with folder.held():
+        start, recipe = load_initial_network(training), make_recipe(training)
+        with folder.lock():
             corrections = corrections_by_image(images, request.corrections)
             run = TrainingRun(training, recipe, start, request, folder, stop, corrections)
-            return run.go(images)
+            return run.run(images)
 
 
-def recipe_of(training: Training) -> Recipe:
+def make_recipe(training: Training) -> Recipe:
     """Return the recipe for the kind of network in the settings."""
     if isinstance(training, ImageTraining):
         return ImageRecipe(training)
     return PatchRecipe(training)
 
 
-def load_start(training: Training) -> LayoutNetwork | None:
+def load_initial_network(training: Training) -> LayoutNetwork | None:
     """Load the network with the initial weights; None without any.
 
     A whole-image network may have been trained at another size; it continues at that of the
@@ -124,7 +124,7 @@ def load_start(training: Training) -> LayoutNetwork | None:
     return network
 
 
-def made_ready(
+def prepare_folder(
     recipe: Recipe, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool
 ) -> list[PreparedImage]:
     """Prepare images in a folder; fewer if a stop is requested."""
@@ -151,19 +151,19 @@ class TrainingRun:
     stop: Stop
     corrections: Mapping[str, Correction]
 
-    def go(self, images: Sequence[Item]) -> Outcome:
+    def run(self, images: Sequence[Item]) -> Outcome:
         """Prepare the images and train the remaining epochs."""
         stop, folder = self.stop, self.folder
         summary = corrections_summary(self.corrections)
-        record = record_of(as_values(self.training), images, summary)
+        record = make_record(as_values(self.training), images, summary)
         folder.check(record)
         state = folder.read_checkpoint()
         folder.begin(record)
-        behind = [*corrections_behind(self.training), *([summary] if summary else [])]
-        kept = self.request.prepared or folder.path / PREPARED
-        prepared = made_ready(self.recipe, images, kept, stop, self.request.quiet)
+        inherited = [*inherited_corrections(self.training), *([summary] if summary else [])]
+        prepared_folder = self.request.prepared or folder.path / PREPARED
+        prepared = prepare_folder(self.recipe, images, prepared_folder, stop, self.request.quiet)
         skipped = sum(item.file is None for item in prepared)
-        if stop.asked or not self._train(prepared, state, behind):
+        if stop.asked or not self._train(prepared, state, inherited):
             return Outcome(None, stop.signal or SIGTERM, skipped)
         return Outcome(folder.path / WEIGHTS, None, skipped)
 
@@ -171,7 +171,7 @@ class TrainingRun:
         self,
         prepared: Sequence[PreparedImage],
         state: dict[str, Any] | None,
-        behind: Sequence[Mapping[str, Any]],
+        inherited: Sequence[Mapping[str, Any]],
     ) -> bool:
         """Train the remaining epochs; return whether the last one was reached."""
         path = self.folder.path
@@ -187,23 +187,25 @@ class TrainingRun:
         }
         shrink = self.recipe.shrink
         corrected = write_corrections(path / CORRECTIONS, people, shrink) if people else {}
-        progress = _progress_of(state, path / CHECKPOINT) if state else TrainingProgress()
-        given = TrainingInputs(list(files), corrected, self.start, path / LABELS)
-        loop = self._train_epochs(given, progress, state)
-        self._write(loop.average.network.eval(), progress, len(files), behind)
+        progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
+        inputs = TrainingInputs(list(files), corrected, self.start, path / LABELS)
+        loop = self._train_epochs(inputs, progress, state)
+        self._write(loop.average.network.eval(), progress, len(files), inherited)
         if people and progress.finished and isinstance(self.training, ImageTraining):
-            write_corrected(path / FUSION, path / WEIGHTS, list(people.values()))
+            write_fusion_config(path / FUSION_CONFIG, path / WEIGHTS, list(people.values()))
         return progress.finished
 
     def _train_epochs(
-        self, given: TrainingInputs, progress: TrainingProgress, state: dict[str, Any] | None
+        self, inputs: TrainingInputs, progress: TrainingProgress, state: dict[str, Any] | None
     ) -> Loop:
         """Train all epochs, or those after a checkpoint."""
         training = self.training
         stop, quiet = self.stop, self.request.quiet
-        samples = self.recipe.samples(given, stop, quiet)
+        samples = self.recipe.samples(inputs, stop, quiet)
         network = self.recipe.network(self.start)
-        descent = paced(training.descent, training.corrections.halfway, len(self.corrections))
+        descent = scale_learning_rate(
+            training.descent, training.corrections.halfway, len(self.corrections)
+        )
         parts = (network, samples.chunks, samples.batches, self.recipe.loss)
         rules = (descent, training.stopping)
         loop = Loop(*parts, *rules, progress, self.folder, stop, quiet, self.request.part)
@@ -219,7 +221,7 @@ class TrainingRun:
         network: LayoutNetwork,
         progress: TrainingProgress,
         used: int,
-        behind: Sequence[Mapping[str, Any]],
+        inherited: Sequence[Mapping[str, Any]],
     ) -> None:
         """Write the current weights and the loss curve."""
         path, config = self.folder.path / WEIGHTS, as_values(self.training)
@@ -231,18 +233,18 @@ class TrainingRun:
             "round": 1,
             "epochs": progress.epoch,
             "finished": progress.finished,
-            "corrections": list(behind),
+            "corrections": list(inherited),
         }
-        if behind:
-            write_text(path.with_suffix(".md"), card_of(behind))
+        if inherited:
+            write_text(path.with_suffix(".md"), format_card(inherited))
         save_network(path, network, origin)
         if progress.rows:
             self.folder.write_curve(progress.rows)
 
 
-def _progress_of(state: Mapping[str, Any], path: Path) -> TrainingProgress:
+def _read_progress(state: Mapping[str, Any], path: Path) -> TrainingProgress:
     """Read the progress of a checkpoint; WeightsError if it is invalid."""
     try:
         return TypeAdapter(TrainingProgress).validate_python(state["progress"])
     except (KeyError, ValidationError):
-        raise WeightsError(path, *NO_CHECKPOINT) from None
+        raise WeightsError(path, *BAD_CHECKPOINT) from None

@@ -27,15 +27,15 @@ from roadtorch.road.fusion import centred_odds, log_odds
 from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, keep, kept, key_of, read_arrays
 from roadtorch.train.config import ImageTraining, Rounds, Teacher
-from roadtorch.train.prepared import from_bytes, to_bytes
+from roadtorch.train.prepared import from_uint8, to_uint8
 
 # --- targets ----------------------------------------------------------------------------
 
 
-KNOWN = 0.25
+EGO_KNOWN = 0.25
 """Distance from 0.5 at which the ego car is known; its maps are bytes and interpolated by warps."""
 
-CERTAIN = 0.8
+EGO_CERTAIN = 0.8
 """Probability from which a network's ego car counts; weaker belief would grow from run to run."""
 
 
@@ -53,11 +53,11 @@ class Targets(NamedTuple):
     ego_weight: Tensor
 
 
-PLANES = (CLASSES, 1, 1, 1, 1, 1)
+TARGET_PLANES = (CLASSES, 1, 1, 1, 1, 1)
 """Planes of the fields of ``Targets``."""
 
 
-def targets_of(
+def make_targets(
     teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher, rounds: Rounds
 ) -> Targets:
     """Compute targets from the maps (B, 4, H, W) of the teacher and those of an initial network.
@@ -68,22 +68,23 @@ def targets_of(
     ``margin``; with ``combine = "agreement"`` only where teacher and network agree on the class,
     or on road. On the ego car road is 0 and counts, and the layout does not count.
     """
-    layout, road = teacher[:, :CLASSES], centred_as(teacher[:, CLASSES:], settings)
+    layout, road = teacher[:, :CLASSES], centre_likelihood(teacher[:, CLASSES:], settings)
     agree = agree_road = torch.ones_like(road)
     if network is not None:
-        other, other_road = network[:, :CLASSES], network[:, ROAD : ROAD + 1]
+        network_layout, network_road = network[:, :CLASSES], network[:, ROAD : ROAD + 1]
         if rounds.combine == "agreement":
-            agree = (best_class(layout) == best_class(other)).to(road)
-            agree_road = ((road >= 0.5) == (other_road >= 0.5)).to(road)
-        own = 1.0 if rounds.combine == "teacher" else 0.5
-        layout, road = torch.lerp(other, layout, own), torch.lerp(other_road, road, own)
-    guess = torch.zeros_like(ego) if network is None else (network[:, EGO:] >= CERTAIN).to(ego)
-    ego = torch.where((ego - 0.5).abs() < KNOWN, guess, ego)
+            agree = (best_class(layout) == best_class(network_layout)).to(road)
+            agree_road = ((road >= 0.5) == (network_road >= 0.5)).to(road)
+        weight = 1.0 if rounds.combine == "teacher" else 0.5
+        layout = torch.lerp(network_layout, layout, weight)
+        road = torch.lerp(network_road, road, weight)
+    guess = torch.zeros_like(ego) if network is None else (network[:, EGO:] >= EGO_CERTAIN).to(ego)
+    ego = torch.where((ego - 0.5).abs() < EGO_KNOWN, guess, ego)
     best = layout.topk(2, dim=1).values
     sure = (best[:, :1] - best[:, 1:] >= settings.margin).to(road)
     sure_road = ((2 * road - 1).abs() >= settings.road_margin).to(road)
-    sure_ego = ((2 * ego - 1).abs() >= KNOWN).to(road)
-    street = (ego < 0.5 + KNOWN).to(road)
+    sure_ego = ((2 * ego - 1).abs() >= EGO_KNOWN).to(road)
+    street = (ego < 0.5 + EGO_KNOWN).to(road)
     known_road = torch.maximum(sure_road * agree_road, 1 - street)
     return Targets(layout, sure * agree * street, road * street, known_road, ego, sure_ego)
 
@@ -96,11 +97,11 @@ def best_class(layout: Tensor) -> Tensor:
     return layout.max(1, keepdim=True).indices
 
 
-def centred_as(likelihood: Tensor, settings: Teacher) -> Tensor:
+def centre_likelihood(likelihood: Tensor, settings: Teacher) -> Tensor:
     """Shift likelihoods (B, 1, H, W) so that the threshold of road becomes 0.5."""
     centre = math.log(settings.road_threshold / (1 - settings.road_threshold))
-    odds = [centred_odds(each, centre, settings.centre) for each in log_odds(likelihood)]
-    return torch.stack(odds).sigmoid()
+    centred = [centred_odds(odds, centre, settings.centre) for odds in log_odds(likelihood)]
+    return torch.stack(centred).sigmoid()
 
 
 # --- teachers ---------------------------------------------------------------------------
@@ -121,21 +122,21 @@ def prepare_image(
     size = (training.network.height, training.network.width)
     street = image if ego is None else continued(image, ego)
     maps = teacher_maps(street, teacher, training.teacher.views)
-    return shrunk(image, maps, torch.full(size, 0.5) if ego is None else ego.float(), size)
+    return encode_maps(image, maps, torch.full(size, 0.5) if ego is None else ego.float(), size)
 
 
-def shrunk(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
+def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
     """Resize an image and its maps in [0, 1], of any sizes, to uint8 arrays in 255ths.
 
     image: (3, h, w). maps: (4, h, w), the teacher's sky, vertical, horizontal, road. ego: (h, w):
     1 ego, 0 not, 0.5 unknown.
     """
     parts = {"image": image, "maps": maps, "ego": ego[None]}
-    small = {name: to_bytes(resized(part, size).clamp(0, 1)) for name, part in parts.items()}
+    small = {name: to_uint8(resized(part, size).clamp(0, 1)) for name, part in parts.items()}
     return {**small, "ego": small["ego"][0]}
 
 
-def lends_ego(file: Path) -> bool:
+def shows_ego_car(file: Path) -> bool:
     """Return whether a prepared image shows a whole ego car, from one side to the other.
 
     A small piece may be a lane mark or a static reflection instead.
@@ -150,8 +151,8 @@ def load_teacher(teacher: Teacher) -> Detector:
 
     Raises ConfigError for an unknown name or a detector without a working size.
     """
-    own: dict[str, Any] = {"weights": {"file": teacher.weights}} if teacher.weights else {}
-    return load_detector(teacher.detector, working={"pixels": teacher.working.pixels}, **own)
+    settings: dict[str, Any] = {"weights": {"file": teacher.weights}} if teacher.weights else {}
+    return load_detector(teacher.detector, working={"pixels": teacher.working.pixels}, **settings)
 
 
 def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor:
@@ -185,8 +186,8 @@ def label_with_network(
     for file, name in until_stopped(bar, stop):
         key = key_of(weights, file)
         if kept(name, key) is None:
-            image = from_bytes(read_arrays(file, "image")["image"])
-            keep(name, key, {"maps": to_bytes(network_maps(network, image))})
+            image = from_uint8(read_arrays(file, "image")["image"])
+            keep(name, key, {"maps": to_uint8(network_maps(network, image))})
     return names
 
 
@@ -206,19 +207,19 @@ def teacher_agreement(
 ) -> Agreement:
     """Measure how often a network agrees with the teacher on prepared images, over all pixels.
 
-    Only pixels count that have a weight in training (``targets_of``). Raises InputError for a
+    Only pixels count that have a weight in training (``make_targets``). Raises InputError for a
     damaged file; without such pixels a fraction is NaN.
     """
-    same, known = torch.zeros(2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
+    agreeing, counted = torch.zeros(2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
     for file in files:
         arrays = read_arrays(file, "image", "maps", "ego")
-        image, maps, ego = (from_bytes(arrays[name]) for name in ("image", "maps", "ego"))
-        targets = targets_of(maps[None], ego[None, None], None, training.teacher, training.rounds)
+        image, maps, ego = (from_uint8(arrays[name]) for name in ("image", "maps", "ego"))
+        targets = make_targets(maps[None], ego[None, None], None, training.teacher, training.rounds)
         potentials = network_maps(network, image)[None]
         layout = potentials[:, :CLASSES].argmax(1) == targets.layout.argmax(1)
         road = (potentials[:, ROAD] >= 0.5) == (targets.road[:, 0] >= 0.5)
         where = torch.stack([targets.layout_weight[:, 0], targets.road_weight[:, 0]]) > 0
-        same += (torch.stack([layout, road]) & where).flatten(1).sum(1)
-        known += where.flatten(1).sum(1)
-    shares = same / known
+        agreeing += (torch.stack([layout, road]) & where).flatten(1).sum(1)
+        counted += where.flatten(1).sum(1)
+    shares = agreeing / counted
     return Agreement(float(shares[0]), float(shares[1]), len(files))

@@ -18,7 +18,7 @@ MISTAKES = {
     "infer x.jpg --depth 12": "Invalid value for '--depth': '12' is not one of '8', '16'",
     "infer x.jpg --save masks": "masks: unknown kind of result (did you mean mask, mask-video?)",
     "infer x.jpg --save ,": "--save: nothing to save (",
-    "infer x.jpg --start 2": "--start, --end: images have no time (",
+    "infer x.jpg --start 2": "--start, --end: images have no time stamps (",
     "infer x.jpg --device meta": "--device meta: ",
     "infer x.jpg --device gpu": "--device gpu: is no device of torch (",
     "infer x.jpg --device cuda:99": "--device cuda:99: ",

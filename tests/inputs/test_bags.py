@@ -110,7 +110,7 @@ UNKNOWN = {TOPIC: IMAGES, "/camera/camera_info": [calibration(ROS2, 0, 0.0)]}
         (bag_source, {"/camera/camera_info": INFOS}, None, "has no images .there is /camera/came"),
         (bag_source, UNKNOWN, "/camera/camera_info", "has sensor_msgs/msg/CameraInfo on /camera"),
         (camera_info, {"/image": IMAGES}, None, "has no camera_info /camera_info beside /image"),
-        (camera_info, UNKNOWN, None, "says nothing of its camera on /camera/camera_info"),
+        (camera_info, UNKNOWN, None, "has no calibration on /camera/camera_info"),
     ],
 )
 def test_what_is_not_there_or_has_to_be_chosen(
@@ -219,7 +219,7 @@ def test_a_cut_bag_names_its_mending(tmp_path: Path, form: str, inside: bool, co
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
     given = str(file if inside else path)
 
-    with pytest.raises(InputError, match=r"cannot be read|ends early") as caught:
+    with pytest.raises(InputError, match=r"can(not)? be read") as caught:
         deque(bag_source(given).items(), maxlen=0)
 
     assert caught.value.where == given
@@ -233,5 +233,5 @@ def test_messages_that_are_gone_are_told_in_numbers(tmp_path: Path):
         base.execute("DELETE FROM messages WHERE id % 4 = 0")
     frames = bag_source(str(path)).items()
 
-    with pytest.raises(InputError, match=r"[89] of 12 frames \(what could"):
+    with pytest.raises(InputError, match=r"only [89] of 12 frames can be read"):
         deque(frames, maxlen=0)

@@ -10,9 +10,9 @@ import torch
 
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.urls import slug
-from roadtorch.inputs.find import camera_number, find_inputs, open_source
+from roadtorch.inputs.find import find_inputs, open_source, parse_camera
 from roadtorch.inputs.images import find_images
-from roadtorch.inputs.item import Item, Selection, Source, spread
+from roadtorch.inputs.item import Item, Selection, Source, evenly_spaced
 from tests.videos import write_video
 
 NAMES = ["b.jpg", "a.PNG", "c[1].jpg", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"]
@@ -104,8 +104,8 @@ def test_names_come_from_standard_input_and_lists(footage: Path, tmp_path: Path)
     ("given", "text", "error"),
     [
         ("@none.txt", "", "none.txt: cannot be read"),
-        ("-", "\n", "-: names nothing"),
-        ("-", "\udcff\udcd8\udcff\udce0\0\x10JFIF", "-: takes names of files, not their bytes"),
+        ("-", "\n", "-: contains no names"),
+        ("-", "\udcff\udcd8\udcff\udce0\0\x10JFIF", "-: expects file names, not the"),
     ],
 )
 def test_a_list_that_is_missing_or_empty_is_told(given: str, text: str, error: str) -> None:
@@ -115,11 +115,11 @@ def test_a_list_that_is_missing_or_empty_is_told(given: str, text: str, error: s
 
 def test_a_file_named_0_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert (camera_number("0"), camera_number("camera:12"), camera_number("0.png")) == (0, 12, None)
+    assert (parse_camera("0"), parse_camera("camera:12"), parse_camera("0.png")) == (0, 12, None)
 
     (tmp_path / "0").write_bytes(b"")
 
-    assert (camera_number("0"), camera_number("camera:0")) == (None, 0)
+    assert (parse_camera("0"), parse_camera("camera:0")) == (None, 0)
 
 
 def test_addresses_give_names_without_passwords() -> None:
@@ -189,10 +189,10 @@ def test_selections(selection: Selection, clock: bool, expected: list[int]) -> N
 
 def test_images_have_no_time_and_values_are_spread() -> None:
     assert Selection(every=2, limit=2).of_images("abcdef") == "ac"
-    with pytest.raises(ConfigError, match="images have no time"):
+    with pytest.raises(ConfigError, match="images have no time stamps"):
         Selection(start=1).of_images("abc")
-    assert [*spread(range(10), 3)] == [0, 4, 8]
-    assert [*spread(range(2), 3)] == [0, 1]
+    assert [*evenly_spaced(range(10), 3)] == [0, 4, 8]
+    assert [*evenly_spaced(range(2), 3)] == [0, 1]
 
 
 def test_times_and_what_is_elsewhere() -> None:

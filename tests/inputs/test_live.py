@@ -13,11 +13,11 @@ import pytest
 from roadtorch.base.errors import InputError
 from roadtorch.inputs import live
 from roadtorch.inputs.item import Item, Selection
-from roadtorch.inputs.live import Patience, camera_source, newest_frames, stream_source
+from roadtorch.inputs.live import RetryPolicy, camera_source, newest_frames, stream_source
 from tests.servers import send, serving
 from tests.videos import write_video
 
-QUICK = Patience(answer=2.0, tries=2, pause=0.05)
+QUICK = RetryPolicy(timeout=2.0, retries=2, backoff=0.05)
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_stream_that_breaks_off_is_connected_to_anew(stream: bytes) -> None:
 
     with serving(answer) as host:  # FFmpeg's sockets are not those that tests are kept from
         url = f"http://{host}/live"
-        with pytest.raises(InputError, match="connected to anew 2 times in vain") as caught:
+        with pytest.raises(InputError, match="reconnecting failed 2 times") as caught:
             look(stream_source(url, "live", Selection(), QUICK).items())
 
     assert len(connections) == 5  # three good ones, and two tries after the last
@@ -68,10 +68,10 @@ def test_a_stream_that_never_answers_is_given_up_in_time() -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as silent:
         url = f"http://127.0.0.1:{silent.getsockname()[1]}/live"
         start = time.monotonic()
-        patience = Patience(answer=0.5)
+        policy = RetryPolicy(timeout=0.5)
 
         with pytest.raises(InputError, match=r"gives no answer within 0.5 seconds"):
-            next(stream_source(url, "live", Selection(), patience).items())
+            next(stream_source(url, "live", Selection(), policy).items())
 
     assert time.monotonic() - start < 3
 
@@ -95,7 +95,7 @@ def test_no_such_camera(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_only_the_newest_frame_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "GRACE", 0.25)
+    monkeypatch.setattr(live, "GRACE_PERIOD", 0.25)
     looked, end = Event(), Event()
 
     def connect() -> Iterator[None]:
@@ -105,7 +105,7 @@ def test_only_the_newest_frame_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
         end.wait(9)
         raise InputError("x", "has ended", "check the stream")
 
-    frames = newest_frames(connect, "x", "x", Patience(answer=0.25, tries=0, pause=0))  # pyright: ignore
+    frames = newest_frames(connect, "x", "x", RetryPolicy(timeout=0.25, retries=0, backoff=0))  # pyright: ignore
 
     assert next(frames).number == 0
     looked.set()

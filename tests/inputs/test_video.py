@@ -78,14 +78,14 @@ def test_rotation_is_applied(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     matrix = data.index(b"tkhd") + 4 + 40  # ISO/IEC 14496-12, 8.3.2: version 0
     assert struct.unpack(">9i", data[matrix : matrix + 36])[0] == 65536
-    upright = chosen(path)[0].read()
+    upright_image = chosen(path)[0].read()
     turned = struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, 0, 0, 1 << 30)  # 90° clockwise
     data[matrix : matrix + 36] = turned
     path.write_bytes(data)
 
     image = chosen(path)[0].read()
 
-    assert torch.equal(image, torch.rot90(upright, -1, (1, 2)))
+    assert torch.equal(image, torch.rot90(upright_image, -1, (1, 2)))
 
 
 # --- what is wrong ----------------------------------------------------------------------
@@ -152,7 +152,7 @@ def test_half_a_second_may_be_missing_at_the_end(
     missing: int, is_told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_video(tmp_path / "drive.mp4", FORTY)
-    monkeypatch.setattr(video, "declared_seconds", lambda *_: 4.0 + missing / 10)
+    monkeypatch.setattr(video, "declared_duration", lambda *_: 4.0 + missing / 10)
 
     error = read_until_problem(path)[1]
 
@@ -170,7 +170,7 @@ def test_damaged_vp8_shows_the_same_on_any_number_of_threads(tmp_path: Path) -> 
             alone, reformatter = [], VideoReformatter()
             for packet in container.demux(video=0):
                 with suppress(FFmpegError):
-                    alone += [video.upright(reformatter, image) for image in packet.decode()]
+                    alone += [video.upright_image(reformatter, image) for image in packet.decode()]
         read = []
         with suppress(InputError):  # behind the last frame
             for frame in video_frames(path, "a"):
@@ -190,8 +190,8 @@ def test_too_many_pixels_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("name", "start", "problem"),
     [
-        ("song.mp4", 0.0, "has sound and no moving images"),
-        ("codec.avi", 0.0, "is of a codec that FFmpeg cannot decode"),
+        ("song.mp4", 0.0, "has audio but no video"),
+        ("codec.avi", 0.0, "uses a codec that FFmpeg cannot decode"),
         ("late.avi", 20.0, "has no frame from 20 s on"),
     ],
 )

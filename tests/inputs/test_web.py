@@ -89,7 +89,7 @@ def test_addresses_of_no_server_are_refused(url: str) -> None:
     with pytest.raises(InputError, match=f"{url}: is not of the web"):
         read_image(url)
     for find in (find_inputs, find_images):
-        with pytest.raises(InputError, match=f"{url}: is an address that is not read"):
+        with pytest.raises(InputError, match=f"{url}: cannot be read from a URL"):
             find([url])
 
 

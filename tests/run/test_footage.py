@@ -136,8 +136,8 @@ def test_a_cut_video_keeps_what_is_readable(
     frames = len(stamps_of(out / "a.overlay.mp4"))
     assert 10 < frames < 40
     assert first.startswith(f"roadtorch: partial: {cut}: ends after ")
-    assert " of 4.0 seconds (what could be read was used; copy it again" in first
-    assert "song.mp4: has sound and no moving images" in second
+    assert " of 4.0 seconds (the rest was used; copy it again" in first
+    assert "song.mp4: has audio but no video" in second
     rows = rows_of(out)
     assert sum(name.startswith("a/") for name in rows) == frames
     assert rows["a.mp4"]["status"] == first.removeprefix("roadtorch: ")

@@ -15,24 +15,24 @@ from roadtorch.train.augmentation import (
     GeometryAugmentation,
     LightAugmentation,
     NightAugmentation,
-    Scene,
+    SceneMasks,
     ShadowAugmentation,
     SurfaceAugmentation,
     WeatherAugmentation,
-    at_night,
-    draw_ego_car,
-    draw_frames,
-    in_fog,
-    laid_over,
-    reframed,
-    relit,
-    resurfaced,
-    shaded,
-    under_snow,
-    varied,
-    wetted,
+    add_fog,
+    add_shadow,
+    add_snow,
+    darken_to_night,
+    jitter_ego_car,
+    jitter_light,
+    paste_ego_car,
+    retexture_road,
+    sample_affine,
+    sample_ego_car,
+    warp,
+    wet_road,
 )
-from roadtorch.train.teachers import PLANES, Targets
+from roadtorch.train.teachers import TARGET_PLANES, Targets
 from tests.draws import seeded
 from tests.streets import scene
 
@@ -52,16 +52,16 @@ def sides(images: list[Tensor], wanted: Tensor, atol: float = 1e-5) -> list[int]
 
 def test_without_shift_a_frame_is_the_image_or_its_mirror_image() -> None:
     maps = torch.rand(2, 9, 12, generator=seeded(1))
-    frames = draw_frames(6, (9, 12), STILL, seeded(2))
-    images = reframed(maps.expand(6, -1, -1, -1), frames, "border")
+    frames = sample_affine(6, (9, 12), STILL, seeded(2))
+    images = warp(maps.expand(6, -1, -1, -1), frames, "border")
     assert set(sides(list(images), maps)) == {1, -1}
 
 
 def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     rows = torch.linspace(0, 1, 80)[None, None, :, None].expand(8, 1, 80, 60)
 
-    frames = draw_frames(8, (80, 60), GeometryAugmentation(lower=1.0, cut=0.5), seeded(5))
-    images = reframed(rows, frames, "border")
+    frames = sample_affine(8, (80, 60), GeometryAugmentation(lower=1.0, cut=0.5), seeded(5))
+    images = warp(rows, frames, "border")
 
     assert torch.allclose(images[:, 0, -1], torch.ones(8, 60), atol=0.02)
     assert ((images[:, 0, 0] >= -0.01) & (images[:, 0, 0] <= 0.51)).all()
@@ -74,11 +74,11 @@ def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
 
 def test_light_changes_the_image_and_stays_in_range() -> None:
     images = torch.stack([scene(seed, 60, 80).image for seed in range(4)])
-    lit = relit(images, LightAugmentation(), seeded(3))
+    lit = jitter_light(images, LightAugmentation(), seeded(3))
     assert 0 <= lit.min() <= lit.max() <= 1
     assert ((lit - images).abs().mean((1, 2, 3)) > 0.01).all()
     none = LightAugmentation(gamma=0, gain=0, tint=0, saturation=0, noise=0)
-    torch.testing.assert_close(relit(images, none, seeded(3)), images, atol=1e-4, rtol=0)
+    torch.testing.assert_close(jitter_light(images, none, seeded(3)), images, atol=1e-4, rtol=0)
 
 
 def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
@@ -86,7 +86,7 @@ def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
     unlit[..., 70:, :] = 1
     settings = NightAugmentation(darkest=0.05, lamps=0)
 
-    nights = [at_night(day, unlit, settings, seeded(seed)) for seed in range(12)]
+    nights = [darken_to_night(day, unlit, settings, seeded(seed)) for seed in range(12)]
 
     for night in nights:
         assert night[..., 44:66, 24:36].amax() > 2 * night[..., :20, :].amax()
@@ -94,13 +94,13 @@ def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
     assert len({float(night.mean()) for night in nights}) == len(nights)
 
 
-def street() -> tuple[torch.Tensor, Scene]:
+def street() -> tuple[torch.Tensor, SceneMasks]:
     """Return blue sky above row 40, a grey road between green, and an ego car from row 72 on."""
     image, ground, road, ego = torch.zeros(1, 3, 80, 64), *(torch.zeros(3, 1, 1, 80, 64))
     ground[..., 40:72, :] = road[..., 40:72, 24:40] = ego[..., 72:, :] = 1
     sky = 1 - ground - ego
     image[:, 2], image[:, 1] = 0.9 * sky[:, 0], 0.4 * (ground - road)[:, 0]
-    return image + 0.4 * road, Scene(sky, ground, road, ego)
+    return image + 0.4 * road, SceneMasks(sky, ground, road, ego)
 
 
 FIRST, LAST = slice(40, 46), slice(66, 72)  # rows of the ground, far and near
@@ -109,9 +109,9 @@ FIRST, LAST = slice(40, 46), slice(66, 72)  # rows of the ground, far and near
 @pytest.mark.parametrize(
     ("weather", "changed", "kept"),
     [
-        (in_fog, (FIRST, slice(24, 40)), (LAST, slice(24, 40))),
-        (under_snow, (LAST, slice(0, 20)), (slice(0, 38), slice(None))),
-        (wetted, (LAST, slice(24, 40)), (LAST, slice(0, 20))),
+        (add_fog, (FIRST, slice(24, 40)), (LAST, slice(24, 40))),
+        (add_snow, (LAST, slice(0, 20)), (slice(0, 38), slice(None))),
+        (wet_road, (LAST, slice(24, 40)), (LAST, slice(0, 20))),
     ],
 )
 def test_weather_changes_what_it_lies_on(weather, changed, kept) -> None:
@@ -129,7 +129,7 @@ def test_weather_changes_what_it_lies_on(weather, changed, kept) -> None:
 def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:
     black, unlit = torch.zeros(1, 3, 80, 60), torch.ones(1, 1, 80, 60)
     for seed in range(6):
-        night = at_night(black, unlit, NightAugmentation(lamps=20), seeded(seed))
+        night = darken_to_night(black, unlit, NightAugmentation(lamps=20), seeded(seed))
         assert night[..., :48, :].amax() > 0.3
         assert night[..., 60:, :].amax() < 0.05
 
@@ -139,7 +139,7 @@ def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
     road, ground = torch.zeros(2, 1, 1, 40, 60)
     road[..., 30:, :], ground[..., 20:30, :] = 1, 1
 
-    changed = resurfaced(image, road, ground, SurfaceAugmentation(), seeded(6))
+    changed = retexture_road(image, road, ground, SurfaceAugmentation(), seeded(6))
 
     assert torch.equal(changed[..., :20, :], image[..., :20, :])
     on_road, beside = (changed[0, :, rows].mean((1, 2)) for rows in (slice(30, 40), slice(20, 30)))
@@ -151,7 +151,7 @@ def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
 def test_a_shadow_darkens_a_band_of_the_lower_part_and_nothing_else() -> None:
     image, settings = torch.full((1, 3, 80, 60), 0.8), ShadowAugmentation(darkest=0.25)
 
-    images = [shaded(image, settings, seeded(seed)) for seed in range(20)]
+    images = [add_shadow(image, settings, seeded(seed)) for seed in range(20)]
 
     for dark in images:
         assert torch.allclose(dark[..., :12, :], image[..., :12, :], atol=1e-3)
@@ -173,12 +173,12 @@ def car_of(height: int, width: int, rows: int) -> EgoCar:
 
 def test_on_the_ego_car_there_is_no_road_no_layout_and_the_rest_stays() -> None:
     image = torch.rand(1, 3, 8, 10, generator=seeded(1))
-    targets = torch.rand(1, sum(PLANES), 8, 10, generator=seeded(2))
+    targets = torch.rand(1, sum(TARGET_PLANES), 8, 10, generator=seeded(2))
     car = car_of(8, 10, 3)
 
-    covered, planes = laid_over(image, targets, car)
+    covered, planes = paste_ego_car(image, targets, car)
 
-    below = Targets(*planes[:, :, 5:].split(PLANES, 1))
+    below = Targets(*planes[:, :, 5:].split(TARGET_PLANES, 1))
     assert not below.layout_weight.any()
     assert not below.road.any()
     for ones in (below.road_weight, below.ego, below.ego_weight):
@@ -190,7 +190,7 @@ def test_on_the_ego_car_there_is_no_road_no_layout_and_the_rest_stays() -> None:
 
 def test_a_varied_car_covers_the_lower_edge_in_bounds_and_is_larger_or_brighter() -> None:
     settings = EgoCarAugmentation(tallest=0.7, flattest=0.3, widest=0.25)
-    cars = [varied(car_of(80, 60, 20), settings, seeded(seed)) for seed in range(30)]
+    cars = [jitter_ego_car(car_of(80, 60, 20), settings, seeded(seed)) for seed in range(30)]
 
     for car in cars:
         assert (car.ego[0, 0, -1] == 1).all()
@@ -216,7 +216,7 @@ def test_each_recording_is_lent_as_often_however_many_frames_it_has(tmp_path: Pa
     frames = [write_frame(tmp_path / f"{level}.npz", level) for level in range(6)]
     recordings, at = {"one": frames[:1], "five": frames[1:]}, seeded(4)
 
-    cars = [draw_ego_car(recordings, STILL_CAR, at) for _ in range(300)]
+    cars = [sample_ego_car(recordings, STILL_CAR, at) for _ in range(300)]
 
     levels = Counter(round(float(car.image[0, 0, 0, 0]) * 255) for car in cars)
     assert levels[0] == pytest.approx(150, abs=30)  # 3.5 deviations

@@ -17,10 +17,10 @@ from roadtorch.data.corrections import Correction, EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import corrected_images, load_network, people_behind
 from roadtorch.train.config import PatchTraining, Training, build_training
-from roadtorch.train.corrections import write_corrected
-from roadtorch.train.images import corrected_shares, corrected_targets
-from roadtorch.train.patches import LabelledCentres, PatchRecipe, corrected_centres, repeated
-from roadtorch.train.run import FUSION, Outcome, Request, recipe_of, train
+from roadtorch.train.corrections import write_fusion_config
+from roadtorch.train.images import corrected_targets, reweight_corrected
+from roadtorch.train.patches import LabelledCentres, PatchRecipe, merge_corrections, oversample
+from roadtorch.train.run import FUSION_CONFIG, Outcome, Request, make_recipe, train
 from roadtorch.train.teachers import Targets
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, training_of, write_config
@@ -54,7 +54,7 @@ def machine(size: int = 8) -> Targets:
 
 def planes(labels: np.ndarray) -> torch.Tensor:
     """Return the correction's planes at eight by eight cells."""
-    recipe = recipe_of(training_of("images", "network.height=32", "network.width=32"))
+    recipe = make_recipe(training_of("images", "network.height=32", "network.width=32"))
     large = labels.repeat(8, 0).repeat(8, 1)
     return recipe.shrink(correction(large))["planes"][None, :, ::4, ::4] / 255
 
@@ -88,22 +88,22 @@ def test_void_counts_for_nothing_and_nothing_said_changes_nothing() -> None:
 def test_corrected_images_get_their_share_of_the_visits() -> None:
     shares, corrected = torch.tensor([1.0, 3.0, 2.0, 2.0]), torch.tensor([1, 0, 0, 1]).bool()
 
-    moved = corrected_shares(shares, corrected, 0.7)
+    moved = reweight_corrected(shares, corrected, 0.7)
 
     assert float(moved[corrected].sum() / moved.sum()) == pytest.approx(0.7)
     assert float(moved[3] / moved[0]) == pytest.approx(2)
-    assert torch.equal(corrected_shares(shares, corrected | True, 0.7), shares)
-    assert torch.equal(corrected_shares(shares, corrected & False, 0.7), shares)
+    assert torch.equal(reweight_corrected(shares, corrected | True, 0.7), shares)
+    assert torch.equal(reweight_corrected(shares, corrected & False, 0.7), shares)
 
 
 def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
     files = [Path(name) for name in "abcdefgh"]
     corrected = {files[2]: Path("correction")}
 
-    assert repeated(files, corrected, 0.5).count(files[2]) == 7
-    assert len(repeated(files, corrected, 0.5)) == 14
-    assert repeated(files, corrected, 1.0) == [files[2]]
-    assert repeated(files, {}, 0.5) == repeated(files, {}, 1.0) == files
+    assert oversample(files, corrected, 0.5).count(files[2]) == 7
+    assert len(oversample(files, corrected, 0.5)) == 14
+    assert oversample(files, corrected, 1.0) == [files[2]]
+    assert oversample(files, {}, 0.5) == oversample(files, {}, 1.0) == files
 
 
 def test_patches_are_taken_where_people_named_a_class() -> None:
@@ -113,7 +113,7 @@ def test_patches_are_taken_where_people_named_a_class() -> None:
     places = torch.tensor([[2, 2], [2, 60], [40, 2], [40, 60]], dtype=torch.int16)
     machine = LabelledCentres(places, torch.ones(4, dtype=torch.uint8), torch.ones(4))
 
-    centres, classes, weights = corrected_centres(machine, layout, 2.5)
+    centres, classes, weights = merge_corrections(machine, layout, 2.5)
 
     assert centres[:2].tolist() == [[2, 60], [40, 60]]  # the others were spoken of
     assert set(classes[2:].tolist()) == {0, 2}
@@ -143,7 +143,7 @@ def test_a_run_paces_its_steps_by_the_corrected_images(
     """One corrected image and a huge half-rate count: next to no step is taken."""
     slow = trained("images", "corrections.halfway=1e6", out="slow", corrections=[street])
     slowly, fast = (load_network(run.weights or "") for run in (slow, runs["images"]))
-    start = recipe_of(training_of("images")).network(None).state_dict()
+    start = make_recipe(training_of("images")).network(None).state_dict()
     for name, weight in start.items():
         torch.testing.assert_close(slowly.state_dict()[name], weight, atol=1e-6, rtol=0)
     assert any(not fast.state_dict()[name].allclose(weight) for name, weight in start.items())
@@ -159,7 +159,7 @@ def test_weights_say_that_people_corrected_images(kind: str, runs: dict[str, Out
     assert corrected_images({"weights": {"file": str(weights)}}) == 1
     assert corrected_images({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
     assert json.loads((weights.parent / "run.json").read_text())["corrections"] == summary
-    config = weights.parent / FUSION
+    config = weights.parent / FUSION_CONFIG
     assert config.exists() == (kind == "images")
     if config.exists():
         values = read_settings_file(config)
@@ -204,7 +204,7 @@ def test_other_corrections_are_refused(
 
 def test_after_corrections_zero_are_the_log_odds_that_part_road(tmp_path: Path) -> None:
     file = tmp_path / "fusion.toml"
-    assert write_corrected(file, tmp_path / "weights.safetensors", [correction(quarters())])
+    assert write_fusion_config(file, tmp_path / "weights.safetensors", [correction(quarters())])
 
     values = read_settings_file(file)
     assert values["calibration"] == {"centre": 0.0}
@@ -214,5 +214,5 @@ def test_after_corrections_zero_are_the_log_odds_that_part_road(tmp_path: Path) 
 @pytest.mark.parametrize("label", [VOID, UNTOUCHED])
 def test_who_says_nothing_of_road_leaves_the_detector_as_it_is(label: int, tmp_path: Path) -> None:
     silent = correction(np.full((8, 8), label))
-    assert not write_corrected(tmp_path / "fusion.toml", tmp_path / "w", [silent])
+    assert not write_fusion_config(tmp_path / "fusion.toml", tmp_path / "w", [silent])
     assert not (tmp_path / "fusion.toml").exists()

@@ -13,12 +13,12 @@ from roadtorch.train.config import HeadWeights, ImageTraining, build_training
 from roadtorch.train.images import (
     ImageRecipe,
     ImageSamples,
-    draw_members,
     image_loss,
+    sample_members,
     target_loss,
 )
 from roadtorch.train.loop import Batch, TrainingInputs
-from roadtorch.train.teachers import PLANES, Targets
+from roadtorch.train.teachers import TARGET_PLANES, Targets
 from tests.draws import seeded
 
 SAME_LIGHT = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}
@@ -64,7 +64,7 @@ def test_an_epoch_has_every_image_once(files: list[Path]) -> None:
     levels = torch.cat([batch.inputs for batch in batches]).mean((1, 2, 3))
     wanted = (torch.arange(5) * 40 / 255 - 0.5) * 4
     torch.testing.assert_close(levels.sort().values, wanted, atol=1e-3, rtol=0)
-    assert all(batch.targets.shape[1:] == (sum(PLANES), 32, 40) for batch in batches)
+    assert all(batch.targets.shape[1:] == (sum(TARGET_PLANES), 32, 40) for batch in batches)
 
 
 def test_epochs_draw_differently(files: list[Path]) -> None:
@@ -80,7 +80,7 @@ def targets_with(files: list[Path], share: float, shows_ego: bool = True) -> Tar
     varied = {"geometry": SAME_FRAME, "ego_car": {"share": share}}
     training = training_of(augmentation=varied, descent={"batch": 5})
     (batch,) = samples_of(files, training, shows_ego=shows_ego).batches(0, 0)
-    return Targets(*batch.targets.split(PLANES, 1))
+    return Targets(*batch.targets.split(TARGET_PLANES, 1))
 
 
 def test_every_image_can_get_an_ego_car(files: list[Path]) -> None:
@@ -103,7 +103,7 @@ def test_every_image_can_get_an_ego_car(files: list[Path]) -> None:
 def test_visits_are_fair_to_less_than_a_whole_one(values: list[float], seed: int) -> None:
     shares = torch.tensor(values)
 
-    visits = draw_members(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
+    visits = sample_members(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
 
     fair = shares.double() / shares.double().sum() * len(shares)
     assert visits.sum() == len(shares)
@@ -174,5 +174,5 @@ def test_targets_are_averaged_to_the_size_of_the_scores() -> None:
 
     loss = image_loss(torch.nn.Identity(), Batch(scores, fine, torch.ones(2)), training)
 
-    small = fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split(PLANES, 1)
+    small = fine.unfold(2, 2, 2).unfold(3, 2, 2).mean((4, 5)).split(TARGET_PLANES, 1)
     torch.testing.assert_close(loss, target_loss(scores, Targets(*small), training.heads))

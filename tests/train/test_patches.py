@@ -16,15 +16,15 @@ from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
 from roadtorch.train.loop import Batch
 from roadtorch.train.patches import (
-    Draw,
     PatchRecipe,
     PatchSamples,
+    Variation,
     add_noise,
     class_weights,
-    cut_patches,
-    draw_noise,
-    draw_variation,
+    extract_patches,
     find_centres,
+    sample_noise,
+    sample_variation,
     squared_error,
 )
 from tests.draws import seeded
@@ -70,9 +70,11 @@ def test_a_street_gives_patches_with_the_labels_of_their_places() -> None:
 # --- how they are cut ----------------------------------------------------------------------
 
 
-def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 0.0) -> Draw:
+def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 0.0) -> Variation:
     each = torch.ones(len(centre))
-    return Draw(centre.float(), each * scale, each * turn, each * noise, torch.arange(len(centre)))
+    return Variation(
+        centre.float(), each * scale, each * turn, each * noise, torch.arange(len(centre))
+    )
 
 
 def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> None:
@@ -80,7 +82,7 @@ def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> N
     centres = torch.tensor([[0, 0], [19, 23], [7, 12]])
     framed = reflected(pixels, 32)
     wanted = [framed[:, r : r + 32, c : c + 32] for r, c in centres.tolist()]
-    patches = cut_patches(pixels, drawn(centres), 32)
+    patches = extract_patches(pixels, drawn(centres), 32)
     torch.testing.assert_close(patches, torch.stack(wanted), atol=1e-4, rtol=0)
 
 
@@ -91,14 +93,14 @@ def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, co
     turn = math.radians(degrees)
     centre = torch.tensor([[row, column]])
 
-    patch = cut_patches(pixels, drawn(centre, scale, turn), 12)[0]
+    patch = extract_patches(pixels, drawn(centre, scale, turn), 12)[0]
 
     wanted = reference.jittered_patch(pixels.double().numpy(), row, column, 12, scale, turn)
     np.testing.assert_allclose(patch.numpy(), wanted, atol=2e-4)
 
 
 def test_variation_stays_within_its_bounds_and_fills_them() -> None:
-    draw = draw_variation(torch.zeros(4000, 2), PatchAugmentation(), seeded(0))
+    draw = sample_variation(torch.zeros(4000, 2), PatchAugmentation(), seeded(0))
 
     for values, low, high in [
         (draw.scale, 0.6, 1.4),
@@ -112,9 +114,9 @@ def test_variation_stays_within_its_bounds_and_fills_them() -> None:
 def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
     generator = seeded(5)
     same = PatchAugmentation(min_noise=0.8, max_noise=0.8)
-    draw = draw_variation(torch.zeros(300, 2), same, generator)
+    draw = sample_variation(torch.zeros(300, 2), same, generator)
 
-    noise = add_noise(torch.zeros(300, 3, 32, 32), draw, draw_noise(32, generator), gain=4.0)
+    noise = add_noise(torch.zeros(300, 3, 32, 32), draw, sample_noise(32, generator), gain=4.0)
 
     assert float(noise.std()) * 255 / 4 == pytest.approx(0.8, rel=0.01)
     assert abs(float(noise.mean())) < 1e-3

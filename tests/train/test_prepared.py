@@ -17,7 +17,7 @@ from roadtorch.run.memo import Arrays, key_of, read_arrays, write_arrays
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings
 from roadtorch.train.prepared import Preparation, PreparedImage, prepare
-from roadtorch.train.recordings import ego_of, find_ego_cars, recording_of, shape_of
+from roadtorch.train.recordings import aspect_bin, find_ego_cars, read_ego, recording_name
 from tests.train.runs import bonnet, write_bonnets, write_streets
 
 
@@ -149,7 +149,7 @@ def overlap(one: torch.Tensor, other: torch.Tensor) -> float:
     ],
 )
 def test_recordings_end_at_the_last_separator(name: str, separator: str, recording: str) -> None:
-    assert recording_of(name, separator) == recording
+    assert recording_name(name, separator) == recording
 
 
 @pytest.fixture(scope="module")
@@ -170,15 +170,15 @@ def test_the_ego_car_of_a_recording_is_found_cut_to_each_size_and_not_looked_for
     larger, wider = torch.zeros(3, 120, 160), torch.zeros(3, 60, 120)
     folder = cars[footage[0].name]
     for size, least in ((image, 0.9), (larger, 0.88)):
-        ego = ego_of(folder, size)
+        ego = read_ego(folder, size)
         assert ego is not None
         assert ego.dtype == torch.bool
         assert overlap(ego, bonnet(*size.shape[1:])) > least
-    assert ego_of(folder, wider) is None
-    assert shape_of(larger) == shape_of(image) != shape_of(wider)
+    assert read_ego(folder, wider) is None
+    assert aspect_bin(larger) == aspect_bin(image) != aspect_bin(wider)
     # Of small recordings nothing is known.
     assert {name.partition("_")[0] for name in cars} == {"bonnet"}
-    assert ego_of(cars.get("street_0"), image) is None
+    assert read_ego(cars.get("street_0"), image) is None
 
     monkeypatch.setattr(recordings, "still_ego", lambda _: pytest.fail("looked again"))
     assert find_ego_cars(footage, tmp_path, NUMBERED, *ALONE) == cars
@@ -201,7 +201,7 @@ def test_that_there_is_none_is_kept_until_a_frame_changes(
     for _ in range(2):
         cars = find_ego_cars(footage, tmp_path, NUMBERED, *ALONE)
     assert len(shown) == 1
-    assert ego_of(cars["bonnet_0"], torch.zeros(3, 60, 80)) is None
+    assert read_ego(cars["bonnet_0"], torch.zeros(3, 60, 80)) is None
     find_ego_cars(footage[:8], tmp_path, NUMBERED, *ALONE)
     assert len(shown) == 2
 

@@ -20,8 +20,8 @@ from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
 from roadtorch.train.folder import RunFolder
 from roadtorch.train.images import image_loss
 from roadtorch.train.loop import WARM_UP_STEPS, Batch, Loop, MovingAverage, TrainingProgress
-from roadtorch.train.run import Outcome, Request, recipe_of, train
-from roadtorch.train.teachers import PLANES
+from roadtorch.train.run import Outcome, Request, make_recipe, train
+from roadtorch.train.teachers import TARGET_PLANES
 from tests.command import Call
 from tests.draws import seeded
 from tests.train.conftest import Trained
@@ -30,7 +30,7 @@ from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
     """Return the network with which a run with these changes starts."""
-    return recipe_of(training_of(kind, *changes)).network(None)
+    return make_recipe(training_of(kind, *changes)).network(None)
 
 
 def folder_of(outcome: Outcome) -> Path:
@@ -197,7 +197,7 @@ def stepped(precision: str) -> tuple[float, ImageNetwork]:
     loss = partial(image_loss, training=ImageTraining())
     no_samples = (1, lambda *_: iter(()))
     last = (TrainingProgress(), RunFolder(Path()), Stop())
-    targets = torch.rand(2, sum(PLANES), 32, 40, generator=seeded(1))
+    targets = torch.rand(2, sum(TARGET_PLANES), 32, 40, generator=seeded(1))
     batch = Batch(torch.randn(2, 3, 32, 40, generator=seeded(2)), targets, torch.ones(2))
     return Loop(network, *no_samples, loss, descent, Stopping(), *last).step(batch), network
 

@@ -18,12 +18,12 @@ from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import ImageTraining, Rounds, Teacher, build_training
 from roadtorch.train.teachers import (
     Targets,
-    centred_as,
+    centre_likelihood,
     label_with_network,
-    lends_ego,
+    make_targets,
     network_maps,
     prepare_image,
-    targets_of,
+    shows_ego_car,
     teacher_maps,
 )
 from tests.draws import seeded
@@ -49,7 +49,7 @@ def ego_of(*pixels: float) -> torch.Tensor:
 def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
     likelihood = torch.tensor([0.0, 0.2, 0.39, 0.8, 1.0]).reshape(1, 1, 1, 5)
 
-    moved = centred_as(likelihood, Teacher(road_threshold=0.39)).flatten()
+    moved = centre_likelihood(likelihood, Teacher(road_threshold=0.39)).flatten()
 
     assert moved[[0, 2, 4]].tolist() == pytest.approx([0, 0.5, 1], abs=1e-3)
     assert (moved.diff() > 0).all()
@@ -64,7 +64,9 @@ def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
     odds[1] -= 3
     cameras = odds.sigmoid()
 
-    fixed, own, half = (centred_as(cameras, Teacher(centre=share)) for share in (0.0, 1.0, 0.5))
+    fixed, own, half = (
+        centre_likelihood(cameras, Teacher(centre=share)) for share in (0.0, 1.0, 0.5)
+    )
 
     for moved, image in zip(own, map(log_odds, cameras), strict=True):
         torch.testing.assert_close(moved, (image - otsu_threshold(image)).sigmoid())
@@ -86,7 +88,7 @@ def test_only_certain_pixels_count() -> None:
     teacher = maps_of((0.9, 0.1, 0.0, 0.9), (0.5, 0.4, 0.1, 0.52), (0.2, 0.0, 0.8, 0.1))
     settings = Teacher(margin=0.5, road_margin=0.5, road_threshold=0.5)
 
-    targets = targets_of(teacher, ego_of(0.5, 0.5, 0.5), None, settings, Rounds())
+    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), None, settings, Rounds())
 
     assert weights(targets) == ([1, 0, 1], [1, 0, 1])
     torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
@@ -98,7 +100,9 @@ def test_only_agreement_with_the_network_to_start_from_counts() -> None:
         (0.8, 0.2, 0.0, 0.8, 0.0), (0.0, 1.0, 0.0, 0.1, 0.0), (0.0, 0.0, 1.0, 0.9, 0.0)
     )
 
-    targets = targets_of(teacher, ego_of(0.5, 0.5, 0.5), network, EVEN, Rounds(combine="agreement"))
+    targets = make_targets(
+        teacher, ego_of(0.5, 0.5, 0.5), network, EVEN, Rounds(combine="agreement")
+    )
 
     assert weights(targets) == ([1, 0, 1], [1, 0, 0])
     torch.testing.assert_close(targets.layout, (teacher + network[:, :4])[:, :CLASSES] / 2)
@@ -107,7 +111,7 @@ def test_only_agreement_with_the_network_to_start_from_counts() -> None:
 def test_the_teacher_alone_can_give_the_targets() -> None:
     teacher, network = maps_of((0.9, 0.1, 0.0, 0.9)), maps_of((0.0, 1.0, 0.0, 0.1, 0.0))
 
-    targets = targets_of(teacher, ego_of(0.5), network, EVEN, Rounds(combine="teacher"))
+    targets = make_targets(teacher, ego_of(0.5), network, EVEN, Rounds(combine="teacher"))
 
     torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
     torch.testing.assert_close(targets.road, teacher[:, CLASSES:])
@@ -143,7 +147,7 @@ def test_the_ego_car(
 ) -> None:
     network = None if guess is None else maps_of((*GROUND[:3], *guess))
 
-    targets = targets_of(maps_of(GROUND), ego_of(shown), network, EVEN, Rounds())
+    targets = make_targets(maps_of(GROUND), ego_of(shown), network, EVEN, Rounds())
 
     assert (targets.ego.item(), targets.ego_weight.item()) == (ego, 1)
     assert targets.road.item() == pytest.approx(road)
@@ -212,7 +216,7 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
     assert torch.equal(seen[0][:, ~ego], image[:, ~ego])
     assert int(arrays["maps"].max()) <= 128
     write_arrays(tmp_path / "a.npz", arrays)
-    assert lends_ego(tmp_path / "a.npz")
+    assert shows_ego_car(tmp_path / "a.npz")
 
 
 def test_a_prepared_image_has_the_networks_size(tmp_path: Path) -> None:
@@ -225,7 +229,7 @@ def test_a_prepared_image_has_the_networks_size(tmp_path: Path) -> None:
     assert {value.dtype for value in arrays.values()} == {torch.uint8}
     assert (arrays["ego"] == 128).all()
     write_arrays(tmp_path / "a.npz", arrays)
-    assert not lends_ego(tmp_path / "a.npz")
+    assert not shows_ego_car(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize(
@@ -238,7 +242,7 @@ def test_ego_cars_of_full_width_are_lent(
     ego[64 - rows :, :columns] = 255
     write_arrays(tmp_path / "a.npz", {"ego": ego})
 
-    assert lends_ego(tmp_path / "a.npz") == lends
+    assert shows_ego_car(tmp_path / "a.npz") == lends
 
 
 def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.signals import stop_on_signals
 from roadtorch.camera.footage import StillError, camera_of
 from roadtorch.imaging.motion import flow_image
-from roadtorch.inputs.item import spread
+from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.image_network import ROAD
 from roadtorch.layout.weights import (
@@ -33,32 +33,26 @@ from roadtorch.road.fusion import log_odds
 from roadtorch.road.steady import SteadySettings, smoothed
 from roadtorch.run.memo import keep, kept, read_arrays
 from roadtorch.train.adaptation.frames import HALVES, KeptFrames, keep_frames
-from roadtorch.train.adaptation.verdict import (
-    Verdict,
-    fitted_bias,
-    judged_half,
-    unknown,
-    verdict_of,
-)
+from roadtorch.train.adaptation.verdict import Verdict, count_masks, decide, fit_bias, no_verdict
 from roadtorch.train.config import ImageTraining
-from roadtorch.train.corrections import card_of, corrections_behind
+from roadtorch.train.corrections import format_card, inherited_corrections
 from roadtorch.train.folder import WEIGHTS, RunFolder
 from roadtorch.train.images import ImageRecipe
-from roadtorch.train.prepared import from_bytes, to_bytes
+from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import MAX_FRAMES
-from roadtorch.train.run import Outcome, Request, made_ready, train
+from roadtorch.train.run import PREPARED, Outcome, Request, prepare_folder, train
 
-CAMERA, FRAMES, LOOKS, PREPARED = "camera.toml", "frames", "looks", "prepared"
+CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "looks"
 CALIBRATED = "calibrated.safetensors"
 """Weights of a half, with its bias calibrated to the teacher's."""
 
-MOTION = SteadySettings(miss=2.0, slack=0.1, contrast=0.1)
+LABEL_SMOOTHING = SteadySettings(miss=2.0, slack=0.1, contrast=0.1)
 """Stricter than for video: frames are far apart in time, flow that closes is often chance, and
 places look alike."""
 
 
 @dataclass(frozen=True)
-class Adapted:
+class AdaptationResult:
     """The result of an adaptation.
 
     outcome: weights, or the signal that interrupted it. camera: its file, None if there is none.
@@ -79,21 +73,22 @@ class Adapted:
 
 def adapt(
     inputs: Sequence[str], out: Path, training: ImageTraining, most: int, quiet: bool = False
-) -> Adapted:
+) -> AdaptationResult:
     """Adapt the network with the initial weights to footage; results are written to ``out``.
 
     An interrupted run is resumed. Raises InputError for footage with fewer than two frames,
     ConfigError if ``out`` holds another run.
     """
-    with RunFolder(out).held():
+    with RunFolder(out).lock():
         remove_leftovers([out, out / FRAMES])
         frames = keep_frames(inputs, out / FRAMES, most, quiet)
-        error = _camera_problem(frames, out / CAMERA, inputs[0])
-        missing = [f"no {CAMERA}: {error.where} {error.problem}"] if error else []
+        error = _write_camera(frames, out / CAMERA_FILE, inputs[0])
+        missing = [f"no {CAMERA_FILE}: {error.where} {error.problem}"] if error else []
         if not frames.moving:
             missing.append("images have no times: they are taken in the order of their names")
-        adapted = partial(Adapted, frames, None if error else out / CAMERA, missing)
-        if stopped := write_taught(frames, out / LOOKS, out / PREPARED, training, quiet):
+        adapted = partial(AdaptationResult, frames, None if error else out / CAMERA_FILE, missing)
+        folders = (out / TEACHER_LABELS, out / PREPARED)
+        if stopped := write_smoothed_labels(frames, *folders, training, quiet):
             return adapted(Outcome(None, stopped, 0))
         skipped = 0
         for number, half in enumerate(HALVES, 1):
@@ -103,58 +98,58 @@ def adapt(
             if outcome.interrupted:
                 return adapted(outcome)
             skipped += outcome.skipped
-        halves = _write_mean(frames, out, training, quiet)
+        halves = _average(frames, out, training, quiet)
         if isinstance(error, StillError):
             reason = "the footage stands still: both halves show the same"
-            verdict = unknown(reason, frames.count)
+            verdict = no_verdict(reason, frames.count)
         else:
-            before = weights_path(training.start)
+            initial = weights_path(training.start)
             judged = []
-            for half, other in zip(HALVES, reversed(halves), strict=True):
-                weights = (before, other, out / WEIGHTS)
+            for half, held_out in zip(HALVES, reversed(halves), strict=True):
+                weights = (initial, held_out, out / WEIGHTS)
                 images = frames.images(half)
-                judged.append(judged_half(images, weights, out / PREPARED, training, quiet))
-            verdict = verdict_of(judged)
+                judged.append(count_masks(images, weights, out / PREPARED, training, quiet))
+            verdict = decide(judged)
         return adapted(Outcome(out / WEIGHTS, None, skipped), verdict)
 
 
-def write_taught(
-    frames: KeptFrames, looks: Path, prepared: Path, training: ImageTraining, quiet: bool = False
+def write_smoothed_labels(
+    frames: KeptFrames, labels: Path, prepared: Path, training: ImageTraining, quiet: bool = False
 ) -> Signals | None:
     """Prepare all frames for training in ``prepared``, with labels smoothed over time. Ours.
 
-    The teacher's predictions vary from frame to frame, and ten frames show a place ten times, from
+    The teacher's labels vary from frame to frame, and ten frames show a place ten times, from
     near and from far. The log odds of road are therefore carried back and forth by optical flow
-    (``road.steady``) and averaged. Frames that are not consecutive keep their predictions.
+    (``road.steady``) and averaged. Frames that are not consecutive keep their labels.
 
-    looks: folder of the teacher's predictions. Files in either folder for the same frames and
+    labels: folder of the teacher's labels. Files in either folder for the same frames and
     settings are reused. Returns the signal that interrupted it. Memory is linear in the frames,
     0.5 MB each.
     """
     images = frames.images()
     with stop_on_signals() as stop:
         recipe = ImageRecipe(training)
-        made = made_ready(recipe, images, looks, stop, quiet)
+        made = prepare_folder(recipe, images, labels, stop, quiet)
         if stop.asked:
             return stop.signal or SIGTERM
     files = {
         item.file: image for image, item in zip(images, made, strict=True) if item.file is not None
     }
-    taught = {look: prepared / look.relative_to(looks) for look in files}
+    targets = {label: prepared / label.relative_to(labels) for label in files}
     keys = [recipe.key(image) for image in files.values()]
-    if all(kept(file, key) for file, key in zip(taught.values(), keys, strict=True)):
+    if all(kept(file, key) for file, key in zip(targets.values(), keys, strict=True)):
         return None
-    greys = [flow_image(image.read(), MOTION.width) for image in files.values()]
-    roads = (from_bytes(read_arrays(look, "maps")["maps"][CLASSES]) for look in files)
-    smooth = smoothed(greys, [log_odds(road) for road in roads], MOTION)
-    for (look, file), key, odds in zip(taught.items(), keys, smooth, strict=True):
-        arrays = read_arrays(look)
-        arrays["maps"][CLASSES] = to_bytes(odds.sigmoid())
+    greys = [flow_image(image.read(), LABEL_SMOOTHING.width) for image in files.values()]
+    roads = (from_uint8(read_arrays(label, "maps")["maps"][CLASSES]) for label in files)
+    smooth = smoothed(greys, [log_odds(road) for road in roads], LABEL_SMOOTHING)
+    for (label, file), key, odds in zip(targets.items(), keys, smooth, strict=True):
+        arrays = read_arrays(label)
+        arrays["maps"][CLASSES] = to_uint8(odds.sigmoid())
         keep(file, key, arrays)
     return None
 
 
-def _write_mean(frames: KeptFrames, out: Path, training: ImageTraining, quiet: bool) -> list[Path]:
+def _average(frames: KeptFrames, out: Path, training: ImageTraining, quiet: bool) -> list[Path]:
     """Write the average of the halves' calibrated networks, its card and its log.
 
     Returns the files of the calibrated networks, in the order of the halves.
@@ -162,23 +157,25 @@ def _write_mean(frames: KeptFrames, out: Path, training: ImageTraining, quiet: b
     files, rows = [out / half / CALIBRATED for half in HALVES], []
     for number, (half, file) in enumerate(zip(HALVES, files, strict=True), 1):
         learned = file.with_name(WEIGHTS)
-        bias = fitted_bias(frames.images(half), learned, out / PREPARED, training, quiet)
-        write_shifted(learned, file, bias)
+        bias = fit_bias(frames.images(half), learned, out / PREPARED, training, quiet)
+        write_biased(learned, file, bias)
         rows += [{**row, "round": number} for row in RunFolder(out / half).read_log()]
     networks = [load_network(file) for file in files]
     mean = {
-        name: torch.stack([each.state_dict()[name].float() for each in networks]).mean(0).to(value)
+        name: torch.stack([network.state_dict()[name].float() for network in networks])
+        .mean(0)
+        .to(value)
         for name, value in networks[0].state_dict().items()
     }
     networks[0].load_state_dict(mean)
     save_network(out / WEIGHTS, networks[0], {**read_origin(files[0]), "images": frames.count})
-    if behind := corrections_behind(training):
-        write_text((out / WEIGHTS).with_suffix(".md"), card_of(behind))
+    if inherited := inherited_corrections(training):
+        write_text((out / WEIGHTS).with_suffix(".md"), format_card(inherited))
     RunFolder(out).write_log(rows)
     return files
 
 
-def write_shifted(learned: Path, file: Path, bias: float) -> None:
+def write_biased(learned: Path, file: Path, bias: float) -> None:
     """Write a copy of a network with ``bias`` added to the log odds of road."""
     network = load_network(learned)
     assert isinstance(network, WholeImageNetwork)
@@ -189,11 +186,11 @@ def write_shifted(learned: Path, file: Path, bias: float) -> None:
     save_network(file, network, read_origin(learned))
 
 
-def _camera_problem(frames: KeptFrames, file: Path, where: str) -> InputError | None:
+def _write_camera(frames: KeptFrames, file: Path, where: str) -> InputError | None:
     """Write the camera file; return the reason where there is none."""
-    some = spread(frames.images(), MAX_FRAMES)
+    sampled = evenly_spaced(frames.images(), MAX_FRAMES)
     try:
-        camera_of((image.read() for image in some), where).write(file)
+        camera_of((image.read() for image in sampled), where).write(file)
     except InputError as error:
         return error
     return None

@@ -1,7 +1,7 @@
 """The frames of footage that an adaptation learns from: a limited number, in two halves.
 
-Consecutive frames show the same places (``write_taught``), so longer footage is sampled in runs of
-consecutive frames.
+Consecutive frames show the same places (``write_smoothed_labels``), so longer footage is sampled in
+runs of them.
 """
 
 import glob
@@ -24,18 +24,18 @@ from roadtorch.inputs.find import Inputs, find_inputs
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
 from roadtorch.run.memo import key_of
-from roadtorch.train.recordings import SEEN
+from roadtorch.train.recordings import FRAME_SIZE
 
 HALVES = ("first", "second")
 """Halves of the footage in order, as neighbouring frames are alike and must stay in one half."""
 
-SECONDS = 0.4
+FRAME_INTERVAL = 0.4
 """Interval between sampled frames, in which the ground before the car stays in view."""
 
-STRETCH = 5
+RUN_LENGTH = 5
 """Consecutive frames that are kept or dropped together in longer footage."""
 
-LIST = "frames.json"
+FRAME_LIST = "frames.json"
 
 
 class KeptFrames(NamedTuple):
@@ -67,34 +67,35 @@ class KeptFrames(NamedTuple):
 def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = False) -> KeptFrames:
     """Sample at most ``most`` frames of footage into a folder; a finished sample is reused.
 
-    A frame every ``SECONDS`` of videos and bags, all images; runs of ``STRETCH`` frames of long
-    footage. Memory does not grow with the footage. Raises ConfigError if the folder holds frames
-    of other footage, InputError for fewer than two readable frames.
+    A frame every ``FRAME_INTERVAL`` of videos and bags, all images; of long footage runs of
+    ``RUN_LENGTH`` frames. Memory does not grow with the footage. Raises ConfigError if the folder
+    holds frames of other footage, InputError for fewer than two readable frames.
     """
     images, sources = find_inputs(inputs)
     digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
-    known, key = folder / LIST, key_of(digests, most)
-    if not known.exists():
+    list_file, key = folder / FRAME_LIST, key_of(digests, most)
+    if not list_file.exists():
         if folder.exists() and any(folder.iterdir()):
             raise ConfigError(folder, "holds files that are not of a run", "give another --out")
         make_folder(folder)
-        write_json(known, {"key": key, "halves": None})
-    kept = _read(known, folder, key)
-    if kept is None:
+        write_json(list_file, {"key": key, "halves": None})
+    sample = _read(list_file, folder, key)
+    if sample is None:
         for file in folder.glob("*.jpg"):  # of a run that was cut short
             file.unlink()
-        kept = _keep(Inputs(images, sources), folder, most, quiet)
-        if kept.count < 2:  # nothing that the next run should take as it is
-            raise InputError(inputs[0], f"has {kept.count} frames", "give some minutes of a drive")
-        rest = {"halves": kept.halves, "moving": kept.moving, "skipped": kept.skipped}
-        write_json(known, {"key": key, **rest})
-    return kept
+        sample = _write_frames(Inputs(images, sources), folder, most, quiet)
+        if sample.count < 2:  # nothing that the next run should take as it is
+            problem = f"has {sample.count} frames"
+            raise InputError(inputs[0], problem, "give some minutes of a drive")
+        values = {"halves": sample.halves, "moving": sample.moving, "skipped": sample.skipped}
+        write_json(list_file, {"key": key, **values})
+    return sample
 
 
-def _read(known: Path, folder: Path, key: str) -> KeptFrames | None:
+def _read(list_file: Path, folder: Path, key: str) -> KeptFrames | None:
     """Read the list of frames in a folder; None if sampling was not finished."""
     try:
-        values = json.loads(read_regular(known).decode())
+        values = json.loads(read_regular(list_file).decode())
         if values["key"] != key:
             raise ConfigError(folder, "holds frames of other footage", "give another --out")
         if values["halves"] is None:
@@ -103,10 +104,10 @@ def _read(known: Path, folder: Path, key: str) -> KeptFrames | None:
         skipped = tuple(map(str, values["skipped"]))
         return KeptFrames(folder, (first, second), bool(values["moving"]), skipped)
     except (ValueError, KeyError, TypeError, OSError):
-        raise InputError(known, "is damaged", "give another --out") from None
+        raise InputError(list_file, "is damaged", "give another --out") from None
 
 
-def _keep(inputs: Inputs, folder: Path, most: int, quiet: bool) -> KeptFrames:
+def _write_frames(inputs: Inputs, folder: Path, most: int, quiet: bool) -> KeptFrames:
     """Write frames while reading; when there are too many, drop every second run of frames."""
     numbers: list[int] = []
     skipped: list[str] = []
@@ -114,38 +115,38 @@ def _keep(inputs: Inputs, folder: Path, most: int, quiet: bool) -> KeptFrames:
     frames = Progress(_frames(inputs, skipped), desc="frames", unit="frame", quiet=quiet)
     for number, (seconds, image) in enumerate(frames):
         moving = moving or seconds is not None
-        if number // STRETCH % step:
+        if number // RUN_LENGTH % step:
             continue
-        write_jpeg(folder / f"{number:08d}.jpg", at_work(image, SEEN))
+        write_jpeg(folder / f"{number:08d}.jpg", at_work(image, FRAME_SIZE))
         numbers.append(number)
         if len(numbers) >= 2 * most:
             step *= 2
-            numbers = _thinned(folder, numbers, range(0, number + 1, step))
+            numbers = _thin(folder, numbers, range(0, number + 1, step))
     if len(numbers) > most:
-        stretches = sorted({number // STRETCH for number in numbers})
-        count = math.ceil(most / STRETCH)
-        some = [stretches[place * len(stretches) // count] for place in range(count)]
-        numbers = _thinned(folder, numbers, some, most)
+        runs = sorted({number // RUN_LENGTH for number in numbers})
+        count = math.ceil(most / RUN_LENGTH)
+        chosen = [runs[index * len(runs) // count] for index in range(count)]
+        numbers = _thin(folder, numbers, chosen, most)
     first = (len(numbers) + 1) // 2
-    for place, number in enumerate(numbers):
-        name = f"{HALVES[place >= first]}_{place:06d}.jpg"
+    for index, number in enumerate(numbers):
+        name = f"{HALVES[index >= first]}_{index:06d}.jpg"
         (folder / f"{number:08d}.jpg").rename(folder / name)
     counts = (first, len(numbers) - first)
     return KeptFrames(folder, counts, moving, tuple(skipped))
 
 
-def _thinned(
-    folder: Path, numbers: list[int], stretches: Sequence[int], most: int | None = None
+def _thin(
+    folder: Path, numbers: list[int], runs: Sequence[int], most: int | None = None
 ) -> list[int]:
     """Remove the files of frames outside some runs; return the numbers of the rest, limited."""
-    kept = [number for number in numbers if number // STRETCH in stretches][:most]
-    for number in set(numbers).difference(kept):
+    remaining = [number for number in numbers if number // RUN_LENGTH in runs][:most]
+    for number in set(numbers).difference(remaining):
         (folder / f"{number:08d}.jpg").unlink()
-    return kept
+    return remaining
 
 
 def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, Tensor]]:
-    """Yield every image, and the frames ``SECONDS`` apart of videos and bags, with their times."""
+    """Yield all images, and a frame every ``FRAME_INTERVAL`` of videos and bags, with its time."""
     for image in inputs.images:
         try:
             yield None, image.read()
@@ -161,7 +162,7 @@ def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, 
                     if (frame := next(frames, None)) is None:
                         break
                     if frame.clock > due - 1e-3:  # times are rounded
-                        due = frame.clock + SECONDS
+                        due = frame.clock + FRAME_INTERVAL
                         yield frame.seconds, frame.read()
                 except RoadtorchError as error:  # behind it the frames go on, or end
                     skipped.append(str(error))

@@ -32,49 +32,49 @@ from roadtorch.evaluation.metrics import (
 from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.uncertainty import bootstrap_weights, interval
 from roadtorch.imaging.resize import resized, size_of
-from roadtorch.inputs.item import Item, spread
+from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.run.memo import read_arrays
-from roadtorch.train.adaptation.frames import STRETCH
+from roadtorch.train.adaptation.frames import RUN_LENGTH
 from roadtorch.train.config import ImageTraining
-from roadtorch.train.prepared import from_bytes, name_of
-from roadtorch.train.teachers import targets_of
+from roadtorch.train.prepared import from_uint8, image_file_name
+from roadtorch.train.teachers import make_targets
 
 MAX_JUDGED = 150
 """Frames of each half that are judged, evenly spaced."""
 
-MIN_FRAMES = 16
+MIN_JUDGED = 16
 """Frames of both halves below which there is no verdict."""
 
 MIN_GAIN = 0.002
 """Gain of F that is worth another file."""
 
-SEED = 36
+BOOTSTRAP_SEED = 36
 
 
-class Judged(NamedTuple):
+class MaskCounts(NamedTuple):
     """Fields of ``Decisions`` by frame, int64 (frames, 4), of three networks.
 
-    before: initial network. after: network not trained on these frames. both: average of both
-    halves' networks, which was.
+    initial: initial network. adapted: network not trained on these frames. averaged: average of
+    both halves' networks, one of which was.
     """
 
-    before: Tensor
-    after: Tensor
-    both: Tensor
+    initial: Tensor
+    adapted: Tensor
+    averaged: Tensor
 
 
 class Verdict(NamedTuple):
-    """The decision on an adaptation: F before and after, and the interval of the difference.
+    """The decision on an adaptation: F of the networks, and the interval of their difference.
 
-    before, after: on held-out frames. both: of the averaged network on the same frames, on which it
-    was trained. reason: why the networks were not compared.
+    initial, adapted: on held-out frames. averaged: of the averaged network on the same frames, on
+    which it was trained. reason: why the networks were not compared.
     """
 
     word: Literal["adopt", "do not adopt", "cannot tell"]
-    before: float
-    after: float
+    initial: float
+    adapted: float
     change: Interval
-    both: float
+    averaged: float
     frames: int
     reason: str = ""
 
@@ -90,30 +90,30 @@ class Verdict(NamedTuple):
         }[self.word]
         text = (
             f"{self.word}: on {self.frames} held-out frames the mask {outcome} with the teacher: "
-            f"F {self.before:.3f} to {self.after:.3f}, "
-            f"{self.after - self.before:+.3f} ({change.low:+.3f} to {change.high:+.3f})"
+            f"F {self.initial:.3f} to {self.adapted:.3f}, "
+            f"{self.adapted - self.initial:+.3f} ({change.low:+.3f} to {change.high:+.3f})"
         )
-        return text + (f"; averaged network {self.both:.3f}" if change.high < 0 else "")
+        return text + (f"; averaged network {self.averaged:.3f}" if change.high < 0 else "")
 
 
-def judged_half(
+def count_masks(
     images: Sequence[Item],
     weights: tuple[Path, Path, Path],
     prepared: Path,
     training: ImageTraining,
     quiet: bool = False,
-) -> Judged:
-    """Compare masks of three networks (``Judged``) with the teacher's maps of prepared frames."""
+) -> MaskCounts:
+    """Compare three networks' masks (``MaskCounts``) with the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
     counts: list[list[Tensor]] = [[] for _ in weights]
-    for image, road, sure in _taught_frames(images, prepared, training, "judging", quiet):
+    for image, road, sure in _labelled_frames(images, prepared, training, "judging", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
             mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
             rows.append(torch.stack(tuple(count_mask(mask, road, sure))))
-    return Judged(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
+    return MaskCounts(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
 
 
-def fitted_bias(
+def fit_bias(
     images: Sequence[Item],
     file: Path,
     prepared: Path,
@@ -130,7 +130,7 @@ def fitted_bias(
     settings = detector.settings
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
-    for image, road, sure in _taught_frames(images, prepared, training, "calibrating", quiet):
+    for image, road, sure in _labelled_frames(images, prepared, training, "calibrating", quiet):
         likelihood = resized(detector.detect(image).likelihood[None], size_of(road))[0]
         counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
     if not counts:
@@ -142,18 +142,18 @@ def fitted_bias(
     return float(lacking * settings.calibration.temperature)
 
 
-def _taught_frames(
+def _labelled_frames(
     images: Sequence[Item], prepared: Path, training: ImageTraining, title: str, quiet: bool
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Yield frames (3, H, W), the teacher's road and where it is certain, both bool (h, w)."""
-    some = spread(images, MAX_JUDGED)
-    for image in Progress(some, desc=title, unit="frame", quiet=quiet):
-        file = prepared / f"{name_of(image)}.npz"
+    sampled = evenly_spaced(images, MAX_JUDGED)
+    for image in Progress(sampled, desc=title, unit="frame", quiet=quiet):
+        file = prepared / f"{image_file_name(image)}.npz"
         if not file.exists():
             continue  # it was skipped, and reported
         arrays = read_arrays(file, "maps", "ego")
-        maps, ego = (from_bytes(arrays[name])[None] for name in ("maps", "ego"))
-        targets = targets_of(maps, ego[None], None, training.teacher, training.rounds)
+        maps, ego = (from_uint8(arrays[name])[None] for name in ("maps", "ego"))
+        targets = make_targets(maps, ego[None], None, training.teacher, training.rounds)
         yield image.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
 
 
@@ -162,26 +162,26 @@ def _f_measure(counts: Tensor) -> Tensor:
     return f_measure(Decisions(*counts.unbind(-1)))
 
 
-def unknown(reason: str, frames: int) -> Verdict:
+def no_verdict(reason: str, frames: int) -> Verdict:
     """Return a verdict without comparison, with the reason."""
     return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
 
 
-def verdict_of(judged: Sequence[Judged]) -> Verdict:
+def decide(judged: Sequence[MaskCounts]) -> Verdict:
     """Decide by the frames of both halves; the interval resamples runs of consecutive frames."""
     counts = [torch.cat(halves) for halves in zip(*judged, strict=True)]
     frames = len(counts[0])
-    if frames < MIN_FRAMES:
-        return unknown(f"{frames} frames are too few to judge by", frames)
-    generator = torch.Generator().manual_seed(SEED)
-    blocks = [torch.stack([part.sum(0) for part in rows.split(STRETCH)]) for rows in counts]
+    if frames < MIN_JUDGED:
+        return no_verdict(f"{frames} frames are too few to judge by", frames)
+    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
+    blocks = [torch.stack([part.sum(0) for part in rows.split(RUN_LENGTH)]) for rows in counts]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
-    before, after, both = (float(_f_measure(sums.sum(0))) for sums in blocks)
-    draws = [_f_measure(weights @ sums.to(weights)) for sums in blocks]
-    change = interval(draws[1] - draws[0])
+    initial, adapted, averaged = (float(_f_measure(sums.sum(0))) for sums in blocks)
+    resampled = [_f_measure(weights @ sums.to(weights)) for sums in blocks]
+    change = interval(resampled[1] - resampled[0])
     word = "cannot tell"
-    if change.low > 0 and after - before >= MIN_GAIN:
+    if change.low > 0 and adapted - initial >= MIN_GAIN:
         word = "adopt"
-    elif change.high < 0 and both - before < MIN_GAIN:
+    elif change.high < 0 and averaged - initial < MIN_GAIN:
         word = "do not adopt"
-    return Verdict(word, before, after, change, both, frames)
+    return Verdict(word, initial, adapted, change, averaged, frames)

@@ -16,11 +16,11 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.weights import weights_path
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.testing.scenes import render_scene
-from roadtorch.train.adaptation.adapt import write_shifted, write_taught
+from roadtorch.train.adaptation.adapt import write_biased, write_smoothed_labels
 from roadtorch.train.adaptation.frames import keep_frames
-from roadtorch.train.adaptation.verdict import Judged, fitted_bias, judged_half, verdict_of
+from roadtorch.train.adaptation.verdict import MaskCounts, count_masks, decide, fit_bias
 from roadtorch.train.config import ImageTraining, build_training
-from roadtorch.train.prepared import from_bytes, name_of, to_bytes
+from roadtorch.train.prepared import from_uint8, image_file_name, to_uint8
 from tests.draws import seeded
 
 SHIPPED = weights_path("backbone-free")
@@ -36,7 +36,7 @@ def training_of(**changes: object) -> ImageTraining:
 
 
 def roads(files: list[Path]) -> Tensor:
-    return torch.stack([from_bytes(read_arrays(file, "maps")["maps"][CLASSES]) for file in files])
+    return torch.stack([from_uint8(read_arrays(file, "maps")["maps"][CLASSES]) for file in files])
 
 
 def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None
     looks, prepared = tmp_path / "looks", tmp_path / "prepared"
     training = training_of(teacher={"views": "one", "detector": "labeller"})
 
-    assert write_taught(frames, looks, prepared, training, quiet=True) is None
+    assert write_smoothed_labels(frames, looks, prepared, training, quiet=True) is None
 
     files = [sorted(folder.rglob("*.npz")) for folder in (looks, prepared)]
     before, after = map(roads, files)
@@ -74,8 +74,8 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
     for image in images:
         road = teacher.detect(image.read()).mask.float()[None]
         layout = torch.cat([torch.zeros(2, 96, 128), torch.ones(1, 96, 128)])
-        arrays = {"maps": to_bytes(torch.cat([layout, road])), "ego": to_bytes(0 * road[0])}
-        write_arrays(folder / "prepared" / f"{name_of(image)}.npz", arrays)
+        arrays = {"maps": to_uint8(torch.cat([layout, road])), "ego": to_uint8(0 * road[0])}
+        write_arrays(folder / "prepared" / f"{image_file_name(image)}.npz", arrays)
     return images, folder / "prepared"
 
 
@@ -83,20 +83,20 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
 def test_bias_undoes_shift(shift: float, streets: tuple[list[Item], Path], tmp_path: Path) -> None:
     shifted, mended = tmp_path / "s.file", tmp_path / "m.file"
     images, prepared = streets
-    write_shifted(SHIPPED, shifted, shift)
+    write_biased(SHIPPED, shifted, shift)
 
-    bias = fitted_bias(images, shifted, prepared, training_of(), quiet=True)
-    write_shifted(shifted, mended, bias)
+    bias = fit_bias(images, shifted, prepared, training_of(), quiet=True)
+    write_biased(shifted, mended, bias)
 
     assert bias == pytest.approx(-shift, abs=1)
     files = (shifted, mended, mended)
-    judged = judged_half(images, files, prepared, training_of(), quiet=True)
+    judged = count_masks(images, files, prepared, training_of(), quiet=True)
     before, after, _ = (float(f_measure(Decisions(*rows.sum(0)))) for rows in judged)
     assert after > max(before, 0.97)
 
 
 def test_without_evidence_none_is_shifted(streets: tuple[list[Item], Path], tmp_path: Path) -> None:
-    assert fitted_bias(streets[0], SHIPPED, tmp_path / "nothing", training_of(), quiet=True) == 0
+    assert fit_bias(streets[0], SHIPPED, tmp_path / "nothing", training_of(), quiet=True) == 0
 
 
 # --- the verdict ---------------------------------------------------------------------------
@@ -105,8 +105,8 @@ Half = tuple[list[int], list[int], list[int]]
 """Pixels found of 100 of road in each frame: before, after, by the averaged network."""
 
 
-def judged(half: Half) -> Judged:
-    return Judged(*(torch.tensor([[hit, 0, 100 - hit, 0] for hit in hits]) for hits in half))
+def judged(half: Half) -> MaskCounts:
+    return MaskCounts(*(torch.tensor([[hit, 0, 100 - hit, 0] for hit in hits]) for hits in half))
 
 
 @pytest.mark.parametrize(
@@ -129,11 +129,11 @@ def judged(half: Half) -> Judged:
     ],
 )
 def test_a_verdict_needs_a_change_on_held_out_frames(halves: list[Half], word: str) -> None:
-    assert verdict_of([judged(half) for half in halves]).word == word
+    assert decide([judged(half) for half in halves]).word == word
 
 
 def test_a_verdict_is_a_sentence_with_its_figures() -> None:
-    assert str(verdict_of([judged(([60] * 24, [50] * 24, [70] * 24))])) == (
+    assert str(decide([judged(([60] * 24, [50] * 24, [70] * 24))])) == (
         "cannot tell: on 24 held-out frames the mask may or may not agree better with the teacher: "
         "F 0.750 to 0.667, -0.083 (-0.083 to -0.083); averaged network 0.824"
     )
