@@ -1,10 +1,10 @@
-"""Layout, road and ego car from the features of a backbone that knows the looks of things. Ours.
+"""Network on an ImageNet backbone: layout, road and ego car of whole images. Ours.
 
 The backbone is EfficientNet-Lite0 (Tan and Le, "EfficientNet", ICML 2019; the "lite" variants of
-their repository, without squeeze-and-excitation) as far as its fifteenth block, its weights as
-they were learned from ImageNet's object labels, or learned on from there. Batch normalisation is
-part of the convolutions here. What is learned for roads anew are the heads: small convolutions at
-an eighth and a quarter of the size. Several heads that began differently are averaged.
+their repository, without squeeze-and-excitation) up to its fifteenth block, with weights learned
+from ImageNet's object labels and possibly fine-tuned. Batch normalisation is folded into the
+convolutions. The heads are trained from scratch on roads: small convolutions at 1/8 and 1/4 of the
+size. Several heads, trained from different initial weights, are averaged.
 """
 
 from collections.abc import Mapping
@@ -17,22 +17,22 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import size_of
-from roadtorch.layout.image_network import OUTPUTS, cues_of, place_planes
+from roadtorch.layout.image_network import OUTPUTS, compute_cues, coordinate_planes
 from roadtorch.layout.patch_network import Normalisation
 
 
 class Block(NamedTuple):
-    """An inverted bottleneck: channels in, widened so many times, out; kernel and stride."""
+    """Shape of an inverted bottleneck (MBConv): channels, expansion ratio, kernel, stride."""
 
     inputs: int
-    widened: int
+    expansion: int
     outputs: int
     kernel: int
     stride: int
 
 
 STEM = 32
-"""Channels of the first convolution, at half the size."""
+"""Channels of the first convolution, at 1/2 of the size."""
 
 BLOCKS = (
     Block(32, 1, 16, 3, 1),
@@ -51,30 +51,30 @@ BLOCKS = (
     Block(192, 6, 192, 5, 1),
     Block(192, 6, 192, 5, 1),
 )
-"""Of EfficientNet-Lite0, up to a thirty-second of the size; the last one is left out."""
+"""Blocks of EfficientNet-Lite0 down to 1/32 of the size, without the last."""
 
-KEPT = (2, 4, 10, 14)
-"""Blocks whose maps the heads see: at a quarter, an eighth, a sixteenth, a thirty-second."""
+FEATURE_BLOCKS = (2, 4, 10, 14)
+"""Indices of the blocks whose outputs go to the heads: at 1/4, 1/8, 1/16, 1/32 of the size."""
 
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's images, by which the backbone's input is normalised."""
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Mean and standard deviation of ImageNet's images; they normalise the backbone's input."""
 
 
 class BackboneNetworkSettings(Settings):
-    """The size it works at, and its heads."""
+    """Working size and heads of a backbone network."""
 
-    height: int = Field(default=256, ge=32, le=1024, multiple_of=32, description="rows it works at")
+    height: int = Field(default=256, ge=32, le=1024, multiple_of=32, description="height, pixels")
     width: int = Field(
-        default=320, ge=32, le=1024, multiple_of=32, description="columns; images are stretched"
+        default=320, ge=32, le=1024, multiple_of=32, description="width, pixels (images stretched)"
     )
-    wide: int = Field(default=48, ge=8, le=512, description="channels of a head at an eighth")
-    narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at a quarter")
-    heads: int = Field(default=3, ge=1, le=16, description="heads that are averaged")
+    wide: int = Field(default=48, ge=8, le=512, description="channels of a head at 1/8 size")
+    narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at 1/4 size")
+    heads: int = Field(default=3, ge=1, le=16, description="number of averaged heads")
     normalisation: Normalisation = Normalisation(kind="none")
 
 
 class SamePadded(nn.Conv2d):
-    """A convolution with bias whose padding at stride 2 is TensorFlow's: one more at the end."""
+    """A convolution with bias, padded as in TensorFlow: at stride 2, one pixel more at the end."""
 
     def __init__(
         self, inputs: int, outputs: int, kernel: int, stride: int, groups: int = 1
@@ -82,10 +82,10 @@ class SamePadded(nn.Conv2d):
         super().__init__(inputs, outputs, kernel, stride, kernel // 2, groups=groups)
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Maps (B,outputs,H/stride,W/stride); H and W are multiples of the stride.
+        """Convolve maps (B, C, H, W); H and W must be multiples of the stride.
 
-        On processors a product of matrices is faster than torch's convolution of single pixels,
-        and a kernel with a row and a column of zeros than padded maps, which are copies.
+        On CPUs a matrix product is faster than torch's 1×1 convolution, and a kernel with an added
+        row and column of zeros is faster than padded maps, which are copies.
         """
         kernel, exporting = self.kernel_size[0], torch.compiler.is_exporting()
         if kernel == 1 and not self.training and not exporting:
@@ -94,34 +94,37 @@ class SamePadded(nn.Conv2d):
         if self.stride[0] == 1:
             return super().forward(maps)
         if exporting:
-            ends = (kernel // 2 - 1, kernel // 2)
-            maps = F.pad(maps, ends * 2)
+            padding = (kernel // 2 - 1, kernel // 2)
+            maps = F.pad(maps, padding * 2)
             return F.conv2d(maps, self.weight, self.bias, self.stride, 0, groups=self.groups)
         weight = F.pad(self.weight, (1, 0, 1, 0))
         return F.conv2d(maps, weight, self.bias, self.stride, kernel // 2, groups=self.groups)
 
 
 class Bottleneck(nn.Module):
-    """Widen, look around in each channel, narrow; added to what came in where shapes allow."""
+    """An inverted bottleneck: 1×1 expansion, depthwise convolution (``look``), 1×1 projection.
+
+    The input is added to the output where their shapes are equal.
+    """
 
     def __init__(self, block: Block) -> None:
         super().__init__()
-        middle = block.inputs * block.widened
-        self.widen = SamePadded(block.inputs, middle, 1, 1) if block.widened > 1 else None
+        middle = block.inputs * block.expansion
+        self.widen = SamePadded(block.inputs, middle, 1, 1) if block.expansion > 1 else None
         self.look = SamePadded(middle, middle, block.kernel, block.stride, middle)
         self.narrow = SamePadded(middle, block.outputs, 1, 1)
-        self.added = block.stride == 1 and block.inputs == block.outputs
+        self.has_shortcut = block.stride == 1 and block.inputs == block.outputs
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Maps (B,outputs,H/stride,W/stride) of maps (B,inputs,H,W)."""
+        """Return maps (B, outputs, H/stride, W/stride) for maps (B, inputs, H, W)."""
         in_place = not self.training
-        wide = maps if self.widen is None else F.relu6(self.widen(maps), in_place)
-        changed = self.narrow(F.relu6(self.look(wide), in_place))
-        return maps + changed if self.added else changed
+        expanded = maps if self.widen is None else F.relu6(self.widen(maps), in_place)
+        residual = self.narrow(F.relu6(self.look(expanded), in_place))
+        return maps + residual if self.has_shortcut else residual
 
 
 class Backbone(nn.Module):
-    """The frozen part: four maps of features of an image."""
+    """EfficientNet-Lite0 as a feature extractor with four outputs."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -129,23 +132,25 @@ class Backbone(nn.Module):
         self.blocks = nn.ModuleList(Bottleneck(block) for block in BLOCKS)
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Maps (B,24,H/4,W/4), (B,40,H/8,W/8), (B,112,H/16,W/16), (B,192,H/32,W/32) of
-        images (B,3,H,W) in [0,1]."""
-        mean, deviation = (images.new_tensor(row)[:, None, None] for row in (MEAN, DEVIATION))
-        maps, kept = F.relu6(self.stem((images - mean) / deviation)), []
+        """Return the feature maps of images (B, 3, H, W) in [0, 1].
+
+        Shapes: (B, 24, H/4, W/4), (B, 40, H/8, W/8), (B, 112, H/16, W/16), (B, 192, H/32, W/32).
+        """
+        mean, std = (images.new_tensor(row)[:, None, None] for row in (IMAGENET_MEAN, IMAGENET_STD))
+        maps, features = F.relu6(self.stem((images - mean) / std)), []
         for number, block in enumerate(self.blocks):
             maps = block(maps)
-            if number in KEPT:
-                kept.append(maps)
-        return kept
+            if number in FEATURE_BLOCKS:
+                features.append(maps)
+        return features
 
 
 class Head(nn.Module):
-    """What is learned: from the backbone's maps and the place to scores at a quarter."""
+    """A decoder from the backbone's maps and pixel coordinates to scores at 1/4 of the size."""
 
     def __init__(self, wide: int, narrow: int) -> None:
         super().__init__()
-        channels = [BLOCKS[number].outputs for number in KEPT]
+        channels = [BLOCKS[number].outputs for number in FEATURE_BLOCKS]
         self.levels = nn.ModuleList(nn.BatchNorm2d(count) for count in channels)
         self.fine = nn.Conv2d(channels[0], narrow, 1)
         self.middle = nn.ModuleList(nn.Conv2d(count, wide, 1) for count in channels[1:])
@@ -159,28 +164,29 @@ class Head(nn.Module):
         self.drop = nn.Dropout2d(0.15)
 
     def forward(self, features: list[Tensor]) -> Tensor:
-        """Scores (B,5,H/4,W/4): three classes, road, ego car."""
+        """Return scores (B, 5, H/4, W/4): three layout classes, road, ego car."""
         levels = [self.drop(norm(maps)) for norm, maps in zip(self.levels, features, strict=True)]
         eighth, *coarser = (f(maps) for f, maps in zip(self.middle, levels[1:], strict=True))
-        maps = eighth + self.place(place_planes(eighth))
+        maps = eighth + self.place(coordinate_planes(eighth))
         for level in coarser:
-            maps = maps + _sized(level, size_of(eighth))
+            maps = maps + _resize(level, size_of(eighth))
         maps = F.relu(maps)
-        for change in self.around:
-            maps = maps + F.relu(change(maps))
+        for convolution in self.around:
+            maps = maps + F.relu(convolution(maps))
         fine = self.fine(levels[0])
-        fine = F.relu(fine + _sized(self.narrowed(maps), size_of(fine)))
+        fine = F.relu(fine + _resize(self.narrowed(maps), size_of(fine)))
         return self.scores(fine + F.relu(self.last(fine)))
 
 
-def _sized(maps: Tensor, size: tuple[int, int]) -> Tensor:
+def _resize(maps: Tensor, size: tuple[int, int]) -> Tensor:
     return F.interpolate(maps, size, mode="bilinear", align_corners=False)
 
 
 class BackboneNetwork(nn.Module):
-    """Layout, road and ego car of whole images, seen through the backbone."""
+    """Layout, road and ego car of whole images from the features of a backbone."""
 
     kind: ClassVar[str] = "images, backbone"
+    title: ClassVar[str] = "a whole-image network"
 
     def __init__(self, settings: BackboneNetworkSettings | None = None) -> None:
         super().__init__()
@@ -190,23 +196,27 @@ class BackboneNetwork(nn.Module):
         self.heads = nn.ModuleList(Head(wide, narrow) for _ in range(self.settings.heads))
 
     def train(self, mode: bool = True) -> "BackboneNetwork":
-        """Learn on, or not; statistics stay what they were: batches of a few streets wander."""
+        """Set the training mode, but keep batch statistics frozen and dropout off.
+
+        Statistics of small batches of streets are unreliable, and dropout would draw random numbers
+        that no seed controls.
+        """
         super().train(mode)
         for head in self.heads:
             head.get_submodule("levels").eval()
-            head.get_submodule("drop").eval()  # it would draw what no seed of a run tells
+            head.get_submodule("drop").eval()
         return self
 
     def last_layers(self) -> list[nn.Conv2d]:
-        """Those that give the scores, of each head."""
+        """Return the convolution that computes the scores, of each head."""
         return [head.get_submodule("scores") for head in self.heads]  # type: ignore[misc]
 
     def forward(self, images: Tensor) -> Tensor:
-        """Scores (B,5,H/4,W/4) of images (B,3,H,W) in [0,1], the mean of the heads'."""
+        """Return scores (B, 5, H/4, W/4) of images (B, 3, H, W) in [0, 1], averaged over heads."""
         features = self.backbone(images)
         return torch.stack([head(features) for head in self.heads]).mean(0)
 
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
-        return cues_of(self, image, self.settings)
+        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1]."""
+        return compute_cues(self, image, self.settings)

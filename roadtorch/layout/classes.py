@@ -1,4 +1,4 @@
-"""The three classes of a layout, for all who speak of them, and two opinions on them as one."""
+"""The three classes of a layout: numbers, names, colours, and the pooling of two predictions."""
 
 from typing import Annotated
 
@@ -20,26 +20,30 @@ LAYOUT_COLOURS = (SKY_BLUE, (213, 94, 0), (0, 158, 115))  # sky, vertical, horiz
 
 
 def layout_colours(labels: Tensor) -> Tensor:
-    """Layout labels (H,W) as an image (3,H,W); what is not sky, vertical or horizontal is black."""
+    """Return layout labels (H, W) as an image (3, H, W); unlabelled pixels are black."""
     table = torch.tensor([*LAYOUT_COLOURS, (0, 0, 0)]) / 255
     return table[labels.long().clamp(max=len(LAYOUT_COLOURS))].permute(2, 0, 1)
 
 
 MIN_POTENTIAL = 1e-4
-"""Potentials count as at least this large: neither opinion alone can veto a class."""
+"""Lower bound of potentials in a pool, so that no prediction alone vetoes a class."""
 
 Share = Annotated[
     float,
-    Field(ge=0, le=1, description="weight of the network against the labels made in this image"),
+    Field(ge=0, le=1, description="weight of the network against the machine labels"),
 ]
-"""A setting: the ``share`` of ``pooled`` where the other opinion is a network's."""
+"""Setting: the ``share`` of ``pooled``, where the second prediction is a network's."""
 
 
 def pooled(first: Tensor, second: Tensor, share: float) -> Tensor:
-    """Logarithmic opinion pool of potentials (3,…) in [0,1]; sums to 1 over the classes.
+    """Return the logarithmic opinion pool of two predictions (3, …); it sums to 1 over the classes.
 
-    share: weight of the second opinion, from 0 (the first alone) to 1. Genest and Zidek,
-    "Combining Probability Distributions", Statistical Science 1986.
+    Source: Genest and Zidek, "Combining Probability Distributions", Statistical Science 1986.
+
+    Args:
+        first: potentials in [0, 1], shape (3, …).
+        second: potentials in [0, 1], shape (3, …).
+        share: weight of the second prediction, from 0 (first alone) to 1 (second alone).
     """
-    logs, others = (opinion.clamp_min(MIN_POTENTIAL).log() for opinion in (first, second))
-    return ((1 - share) * logs + share * others).softmax(0)
+    logs = [potentials.clamp_min(MIN_POTENTIAL).log() for potentials in (first, second)]
+    return ((1 - share) * logs[0] + share * logs[1]).softmax(0)

@@ -1,10 +1,9 @@
-"""A small network that sees the whole image: layout, road and ego car at once. Ours.
+"""Small network for whole images: layout, road and ego car at once. Ours.
 
-A patch network sees 32 pixels and does not know where they are. This one works on a small
-copy of the whole image with two more planes, the place: three stages that halve the
-image, a middle of dilated convolutions that see all of it, and back from an eighth to a
-half of the size with what the early stages kept (added, after Lin et al., "Feature Pyramid
-Networks", 2017). One head says sky, vertical, horizontal, the others road and ego car.
+A patch network has 32 pixels and no position. This one takes a small copy of the whole image and
+two coordinate planes: three stages that halve the size, dilated convolutions that cover the image,
+and a decoder from 1/8 to 1/2 of the size with added skip connections (after Lin et al., "Feature
+Pyramid Networks", 2017). Its outputs are sky, vertical, horizontal, road and ego car.
 """
 
 from collections.abc import Mapping
@@ -21,35 +20,35 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.patch_network import Normalisation, normalise
 
 DILATIONS = (1, 2, 4, 8, 1)
-"""Of the middle's convolutions, in eighths of the image: 15×20 cells are seen whole."""
+"""Dilations of the middle convolutions, at 1/8 size: their receptive field covers 15×20 cells."""
 
-GROUP = 8
-"""Channels that are normalised together; widths are multiples of it."""
+GROUP_SIZE = 8
+"""Channels in a group of the group normalisation; widths are multiples of it."""
 
 ROAD, EGO = CLASSES, CLASSES + 1
-"""Places of the further outputs, after the classes of the layout."""
+"""Channels of the outputs after the classes of the layout."""
 
 OUTPUTS = CLASSES + 2
 
 NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
-"""Of the size at which a network sees images, against that for which it is written."""
+"""Factor on a network's working size."""
 
-STEP = 32
-"""Pixels by which the sides differ at which networks see images: halved five times."""
+SIZE_STEP = 32
+"""Divisor of a network's scaled height and width: five halvings."""
 
 
 class ImageNetworkSettings(Settings):
-    """The network for whole images: the size it works at, and its width."""
+    """Working size and width of the network for whole images."""
 
-    height: int = Field(default=120, ge=32, le=1024, multiple_of=8, description="rows it works at")
+    height: int = Field(default=120, ge=32, le=1024, multiple_of=8, description="height, pixels")
     width: int = Field(
-        default=160, ge=32, le=1024, multiple_of=8, description="columns; images are stretched"
+        default=160, ge=32, le=1024, multiple_of=8, description="width, pixels (images stretched)"
     )
     narrow: int = Field(
-        default=16, ge=8, le=256, multiple_of=GROUP, description="channels of the first stage"
+        default=16, ge=8, le=256, multiple_of=GROUP_SIZE, description="channels of the first stage"
     )
     wide: int = Field(
-        default=96, ge=8, le=512, multiple_of=GROUP, description="channels of the middle"
+        default=96, ge=8, le=512, multiple_of=GROUP_SIZE, description="channels of the middle"
     )
     normalisation: Normalisation = Normalisation()
 
@@ -57,52 +56,52 @@ class ImageNetworkSettings(Settings):
 class ImageNetwork(nn.Module):
     """Layout, road and ego car of whole images.
 
-    Groups of channels are normalised within one image, so that a batch of any size, cut in
-    any way, gives the same gradients.
+    Normalised within each image, so that gradients do not depend on how images are batched.
     """
 
     kind: ClassVar[str] = "images"
+    title: ClassVar[str] = "a whole-image network"
 
     def __init__(self, settings: ImageNetworkSettings | None = None) -> None:
         super().__init__()
         self.settings = settings or ImageNetworkSettings()
         narrow, wide = self.settings.narrow, self.settings.wide
-        self.first = Stage(3 + 2, narrow, stride=2)
-        self.second = nn.Sequential(Stage(narrow, 2 * narrow, stride=2), Residual(2 * narrow))
-        self.third = Stage(2 * narrow, wide, stride=2)
+        self.first = ConvBlock(3 + 2, narrow, stride=2)
+        self.second = nn.Sequential(ConvBlock(narrow, 2 * narrow, stride=2), Residual(2 * narrow))
+        self.third = ConvBlock(2 * narrow, wide, stride=2)
         self.middle = nn.Sequential(*(Residual(wide, dilation) for dilation in DILATIONS))
         self.narrowed_quarter = nn.Conv2d(wide, 2 * narrow, 1)
-        self.to_quarter = Stage(2 * narrow, 2 * narrow)
+        self.to_quarter = ConvBlock(2 * narrow, 2 * narrow)
         self.narrowed_half = nn.Conv2d(2 * narrow, narrow, 1)
-        self.to_half = Stage(narrow, narrow)
+        self.to_half = ConvBlock(narrow, narrow)
         self.heads = nn.Conv2d(narrow, OUTPUTS, 1)
 
     def last_layers(self) -> list[nn.Conv2d]:
-        """Those that give the scores."""
+        """Return the convolution that computes the scores, as a list of one."""
         return [self.heads]
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Scores (B,5,H/2,W/2) of normalised images (B,3,H,W): three classes, road, ego.
+        """Return scores (B, 5, H/2, W/2) of normalised images (B, 3, H, W): classes, road, ego.
 
-        H and W are multiples of 8. ``potentials_of`` turns scores into potentials.
+        H and W must be multiples of 8. ``potentials_of`` turns scores into potentials.
         """
-        half = self.first(torch.cat([pixels, place_planes(pixels)], 1))
+        half = self.first(torch.cat([pixels, coordinate_planes(pixels)], 1))
         quarter = self.second(half)
         deep = self.middle(self.third(quarter))
-        quarter = self.to_quarter(quarter + _doubled(self.narrowed_quarter(deep)))
-        half = self.to_half(half + _doubled(self.narrowed_half(quarter)))
+        quarter = self.to_quarter(quarter + _upsample(self.narrowed_quarter(deep)))
+        half = self.to_half(half + _upsample(self.narrowed_half(quarter)))
         return self.heads(half)
 
     @torch.no_grad()
     def cues(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Of an image (3,H,W): ``layout`` (3,H,W), ``road`` and ``ego`` (H,W), all in [0,1]."""
-        return cues_of(self, image, self.settings)
+        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1]."""
+        return compute_cues(self, image, self.settings)
 
 
-def cues_of(network: nn.Module, image: Tensor, settings: Any) -> Mapping[str, Tensor]:
-    """What a network that works at a size and gives scores says of an image, as its ``cues``.
+def compute_cues(network: nn.Module, image: Tensor, settings: Any) -> Mapping[str, Tensor]:
+    """Return the ``cues`` of an image by a network with a working size.
 
-    settings: its height, width and normalisation. Of a batch (N,3,H,W) in an exported graph.
+    settings: its height, width and normalisation. Takes a batch (N, 3, H, W) in an exported graph.
     """
     small = resized(image, (settings.height, settings.width)).clamp(0, 1)
     pixels = normalise(small, settings.normalisation).pixels
@@ -114,61 +113,63 @@ def cues_of(network: nn.Module, image: Tensor, settings: Any) -> Mapping[str, Te
 
 
 def scaled(height: int, width: int, scale: float) -> tuple[int, int]:
-    """A height and width so many times as large, as multiples of ``STEP``; at 1 as they are."""
+    """Scale a working size to multiples of ``SIZE_STEP``; at scale 1 it is unchanged."""
     if scale == 1:
         return height, width
-    rows, columns = (max(1, round(scale * side / STEP)) * STEP for side in (height, width))
+    rows, columns = (
+        max(1, round(scale * side / SIZE_STEP)) * SIZE_STEP for side in (height, width)
+    )
     return rows, columns
 
 
-class Stage(nn.Sequential):
-    """A convolution, groups of channels normalised, and what is negative cut off.
+class ConvBlock(nn.Sequential):
+    """A 3×3 convolution, group normalisation and ReLU.
 
-    In one call: maps are so small that a call for each module would take a fifth of the time.
+    In one call: on maps this small, a call for each module would be a fifth of the time.
     """
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
         super().__init__(
             nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False),
-            nn.GroupNorm(outputs // GROUP, outputs),
+            nn.GroupNorm(outputs // GROUP_SIZE, outputs),
         )
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Maps (B,outputs,H/stride,W/stride) of maps (B,inputs,H,W)."""
+        """Return maps (B, outputs, H/stride, W/stride) for maps (B, inputs, H, W)."""
         convolution, groups = cast("tuple[nn.Conv2d, nn.GroupNorm]", tuple(self))
-        stride, dilation = convolution.stride, convolution.dilation  # which is the padding too
+        stride, dilation = convolution.stride, convolution.dilation  # also the padding
         maps = torch.conv2d(maps, convolution.weight, None, stride, dilation, dilation)
         return torch.group_norm(maps, groups.num_groups, groups.weight, groups.bias).relu_()
 
 
 class Residual(nn.Module):
-    """x + a convolution of x, both of the same width."""
+    """A residual block: x + a convolution of x."""
 
     def __init__(self, channels: int, dilation: int = 1) -> None:
         super().__init__()
-        self.change = Stage(channels, channels, dilation=dilation)
+        self.change = ConvBlock(channels, channels, dilation=dilation)
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Maps (B,C,H,W), changed a little."""
+        """Return maps (B, C, H, W) for maps (B, C, H, W)."""
         return maps + self.change(maps)
 
 
-def _doubled(maps: Tensor) -> Tensor:
+def _upsample(maps: Tensor) -> Tensor:
     return F.interpolate(maps, scale_factor=2, mode="bilinear", align_corners=False)
 
 
-def place_planes(pixels: Tensor) -> Tensor:
-    """|x| and y (B,2,H,W) of images (B,3,H,W), from -1 to 1: a mirrored street is a street."""
+def coordinate_planes(pixels: Tensor) -> Tensor:
+    """Return |x| and y in [-1, 1], shape (B, 2, H, W); |x|, as a mirrored street is a street."""
     batch, _, height, width = pixels.shape
     rows, columns = (
         torch.linspace(1 / side - 1, 1 - 1 / side, side, dtype=pixels.dtype, device=pixels.device)
         for side in (height, width)
     )
-    away = (2 * columns.abs() - 1).expand(height, width)
+    sideways = (2 * columns.abs() - 1).expand(height, width)
     down = rows[:, None].expand(height, width)
-    return torch.stack([away, down]).expand(batch, 2, height, width)
+    return torch.stack([sideways, down]).expand(batch, 2, height, width)
 
 
 def potentials_of(scores: Tensor) -> Tensor:
-    """Scores (B,5,…) as potentials in [0,1]: three shares that sum to 1, road, ego."""
+    """Return potentials of scores (B, 5, …): softmax of the layout, sigmoids of road and ego."""
     return torch.cat([scores[:, :CLASSES].softmax(1), scores[:, CLASSES:].sigmoid()], 1)

@@ -1,9 +1,9 @@
-"""Machine labels of the scene layout, from the image alone (stands in for P2's teacher).
+"""Machine labels of the scene layout, computed from the image alone (in place of P2's teacher).
 
-P2 takes its noisy labels from Hoiem et al., a classifier trained on another data set. This
-labeller needs no training. It starts from where sky, vertical things and ground tend to be
-in a street image, learns from the image itself what each of them looks like, and lets
-each column of the image read sky, vertical, horizontal from top to bottom.
+P2 takes its noisy labels from Hoiem et al., a classifier trained on another data set. This labeller
+needs no training. It starts from a prior on the position of sky, vertical surfaces and ground in
+street images, learns the appearance of each class in the image itself, and orders each column as
+sky, vertical, horizontal from top to bottom.
 """
 
 from functools import lru_cache
@@ -30,20 +30,20 @@ from roadtorch.imaging.segments import (
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
-UNSCALED = 32
-"""Rows of a chain, of at least 1e-4 each, whose product a float64 still holds; two of them."""
+UNSCALED_ROWS = 32
+"""Rows of two chains whose product float64 holds; each factor is at least 1e-4."""
 
-BLUEST = 0.1
-"""The b of Lab, over 100, that is as blue as a sky gets."""
+MAX_SKY_BLUE = 0.1
+"""Strongest blue of a sky: -b of CIELAB over 100."""
 
 
-class PlacePrior(NamedTuple):
-    """Where the classes tend to be: a logistic model of row and column (see ``place_prior``).
+class PositionPrior(NamedTuple):
+    """Prior on the position of the classes: a logistic model of row and column.
 
-    Rows are shares of the height from the top; sides are shares of the width from the middle.
-    Sky is even with vertical ``sky_rise`` above the horizon, ground ``ground_drop`` below it; both
-    lines move by their slopes towards the sides, and fade over their softness in rows. vertical:
-    its log weight everywhere.
+    Rows are fractions of the height from the top; sides are fractions of the width from the middle.
+    Sky and vertical are equally likely ``sky_rise`` above the horizon, ground and vertical
+    ``ground_drop`` below it; both borders slope towards the sides and are blurred by their
+    softness, in rows. ``vertical`` is that class's log weight at every position.
     """
 
     horizon: float = 0.5
@@ -56,12 +56,12 @@ class PlacePrior(NamedTuple):
     vertical: float = 0.98
 
 
-class SkyLook(NamedTuple):
-    """What sky looks like anywhere: light comes from it, it is even, and at times blue. Ours.
+class SkyAppearance(NamedTuple):
+    """Appearance of sky in any image: bright, smooth, sometimes blue. Ours.
 
-    light, even, blue: the log weights that a segment gains or loses at most for being sky. level:
-    the lightness that says nothing; from there to the whole weight it takes ``softness``.
-    gradient: the mean gradient, L per pixel, that says nothing.
+    ``light``, ``even`` and ``blue`` are the largest log weights that a segment gains or loses for
+    being sky. ``level`` is the neutral lightness; the full weight is reached ``softness`` above or
+    below it. ``gradient`` is the neutral mean gradient, L per pixel.
     """
 
     light: float = 0.8
@@ -72,11 +72,12 @@ class SkyLook(NamedTuple):
     blue: float = 0.4
 
 
-class ColumnOrder(NamedTuple):
-    """How strictly a column reads sky, vertical, horizontal from top to bottom.
+class ColumnChain(NamedTuple):
+    """Markov chain that orders a column as sky, vertical, horizontal from top to bottom.
 
-    weight: of a segment's own evidence. change: chance of the next class, a step down. breach:
-    chance of any other change, a step. step: its pixels, at working size.
+    ``weight`` is the exponent of a segment's own evidence; ``change`` the probability, at each step
+    down, of moving to the next class; ``breach`` that of any other move; ``step`` the distance of
+    samples in pixels at working size.
     """
 
     weight: float = 2.1
@@ -86,59 +87,64 @@ class ColumnOrder(NamedTuple):
 
 
 class LabellerRules(NamedTuple):
-    """How the labeller reads an image. sharpness: weight of appearance against place."""
+    """Constants of the labeller; ``sharpness`` weights appearance against position."""
 
-    place: PlacePrior = PlacePrior()
-    sky: SkyLook = SkyLook()
+    position: PositionPrior = PositionPrior()
+    sky: SkyAppearance = SkyAppearance()
     bandwidths: Bandwidths = Bandwidths(0.135, 0.045, 0.07, 0.09, 1.3, 0.8)
-    order: ColumnOrder = ColumnOrder()
+    order: ColumnChain = ColumnChain()
     sharpness: float = 1.17
     rounds: int = 5
 
 
-RULES = LabellerRules()
+LABELLER_RULES = LabellerRules()
 
 EXPOSURE = Exposure()
 
-MARGIN = 0.5
-"""By how much the best potential must lead to give a label."""
+MIN_MARGIN = 0.5
+"""Least difference of the two best potentials for a pixel to be labelled."""
 
 
 class HorizonSettings(Settings):
-    """What a detector can tell the layout labeller: what differs from camera to camera."""
+    """Settings of the layout labeller that depend on the camera."""
 
     horizon: float = Field(
-        default=RULES.place.horizon, ge=0, le=1, description="its row, a share of the height"
+        default=LABELLER_RULES.position.horizon,
+        ge=0,
+        le=1,
+        description="row of the horizon, fraction of the height",
     )
 
     @property
     def rules(self) -> LabellerRules:
-        """All that the labeller goes by."""
-        return RULES._replace(place=RULES.place._replace(horizon=self.horizon))
+        """Constants of the labeller with this horizon."""
+        return LABELLER_RULES._replace(
+            position=LABELLER_RULES.position._replace(horizon=self.horizon)
+        )
 
 
 class LabellerSettings(HorizonSettings):
-    """Settings of the layout labeller where its labels are what counts."""
+    """Settings of the layout labeller where its labels are the result."""
 
     margin: float = Field(
-        default=MARGIN,
+        default=MIN_MARGIN,
         ge=0,
         le=1,
-        description="by how much the best potential must lead to give a label",
+        description="least difference of the two best potentials for a label",
     )
     support: Literal["margin", "maximum"] = Field(
         default="margin",
-        description="leave doubtful segments unlabelled, or label all as the paper does",
+        description="margin: leave ambiguous segments unlabelled; maximum: label all (paper)",
     )
 
     @property
-    def lead(self) -> float:
-        """By how much the best potential must lead: by nothing where all is labelled."""
+    def min_margin(self) -> float:
+        """Least difference of the two best potentials; 0 where every pixel is labelled."""
         return self.margin if self.support == "margin" else 0.0
 
 
 class LayoutLabels(NamedTuple):
-    """potentials (3,H,W) in [0,1], summing to 1; labels int64 (H,W): 0, 1, 2, or 255."""
+    """Potentials (3, H, W) that sum to 1, and labels int64 (H, W): 0, 1, 2, or 255."""
 
     potentials: Tensor
     labels: Tensor
@@ -150,21 +156,27 @@ def label_layout(
     working: WorkingSize | None = None,
     superpixels: Superpixels | None = None,
 ) -> LayoutLabels:
-    """Label an image (3,H,W) in [0,1] as sky, vertical, horizontal (0, 1, 2; 255 in doubt).
+    """Label an image as sky (0), vertical (1), horizontal (2), or unlabelled (255).
 
-    It is looked at in its working size. Where settings are left out, their defaults hold. The
-    maps have the image's size.
+    Args:
+        image: sRGB in [0, 1], shape (3, H, W).
+        settings: settings of the labeller; None for the defaults.
+        working: size at which the image is processed; None for the default.
+        superpixels: settings of the superpixels; None for the defaults.
+
+    Returns:
+        Potentials and labels at the size of the image.
     """
     settings, superpixels = settings or LabellerSettings(), superpixels or Superpixels()
     small = at_work(image, working or WorkingSize())
-    found = label_whole(small, settings, superpixels, settings.lead)
-    return LayoutLabels(*(at_image_size(map, size_of(image)) for map in found))
+    labelled = label_whole(small, settings, superpixels, settings.min_margin)
+    return LayoutLabels(*(at_image_size(cue, size_of(image)) for cue in labelled))
 
 
 def label_whole(
-    image: Tensor, settings: HorizonSettings, superpixels: Superpixels, margin: float = MARGIN
+    image: Tensor, settings: HorizonSettings, superpixels: Superpixels, margin: float = MIN_MARGIN
 ) -> LayoutLabels:
-    """The same with the image looked at as it is."""
+    """Label an image as ``label_layout`` does, at the image's own size."""
     bright = brightened(image, EXPOSURE)
     segments = measure_segments(bright, superpixels.cut(bright))
     potentials = segment_layout(segments, settings.rules)
@@ -173,76 +185,74 @@ def label_whole(
 
 
 @cached_per_image
-def segment_layout(segments: Segments, rules: LabellerRules = RULES) -> Tensor:
-    """Potentials (n,3) of n segments: sky, vertical, horizontal; each row sums to 1.
+def segment_layout(segments: Segments, rules: LabellerRules = LABELLER_RULES) -> Tensor:
+    """Return potentials (n, 3) of sky, vertical, horizontal for n segments; rows sum to 1.
 
-    Rounds of: learn each class's look from the current beliefs (kernel density), judge every
-    segment by place and look, put the columns in order. Ours; the rounds are those of
-    expectation maximisation with a prior that does not move.
+    Each round learns the appearance of the classes from the current beliefs (kernel density),
+    scores each segment by position and appearance, and orders the columns: expectation maximisation
+    with a fixed prior. Ours.
     """
-    prior = place_prior(segments.row, segments.column, rules.place).log()
-    prior[:, SKY] += sky_look(segments, rules.sky)
+    prior = position_prior(segments.row, segments.column, rules.position).log()
+    prior[:, SKY] += sky_evidence(segments, rules.sky)
     prior = prior.log_softmax(1)
     samples = column_samples(segments.labels, rules.order.step)
     alike = likeness(segments, rules.bandwidths)
     belief = prior.exp()
     for _ in range(rules.rounds):
         evidence = class_log_density(alike, belief, segments.size)
-        belief = in_order(prior.add(evidence, alpha=rules.sharpness), samples, rules.order)
+        belief = smooth_columns(prior.add(evidence, alpha=rules.sharpness), samples, rules.order)
     return belief
 
 
-def place_prior(row: Tensor, column: Tensor, place: PlacePrior) -> Tensor:
-    """p(class) at rows and columns (n,) from 0 to 1: (n,3), softmax of three linear scores.
+def position_prior(row: Tensor, column: Tensor, prior: PositionPrior) -> Tensor:
+    """Return p(class) (n, 3) at rows and columns (n,) in [0, 1]: softmax of linear scores.
 
-    A street seen from a car: sky above the horizon and higher at the sides, where the
-    buildings are; ground below it and lower at the sides. Ours.
+    Models a street seen from a car: sky above the horizon and higher at the sides, where buildings
+    are; ground below it and lower at the sides. Ours.
     """
     side = (column - 0.5).abs() - 0.25
-    sky = (place.horizon - place.sky_rise - place.sky_slope * side - row) / place.sky_softness
-    ground = row - place.horizon - place.ground_drop - place.ground_slope * side
-    vertical = torch.full_like(row, place.vertical)
-    return torch.stack([sky, vertical, ground / place.ground_softness], 1).softmax(1)
+    sky = (prior.horizon - prior.sky_rise - prior.sky_slope * side - row) / prior.sky_softness
+    ground = row - prior.horizon - prior.ground_drop - prior.ground_slope * side
+    vertical = torch.full_like(row, prior.vertical)
+    return torch.stack([sky, vertical, ground / prior.ground_softness], 1).softmax(1)
 
 
-def sky_look(segments: Segments, sky: SkyLook) -> Tensor:
-    """How far each of n segments looks like sky, (n,): log weights, 0 says nothing. Ours.
+def sky_evidence(segments: Segments, sky: SkyAppearance) -> Tensor:
+    """Return the evidence for sky of n segments, log weights (n,); 0 is neutral. Ours.
 
-    Without it, clouds and the pale sky above the horizon are as much like a wall as like the
-    blue above them.
+    Without it, clouds and the pale sky near the horizon resemble walls as much as the blue sky.
     """
     light = ((segments.color[0] - sky.level) / sky.softness).clamp(-1, 1)
     even = (1 - segments.gradient / sky.gradient).clamp(-1, 1)
-    blue = (-segments.color[2] / BLUEST).clamp(-1, 1)
+    blue = (-segments.color[2] / MAX_SKY_BLUE).clamp(-1, 1)
     return sky.light * light + sky.even * even + sky.blue * blue
 
 
 def column_samples(labels: Tensor, step: int) -> np.ndarray:
-    """Every ``step``-th pixel of labels (H,W), at least one: (R,C)."""
-    middle = min(step, *labels.shape) // 2  # inside, whatever the step
-    return labels[middle::step, middle::step].cpu().numpy()
+    """Return every ``step``-th pixel of labels (H, W), at least one: shape (R, C)."""
+    first = min(step, *labels.shape) // 2  # inside, however large the step
+    return labels[first::step, first::step].cpu().numpy()
 
 
-def in_order(scores: Tensor, samples: np.ndarray, order: ColumnOrder) -> Tensor:
-    """Beliefs (n,3) from log scores (n,3) when every column should read sky, vertical, ground.
+def smooth_columns(scores: Tensor, samples: np.ndarray, order: ColumnChain) -> Tensor:
+    """Return beliefs (n, 3) from log scores (n, 3), each column ordered by a Markov chain. Ours.
 
-    samples: segments (R,C) of an image, by ``column_samples``; each column is a hidden
-    Markov chain that moves from sky to vertical to horizontal. The exact posteriors
-    (forwards and backwards) are averaged over each segment. Ours.
+    A column of ``samples``, the segment numbers (R, C) from ``column_samples``, is a hidden Markov
+    chain. Its posteriors (forward-backward algorithm) are averaged over each segment.
     """
     local = (order.weight * scores.to(torch.float64)).softmax(1).clamp_min_(1e-4).cpu().numpy()
-    posterior = _chain_posterior(local.take(samples, 0), _moves(order.change, order.breach))
-    place = (CLASSES * samples.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
-    belief = np.bincount(place, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
-    unseen = ~belief.any(1)  # segments without a sample keep their own say
-    belief[unseen] = local[unseen]
+    posterior = _chain_posterior(local.take(samples, 0), _transitions(order.change, order.breach))
+    index = (CLASSES * samples.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
+    belief = np.bincount(index, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
+    unsampled = ~belief.any(1)  # these segments keep their own evidence
+    belief[unsampled] = local[unsampled]
     belief /= belief @ np.ones((CLASSES, 1))
     return torch.from_numpy(belief).to(scores)
 
 
 @lru_cache(maxsize=8)
-def _moves(change: float, breach: float) -> np.ndarray:
-    """Chances (6,6) of a step: read from the top (3,3), and beside them from the bottom."""
+def _transitions(change: float, breach: float) -> np.ndarray:
+    """Return transition probabilities (6, 6): a block (3, 3) down, a block (3, 3) up."""
     move = np.full((CLASSES, CLASSES), breach)
     move[SKY, VERTICAL] = move[VERTICAL, HORIZONTAL] = change
     np.fill_diagonal(move, 0)
@@ -250,28 +260,27 @@ def _moves(change: float, breach: float) -> np.ndarray:
     return np.asarray(block_diag(move, move.T))
 
 
-def _chain_posterior(evidence: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Posterior (R,C,3) of the chains that run down the columns of evidence (R,C,3), > 0.
+def _chain_posterior(evidence: np.ndarray, transitions: np.ndarray) -> np.ndarray:
+    """Return posteriors (R, C, 3) of chains down the columns of evidence (R, C, 3), > 0.
 
-    Read from the top with the chances of change, and from the bottom with their transpose, both
-    at once: they stand side by side. Float64 holds ``UNSCALED`` rows of products. In NumPy: for
-    matrices as small as these torch takes three times as long.
+    The forward and backward passes run at once, side by side. Float64 holds ``UNSCALED_ROWS`` rows
+    of products. In NumPy, which is three times as fast as torch for matrices this small.
     """
     states = np.concatenate([evidence, evidence[::-1]], 2)
     for row in range(1, len(states)):
-        before = states[row - 1]
-        if row % UNSCALED == 0:  # the sums of each of the two chains are brought to 1
-            chains = before.reshape(-1, 2, CLASSES)
-            before = (chains / chains.sum(2, keepdims=True)).reshape(before.shape)
-        states[row] *= before @ moves
+        previous = states[row - 1]
+        if row % UNSCALED_ROWS == 0:  # rescale each of the two chains to sum 1
+            chains = previous.reshape(-1, 2, CLASSES)
+            previous = (chains / chains.sum(2, keepdims=True)).reshape(previous.shape)
+        states[row] *= previous @ transitions
     down, up = states[..., :CLASSES], states[::-1, :, CLASSES:]
     posterior = down * up / evidence
-    return posterior / (posterior @ np.ones((CLASSES, 1)))  # its sum over three, sooner
+    return posterior / (posterior @ np.ones((CLASSES, 1)))  # a sum over three, faster
 
 
-def decide_layout(potentials: Tensor, margin: float = MARGIN) -> Tensor:
-    """Labels (…) of the largest potentials (…,3); 255 where the margin to the second is less."""
-    # Of three potentials, compared plane by plane: argmax of triples takes ten times as long.
+def decide_layout(potentials: Tensor, margin: float = MIN_MARGIN) -> Tensor:
+    """Return labels (…) of the largest potentials (…, 3); 255 below the margin."""
+    # Compared plane by plane: argmax over three takes ten times as long.
     sky, vertical, horizontal = potentials.unbind(-1)
     higher, lower = torch.maximum(sky, vertical), torch.minimum(sky, vertical)
     best = torch.maximum(higher, horizontal)

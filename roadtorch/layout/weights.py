@@ -1,4 +1,4 @@
-"""Weight files: a network with everything needed to run it, in one safetensors file."""
+"""Weight files: a network with its settings and origin in one safetensors file."""
 
 import copy
 import json
@@ -23,19 +23,19 @@ from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSe
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 
-FORMAT = 1
-"""Of the metadata; raised when older code could not read it."""
+FORMAT_VERSION = 1
+"""Version of the metadata; raised when older code cannot read it."""
 
-HEADER = "roadtorch"
-"""The one key of the metadata: safetensors writes several keys in no settled order."""
+HEADER_KEY = "roadtorch"
+"""The only key of the metadata: safetensors writes several keys in no fixed order."""
 
-MISFIT = 200  # letters of what torch says where weights do not fit
+MAX_MISMATCH_LENGTH = 200  # characters quoted of torch's message about a mismatch
 
 SHIPPED = Path(__file__).parents[1] / "weights"
-"""Where the weights lie that come with roadtorch."""
+"""Folder of the weights that come with roadtorch."""
 
-TERMS = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
-"""The row of a card, NAME.md beside the weights, that says what they may be used for."""
+TERMS_ROW = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
+"""Row of a card, the NAME.md beside the weights, that states their terms of use."""
 
 NETWORKS = {
     PatchNetwork.kind: (PatchNetwork, PatchNetworkSettings),
@@ -44,7 +44,7 @@ NETWORKS = {
 }
 
 WholeImageNetwork = ImageNetwork | BackboneNetwork
-"""Say layout, road and ego car of a whole image."""
+"""Networks that predict layout, road and ego car of a whole image."""
 
 LayoutNetwork = PatchNetwork | WholeImageNetwork
 
@@ -52,97 +52,103 @@ LayoutNetwork = PatchNetwork | WholeImageNetwork
 def save_network(
     path: str | os.PathLike[str], network: LayoutNetwork, origin: Mapping[str, Any]
 ) -> None:
-    """Write a network with its settings and where it comes from (anything JSON can hold).
+    """Write a network with its settings and origin; equal input gives equal bytes.
 
-    The same network and origin give the same bytes. Raises InputError when the folder
-    cannot be written.
+    Args:
+        path: file to write.
+        network: network to save.
+        origin: where the weights come from: anything that JSON can hold.
+
+    Raises:
+        InputError: when the file cannot be written.
     """
     tensors = {
-        name: value.to(_stored_type(network, value)).contiguous()
+        name: value.to(_storage_dtype(network, value)).contiguous()
         for name, value in network.state_dict().items()
     }
     header = {
-        "format": FORMAT,
+        "format": FORMAT_VERSION,
         "kind": network.kind,
         "settings": network.settings.model_dump(),
         "origin": dict(origin),
         "sha256": tensors_hash(tensors),
     }
-    data = save(tensors, {HEADER: json.dumps(header, sort_keys=True)})
+    data = save(tensors, {HEADER_KEY: json.dumps(header, sort_keys=True)})
     with atomic(path) as temporary:
         temporary.write_bytes(data)
 
 
-def _stored_type(network: nn.Module, values: Tensor) -> torch.dtype:
-    """How values are written: those of large networks in half precision, half the bytes."""
+def _storage_dtype(network: nn.Module, values: Tensor) -> torch.dtype:
+    """Return the type in which values are written: half precision for large networks."""
     half = isinstance(network, BackboneNetwork) and values.is_floating_point()
     return torch.float16 if half else values.dtype
 
 
 def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
-    """The network of a weight file, ready for use.
+    """Load the network of a weight file, in evaluation mode.
 
-    Raises WeightsError for a file that is missing, damaged, foreign, of a newer format, or whose
-    tensors do not fit its settings or are not finite.
+    Raises:
+        WeightsError: for a file that is missing, damaged, foreign or of a newer format, or whose
+            tensors do not fit its settings or are not finite.
     """
     header, tensors = _read(Path(path))
     network_class, settings_class = NETWORKS[header.kind]
     try:
         network = network_class(build_settings(settings_class, header.settings))
     except ConfigError as error:
-        message = f"was made for other settings: {error.where} {error.problem}"
-        raise WeightsError(path, message, "use the roadtorch that made it") from None
+        message = f"has settings that this version does not know: {error.where} {error.problem}"
+        raise WeightsError(path, message, "use the version of roadtorch that wrote it") from None
     fill(network, tensors, path)
     return network.eval()
 
 
 def network_at(network: WholeImageNetwork, height: int, width: int) -> WholeImageNetwork:
-    """The same weights for images of another size: convolutions know none."""
-    other = copy.deepcopy(network)
-    sized = network.settings.model_copy(update={"height": height, "width": width})
-    other.settings = sized  # pyright: ignore[reportAttributeAccessIssue]  # of its own kind
-    return other
+    """Return a copy of a convolutional network for images of another size."""
+    resized = copy.deepcopy(network)
+    settings = network.settings.model_copy(update={"height": height, "width": width})
+    resized.settings = settings  # pyright: ignore[reportAttributeAccessIssue]  # of its own kind
+    return resized
 
 
 def shipped_weights(name: str) -> Path:
-    """The weight file that comes with roadtorch under that name, such as ``cnn-7``."""
+    """Return the path of the shipped weights of that name, such as ``cnn-7``."""
     return SHIPPED / f"{name}.safetensors"
 
 
 def list_shipped_weights() -> list[str]:
-    """The names of all that come with roadtorch, sorted."""
+    """Return the names of all shipped weights, sorted."""
     return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
 
 
 def weights_path(text: str) -> Path:
-    """The file that a setting names: a file, or else one that is shipped under that name."""
+    """Return the path that a setting names: a file, or the shipped weights of that name."""
     shipped = shipped_weights(text)
-    named = "/" not in text and not Path(text).exists() and shipped.exists()
-    return shipped if named else Path(text)
+    is_shipped = "/" not in text and not Path(text).exists() and shipped.exists()
+    return shipped if is_shipped else Path(text)
 
 
 def terms_of(path: Path) -> str:
-    """What weights may be used for, as the card beside them says; nothing where none does."""
-    row = TERMS.search(card_of(path))
+    """Return the terms of use on the card beside weights, or an empty string."""
+    row = TERMS_ROW.search(card_of(path))
     return row[1] if row else ""
 
 
 def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Where the weights of a file come from; WeightsError as for ``load_network``."""
+    """Return the origin in a weight file; raises WeightsError as ``load_network`` does."""
     return _read(Path(path))[0].origin
 
 
 def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
-    """The corrections of people that weights were trained with, run by run; none: label-free.
+    """Return the training runs on human corrections behind weights; none: label-free.
 
-    Each says how many ``images`` and ``pixels``. WeightsError as for ``load_network``.
+    Each counts ``images`` and ``pixels``. Raises WeightsError as ``load_network`` does.
     """
     runs = read_origin(path).get("corrections")
     return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
 
 
 def corrected_images(settings: Mapping[str, Any]) -> int:
-    """How many images that people corrected are behind a detector's settings; 0: label-free."""
+    """Count the human-corrected images behind a detector's settings; 0 if label-free."""
     groups = [settings.get(name) for name in ("weights", "second")]
     files = [group.get("file") for group in groups if isinstance(group, Mapping)]
     runs = [run for file in files if file for run in people_behind(weights_path(file))]
@@ -150,24 +156,21 @@ def corrected_images(settings: Mapping[str, Any]) -> int:
 
 
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
-    """Give a network its weights.
-
-    Raises WeightsError when a name or a shape differs, and for values that are not finite.
-    """
+    """Load tensors into a network; raise WeightsError where they do not fit or are not finite."""
     try:
         network.load_state_dict(dict(tensors))
     except RuntimeError as error:
         _, first, *_ = str(error).splitlines()
-        message = f"holds another network: {shortened(first.strip(), MISFIT)}"
+        message = f"holds another network: {shortened(first.strip(), MAX_MISMATCH_LENGTH)}"
         raise WeightsError(path, message, "use weights of this network") from None
     for name, values in network.state_dict().items():
         if not values.isfinite().all():
             message = f"holds weights in {name} that are not finite"
-            raise WeightsError(path, message, "fetch or train it again")
+            raise WeightsError(path, message, "download or train it again")
 
 
 def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
-    """SHA-256 of named tensors: names in their order, types, shapes and bytes."""
+    """Return the SHA-256 of named tensors: sorted names, types, shapes and bytes."""
     digest = sha256()
     for name, value in sorted(tensors.items()):
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}\n".encode())
@@ -176,7 +179,7 @@ def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
 
 
 class _Header(BaseModel):
-    """The header of a weight file; files of earlier versions state no hash."""
+    """Header of a weight file; files of earlier versions have no hash."""
 
     format: int
     kind: Literal["patches", "images", "images, backbone"]
@@ -186,72 +189,77 @@ class _Header(BaseModel):
 
 
 def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
-    """Return the header and the tensors of a weight file of ours."""
+    """Read the header and the tensors of a weight file."""
     if not path.is_file():
-        raise WeightsError(path, "is not a file", "give a .safetensors file")
+        raise WeightsError(path, "is not a file", "pass a .safetensors file")
     try:
         with safe_open(path, "pt") as file:
-            header = _Header.model_validate_json((file.metadata() or {}).get(HEADER, ""))
+            header = _Header.model_validate_json((file.metadata() or {}).get(HEADER_KEY, ""))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except ValidationError:
-        raise WeightsError(path, "has no header of roadtorch's", "give weights of ours") from None
-    except (SafetensorError, OSError, RuntimeError) as error:  # torch, which maps it, the last
-        message = f"is damaged or no weight file: {reason(error)}"
-        raise WeightsError(path, message, "fetch or train it again") from None
-    if header.format > FORMAT:
-        message = f"has the format {header.format}; this roadtorch reads up to {FORMAT}"
+        raise WeightsError(path, "has no roadtorch header", "use weights of roadtorch") from None
+    except (SafetensorError, OSError, RuntimeError) as error:  # the last by torch, which maps it
+        message = f"is damaged or not a weight file: {reason(error)}"
+        raise WeightsError(path, message, "download or train it again") from None
+    if header.format > FORMAT_VERSION:
+        message = f"has format {header.format}; this roadtorch reads up to {FORMAT_VERSION}"
         raise WeightsError(path, message, "install a newer roadtorch")
     if header.sha256 is not None and header.sha256 != tensors_hash(tensors):
-        message = "is damaged: its weights are not those that its header states"
-        raise WeightsError(path, message, "fetch or train it again")
+        message = "is damaged: its weights do not match the hash in its header"
+        raise WeightsError(path, message, "download or train it again")
     return header, tensors
 
 
 def card_of(path: Path) -> str:
-    """Return the card beside a weight file; nothing where there is none."""
+    """Return the text of the card beside a weight file, or an empty string."""
     card = path.with_suffix(".md")
     return card.read_text(encoding="utf-8", errors="replace") if card.is_file() else ""
 
 
-# --- the network of a detector ----------------------------------------------------------
+# --- networks of detectors -------------------------------------------------------------
 
 
-Network = TypeVar("Network", bound=LayoutNetwork)
+NetworkT = TypeVar("NetworkT", bound=LayoutNetwork)
 
 FOR_IMAGES = "backbone-free"
-"""The shipped weights that `fusion` takes unless told otherwise."""
+"""Default weights of `fusion`."""
 
 
 class WeightsFile(Settings):
-    """Which weights a network has."""
+    """Choice of a network's weights."""
 
     file: str = Field(
         default="",
-        description="weights of roadtorch train, or the name of shipped ones, such as layout-free; "
-        "empty: those that the detector comes with",
+        description="path of weights written by roadtorch train, or name of shipped weights, such "
+        "as layout-free; empty: the detector's default",
     )
 
 
-def network_of(weights: WeightsFile, shipped: str, *kinds: type[Network]) -> Network:
-    """The network with the weights of a file, or with those shipped under a name.
+def network_of(weights: WeightsFile, shipped: str, *kinds: type[NetworkT]) -> NetworkT:
+    """Load the network that settings choose, or the shipped one.
 
-    Raises WeightsError for a file that cannot be used, or holds another kind of network.
+    Args:
+        weights: choice of the weights.
+        shipped: name of the shipped weights to use where the settings name none.
+        kinds: accepted classes of networks.
+
+    Raises:
+        WeightsError: for a file that cannot be used, or that holds another kind of network.
     """
     path = weights_path(weights.file or shipped)
     network = load_network(path)
     if not isinstance(network, kinds):
-        wanted = " or ".join(kind.kind for kind in kinds)
-        message = f"holds a network for {network.kind}, not for {wanted}"
-        raise WeightsError(path, message, "use weights of that kind of training")
+        expected = " or ".join(dict.fromkeys(kind.title for kind in kinds))
+        message = f"holds {network.title}; this detector needs {expected}"
+        raise WeightsError(path, message, "use weights of such a network")
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
     return network
 
 
 def image_network_of(weights: WeightsFile, shipped: str) -> WholeImageNetwork:
-    """The same for a network that sees whole images.
+    """Load a network for whole images as ``network_of`` does, and run it once.
 
-    It has run once: torch makes the programs of its convolutions in the first run, which takes
-    twice as long as a later one.
+    Torch compiles its convolutions in the first run, which takes twice as long as later ones.
     """
     network = network_of(weights, shipped, ImageNetwork, BackboneNetwork)
     network.cues(torch.zeros(3, network.settings.height, network.settings.width))

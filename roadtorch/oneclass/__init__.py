@@ -1,4 +1,4 @@
-"""One-class colour classification (P3): what road looks like, learned from one image.
+"""One-class colour classification (P3): learn the colours of road from one image.
 
 from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
 
@@ -14,9 +14,9 @@ CLASSIFIERS: dict[str, Classifier] = {
     classifier.name: classifier
     for classifier in (
         neighbours.NN,
-        *histogram.CLASSIFIERS,
-        *density.CLASSIFIERS,
-        *mixture.CLASSIFIERS,
+        *histogram.HISTOGRAMS,
+        *density.GAUSSIANS,
+        *mixture.MIXTURES,
         boundary.SVDD,
         reconstruction.PCA,
         boundary.MPM,

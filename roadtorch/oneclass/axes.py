@@ -1,8 +1,7 @@
-"""What the columns of samples and pixels are, and hue as a circle.
+"""Axes: the planes of samples and pixels, with hue as a circle.
 
-P3 mentions circular distances as a possibility and does not say what it did. Here hue
-becomes an ordinary number before any classifier sees it, so that all of them can have it as a
-circle.
+P3 mentions circular distances as a possibility and does not say which it used. Here hue becomes an
+ordinary number before classification, so that every classifier can treat it as a circle.
 """
 
 import math
@@ -18,20 +17,18 @@ from roadtorch.base.errors import unknown_name
 from roadtorch.imaging.color import PLANES
 
 Hue = Literal["unrolled", "linear"]
-"""``unrolled``: distance along the circle from the mean hue of the samples, exact for
-everything within half a turn of it. ``linear``: the number as it is, cut at red, which is
-what P3's column H suggests."""
+"""Reading of hue: distance along the circle from the samples' mean, or a plain number.
+
+``unrolled`` is exact within half a turn; ``linear`` is cut at red, as P3's column H suggests.
+"""
 
 MIN_MEAN_LENGTH = 1e-6
-"""Below this length of their mean vector hues have no mean, and 0 is taken."""
+"""Length of the mean vector below which hues have no mean, and 0 is used."""
 
 
 @dataclass(frozen=True)
 class Axes:
-    """What the columns of samples and pixels are.
-
-    names: one for each. low, high: their bounds. circular: whether high is the same as low.
-    """
+    """The planes of samples and pixels: names, bounds, and whether high is the same as low."""
 
     names: tuple[str, ...]
     low: tuple[float, ...]
@@ -39,57 +36,57 @@ class Axes:
     circular: tuple[bool, ...]
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return the number of planes."""
         return len(self.names)
 
     @cached_property
     def span(self) -> Tensor:
-        """high - low, float64 (d,)."""
+        """Range of each plane, high - low, float64 (d,)."""
         high, low = (torch.tensor(bound, dtype=torch.float64) for bound in (self.high, self.low))
         return high - low
 
     @cached_property
     def quantum(self) -> Tensor:
-        """The smallest step that means something, a 255th of the span: float64 (d,)."""
+        """Smallest meaningful step of each plane, a 255th of its span: float64 (d,)."""
         return self.span / 255
 
 
 def axes_of(planes: Sequence[str]) -> Axes:
-    """The axes of colour planes by name; ConfigError for a name that is none."""
+    """Return the axes of colour planes by name; raise ConfigError for an unknown one."""
     for name in planes:
         if name not in PLANES:
             raise unknown_name("plane", name, PLANES)
-    chosen = [PLANES[name] for name in planes]
+    infos = [PLANES[name] for name in planes]
     return Axes(
         tuple(planes),
-        tuple(float(plane.low) for plane in chosen),
-        tuple(float(plane.high) for plane in chosen),
-        tuple(plane.circular for plane in chosen),
+        tuple(float(plane.low) for plane in infos),
+        tuple(float(plane.high) for plane in infos),
+        tuple(plane.circular for plane in infos),
     )
 
 
 def circular_mean(hues: Tensor, weights: Tensor | None = None) -> Tensor:
-    """The mean direction of hues (m,) in turns, in [0,1), by weights (m,) ≥ 0 if given.
+    """Return the mean direction of hues (m,) in turns, in [0, 1), by weights (m,) ≥ 0.
 
-    0 where the directions cancel. Where all weights are 0 they do not count.
+    0 where the directions cancel. Weights that are all 0 are ignored.
     """
     angle = 2 * math.pi * hues.double()
-    share = torch.ones_like(angle) if weights is None else weights.double()
-    total = float(share.sum())
+    weight = torch.ones_like(angle) if weights is None else weights.double()
+    total = float(weight.sum())
     if not total > 0:
-        share, total = torch.ones_like(angle), float(len(angle))
-    # Two numbers are left, and plain ones cost less than tensors of one value.
-    sine, cosine = (float(torch.dot(share, part)) / total for part in (angle.sin(), angle.cos()))
+        weight, total = torch.ones_like(angle), float(len(angle))
+    # Floats are faster than tensors of one value.
+    sine, cosine = (float(torch.dot(weight, part)) / total for part in (angle.sin(), angle.cos()))
     if math.hypot(sine, cosine) < MIN_MEAN_LENGTH:
         return hues.new_zeros(())
     mean = hues.new_tensor(math.atan2(sine, cosine) / (2 * math.pi) % 1)
-    return torch.where(mean < 1, mean, 0)  # a tiny negative one is rounded to a whole turn
+    return torch.where(mean < 1, mean, 0)  # a tiny negative mean is rounded to 1
 
 
 def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
-    """For each plane of (d,m) its circular mean; 0 if not circular: (d,).
+    """Return the circular mean of each plane of (d, m), 0 for planes that are not circular: (d,).
 
-    Weighted by saturation where S is one of the planes, as grey has a hue by convention alone.
+    Weighted by saturation if S is one of the planes: the hue of grey is arbitrary.
     """
     if not any(axes.circular):
         return planes.new_zeros(len(axes))
@@ -100,19 +97,16 @@ def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
 
 
 def unrolled(hues: Tensor, mean: Tensor | float) -> Tensor:
-    """Hues in turns as their distance along the circle from a mean: -0.5 to 0.5."""
+    """Return hues in turns as their distance along the circle from a mean, in [-0.5, 0.5]."""
     turns = hues - mean
-    return turns.sub_(turns.round())  # several times faster than a remainder
+    return turns.sub_(turns.round())  # faster than a remainder
 
 
-def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
-    """Planes (d,n) as the classifiers see them, hue by one of two readings: (d,n).
-
-    means: (d,), those of ``mean_hues``.
-    """
+def arrange_planes(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
+    """Return planes (d, n) for classifiers, hue relative to ``means`` (d,) from ``mean_hues``."""
     if hue == "linear" or not any(axes.circular):
         return planes
-    turned = planes - means[:, None]  # the one copy; means of what is not circular are 0
+    turned = planes - means[:, None]  # the only copy; other means are 0
     for row, circular in zip(turned, axes.circular, strict=True):
         if circular:
             row.sub_(row.round())
@@ -121,7 +115,7 @@ def arranged(planes: Tensor, axes: Axes, hue: Hue, means: Tensor) -> Tensor:
 
 @cache
 def arranged_axes(axes: Axes, hue: Hue) -> Axes:
-    """The axes of arranged planes."""
+    """Return the axes of the planes from ``arrange_planes``."""
     if hue == "linear":
         return axes
     low, high = (

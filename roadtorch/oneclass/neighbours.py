@@ -1,8 +1,8 @@
-"""One-class classifiers of the samples as they lie: nearest neighbour, spanning tree (P3).
+"""One-class classifiers by distance to the samples: nearest neighbour, spanning tree (P3).
 
-Distances are taken from differences, coordinate by coordinate: a pixel that equals a sample
-has distance 0, and near pixels keep all their digits, both of which |x|² - 2xy + |y|² loses
-in single precision. With two or three coordinates it is the faster way as well.
+Distances are computed from differences, coordinate by coordinate: a pixel that equals a sample has
+distance 0, and near pixels keep all digits, which |x|² - 2xy + |y|² loses in single precision. It
+is also faster with two or three coordinates.
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from torch import Tensor
 
 from roadtorch.base.errors import InputError
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Learned, Road
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
 
 MAX_DISTINCT = 4096
-"""Distinct samples of which a square matrix is made: 134 MB in double precision."""
+"""Most distinct samples for a square matrix: 134 MB in double precision."""
 
 
 def squared_distances(planes: Tensor, points: Tensor) -> Tensor:
-    """|x - y|² between pixels x, planes (d,n), and points y (m,d): (m,n), in the points' type."""
+    """Return |x - y|² of pixels, planes (d, n), and points (m, d): (m, n), in the points' type."""
     planes = planes.to(points.dtype)
     total = (planes[0] - points[:, :1]).square_()
     for axis in range(1, len(planes)):
@@ -28,32 +28,32 @@ def squared_distances(planes: Tensor, points: Tensor) -> Tensor:
     return total
 
 
-def few_distinct(name: str, samples: Tensor, most: int = MAX_DISTINCT) -> tuple[Tensor, Tensor]:
-    """The different rows of samples (m,d), sorted, and how often each occurs (k,).
+def distinct_samples(name: str, samples: Tensor, most: int = MAX_DISTINCT) -> tuple[Tensor, Tensor]:
+    """Return the distinct rows of samples (m, d), sorted, and their counts (k,).
 
-    InputError where a square matrix of them would be too large.
+    Raises InputError where a square matrix of them would be too large.
     """
     points, counts = samples.unique(dim=0, return_counts=True)
     if len(points) > most:
-        problem = f"has {len(points)} different samples, more than {most}"
-        hint = "take one sample per superpixel, or planes of fewer levels"
+        problem = f"has {len(points)} distinct samples, more than {most}"
+        hint = "take one sample per superpixel, or planes with fewer levels"
         raise InputError(name, problem, hint)
     return points, counts
 
 
-def fit_nearest(road: Road, _: ClassifierSettings) -> Learned:
-    """P3: L = min_j |x - y_j|², here without the square, which changes no rank.
+def fit_nearest(road: RoadSamples, _: ClassifierSettings) -> DistanceModel:
+    """Fit P3's L = min_j |x - y_j|², here without the square, which changes no rank.
 
-    The toolbox dd_tools divides by the distance from there to the next sample; P3's results stay
-    within 3 of the spanning tree's in every combination, which those ratios' do not.
+    The toolbox dd_tools divides by the distance from there to the next sample; P3's results are
+    within 3 of the spanning tree's in every combination, those ratios are not.
     """
-    from scipy.spatial import KDTree  # slow to import, and most others do without
+    from scipy.spatial import KDTree  # slow to import
 
     samples, counts = road.samples.unique(dim=0, return_counts=True)
     points, training = samples.float(), None
-    if len(points) > 1:  # leave one out: a sample that occurs twice has its twin as neighbour
-        apart = torch.from_numpy(np.asarray(KDTree(samples).query(samples, k=2)[0])[:, 1])
-        training = torch.where(counts > 1, 0, apart).repeat_interleave(counts)
+    if len(points) > 1:  # leave-one-out: a duplicate has its twin as neighbour
+        nearest = torch.from_numpy(np.asarray(KDTree(samples).query(samples, k=2)[0])[:, 1])
+        training = torch.where(counts > 1, 0, nearest).repeat_interleave(counts)
 
     def distance(planes: Tensor) -> Tensor:
         if len(planes) > 1:
@@ -63,28 +63,28 @@ def fit_nearest(road: Road, _: ClassifierSettings) -> Learned:
         below = (above - 1).clamp_(min=0)
         return torch.minimum((line[above] - values).abs_(), (values - line[below]).abs_())
 
-    return Learned(distance, 8 if len(road.axes) == 1 else len(points), training=training)
+    return DistanceModel(distance, 8 if len(road.axes) == 1 else len(points), training=training)
 
 
 def spanning_tree(points: Tensor) -> Tensor:
-    """The edges of the minimum spanning tree of different points (m,d): int64 (m-1,2).
+    """Return the edges of the minimum spanning tree of distinct points (m, d): int64 (m-1, 2).
 
     Where several trees are minimal, the order of the points decides.
     """
-    from scipy.spatial.distance import cdist  # slow to import, and most others do without
+    from scipy.spatial.distance import cdist  # slow to import
 
     if len(points) == 1:
         return torch.zeros((0, 2), dtype=torch.int64)
     if points.shape[1] == 1:
         order = points[:, 0].argsort()
         return torch.stack((order[:-1], order[1:]), dim=1)
-    # Of a dense matrix SciPy takes distances below 1e-8 for no edge at all.
+    # In a dense matrix, SciPy treats distances below 1e-8 as no edge.
     tree = minimum_spanning_tree(csr_array(cdist(points, points))).tocoo()
     return torch.from_numpy(np.stack((tree.row, tree.col), axis=1)).long()
 
 
 def edge_quantile(lengths: Tensor, fraction: float) -> float:
-    """The toolbox's threshold: the edge length that ``fraction`` of the m-1 lengths reach.
+    """Return the toolbox's threshold: the edge length that ``fraction`` of the m-1 lengths reach.
 
     The r-th of the sorted lengths with r = ⌊(m-1)·fraction + 1/2⌋; 0 where r = 0.
     """
@@ -92,17 +92,17 @@ def edge_quantile(lengths: Tensor, fraction: float) -> float:
     return float(lengths.sort().values[rank - 1]) if rank else 0.0
 
 
-def fit_tree(road: Road, settings: ClassifierSettings) -> Learned:
-    """P3: L = |x - p(x)|, p the projection onto the nearest edge, cut off at its ends.
+def fit_tree(road: RoadSamples, settings: ClassifierSettings) -> DistanceModel:
+    """Fit P3's L = |x - p(x)|, p the projection onto the nearest edge, clipped to its ends.
 
-    The edges are those of the minimum spanning tree of the different samples.
+    The edges are those of the minimum spanning tree of the distinct samples.
     """
-    points, _ = few_distinct("mst", road.samples)
+    points, _ = distinct_samples("mst", road.samples)
     edges = spanning_tree(points)
     starts, ends = points[edges[:, 0]], points[edges[:, 1]]
-    # The samples lie on the tree: their own distances are 0 and set no threshold.
+    # The samples lie on the tree: their distances are 0 and set no threshold.
     threshold = edge_quantile((ends - starts).norm(dim=1), 1 - settings.rejected)
-    if len(points) == 1 or len(road.axes) == 1:  # a point, or all of the line between the ends
+    if len(points) == 1 or len(road.axes) == 1:  # a point, or the line between the ends
         starts, ends = points[:1], points[-1:]
     steps = ends - starts
     lengths = steps.norm(dim=1, keepdim=True)
@@ -116,11 +116,11 @@ def fit_tree(road: Road, settings: ClassifierSettings) -> Learned:
         total = torch.zeros_like(along)
         for axis, values in enumerate(planes):
             column = slice(axis, axis + 1)
-            rest = (values - starts[:, column]).addcmul_(along, directions[:, column], value=-1)
-            total.addcmul_(rest, rest)
+            residual = (values - starts[:, column]).addcmul_(along, directions[:, column], value=-1)
+            total.addcmul_(residual, residual)
         return total.amin(0).sqrt_()
 
-    return Learned(distance, max(len(starts), 4), threshold=threshold)
+    return DistanceModel(distance, max(len(starts), 4), threshold=threshold)
 
 
 NN = Classifier("nn", "distance to the nearest sample", ClassifierSettings, fit_nearest)

@@ -1,8 +1,8 @@
-"""Where the samples of road come from, and each value of an image only once (P3, section V).
+"""Samples of road from the seed area, and the distinct values of an image (P3, section V).
 
-What depends on the image alone is marked ``cached_per_image``: many classifiers that look at one
-image make it once. The planes are those of the distinct colours, so that a sample and a
-pixel of one colour have the same values to the bit.
+Results that depend on the image alone are ``cached_per_image``: many classifiers of one image share
+them. Planes are computed from distinct colours, so that a sample and a pixel of one colour have
+bit-identical values.
 """
 
 from collections.abc import Sequence
@@ -20,84 +20,84 @@ from roadtorch.imaging.slic import slic
 from roadtorch.oneclass.axes import circular_mean, unrolled
 from roadtorch.road.seed_area import FRAME, SeedArea, seed_area
 
-MIN_SIDE = 8
-"""Pixels that the seed area has on each side, where the image has them: a few samples."""
+MIN_SEED_SIDE = 8
+"""Least side of the seed area in pixels, where the image is large enough."""
 
 GRID_SHAPE = 15 / 6
-"""Columns over rows of the cells that stand in for superpixels: 6x15 for 90."""
+"""Columns over rows of the grid that replaces superpixels: 6×15 for 90."""
 
-ALIKE = 1e-3
-"""Values this close to a whole level of 255 are taken for 8-bit values."""
+LEVEL_TOLERANCE = 1e-3
+"""Distance to a whole level of 255 below which values count as 8-bit."""
 
 
 class WideSeedArea(SeedArea):
     """P3's seed area, its "training area": 201×66 pixels, 13,266, of a frame of 640×480.
 
-    P3 does not give the size of its images; this is that of the same authors' other papers.
+    P3 does not state the size of its images; this is that of the same authors' other papers.
     """
 
     height: float = Field(
-        default=33, ge=1, le=FRAME[0], description="rows, of a frame of 240; scaled with the image"
+        default=33, ge=1, le=FRAME[0], description="height, in a frame of 240 rows; scaled"
     )
     width: float = Field(
         default=100.5,
         ge=1,
         le=FRAME[1],
-        description="columns, of a frame of 320; scaled likewise",
+        description="width, in a frame of 320 columns; scaled",
     )
 
 
-SEED = WideSeedArea()
-"""P3's own."""
+P3_SEED_AREA = WideSeedArea()
+"""Seed area of P3."""
 
 
-def sample_area(shape: Sequence[int], seed: SeedArea = SEED) -> tuple[slice, slice]:
-    """Rows and columns of the seed area whose pixels are samples of road, of a shape (…,H,W)."""
-    return seed_area(shape[-2], shape[-1], seed, MIN_SIDE)
+def sample_area(shape: Sequence[int], seed: SeedArea = P3_SEED_AREA) -> tuple[slice, slice]:
+    """Return rows and columns of the seed area in a map of shape (…, H, W)."""
+    return seed_area(shape[-2], shape[-1], seed, MIN_SEED_SIDE)
 
 
 Reduction = Annotated[
     Literal["superpixels", "grid", "none"],
     Field(
-        description="one sample per superpixel of the seed area, per cell of a grid, or each pixel"
+        description="samples of the seed area: one per superpixel, per cell of a grid, or per pixel"
     ),
 ]
 
 
 class SampleSettings(Settings):
-    """How many samples are made of the seed area."""
+    """Settings of the samples from the seed area."""
 
     reduction: Reduction = "superpixels"
     segments: int = Field(
         default=90,
         ge=1,
         le=10**5,
-        description="superpixels or cells to aim at; the paper: about 90",
+        description="approximate number of superpixels or cells; the paper: about 90",
     )
 
 
 class AllSampleSettings(SampleSettings):
-    """The same with every pixel of the seed area, as P3 has it for its histograms."""
+    """Settings with every pixel of the seed area, as P3 has for its histograms."""
 
     reduction: Reduction = "none"
 
 
 class Palette(NamedTuple):
-    """Values that occur in an image, and where: values (d,k), index int64 (H,W) into them."""
+    """Distinct values (d, k) of an image, and their index int64 (H, W) at each pixel."""
 
     values: Tensor
     index: Tensor
 
 
 @cached_per_image
-def colours(image: Tensor) -> Palette:
-    """The distinct colours of an image (3,H,W), values (3,k), if it has 8-bit levels.
+def distinct_colours(image: Tensor) -> Palette:
+    """Return the distinct colours of an image (3, H, W) with 8-bit levels, values (3, k).
 
-    Of any other image each pixel is a colour of its own.
+    In any other image each pixel counts as a colour of its own.
     """
     size = image.shape[-2:]
     levels = (image * 255).round_()
-    if bool(((image * 255 - levels).abs() > ALIKE).any()):
+    if bool(((image * 255 - levels).abs() > LEVEL_TOLERANCE).any()):
         return Palette(image.flatten(1), torch.arange(size.numel()).view(size))
     red, green, blue = levels.to(torch.int32).flatten(1)
     packed, index = (red * 65536 + green * 256 + blue).unique(return_inverse=True)
@@ -107,28 +107,30 @@ def colours(image: Tensor) -> Palette:
 
 @cached_per_image
 def plane_values(image: Tensor, name: str) -> Palette:
-    """The distinct values of one plane of an image (3,H,W): values (1,k)."""
-    palette = colours(image)
+    """Return the distinct values of one plane of an image (3, H, W): values (1, k)."""
+    palette = distinct_colours(image)
     values, index = plane(palette.values[:, None], name)[0].unique(return_inverse=True)
     return Palette(values[None], index[palette.index])
 
 
 @cached_per_image
 def colour_plane(image: Tensor, name: str) -> Tensor:
-    """One plane of the distinct colours of an image (3,H,W): (k,)."""
-    return plane(colours(image).values[:, None], name)[0]
+    """Return one plane of the distinct colours of an image (3, H, W): (k,)."""
+    return plane(distinct_colours(image).values[:, None], name)[0]
 
 
 def representation(image: Tensor, names: tuple[str, ...]) -> Palette:
-    """The distinct values of one or several planes of an image (3,H,W): values (d,k)."""
+    """Return the distinct values of one or several planes of an image (3, H, W): values (d, k)."""
     if len(names) == 1:
         return plane_values(image, names[0])
-    return Palette(torch.stack([colour_plane(image, name) for name in names]), colours(image).index)
+    return Palette(
+        torch.stack([colour_plane(image, name) for name in names]), distinct_colours(image).index
+    )
 
 
 @cached_per_image
 def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Tensor:
-    """Labels int64 (h,w) of the seed area: superpixels, or cells of a grid."""
+    """Return labels int64 (h, w) of the seed area: superpixels, or cells of a grid."""
     rows, columns = sample_area(image.shape, seed)
     area = image[:, rows, columns]
     if settings.reduction == "superpixels":
@@ -142,16 +144,16 @@ def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Te
 
 @cached_per_image
 def area_values(image: Tensor, name: str, seed: SeedArea) -> Tensor:
-    """One plane in the seed area of an image: (h,w)."""
-    index = colours(image).index
+    """Return one plane in the seed area of an image: (h, w)."""
+    index = distinct_colours(image).index
     return colour_plane(image, name)[index[sample_area(index.shape, seed)]]
 
 
 @cached_per_image
 def segment_medians(image: Tensor, name: str, settings: SampleSettings, seed: SeedArea) -> Tensor:
-    """The lower median of one plane in each superpixel of the seed area: (m,).
+    """Return the lower median of one plane in each superpixel of the seed area: (m,).
 
-    Of hue the median along the circle, seen from the mean hue of the area.
+    Medians of hue are along the circle, relative to the area's mean hue.
     """
     values = area_values(image, name, seed)
     labels = area_segments(image, settings, seed)
@@ -163,13 +165,19 @@ def segment_medians(image: Tensor, name: str, settings: SampleSettings, seed: Se
 
 
 def road_samples(
-    image: Tensor, names: tuple[str, ...], settings: SampleSettings, seed: SeedArea = SEED
+    image: Tensor, names: tuple[str, ...], settings: SampleSettings, seed: SeedArea = P3_SEED_AREA
 ) -> Tensor:
-    """The samples of road of an image (3,H,W) in the named planes: (m,d).
+    """Return the samples of road of an image in the named planes, shape (m, d).
 
-    P3, section V: 13,266 pixels, or about 90 values, "the central value of the distribution
-    within each superpixel", which is its median in each plane here. P3 does not name its
-    superpixels; SLIC stands for them.
+    P3, section V: 13,266 pixels, or about 90 values, "the central value of the distribution within
+    each superpixel": here the median of each plane in SLIC superpixels, as P3 does not name its
+    own.
+
+    Args:
+        image: sRGB in [0, 1], shape (3, H, W).
+        names: names of d colour planes.
+        settings: settings of the samples.
+        seed: settings of the seed area.
     """
     if settings.reduction == "none":
         planes = [area_values(image, name, seed).flatten() for name in names]

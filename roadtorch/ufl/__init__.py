@@ -1,1 +1,1 @@
-"""Features learned from the one image, and hierarchical threshold segmentation (P1)."""
+"""Features learned from one image, and hierarchical threshold segmentation (P1)."""

@@ -1,7 +1,7 @@
-"""A dictionary of patches learned from one image by K-means (P1, section II.B).
+"""Dictionary of patches learned from one image by K-means (P1, section II.B).
 
-Patches are rows of matrices (n,d): n = one for every place, by rows of the image;
-d = side·side·3, in the order of ``torch.nn.functional.unfold`` (channel, row, column).
+Patches are the rows of matrices (n, d): one for each position, in row-major order, with d =
+side·side·3 values in the order of ``torch.nn.functional.unfold`` (channel, row, column).
 """
 
 from typing import Literal
@@ -13,56 +13,54 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 
-BLOCK = 2048
-"""Patches that are compared with all bases at a time: the products stay in the cache."""
+PATCH_BLOCK = 2048
+"""Patches compared with all bases at a time: the products stay in the CPU's cache."""
 
-NOISE = 0.1
-"""Standard deviation of the bases from which K-means starts."""
+INITIAL_NOISE = 0.1
+"""Standard deviation of the initial bases of K-means."""
 
 
 class DictionarySettings(Settings):
-    """Patches, whitening and K-means."""
+    """Settings of patches, whitening and K-means."""
 
-    side: int = Field(default=6, ge=2, le=16, description="side of the patches, pixels")
+    side: int = Field(default=6, ge=2, le=16, description="side of a patch, pixels")
     contrast: float = Field(
-        default=10 / 255**2, gt=0, le=1, description="added to a patch's variance (range 0 to 1)"
+        default=10 / 255**2, gt=0, le=1, description="added to a patch's variance (levels 0 to 1)"
     )
     whitening: float = Field(
-        default=0.1, gt=0, le=100, description="added to the eigenvalues before whitening"
+        default=0.1, gt=0, le=100, description="constant added to the eigenvalues in whitening"
     )
-    bases: int = Field(default=200, ge=1, le=1024, description="K, the bases of the dictionary")
-    rounds: int = Field(default=10, ge=0, le=1000, description="updates of K-means")
+    bases: int = Field(default=200, ge=1, le=1024, description="K, the number of bases")
+    rounds: int = Field(default=10, ge=0, le=1000, description="rounds of K-means")
     start: Literal["noise", "patches"] = Field(
-        default="noise", description="what K-means starts from: small noise, or random patches"
+        default="noise", description="initial bases: small noise, or random patches"
     )
-    random_seed: int = Field(
-        default=0, ge=0, le=2**31, description="of the generator behind the start"
-    )
+    random_seed: int = Field(default=0, ge=0, le=2**31, description="seed of the initial bases")
 
 
 def extract_patches(image: Tensor, side: int) -> Tensor:
-    """Every patch (n,d) of an image (3,H,W); n = (H-side+1)·(W-side+1)."""
+    """Return all patches (n, d) of an image (3, H, W); n = (H - side + 1)·(W - side + 1)."""
     windows = image.unfold(1, side, 1).unfold(2, side, 1)  # (3,rows,columns,side,side), a view
     return windows.permute(1, 2, 0, 3, 4).reshape(-1, len(image) * side**2)
 
 
 def normalise_contrast(patches: Tensor, epsilon: float) -> Tensor:
-    """Patches (n,d) less their mean, over sqrt(variance + epsilon); flat ones become 0.
+    """Return patches (n, d) minus their mean, over sqrt(variance + epsilon); flat ones are 0.
 
-    Mean and variance (d - 1) over all values of a patch, its three channels together
+    Mean and variance (divisor d - 1) are over all values of a patch, its three channels together
     (Coates et al. 2011, to which P1 refers).
     """
     values = patches.shape[1]
-    share = (values - 1) / values  # layer_norm, which does it in one pass, divides by d
-    scale = patches.new_full((values,), share**0.5)
-    return F.layer_norm(patches, (values,), scale, eps=epsilon * share)
+    ratio = (values - 1) / values  # layer_norm, which needs one pass, divides by d
+    scale = patches.new_full((values,), ratio**0.5)
+    return F.layer_norm(patches, (values,), scale, eps=epsilon * ratio)
 
 
 def zca_whitening(patches: Tensor, epsilon: float) -> tuple[Tensor, Tensor]:
-    """ZCA whitening: the mean (d,) and the symmetric matrix (d,d) to apply behind it.
+    """Return the mean (d,) and the symmetric matrix (d, d) of ZCA whitening of patches (n, d).
 
-    V (D + epsilon)^-1/2 V^T with the eigenvalues D and eigenvectors V of the covariance
-    (n - 1). The matrix is found in float64: a small thing, and it feeds everything else.
+    V (D + epsilon)^-1/2 V^T, with eigenvalues D and eigenvectors V of the covariance (divisor n-1).
+    In float64: it is small, and everything else depends on it.
     """
     mean = patches.mean(0)
     centred = patches - mean
@@ -72,44 +70,43 @@ def zca_whitening(patches: Tensor, epsilon: float) -> tuple[Tensor, Tensor]:
     return mean, ((vectors * scale) @ vectors.T).to(patches)
 
 
-def white_patches(image: Tensor, settings: DictionarySettings) -> Tensor:
-    """Every patch (n,d) of an equalised image (3,H,W), contrast-normalised and whitened."""
+def whiten_patches(image: Tensor, settings: DictionarySettings) -> Tensor:
+    """Return all patches (n, d) of an equalised image (3, H, W), normalised and whitened."""
     patches = normalise_contrast(extract_patches(image, settings.side), settings.contrast)
     mean, matrix = zca_whitening(patches, settings.whitening)
     return torch.addmm(-(mean @ matrix), patches, matrix)
 
 
 def start_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
-    """Bases (K,d) to start K-means from; the same ones for the same random seed."""
+    """Return initial bases (K, d) for K-means; equal seeds give equal bases."""
     generator = torch.Generator().manual_seed(settings.random_seed)
     if settings.start == "patches":
-        drawn = torch.randint(len(patches), (settings.bases,), generator=generator)
-        return patches[drawn.to(patches.device)]
+        rows = torch.randint(len(patches), (settings.bases,), generator=generator)
+        return patches[rows.to(patches.device)]
     shape = (settings.bases, patches.shape[1])
     noise = torch.randn(shape, generator=generator, dtype=torch.float64)
-    return (NOISE * noise).to(patches)
+    return (INITIAL_NOISE * noise).to(patches)
 
 
 def assign(patches: Tensor, dictionary: Tensor) -> Tensor:
-    """The nearest base of every patch, int64 (n,); of several, the first.
+    """Return the nearest base of each patch, int64 (n,); of equally near ones the first.
 
-    The nearest base has the greatest x·c - c·c/2, so that one matrix product finds it.
+    The nearest base maximises x·c - c·c/2, so that one matrix product finds it.
     """
     half = dictionary.square().sum(1) / -2
-    products = patches.new_empty(min(BLOCK, len(patches)), len(dictionary))  # the same for all
+    products = patches.new_empty(min(PATCH_BLOCK, len(patches)), len(dictionary))  # reused
     blocks = []
-    for block in patches.split(BLOCK):
+    for block in patches.split(PATCH_BLOCK):
         likeness = torch.mm(block, dictionary.T, out=products[: len(block)])
-        likeness.add_(half)  # addmm would first write half everywhere
-        blocks.append(torch.from_numpy(likeness.cpu().numpy().argmax(1)))  # seven times as fast
+        likeness.add_(half)  # addmm would write ``half`` first
+        blocks.append(torch.from_numpy(likeness.cpu().numpy().argmax(1)))  # 7 times faster
     return torch.cat(blocks).to(patches.device)
 
 
-def update(patches: Tensor, dictionary: Tensor) -> tuple[Tensor, Tensor]:
-    """Move each base to the mean of the patches nearest to it; to zero where it has none.
+def update_dictionary(patches: Tensor, dictionary: Tensor) -> tuple[Tensor, Tensor]:
+    """Run one round of K-means: return the means (K, d) of each base's patches, and their counts.
 
-    One round of K-means: the new bases (K,d), and how many patches each had, int64 (K,).
-    Zero bases stay in the game, as in the authors' program: they stand for patches
+    Bases without patches become zero and stay, as in the authors' program: they represent patches
     without contrast.
     """
     nearest = assign(patches, dictionary)
@@ -119,8 +116,8 @@ def update(patches: Tensor, dictionary: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def learn_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
-    """The dictionary (K,d) of white patches (n,d), by the rounds of K-means (Lloyd)."""
+    """Learn the dictionary (K, d) of white patches (n, d) by K-means (Lloyd)."""
     dictionary = start_dictionary(patches, settings)
     for _ in range(settings.rounds):
-        dictionary, _ = update(patches, dictionary)
+        dictionary, _ = update_dictionary(patches, dictionary)
     return dictionary

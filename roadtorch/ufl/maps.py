@@ -13,44 +13,43 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
-from roadtorch.ufl.features import DictionarySettings, learn_dictionary, white_patches
+from roadtorch.ufl.features import DictionarySettings, learn_dictionary, whiten_patches
 from roadtorch.ufl.preprocess import Smoothing, equalised
 
-BLOCK = 16
-"""Bases whose maps are held at a time; maps that are not selected are never kept."""
+BASIS_BLOCK = 16
+"""Bases whose maps are in memory at a time; maps that are not selected are discarded."""
 
-MIN_RESPONSE = 0.01
-"""The least maximum of a map, in distances between white patches; real ones have 1 and more.
-Below it there is only rounding, as in an image of one colour."""
+MIN_MAXIMUM = 0.01
+"""Least maximum of a map; smaller ones are rounding. Real maps reach 1 and more."""
 
 RowWeights = Literal["centred", "from_one"]
 
 
 class MapSettings(Settings):
-    """Encoding, scoring and selection of the feature maps."""
+    """Settings of the encoding, scoring and selection of feature maps."""
 
     encoder: Literal["base", "patch"] = Field(
         default="base",
-        description="a distance is compared with the mean of its base (eq. 4) or patch (eq. 3)",
+        description="mean to subtract a distance from: its base's (eq. 4), its patch's (eq. 3)",
     )
     row_weights: RowWeights = Field(
         default="centred",
-        description="eq. 5: row - H/2 counted from the middle row (program), or from 1 (text)",
+        description="eq. 5, row - H/2: centred on the middle row (program), or rows from 1 (text)",
     )
     share: float = Field(
-        default=0.2, gt=0, le=1, description="share of the maps that is selected, the best ones"
+        default=0.2, gt=0, le=1, description="fraction of the maps that is selected, the best ones"
     )
     scale: Literal["maximum", "none"] = Field(
         default="maximum",
-        description="what the mean map is divided by: its maximum (program), or nothing (text)",
+        description="divisor of the mean map: its maximum (program), or none (text)",
     )
 
 
 @dataclass(frozen=True)
 class FeatureMaps:
-    """The selected maps (m,H,W) in [0,1], best first, and where they come from.
+    """Selected maps (m, H, W) in [0, 1], the best first.
 
-    order: int64 (K,), all bases by falling score; scores: (K,), by base.
+    ``order`` has all bases by falling score, int64 (K,); ``scores`` the score of each base, (K,).
     """
 
     maps: Tensor
@@ -61,22 +60,21 @@ class FeatureMaps:
 def make_encoder(
     patches: Tensor, dictionary: Tensor, kind: Literal["base", "patch"] = "base"
 ) -> Callable[[Tensor], Tensor]:
-    """What encodes patches (n,d): bases (k,d) → responses (k,n) ≥ 0.
+    """Return the function that encodes patches: bases (k, d) → responses (k, n) ≥ 0.
 
-    How much nearer than usual each patch is to each base: than all patches are to the base (eq. 4,
-    ``base``), or than the patch is to all bases of the dictionary (eq. 3, ``patch``).
+    A response is how much nearer than average a patch (n, d) is to a base: than all patches are to
+    the base (eq. 4, ``base``), or than the patch is to the dictionary's (eq. 3, ``patch``).
     """
     squares = patches.square().sum(1, keepdim=True)
     points = torch.cat([patches, squares, torch.ones_like(squares)], 1)
 
-    def distances(bases: Tensor) -> Tensor:
-        """(k,n), by one matrix product: |x-c|² = x·x + c·c - 2 x·c, at least 0."""
+    def distances(bases: Tensor) -> Tensor:  # (k, n), as |x-c|² = x·x + c·c - 2 x·c
         sizes = bases.square().sum(1, keepdim=True)
         planes = torch.cat([-2 * bases, torch.ones_like(sizes), sizes], 1)
         return (planes @ points.T).clamp_min_(0).sqrt_()
 
     total = torch.zeros_like(squares[:, 0])
-    for bases in dictionary.split(BLOCK) if kind == "patch" else ():
+    for bases in dictionary.split(BASIS_BLOCK) if kind == "patch" else ():
         total += distances(bases).sum(0)
 
     def encode(bases: Tensor) -> Tensor:
@@ -87,14 +85,14 @@ def make_encoder(
     return encode
 
 
-def divisor(responses: Tensor) -> Tensor:
-    """What scales responses (k,n) ≥ 0 to [0,1]: the maximum of each map, (k,); faint ones to 0."""
+def response_scale(responses: Tensor) -> Tensor:
+    """Return divisors (k,) that scale responses (k, n) to [0, 1]; infinite for faint ones."""
     top = responses.amax(1)
-    return torch.where(top > MIN_RESPONSE, top, torch.inf)
+    return torch.where(top > MIN_MAXIMUM, top, torch.inf)
 
 
 def row_weights(rows: int, kind: RowWeights) -> Tensor:
-    """The weights of eq. 5, (rows,) float64; ``centred`` in rows, ``from_one`` in (-1,1]."""
+    """Return the weights of eq. 5, float64 (rows,): in rows, or in (-1, 1] for ``from_one``."""
     row = torch.arange(rows, dtype=torch.float64)
     if kind == "centred":
         return row - rows // 2
@@ -102,27 +100,28 @@ def row_weights(rows: int, kind: RowWeights) -> Tensor:
 
 
 def score_maps(responses: Tensor, weights: Tensor) -> Tensor:
-    """Eq. 5: scores (k,) of responses (k,n), scaled to [0,1], with a weight for each pixel (n,)."""
-    return (responses @ weights.to(responses)) / divisor(responses)
+    """Return the scores (k,) of responses (k, n) with pixel weights (n,), by eq. 5."""
+    return (responses @ weights.to(responses)) / response_scale(responses)
 
 
 def select_maps(
     patches: Tensor, dictionary: Tensor, size: tuple[int, int], settings: MapSettings
 ) -> FeatureMaps:
-    """Encode, score and keep the best maps; size: rows and columns of the maps.
+    """Encode, score and select the best maps; ``size`` is their rows and columns.
 
-    The selected maps are encoded twice, so that the others need no room.
+    Selected maps are encoded twice, so that the rest needs no memory.
     """
     encode = make_encoder(patches, dictionary, settings.encoder)
     weights = row_weights(size[0], settings.row_weights).repeat_interleave(size[1])
-    scores = torch.cat([score_maps(encode(bases), weights) for bases in dictionary.split(BLOCK)])
+    blocks = dictionary.split(BASIS_BLOCK)
+    scores = torch.cat([score_maps(encode(bases), weights) for bases in blocks])
     order = scores.argsort(descending=True, stable=True)
     best = encode(dictionary[order[: max(1, int(len(order) * settings.share + 0.5))]])
-    return FeatureMaps((best / divisor(best)[:, None]).view(-1, *size), order, scores)
+    return FeatureMaps((best / response_scale(best)[:, None]).view(-1, *size), order, scores)
 
 
 def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
-    """The mean (H,W) in [0,1] of maps (m,H,W), with ``maximum`` over its own maximum."""
+    """Return the mean (H, W) in [0, 1] of maps (m, H, W), for ``maximum`` over its own maximum."""
     mean = maps.mean(0)
     if scale == "none":
         return mean
@@ -132,10 +131,10 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
 
 @dataclass(frozen=True)
 class LearnedFeatures:
-    """What is learned from one image, before any road is looked for.
+    """Features learned from one image.
 
-    even: (3,H,W), equalised. patches: (n,d), white. dictionary: (K,d). maps: the selected ones,
-    of ``size`` rows and columns.
+    ``even`` is the equalised image (3, H, W), ``patches`` are white (n, d), ``dictionary`` has the
+    bases (K, d), ``size`` the rows and columns of the selected maps.
     """
 
     even: Tensor
@@ -148,9 +147,16 @@ class LearnedFeatures:
 def learn_features(
     image: Tensor, smoothing: Smoothing, dictionary: DictionarySettings, maps: MapSettings
 ) -> LearnedFeatures:
-    """Preprocessing, dictionary and feature maps of an image (3,H,W) (P1, sections II.A, B)."""
+    """Preprocess an image and learn its features (P1, sections II.A and B).
+
+    Args:
+        image: sRGB in [0, 1], shape (3, H, W).
+        smoothing: settings of blur and equalisation.
+        dictionary: settings of the dictionary.
+        maps: settings of the feature maps.
+    """
     even = equalised(image, smoothing)
-    patches = white_patches(even, dictionary)
+    patches = whiten_patches(even, dictionary)
     bases = learn_dictionary(patches, dictionary)
     size = (image.shape[1] - dictionary.side + 1, image.shape[2] - dictionary.side + 1)
     return LearnedFeatures(even, patches, bases, select_maps(patches, bases, size, maps), size)
@@ -159,18 +165,18 @@ def learn_features(
 def dictionary_image(
     dictionary: Tensor, order: Tensor, side: int, shape: tuple[int, ...]
 ) -> Tensor:
-    """The bases (K,d) as small RGB images in one, by falling score (P1, Fig. 3): (3,h,w)."""
+    """Return the bases (K, d) as tiles of an RGB image (3, h, w), by falling score (P1, Fig. 3)."""
     tiles = dictionary[order].view(-1, 3, side, side)
     low, high = tiles.amin((1, 2, 3), keepdim=True), tiles.amax((1, 2, 3), keepdim=True)
     return mosaic((tiles - low) / torch.where(high > low, high - low, 1), shape)
 
 
 def mosaic(tiles: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """Tiles (k,C,h,w) side by side in reading order, on black: (C,rows·h,columns·w).
+    """Arrange tiles (k, C, h, w) in row-major order on black: (C, rows·h, columns·w).
 
-    As many in a row as bring the whole near to the shape, given as height and width.
+    The number of columns is chosen to approximate the aspect ratio of ``shape``, height and width.
     """
-    from skimage.util import montage  # late: half a second that only these images need
+    from skimage.util import montage  # slow to import
 
     count, channels, height, width = tiles.shape
     columns = round(math.sqrt(count * height * shape[1] / (width * shape[0])))

@@ -1,4 +1,4 @@
-"""Which regions are road: place, reconstruction error, and the two loops (P1, eqs. 6 to 10)."""
+"""Selection of road regions: position, reconstruction error, two loops (P1, eqs. 6 to 10)."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -13,7 +13,7 @@ from roadtorch.imaging.resize import at_image_size
 from roadtorch.road.fusion import TRIANGLE_APEX
 from roadtorch.ufl.hierarchy import (
     NodeChoice,
-    Tree,
+    RegionTree,
     node_area,
     node_stability,
     paint_nodes,
@@ -25,66 +25,66 @@ from roadtorch.ufl.maps import FeatureMaps
 Centring = Literal["road", "none", "basis"]
 
 SHARPNESS = 2.0
-"""How fast the likelihood rises with the stability of a pixel, around 0."""
+"""Slope of the likelihood over the stability of a pixel, at 0."""
 
 AS_CHOSEN = 0.5
-"""The threshold at which a likelihood is exactly the mask."""
+"""Threshold at which a likelihood is exactly the mask."""
 
 MIN_WIDTH = 0.03
-"""Least width of the triangle ahead, in widths of the map: none at its apex would divide by 0."""
+"""Least width of the triangle ahead, in map widths; its apex would divide by 0."""
 
 
 class StabilitySettings(Settings):
-    """Stability of regions, and how often the road is learned anew."""
+    """Settings of the regions' stability and of the loops that learn the road."""
 
     weight: float = Field(
-        default=2.0, ge=0, le=1000, description="lambda, the error's weight against place (eq. 6)"
+        default=2.0, ge=0, le=1000, description="lambda, weight of the error in eq. 6"
     )
     rounds: int = Field(default=2, ge=1, le=100, description="iterations; the first has no error")
     place: Literal["symmetric", "from_one", "ahead"] = Field(
         default="symmetric",
-        description="eq. 6: rows and columns about the middle (program), or less H/2 from 1 "
-        "(text), or how far inside a triangle ahead",
+        description="position term of eq. 6: centred on the middle row and column (program), rows "
+        "and columns from 1 minus H/2 (text), or inside a triangle ahead",
     )
     apex: float = Field(
         default=TRIANGLE_APEX,
         ge=0,
         lt=1,
-        description="top of the triangle ahead, in heights from the top",
+        description="apex of the triangle ahead, fraction of the height from the top",
     )
     base: float = Field(
-        default=1.6, gt=0, le=10, description="its base on the bottom edge, in widths"
+        default=1.6, gt=0, le=10, description="base of that triangle on the bottom edge, in widths"
     )
     centring: Centring = Field(
         default="road",
-        description="eq. 10: the road's mean taken off everywhere (program), nowhere (text), "
+        description="eq. 10: the road's mean is subtracted everywhere (program), nowhere (text), "
         "or for the basis alone",
     )
     kept: float = Field(
-        default=0.95, gt=0, le=1, description="share of the road's variance that is kept"
+        default=0.95, gt=0, le=1, description="fraction of the road's variance in the basis"
     )
     error_range: Literal["covered", "everywhere"] = Field(
         default="covered",
-        description="errors are scaled to [0,1] over the pixels whose mean map is not 0 (program), "
-        "or over all",
+        description="errors are scaled to [0, 1] over the pixels with a mean map above 0 "
+        "(program), or over all",
     )
     model: Literal["selected", "best"] = Field(
         default="selected",
-        description="the road is learned from the selected node with the greatest S (program), "
-        "or the node with the greatest best sum (listing)",
+        description="node from which the road is learned: the selected one with the greatest S "
+        "(program), or the one with the greatest best sum (listing)",
     )
     whole: Literal["if_undivided", "never"] = Field(
-        default="if_undivided", description="when the whole map may be road (program, text)"
+        default="if_undivided", description="whole map as road: if undivided (program), or never"
     )
     dilation: int = Field(
-        default=3, ge=0, le=50, description="pixels by which the road is widened at the end"
+        default=3, ge=0, le=50, description="radius of the final dilation, pixels"
     )
 
 
 def place_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"]) -> Tensor:
-    """The first two terms of eq. 6, float64 (rows,columns): low and in the middle is road.
+    """Return the first two terms of eq. 6, float64 (rows, columns): road is low and central.
 
-    From -2 or less in the upper corners up to nearly 2 at the middle of the bottom edge.
+    From -2 or less in the upper corners to nearly 2 at the middle of the bottom edge.
     """
     row = torch.arange(1, rows + 1, dtype=torch.float64)
     column = torch.arange(1, columns + 1, dtype=torch.float64)
@@ -93,12 +93,11 @@ def place_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"
     return ((row - half) / half)[:, None] + 1 - (column - middle).abs() / half
 
 
-def place_ahead(rows: int, columns: int, apex: float, base: float) -> Tensor:
-    """Ours, in place of ``place_weights``: float64 (rows,columns) in [-1,1].
+def triangle_weights(rows: int, columns: int, apex: float, base: float) -> Tensor:
+    """Return position weights of a triangle ahead, float64 (rows, columns) in [-1, 1]. Ours.
 
-    1 on the middle line of a triangle ahead of the car, 0 on its sides, -1 beyond twice its
-    width and above its apex. Roads narrow with distance; eq. 6 lets them be as wide far away
-    as near, and so takes in pavements.
+    1 on the triangle's axis, 0 on its sides, -1 beyond twice its width and above its apex. By eq. 6
+    roads are as wide far away as nearby, which includes pavements.
     """
     row = (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) / rows
     column = (torch.arange(columns, dtype=torch.float64) + 0.5) / columns
@@ -108,39 +107,35 @@ def place_ahead(rows: int, columns: int, apex: float, base: float) -> Tensor:
 
 
 def road_basis(samples: Tensor, centring: Centring, kept: float) -> tuple[Tensor, Tensor]:
-    """PCA of road features (N,m): the mean to take off (m,) and the basis (m,k) of eq. 10.
+    """Return the mean (m,) and the basis (m, k) of eq. 10: PCA of road features (N, m).
 
-    The fewest eigenvectors that keep the share ``kept`` of the variance; none where there
-    is no variance.
+    The fewest eigenvectors with the fraction ``kept`` of the variance; none if it is 0.
     """
     mean = samples.mean(0)
     offset = mean if centring == "road" else torch.zeros_like(mean)
     centred = (samples if centring == "none" else samples - mean).double()
     scatter = centred.T @ centred / max(1, len(samples) - 1)
     values, vectors = torch.linalg.eigh(scatter)
-    share = values.clamp_min(0).flip(0).cumsum(0)
-    if share[-1] <= 0:
+    variance = values.clamp_min(0).flip(0).cumsum(0)
+    if variance[-1] <= 0:
         return offset, samples.new_zeros(samples.shape[1], 0)
-    enough = int((share < kept * share[-1]).sum()) + 1
-    return offset, vectors.flip(1)[:, :enough].to(samples)
+    count = int((variance < kept * variance[-1]).sum()) + 1
+    return offset, vectors.flip(1)[:, :count].to(samples)
 
 
 def reconstruction_error(maps: Tensor, road: Tensor, centring: Centring, kept: float) -> Tensor:
-    """Eq. 10: how badly road explains each pixel, (H,W) ≥ 0.
+    """Return the error (H, W) ≥ 0 of reconstructing maps by the road's basis (eq. 10).
 
-    maps: (m,H,W), the selected maps; road: bool (H,W), not empty.
+    The maps are the selected ones (m, H, W); ``road`` is bool (H, W), not empty.
     """
     mean, basis = road_basis(maps[:, road].T, centring, kept)
     features = maps.flatten(1) - mean[:, None]
-    rest = features - basis @ (basis.T @ features)
-    return rest.square().sum(0).sqrt().view(road.shape)
+    residual = features - basis @ (basis.T @ features)
+    return residual.square().sum(0).sqrt().view(road.shape)
 
 
 def normalised_error(error: Tensor, covered: Tensor) -> Tensor:
-    """Errors (H,W) scaled to [0,1] over the covered pixels, bool (H,W); 0 elsewhere.
-
-    0 everywhere, where all errors are equal.
-    """
+    """Scale errors (H, W) to [0, 1] over the covered pixels; 0 elsewhere, and if all are equal."""
     if not covered.any():
         return torch.zeros_like(error)
     low, high = error[covered].aminmax()
@@ -152,9 +147,12 @@ def normalised_error(error: Tensor, covered: Tensor) -> Tensor:
 class Round:
     """One iteration of the two loops.
 
-    choice: the nodes. pixels: float64 (H,W), the stability of eq. 6. error: (H,W) in [0,1].
-    road: bool (H,W), the selected regions, not widened.
-    model: index of the node from which the next iteration learns, None if there is no road.
+    Attributes:
+        choice: the selected nodes.
+        pixels: stability of each pixel (eq. 6), float64 (H, W).
+        error: reconstruction error in [0, 1], shape (H, W).
+        road: selected regions before dilation, bool (H, W).
+        model: index of the node from which the next round learns; None without road.
     """
 
     choice: NodeChoice
@@ -165,23 +163,29 @@ class Round:
 
 
 def find_road(
-    maps: Tensor, mean_map: Tensor, tree: Tree, settings: StabilitySettings
+    maps: Tensor, mean_map: Tensor, tree: RegionTree, settings: StabilitySettings
 ) -> list[Round]:
-    """The two loops: select nodes, learn the road from them, select again.
+    """Run the two loops: select nodes, learn the road from them, select again.
 
-    maps: (m,H,W); mean_map: (H,W). Ends early when a round finds no road, which is the
-    result then.
+    Args:
+        maps: the selected feature maps, shape (m, H, W).
+        mean_map: their mean in [0, 1], shape (H, W).
+        tree: the tree of regions of the mean map.
+        settings: settings of the loops.
+
+    Returns:
+        The rounds; the last one without road where a round finds none.
     """
     rows, columns = mean_map.shape
     if settings.place == "ahead":
-        place = place_ahead(rows, columns, settings.apex, settings.base)
+        position = triangle_weights(rows, columns, settings.apex, settings.base)
     else:
-        place = place_weights(rows, columns, settings.place)
+        position = place_weights(rows, columns, settings.place)
     covered = mean_map != 0 if settings.error_range == "covered" else torch.ones_like(mean_map) > 0
     error = torch.zeros_like(mean_map)
     rounds: list[Round] = []
     while True:
-        pixels = place - settings.weight * error.cpu().double()
+        pixels = position - settings.weight * error.cpu().double()
         choice = select_nodes(tree, node_stability(tree, pixels), settings.whole)
         road, model = selected_area(tree, choice.selected), model_node(choice, settings.model)
         rounds.append(Round(choice, pixels, error, road, model))
@@ -193,7 +197,7 @@ def find_road(
 
 
 def model_node(choice: NodeChoice, kind: Literal["selected", "best"]) -> int | None:
-    """The node (index) from which the road is learned; None where none is selected."""
+    """Return the node (index) from which the road is learned; None where none is selected."""
     if not choice.selected.any():
         return None
     if kind == "selected" or len(choice.selected) == 1:
@@ -202,45 +206,44 @@ def model_node(choice: NodeChoice, kind: Literal["selected", "best"]) -> int | N
 
 
 def widened(mask: Tensor, reach: int) -> Tensor:
-    """A mask bool (H,W), every region of it wider by ``reach`` pixels in a square."""
+    """Dilate a mask, bool (H, W), by a square of ``reach`` pixels on each side."""
     return F.max_pool2d(mask[None].float(), 2 * reach + 1, 1, reach)[0] > 0
 
 
 def mask_to_image(mask: Tensor, side: int) -> Tensor:
-    """A mask bool (H,W) of patches at the size of the image, (H+side-1,W+side-1).
+    """Convert a mask of patches, bool (H, W), to image size, (H+side-1, W+side-1).
 
-    A patch stands for the pixel in its middle, for four of them where its side is even; the
+    A patch stands for its middle pixel, or its four middle pixels where the side is even; the
     border is repeated.
     """
-    pooled = F.max_pool2d(_bordered(mask.float(), side), 2 - side % 2, 1)
+    pooled = F.max_pool2d(_pad_border(mask.float(), side), 2 - side % 2, 1)
     return pooled[0] > 0
 
 
 def map_to_image(values: Tensor, side: int) -> Tensor:
-    """Values (H,W) of patches at the size of the image: the mean where a mask is the union."""
-    return F.avg_pool2d(_bordered(values, side), 2 - side % 2, 1)[0]
+    """Convert values (H, W) of patches to image size, with means where masks have unions."""
+    return F.avg_pool2d(_pad_border(values, side), 2 - side % 2, 1)[0]
 
 
-def _bordered(values: Tensor, side: int) -> Tensor:
+def _pad_border(values: Tensor, side: int) -> Tensor:
     reach = side // 2
     return F.pad(values[None], (reach, reach, reach, reach), mode="replicate")
 
 
 def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:
-    """(H,W) in [0,1]: the mask first, the stability of pixels in [0,1) inside and outside of it.
+    """Combine a mask and the stability of pixels in [0, 1) into a likelihood (H, W) in [0, 1].
 
-    At ``AS_CHOSEN`` it separates road from the rest exactly as the mask does. Ours: of twelve
+    The mask comes first: at ``AS_CHOSEN`` the likelihood gives exactly the mask. Ours: of twelve
     candidates the best by MaxF on the development drives (docs/research/ufl.md).
     """
     return (mask.to(pixels.device) + pixels) / 2
 
 
 def enlarged_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:
-    """A likelihood of ``road_likelihood`` (h,w) at another size (H,W), the mask still exact in it.
+    """Resize a likelihood of ``road_likelihood`` (h, w) so that its mask stays exact.
 
-    The mask is enlarged as every mask is, pixel by pixel; the stability inside and outside of it
-    smoothly. To enlarge their sum smoothly would move the mask's border, inwards, for inside of
-    it likelihoods begin at 0.5 and outside end well below.
+    The mask is resized as every mask is, the stability inside and outside of it smoothly. Resizing
+    their sum would move the border inwards: it is 0.5 or more inside, and far less outside.
     """
     mask = likelihood >= AS_CHOSEN
     return road_likelihood(
@@ -249,9 +252,9 @@ def enlarged_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def map_images(
-    maps: FeatureMaps, mean_map: Tensor, tree: Tree, last: Round, side: int
+    maps: FeatureMaps, mean_map: Tensor, tree: RegionTree, last: Round, side: int
 ) -> dict[str, Tensor]:
-    """What Fig. 4 of P1 shows, by name, each at the size of the image; side: of a patch."""
+    """Return the maps of P1's Fig. 4 by name, at image size; ``side`` is the patch's."""
     levels = (tree.node_of >= 0)[tree.regions.labels.long()].sum(0)
     nodes = paint_nodes(tree, last.choice.stability.clamp_min(0) * last.choice.selected)
     cues = {

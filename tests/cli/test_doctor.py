@@ -72,7 +72,7 @@ def test_other_bytes_and_missing_weights(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / "cnn-7.safetensors").write_bytes(data[:-5] + b"mouse")
 
     for folder, problem in (
-        (tmp_path, "is damaged: its weights are not those that its header states"),
+        (tmp_path, "is damaged: its weights do not match the hash in its header"),
         (tmp_path / "bare", "none are there"),
     ):
         monkeypatch.setattr(weights, "SHIPPED", folder)

@@ -173,15 +173,15 @@ def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
     start = 8 + int.from_bytes(data[:8], "little")
     for place in range(start, len(data), (len(data) - start) // 20):
         weights.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
-        assert_refused(weights, "not those that its header states")
+        assert_refused(weights, "do not match the hash in its header")
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": 2}, "has the format 2; this roadtorch reads up to 1"),
-        ({"kind": "transformer"}, "no header of roadtorch's"),
-        ({"settings": {"topology": {"k9": 1}}}, "made for other settings"),
+        ({"format": 2}, "has format 2; this roadtorch reads up to 1"),
+        ({"kind": "transformer"}, "has no roadtorch header"),
+        ({"settings": {"topology": {"k9": 1}}}, "has settings that this version does not know"),
         ({"settings": {"topology": {"k1": 4}}}, "holds another network: size mismatch for first"),
     ],
 )

@@ -13,14 +13,14 @@ from roadtorch.evaluation.metrics import class_recalls, count_layout
 from roadtorch.layout import labeller
 from roadtorch.layout.classes import SKY, UNLABELLED
 from roadtorch.layout.labeller import (
-    RULES,
-    ColumnOrder,
+    LABELLER_RULES,
+    ColumnChain,
     LabellerSettings,
     LayoutLabels,
-    SkyLook,
+    SkyAppearance,
     column_samples,
-    in_order,
     label_layout,
+    smooth_columns,
 )
 from roadtorch.testing.scenes import RenderedScene
 from tests.draws import seeded
@@ -41,18 +41,22 @@ def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> Non
         return float((labels[sky] == SKY).double().mean())
 
     share = share_of_sky()
-    monkeypatch.setattr(labeller, "RULES", RULES._replace(sky=SkyLook(light=0, even=0, blue=0)))
+    monkeypatch.setattr(
+        labeller,
+        "LABELLER_RULES",
+        LABELLER_RULES._replace(sky=SkyAppearance(light=0, even=0, blue=0)),
+    )
     assert share > max(0.95, share_of_sky() + 0.1)
 
 
 # --- columns in order ---------------------------------------------------------------------
 
 
-def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnOrder) -> None:
-    found = in_order(scores, column_samples(labels, order.step), order)
+def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnChain) -> None:
+    found = smooth_columns(scores, column_samples(labels, order.step), order)
 
-    move = reference.moves(order.change, order.breach)
-    wanted = reference.in_order(
+    move = reference.transitions(order.change, order.breach)
+    wanted = reference.smooth_columns(
         scores.double().numpy(), labels.numpy(), order.weight, order.step, move
     )
     torch.testing.assert_close(found.double(), torch.from_numpy(wanted), atol=1e-5, rtol=0.0)
@@ -72,7 +76,7 @@ def test_columns_of_single_samples_have_the_posteriors_of_all_paths(
 ) -> None:
     scores = 3 * torch.randn(rows * columns, 3, generator=seeded(seed))
     labels = torch.arange(rows * columns).reshape(rows, columns)
-    assert_like_every_path(scores, labels, ColumnOrder(weight, change, breach, step=1))
+    assert_like_every_path(scores, labels, ColumnChain(weight, change, breach, step=1))
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 4])
@@ -80,13 +84,13 @@ def test_segments_get_the_mean_of_their_samples_or_their_own_score(step: int) ->
     generator = seeded(step)
     labels = torch.randint(0, 9, (7, 9), generator=generator)
     scores = 2 * torch.randn(12, 3, generator=generator)  # 9, 10 and 11 never occur
-    assert_like_every_path(scores, labels, ColumnOrder(step=step))
+    assert_like_every_path(scores, labels, ColumnChain(step=step))
 
 
 def test_long_columns_do_not_underflow() -> None:
     scores = torch.tensor([[50.0, 0, -50], [-50.0, 0, 50]]).repeat(500, 1)
 
-    belief = in_order(scores, np.arange(1000)[:, None], ColumnOrder(step=1))
+    belief = smooth_columns(scores, np.arange(1000)[:, None], ColumnChain(step=1))
 
     assert belief.isfinite().all()
     torch.testing.assert_close(belief.sum(1), torch.ones(1000))
@@ -127,6 +131,6 @@ def test_learning_the_classes_beats_place_and_order(monkeypatch: pytest.MonkeyPa
         return float(class_recalls(torch.stack(counts).sum(0)).mean())
 
     learned = [labelled(seed, 0.0) for seed in range(4)]
-    monkeypatch.setattr(labeller, "RULES", RULES._replace(sharpness=1e-6))
+    monkeypatch.setattr(labeller, "LABELLER_RULES", LABELLER_RULES._replace(sharpness=1e-6))
     without = [label_layout(street.image) for street in streets]
     assert recall(learned) > recall(without) + 0.05

@@ -55,11 +55,11 @@ def test_the_default_is_cnn_7() -> None:
 @pytest.mark.parametrize(
     ("values", "problem", "near"),
     [
-        ({"size3": 5}, "ends in 3×3", "size3=7 would end in it"),
+        ({"size3": 5}, "ends in 3×3", "size3=7 would end in 1×1"),
         ({"patch": 64}, "ends in 17×17", "smaller patch"),
-        ({"size1": 6}, "behind size1", "7, 7, 7"),
-        ({"size2": 13, "size3": 9}, "behind size3", "7, 7, 7"),
-        ({"connections": 5}, "is 5, and the first layer has 4 kernels", "give 0 to 4"),
+        ({"size1": 6}, "after size1", "7, 7, 7"),
+        ({"size2": 13, "size3": 9}, "after size3", "7, 7, 7"),
+        ({"connections": 5}, "is 5, but the first layer has 4 kernels", "give 0 to 4"),
     ],
 )
 def test_sizes_that_do_not_fit_are_refused(values: dict[str, int], problem: str, near: str) -> None:

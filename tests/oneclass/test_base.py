@@ -12,11 +12,11 @@ from roadtorch.oneclass.axes import axes_of, mean_hues, unrolled
 from roadtorch.oneclass.base import (
     Classifier,
     ClassifierSettings,
+    DistanceModel,
     Fitted,
-    Learned,
-    Road,
+    RoadSamples,
     fit,
-    rejecting_distance,
+    rejection_distance,
 )
 from tests.draws import random
 
@@ -31,9 +31,9 @@ def middle_of(
 ) -> Fitted:
     """The distance to the middle of samples of one plane."""
 
-    def fit_middle(road: Road, settings: ClassifierSettings) -> Learned:
+    def fit_middle(road: RoadSamples, settings: ClassifierSettings) -> DistanceModel:
         middle = road.samples.mean(0).float()
-        return Learned(
+        return DistanceModel(
             lambda pixels: (pixels - middle[:, None]).abs().amax(0), 2, training, threshold
         )
 
@@ -85,15 +85,15 @@ def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> Non
     ("rejected", "boundary"), [(0, 8), (0.1, 8), (0.2, 6), (0.5, 3), (0.75, 1.5), (0.9, 1), (1, 1)]
 )
 def test_the_boundary_lies_between_the_samples(rejected: float, boundary: float) -> None:
-    assert rejecting_distance(np.array([4.0, 1.0, 8.0, 2.0]), rejected) == boundary
-    assert rejecting_distance(np.array([3.0]), rejected) == 3
+    assert rejection_distance(np.array([4.0, 1.0, 8.0, 2.0]), rejected) == boundary
+    assert rejection_distance(np.array([3.0]), rejected) == 3
 
 
 @pytest.mark.parametrize(("count", "outside"), [(90, 2), (13266, 332)])
 def test_p3s_fraction_rejects_as_many_samples_as_the_toolbox(count: int, outside: int) -> None:
     distances = np.random.default_rng(0).random(count)
 
-    assert int((distances > rejecting_distance(distances, 0.025)).sum()) == outside
+    assert int((distances > rejection_distance(distances, 0.025)).sum()) == outside
 
 
 def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_distance() -> None:
@@ -123,10 +123,12 @@ def test_memory_is_bounded_by_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
         sizes.append(pixels.shape[1])
         return pixels[0]
 
-    watching = Classifier("watching", "", ClassifierSettings, lambda *_: Learned(watched, floats=2))
+    watching = Classifier(
+        "watching", "", ClassifierSettings, lambda *_: DistanceModel(watched, floats=2)
+    )
     fitted = fit(watching, line(0.4, 0.5), PLANE)
     sizes.clear()
-    monkeypatch.setattr(base, "CHUNK", 200)
+    monkeypatch.setattr(base, "CHUNK_FLOATS", 200)
 
     fitted.distance(torch.rand(1001, 1))
 

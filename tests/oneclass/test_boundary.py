@@ -160,7 +160,7 @@ def test_distance_ranks_as_the_weighted_sum_of_dissimilarities(kind, dimensions)
     ("classifier", "most", "planes"), [(DLP, boundary.MAX_CONSTRAINTS, 1), (MST, 4096, 2)]
 )
 def test_too_many_different_samples_are_refused_with_what_to_do(classifier, most, planes):
-    refusal = rf"{classifier.name}: has {most + 1} different samples.*one sample per superpixel"
+    refusal = rf"{classifier.name}: has {most + 1} distinct samples.*one sample per superpixel"
     with pytest.raises(InputError, match=refusal):
         fitted(classifier, some(most + 1, planes))
 

@@ -239,7 +239,7 @@ def test_same_samples_same_bytes(classifier: Classifier, monkeypatch: pytest.Mon
     assert torch.equal(pixels, colours())
     planes = pixels.T.contiguous()
     np.testing.assert_allclose(again.distance(planes.T), first, rtol=1e-5, atol=1e-5)
-    monkeypatch.setattr(base, "CHUNK", 7 * again.learned.floats)
+    monkeypatch.setattr(base, "CHUNK_FLOATS", 7 * again.model.floats)
     np.testing.assert_allclose(again.distance(pixels), first, rtol=1e-5, atol=1e-5)
 
 
@@ -269,7 +269,7 @@ def test_the_distance_is_that_of_the_slow_version(
     name: str, settings: dict[str, Any], reference: Callable[..., np.ndarray]
 ) -> None:
     classifier = CLASSIFIERS[name]
-    for dimensions in (2, 3) if classifier.single else (1, 2, 3):
+    for dimensions in (2, 3) if classifier.single_plane_error else (1, 2, 3):
         samples, pixels = road(40, dimensions), some(100, dimensions)
         # Twins change nothing where no variance is divided by m - 1.
         for given in [samples] if name in {"gaussian", "pca"} else [samples, samples.repeat(2, 1)]:

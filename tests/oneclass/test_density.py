@@ -16,15 +16,15 @@ from roadtorch.oneclass.density import (
     moments,
     reweighted,
 )
-from roadtorch.oneclass.histogram import HistogramSettings, with_noisy_copy
+from roadtorch.oneclass.histogram import HistogramSettings, add_noisy_copy
 from roadtorch.oneclass.mixture import (
     Mixtures,
     MixtureSettings,
-    _powers,
-    log_parts,
-    maximise,
-    mixtures_of,
-    spread_starts,
+    _polynomial_features,
+    expectation_maximisation,
+    k_means_plus_plus,
+    log_densities,
+    m_step,
 )
 from tests.draws import random, seeded
 from tests.oneclass.cases import DIMENSIONS, PLANES, rank_correlation
@@ -107,9 +107,9 @@ def test_the_noisy_copy_has_p3s_deviation_and_is_clipped_dropped_or_wrapped_at_t
     axes, samples = axes_of(("S", "O2")), torch.tensor([[0.5, 0.0]]).double().repeat(50_000, 1)
     edge = torch.full((1000, 1), 0.99, dtype=torch.float64)
 
-    both = with_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
-    dropped = with_noisy_copy(edge, axes_of(("S",)), 0.1, "drop", seeded())
-    wrapped = with_noisy_copy(edge, axes_of(("H",)), 0.1, "drop", seeded())
+    both = add_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
+    dropped = add_noisy_copy(edge, axes_of(("S",)), 0.1, "drop", seeded())
+    wrapped = add_noisy_copy(edge, axes_of(("H",)), 0.1, "drop", seeded())
 
     assert torch.equal(both[:50_000], samples)
     deviation = both[50_000:].std(0) / axes.span
@@ -144,7 +144,7 @@ def clusters(number: int, count: int = 120) -> Tensor:
 
 def memberships(samples: Tensor, number: int) -> Tensor:
     weights = samples.new_ones(1, len(samples))
-    return spread_starts(samples, weights, torch.tensor([number]), seeded())
+    return k_means_plus_plus(samples, weights, torch.tensor([number]), seeded())
 
 
 def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -159,12 +159,12 @@ def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @DIMENSIONS
 def test_the_density_is_the_sum_of_its_gaussians(dimensions: int) -> None:
     samples = 0.1 * torch.randn(60, dimensions, generator=seeded(), dtype=torch.float64)
-    mixtures = mixtures_of(samples, memberships(samples, 3), WIDENING[:1].expand(dimensions))
+    mixtures = m_step(samples, memberships(samples, 3), WIDENING[:1].expand(dimensions))
     points = torch.randn(40, dimensions, generator=seeded(1), dtype=torch.float64)
 
-    found = log_parts(_powers(points), mixtures).logsumexp(1)[0]
+    found = log_densities(_polynomial_features(points), mixtures).logsumexp(1)[0]
 
-    expected = reference.log_sum(reference.log_parts(points.numpy(), *parts_of(mixtures)))
+    expected = reference.log_sum(reference.log_densities(points.numpy(), *parts_of(mixtures)))
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
@@ -181,8 +181,8 @@ def test_the_distance_is_that_of_the_density_or_of_the_papers_formula(formula: s
     means = heaps.mean(1)
     spread = np.stack([np.cov(heap.T, bias=True) + widening for heap in heaps])
     if formula == "density":
-        logs = reference.log_parts(POINTS.numpy(), np.ones(2), means, spread)
-        peaks = reference.log_parts(means, np.ones(2), means, spread).diagonal()
+        logs = reference.log_densities(POINTS.numpy(), np.ones(2), means, spread)
+        peaks = reference.log_densities(means, np.ones(2), means, spread).diagonal()
     else:  # no 1/2 in the exponent and no determinants
         logs = -reference.squared_distances(POINTS.numpy(), means, spread)
         peaks = np.zeros(2)
@@ -197,8 +197,8 @@ def test_every_round_is_the_textbooks() -> None:
     samples, start = clusters(3), memberships(clusters(3), 3)
     weights = samples.new_ones(1, len(samples))
 
-    shares, _ = maximise(samples, weights, start, WIDENING, rounds=4)
-    found = parts_of(mixtures_of(samples, shares, WIDENING))
+    shares, _ = expectation_maximisation(samples, weights, start, WIDENING, rounds=4)
+    found = parts_of(m_step(samples, shares, WIDENING))
 
     expected = reference.expectation_maximisation(
         samples.numpy(), start[0].numpy(), WIDENING.numpy(), rounds=5
@@ -213,6 +213,6 @@ def test_every_round_is_the_textbooks() -> None:
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
 def test_the_criterion_finds_the_heaps(number: int) -> None:
-    floats = fit(BEST, clusters(number), AXES).learned.floats
+    floats = fit(BEST, clusters(number), AXES).model.floats
 
     assert floats == 6 * number  # in two planes each component takes six numbers a pixel

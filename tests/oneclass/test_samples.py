@@ -12,7 +12,7 @@ from roadtorch.oneclass.samples import (
     SampleSettings,
     WideSeedArea,
     area_segments,
-    colours,
+    distinct_colours,
     representation,
     road_samples,
     sample_area,
@@ -54,7 +54,7 @@ def test_the_area_scales_with_the_image(size: tuple[int, int], shape: tuple[int,
 
 def test_distinct_colours_are_the_images_own_to_the_bit() -> None:
     for image in (eight_bit(), random(3, 20, 30, dtype=torch.float32)):
-        found = colours(image)
+        found = distinct_colours(image)
 
         assert torch.equal(found.values[:, found.index], image)
         assert found.values.unique(dim=1).shape == found.values.shape

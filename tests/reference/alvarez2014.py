@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.stats import chi2
 
-from roadtorch.oneclass.base import rejecting_distance
+from roadtorch.oneclass.base import rejection_distance
 from tests.reference import oneclass_density as density
 from tests.reference.oneclass_boundary import distance_matrix
 
@@ -33,7 +33,7 @@ def robust_gaussian(samples: Array, pixels: Array) -> tuple[Array, float]:
         ridge = RIDGE * np.trace(covariance) / dimensions + ROUNDING
         covariance = (1 - RIDGE) * covariance + ridge * np.eye(dimensions)
     own = mahalanobis(samples, mean, covariance)
-    return mahalanobis(pixels, mean, covariance), rejecting_distance(own, REJECTED)
+    return mahalanobis(pixels, mean, covariance), rejection_distance(own, REJECTED)
 
 
 def mahalanobis(points: Array, mean: Array, covariance: Array) -> Array:
@@ -77,7 +77,7 @@ def likeliest_mixture(samples: Array, number: int) -> tuple[float, tuple[Array, 
         start = np.stack([nearest == one for one in range(number)]).astype(float)
         if start.sum(1).min() > 0:
             mixture = density.expectation_maximisation(samples, start, widening, 100)
-            likelihood = density.log_sum(density.log_parts(samples, *mixture)).sum()
+            likelihood = density.log_sum(density.log_densities(samples, *mixture)).sum()
             found.append((float(likelihood), mixture))
     return max(found, key=lambda pair: pair[0])
 
@@ -94,7 +94,7 @@ def formula(
         ]
         return -density.log_sum(np.stack(parts))
 
-    return distance(pixels), rejecting_distance(distance(samples), REJECTED)
+    return distance(pixels), rejection_distance(distance(samples), REJECTED)
 
 
 def pca(samples: Array, pixels: Array) -> tuple[Array, float]:
@@ -107,7 +107,7 @@ def pca(samples: Array, pixels: Array) -> tuple[Array, float]:
     def distance(points: Array) -> Array:
         return np.linalg.norm((points - mean) - (points - mean) @ kept @ kept.T, axis=1)
 
-    return distance(pixels), rejecting_distance(distance(samples), REJECTED)
+    return distance(pixels), rejection_distance(distance(samples), REJECTED)
 
 
 def dlp(samples: Array, pixels: Array) -> tuple[Array, float]:

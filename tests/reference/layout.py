@@ -22,7 +22,7 @@ def chain_posterior(evidence: np.ndarray, move: np.ndarray) -> np.ndarray:
     return posterior / posterior.sum(1, keepdims=True)
 
 
-def moves(change: float, breach: float) -> np.ndarray:
+def transitions(change: float, breach: float) -> np.ndarray:
     """Chances (3,3) of a step down: stay, go on to the next class, or anything else."""
     return np.array(
         [
@@ -33,7 +33,7 @@ def moves(change: float, breach: float) -> np.ndarray:
     )
 
 
-def in_order(
+def smooth_columns(
     scores: np.ndarray, labels: np.ndarray, weight: float, step: int, move: np.ndarray
 ) -> np.ndarray:
     """Beliefs (n,3): posteriors of the samples of each segment, averaged; scores where none."""

@@ -49,7 +49,7 @@ def gaussian_distance(samples: Array, pixels: Array, floor: float) -> Array:
     return np.sqrt(squared_distances(pixels, samples.mean(0)[None], covariance[None])[0])
 
 
-def log_parts(points: Array, shares: Array, means: Array, covariances: Array) -> Array:
+def log_densities(points: Array, shares: Array, means: Array, covariances: Array) -> Array:
     """ln P_n N(x; μ_n, Σ_n) of points (n,d): (N,n)."""
     heights = np.log(shares) - np.linalg.slogdet(2 * np.pi * covariances)[1] / 2
     return heights[:, None] - squared_distances(points, means, covariances) / 2
@@ -62,7 +62,7 @@ def expectation_maximisation(
     parts = (np.empty(0), np.empty(0), np.empty(0))
     for number in range(rounds):
         if number:
-            logs = log_parts(samples, *parts)
+            logs = log_densities(samples, *parts)
             memberships = np.exp(logs - log_sum(logs))
         covariances = [
             np.cov(samples.T, aweights=row, ddof=0) + np.diag(widening) for row in memberships

@@ -46,7 +46,7 @@ def test_whitening_without_epsilon_leaves_unit_covariance() -> None:
 def test_a_round_of_k_means_moves_bases_to_means(seed: int, bases: int, count: int) -> None:
     points, start = random(count, 4, seed=seed), random(bases, 4, seed=seed + 1)
 
-    bases_after, counts = features.update(points, start)
+    bases_after, counts = features.update_dictionary(points, start)
 
     expected, expected_counts = reference.lloyd(points.numpy(), start.numpy())
     np.testing.assert_allclose(bases_after.numpy(), expected, atol=1e-12)

@@ -64,11 +64,11 @@ def equalised(golden: Golden, dtype: torch.dtype = torch.float64) -> Tensor:
 @cache
 def white(golden: Golden, dtype: torch.dtype = torch.float64) -> Tensor:
     even = equalised(golden, dtype)
-    return features.white_patches(even, features.DictionarySettings())
+    return features.whiten_patches(even, features.DictionarySettings())
 
 
 @cache
-def found_tree(golden: Golden) -> hierarchy.Tree:
+def found_tree(golden: Golden) -> hierarchy.RegionTree:
     steps = hierarchy.thresholds(16, "included")
     return hierarchy.build_tree(hierarchy.threshold_regions(golden["mean_map"], steps), 50)
 
@@ -154,7 +154,7 @@ def test_from_image_and_stored_start_to_the_mask(golden: Golden, dtype: torch.dt
     for bases, sizes in zip(
         golden.patches("centroids_iter"), golden["cluster_counts_iter"], strict=True
     ):
-        dictionary, counts = features.update(patches, dictionary)
+        dictionary, counts = features.update_dictionary(patches, dictionary)
         if dtype == torch.float64:
             close(dictionary, bases)
             assert torch.equal(counts, sizes)

@@ -24,7 +24,7 @@ def lower_half() -> torch.Tensor:
 
 
 def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
-    found = road.place_ahead(100, 200, apex=0.5, base=0.8)
+    found = road.triangle_weights(100, 200, apex=0.5, base=0.8)
 
     assert (found[:50] == -1).all()
     assert float(found[-1, 99]) > 0.98

@@ -12,7 +12,7 @@ from tests.draws import random
 
 SIZE = (90, 120)
 POINT = torch.tensor([25.0, 60.0])
-AIMING = vanishing.angles_from(POINT, SIZE).remainder(180)  # all texture aims at the point
+AIMING = vanishing.pixel_angles(POINT, SIZE).remainder(180)  # all texture aims at the point
 
 
 # --- which way texture runs -------------------------------------------------------------
@@ -38,9 +38,9 @@ def test_the_spectrum_is_that_of_the_filter_as_it_is_written() -> None:
     y, x = np.indices((size, size)) - size // 2
     turn = math.radians(angle)
     a, b = x * math.cos(turn) + y * math.sin(turn), y * math.cos(turn) - x * math.sin(turn)
-    envelope = np.exp(-(frequency**2) * (4 * a**2 + b**2) / (8 * vanishing.OCTAVES**2))
-    wave = np.exp(1j * frequency * a) - math.exp(-(vanishing.OCTAVES**2) / 2)
-    filtered = frequency / (math.sqrt(2 * math.pi) * vanishing.OCTAVES) * envelope * wave
+    envelope = np.exp(-(frequency**2) * (4 * a**2 + b**2) / (8 * vanishing.ENVELOPE_WAVES**2))
+    wave = np.exp(1j * frequency * a) - math.exp(-(vanishing.ENVELOPE_WAVES**2) / 2)
+    filtered = frequency / (math.sqrt(2 * math.pi) * vanishing.ENVELOPE_WAVES) * envelope * wave
 
     expected = np.fft.fft2(np.fft.ifftshift(filtered))
 
@@ -85,7 +85,7 @@ def test_votes_fall_with_the_miss(place: tuple[float, float], angle: float, vote
 def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
     orientation, sure = AIMING.clone(), torch.ones(SIZE)
     sure[:, :left_out] = 0
-    orientation[:, :left_out] = vanishing.angles_from(torch.tensor([50.0, 20.0]), SIZE)[
+    orientation[:, :left_out] = vanishing.pixel_angles(torch.tensor([50.0, 20.0]), SIZE)[
         :, :left_out
     ]
 
@@ -100,7 +100,7 @@ def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
 
 def wedge(first: float, second: float) -> Tensor:
     """An image (3,H,W) of a grey road between two rays from the point, green elsewhere."""
-    angle = vanishing.angles_from(POINT, SIZE)
+    angle = vanishing.pixel_angles(POINT, SIZE)
     road = (angle > first) & (angle < second)
     grey, green = torch.full((3, 1, 1), 0.5), torch.tensor([0.2, 0.5, 0.2])[:, None, None]
     return torch.where(road, grey, green) + 0.1 * random(3, *SIZE, dtype=torch.float32)
@@ -112,7 +112,10 @@ def test_both_borders_of_a_road_are_found_and_it_lies_between(first: int, second
 
     assert sorted((found.first, found.second)) == [first, second]
     assert torch.equal(found.point, POINT)
-    angle, below = vanishing.angles_from(POINT, SIZE), torch.arange(SIZE[0])[:, None] > POINT[0] + 1
+    angle, below = (
+        vanishing.pixel_angles(POINT, SIZE),
+        torch.arange(SIZE[0])[:, None] > POINT[0] + 1,
+    )
     expected = (angle > first) & (angle < second) & below
     assert (vanishing.road_between(found, SIZE) == expected).float().mean() > 0.98
 
