@@ -60,7 +60,7 @@ class StabilitySettings(Settings):
         description="eq. 10: the road's mean is subtracted everywhere (program), nowhere (text), "
         "or for the basis alone",
     )
-    kept: float = Field(
+    variance: float = Field(
         default=0.95, gt=0, le=1, description="fraction of the road's variance in the basis"
     )
     error_range: Literal["covered", "everywhere"] = Field(
@@ -106,10 +106,10 @@ def triangle_weights(rows: int, columns: int, apex: float, base: float) -> Tenso
     return inside.where(row > apex, -1)
 
 
-def road_basis(samples: Tensor, centring: Centring, kept: float) -> tuple[Tensor, Tensor]:
+def road_basis(samples: Tensor, centring: Centring, fraction: float) -> tuple[Tensor, Tensor]:
     """Return the mean (m,) and the basis (m, k) of eq. 10: PCA of road features (N, m).
 
-    The fewest eigenvectors with the fraction ``kept`` of the variance; none if it is 0.
+    The fewest eigenvectors with that ``fraction`` of the variance; none if it is 0.
     """
     mean = samples.mean(0)
     offset = mean if centring == "road" else torch.zeros_like(mean)
@@ -119,16 +119,16 @@ def road_basis(samples: Tensor, centring: Centring, kept: float) -> tuple[Tensor
     variance = values.clamp_min(0).flip(0).cumsum(0)
     if variance[-1] <= 0:
         return offset, samples.new_zeros(samples.shape[1], 0)
-    count = int((variance < kept * variance[-1]).sum()) + 1
+    count = int((variance < fraction * variance[-1]).sum()) + 1
     return offset, vectors.flip(1)[:, :count].to(samples)
 
 
-def reconstruction_error(maps: Tensor, road: Tensor, centring: Centring, kept: float) -> Tensor:
+def reconstruction_error(maps: Tensor, road: Tensor, centring: Centring, fraction: float) -> Tensor:
     """Return the error (H, W) ≥ 0 of reconstructing maps by the road's basis (eq. 10).
 
     The maps are the selected ones (m, H, W); ``road`` is bool (H, W), not empty.
     """
-    mean, basis = road_basis(maps[:, road].T, centring, kept)
+    mean, basis = road_basis(maps[:, road].T, centring, fraction)
     features = maps.flatten(1) - mean[:, None]
     residual = features - basis @ (basis.T @ features)
     return residual.square().sum(0).sqrt().view(road.shape)
@@ -192,7 +192,7 @@ def find_road(
         if model is None or len(rounds) == settings.rounds:
             return rounds
         learned = node_area(tree, model).to(maps.device)
-        error = reconstruction_error(maps, learned, settings.centring, settings.kept)
+        error = reconstruction_error(maps, learned, settings.centring, settings.variance)
         error = normalised_error(error, covered)
 
 

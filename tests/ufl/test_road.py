@@ -39,13 +39,13 @@ def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
 
 @pytest.mark.parametrize("centring", ["road", "none"])
 @settings(max_examples=15)
-@given(seed=st.integers(0, 10**6), kept=st.floats(0.3, 0.99))
-def test_the_error_is_equation_10(centring: road.Centring, seed: int, kept: float) -> None:
+@given(seed=st.integers(0, 10**6), fraction=st.floats(0.3, 0.99))
+def test_the_error_is_equation_10(centring: road.Centring, seed: int, fraction: float) -> None:
     maps = random(5, 9, 12, seed=seed)
 
-    found = road.reconstruction_error(maps, lower_half(), centring, kept)
+    found = road.reconstruction_error(maps, lower_half(), centring, fraction)
 
-    expected = reference.errors(maps.numpy(), lower_half().numpy(), kept, centring == "road")
+    expected = reference.errors(maps.numpy(), lower_half().numpy(), fraction, centring == "road")
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-7)
 
 
