@@ -77,7 +77,7 @@ TEXT = {
     "maps": {"row_weights": "from_one", "scale": "none"},
     "tree": {"top": "left_out"},
     "road": {
-        "place": "from_one",
+        "position": "from_one",
         "centring": "basis",
         "error_range": "everywhere",
         "model": "best",
@@ -99,7 +99,7 @@ ENTRIES = (
             "isolated": "drop",
             "smoothing": {"target": 0.25},
             "tree": {"least": 25, "nodes": "regions"},
-            "road": {"weight": 1.5, "place": "ahead", "dilation": 2},
+            "road": {"weight": 1.5, "position": "ahead", "dilation": 2},
         },
     ),
     Entry("ufl:paper", "the same after the text of the paper", UflSettings, UFL, values=TEXT),

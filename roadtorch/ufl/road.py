@@ -41,7 +41,7 @@ class StabilitySettings(Settings):
         default=2.0, ge=0, le=1000, description="lambda, weight of the error in eq. 6"
     )
     rounds: int = Field(default=2, ge=1, le=100, description="iterations; the first has no error")
-    place: Literal["symmetric", "from_one", "ahead"] = Field(
+    position: Literal["symmetric", "from_one", "ahead"] = Field(
         default="symmetric",
         description="position term of eq. 6: centred on the middle row and column (program), rows "
         "and columns from 1 minus H/2 (text), or inside a triangle ahead",
@@ -177,10 +177,10 @@ def find_road(
         The rounds; the last one without road where a round finds none.
     """
     rows, columns = mean_map.shape
-    if settings.place == "ahead":
+    if settings.position == "ahead":
         position = triangle_weights(rows, columns, settings.apex, settings.base)
     else:
-        position = place_weights(rows, columns, settings.place)
+        position = place_weights(rows, columns, settings.position)
     covered = mean_map != 0 if settings.error_range == "covered" else torch.ones_like(mean_map) > 0
     error = torch.zeros_like(mean_map)
     rounds: list[Round] = []

@@ -67,7 +67,7 @@ def run(maps: torch.Tensor, mean: torch.Tensor, **settings: object) -> list[road
 
 
 def test_the_first_round_has_no_error_and_the_next_find_the_road_without_the_wall() -> None:
-    rounds = run(*street(), rounds=3, place="ahead")
+    rounds = run(*street(), rounds=3, position="ahead")
 
     assert len(rounds) == 3
     assert (rounds[0].error == 0).all()
