@@ -77,7 +77,7 @@ class KmeansRoadSettings(DetectorSettings):
     cut: CutSettings = CutSettings()
 
 
-ALL_MAPS = MapSettings(encoder="patch", share=1.0)
+ALL_MAPS = MapSettings(encoder="patch", fraction=1.0)
 """Eq. 3 of P1, and every map: what Xia et al. did before P1's eqs. 4 and 5."""
 
 

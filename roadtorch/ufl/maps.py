@@ -36,7 +36,7 @@ class MapSettings(Settings):
         default="centred",
         description="eq. 5, row - H/2: centred on the middle row (program), or rows from 1 (text)",
     )
-    share: float = Field(
+    fraction: float = Field(
         default=0.2, gt=0, le=1, description="fraction of the maps that is selected, the best ones"
     )
     scale: Literal["maximum", "none"] = Field(
@@ -116,7 +116,7 @@ def select_maps(
     blocks = dictionary.split(BASIS_BLOCK)
     scores = torch.cat([score_maps(encode(bases), weights) for bases in blocks])
     order = scores.argsort(descending=True, stable=True)
-    best = encode(dictionary[order[: max(1, int(len(order) * settings.share + 0.5))]])
+    best = encode(dictionary[order[: max(1, int(len(order) * settings.fraction + 0.5))]])
     return FeatureMaps((best / response_scale(best)[:, None]).view(-1, *size), order, scores)
 
 

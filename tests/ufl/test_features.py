@@ -88,10 +88,10 @@ def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) ->
 
 
 @pytest.mark.parametrize("kind", ["base", "patch"])
-@pytest.mark.parametrize(("share", "count"), [(0.3, 12), (0.5, 21), (0.01, 1), (1.0, 41)])
-def test_the_best_maps_are_kept_best_first(kind: str, share: float, count: int) -> None:
+@pytest.mark.parametrize(("fraction", "count"), [(0.3, 12), (0.5, 21), (0.01, 1), (1.0, 41)])
+def test_the_best_maps_are_kept_best_first(kind: str, fraction: float, count: int) -> None:
     points, dictionary = random(35, 4), random(41, 4, seed=1)
-    settings = MapSettings.model_validate({"encoder": kind, "share": share})
+    settings = MapSettings.model_validate({"encoder": kind, "fraction": fraction})
 
     found = maps.select_maps(points, dictionary, SIZE, settings)
 
