@@ -52,7 +52,7 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     # The road among them: P1, section II.C.
     mean = mean_map(features.maps, settings.maps.scale)
     regions = threshold_regions(mean, thresholds(settings.tree.levels, settings.tree.top))
-    tree = build_tree(regions, settings.tree.least, settings.tree.nodes)
+    tree = build_tree(regions, settings.tree.min_area, settings.tree.nodes)
     rounds = find_road(features.maps, mean, tree, settings.road)
     masks = [mask_to_image(widened(step.road, settings.road.dilation), side) for step in rounds]
     if settings.isolated == "drop":
@@ -98,7 +98,7 @@ ENTRIES = (
         values={
             "isolated": "drop",
             "smoothing": {"target": 0.25},
-            "tree": {"least": 25, "nodes": "regions"},
+            "tree": {"min_area": 25, "nodes": "regions"},
             "road": {"weight": 1.5, "position": "ahead", "dilation": 2},
         },
     ),

@@ -27,7 +27,7 @@ class RegionTreeSettings(Settings):
     top: TopLevel = Field(
         default="included", description="threshold 1, which only ends nodes (program), or none"
     )
-    least: int = Field(
+    min_area: int = Field(
         default=50, ge=1, le=10**6, description="minPts, least area of a region, pixels of the map"
     )
     nodes: Nodes = Field(
@@ -107,15 +107,15 @@ def threshold_regions(mean_map: Tensor, steps: Tensor) -> Regions:
     )
 
 
-def build_tree(regions: Regions, least: int, nodes: Nodes = "runs") -> RegionTree:
-    """Join regions of at least ``least`` pixels into nodes; the root is the whole map at any size.
+def build_tree(regions: Regions, min_area: int, nodes: Nodes = "runs") -> RegionTree:
+    """Join regions of at least ``min_area`` pixels into nodes; the root is the whole map at any size.
 
     ``runs``: a region with a single large enough child shares its node; several children start
     nodes of their own. ``regions``, ours: each region is a node. Then the best single region is
     selected, where P1 selects the largest of the best run.
     """
     level, parent = regions.level.numpy(), regions.parent.numpy()
-    large = regions.area.numpy() >= least
+    large = regions.area.numpy() >= min_area
     large[:2] = False, True
     siblings = np.bincount(parent[large], minlength=len(parent))
     joined = (siblings == 1) & (nodes == "runs")
