@@ -25,13 +25,14 @@ class WorkingShape(Settings):
     rows: int = Field(
         default=120, ge=16, le=480, description="height, pixels; the width keeps the aspect ratio"
     )
-    widest: float = Field(
+    max_aspect_ratio: float = Field(
         default=4.0, ge=1, le=64, description="largest aspect ratio, width/height or height/width"
     )
 
     def size(self, height: int, width: int) -> tuple[int, int]:
         """Return the working rows and columns for an image of height × width pixels."""
-        shape = min(max(width / height, 1 / self.widest), self.widest)
+        limit = self.max_aspect_ratio
+        shape = min(max(width / height, 1 / limit), limit)
         return self.rows, max(16, round(self.rows * shape))
 
 
