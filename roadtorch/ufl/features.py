@@ -32,7 +32,7 @@ class DictionarySettings(Settings):
     )
     bases: int = Field(default=200, ge=1, le=1024, description="K, the number of bases")
     rounds: int = Field(default=10, ge=0, le=1000, description="rounds of K-means")
-    start: Literal["noise", "patches"] = Field(
+    init: Literal["noise", "patches"] = Field(
         default="noise", description="initial bases: small noise, or random patches"
     )
     random_seed: int = Field(default=0, ge=0, le=2**31, description="seed of the initial bases")
@@ -80,7 +80,7 @@ def whiten_patches(image: Tensor, settings: DictionarySettings) -> Tensor:
 def start_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
     """Return initial bases (K, d) for K-means; equal seeds give equal bases."""
     generator = torch.Generator().manual_seed(settings.random_seed)
-    if settings.start == "patches":
+    if settings.init == "patches":
         rows = torch.randint(len(patches), (settings.bases,), generator=generator)
         return patches[rows.to(patches.device)]
     shape = (settings.bases, patches.shape[1])

@@ -57,7 +57,7 @@ def test_the_random_seed_settles_a_start_of_small_noise_or_of_patches() -> None:
     points = random(50, 4)
 
     def start(kind: str, random_seed: int) -> torch.Tensor:
-        told = {"start": kind, "random_seed": random_seed, "bases": 1000}
+        told = {"init": kind, "random_seed": random_seed, "bases": 1000}
         return features.start_dictionary(points, DictionarySettings.model_validate(told))
 
     for kind in ("noise", "patches"):
