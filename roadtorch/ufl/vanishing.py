@@ -116,7 +116,7 @@ class VotingSettings(Settings):
     radius: float = Field(
         default=0.35, gt=0, le=2, description="radius of the half disk of voters, in diagonals"
     )
-    lowest: float = Field(
+    max_row: float = Field(
         default=0.9, gt=0, le=1, description="lowest candidate row, as a fraction of the height"
     )
     step: int = Field(
@@ -178,7 +178,7 @@ def vote_vanishing_point(
         votes = soft_votes(grid, places, angles, (height**2 + width**2) ** 0.5, settings)
         return grid[int(votes.argmax())] if votes.max() > 0 else None
 
-    last, step = max(1, round(settings.lowest * height)), settings.step
+    last, step = max(1, round(settings.max_row * height)), settings.step
     coarse = most_voted(range(0, last, step), range(0, width, step))
     if coarse is None:
         return None
