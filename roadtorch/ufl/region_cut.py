@@ -40,7 +40,7 @@ class PeakSettings(Settings):
 class CutSettings(Settings):
     """Settings of the graph cut."""
 
-    border: float = Field(
+    border_cost: float = Field(
         default=2.0,
         ge=0,
         le=1000,
@@ -119,7 +119,7 @@ def cut_road(
         for area in (seed, top)
     )
     pairs, length = shared_borders(regions)
-    parting = settings.border * length * similarity(bags[pairs[:, 0]], bags[pairs[:, 1]])
+    parting = settings.border_cost * length * similarity(bags[pairs[:, 0]], bags[pairs[:, 1]])
     return source_side(road_cost, background_cost, pairs, parting)[regions]
 
 
