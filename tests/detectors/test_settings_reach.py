@@ -51,10 +51,10 @@ USUAL = {
 """What is set throughout, to be quick."""
 NEEDS: dict[str, dict] = {
     "seed_area": {"isolated": "drop"},
-    "tree.top": {"tree": {"least": 1}},
-    "road.apex": {"road": {"place": "ahead"}},
-    "road.base": {"road": {"place": "ahead"}},
-    "road.whole": {"tree": {"nodes": "runs", "least": 1000}},
+    "tree.top": {"tree": {"min_area": 1}},
+    "road.apex": {"road": {"position": "ahead"}},
+    "road.base": {"road": {"position": "ahead"}},
+    "road.whole": {"tree": {"nodes": "runs", "min_area": 1000}},
     "saturation": {"descriptor": "cpf:v2"},
     "second.share": {"second": {"file": "rendered-free"}},
     "classifier.threshold": {"classifier": {"rejected": 0.3}},

@@ -81,9 +81,9 @@ def test_without_contrast_there_is_no_road(name: str, colour: tuple[float, ...])
     [
         {"dictionary": {"bases": 1}},
         {"dictionary": {"side": 16, "bases": 8}, "working": {"rows": 16}},
-        {"maps": {"share": 1.0}, "dictionary": {"bases": 6}},
-        {"tree": {"least": 10**6}, "dictionary": {"bases": 20}},
-        {"tree": {"least": 1}, "dictionary": {"bases": 20}},
+        {"maps": {"fraction": 1.0}, "dictionary": {"bases": 6}},
+        {"tree": {"min_area": 10**6}, "dictionary": {"bases": 20}},
+        {"tree": {"min_area": 1}, "dictionary": {"bases": 20}},
         {"road": {"dilation": 0, "rounds": 1}, "dictionary": {"bases": 20, "rounds": 0}},
     ],
 )
