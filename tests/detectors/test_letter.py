@@ -86,7 +86,7 @@ def test_oneclass_paper_is_the_text_of_alvarez_et_al(
     same: float,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(mixture, "LIKELIHOOD_TOLERANCE", 0.0)  # both climb to the top, whence ever they start
+    monkeypatch.setattr(mixture, "LIKELIHOOD_TOLERANCE", 0.0)  # both run to convergence
     image = real_image("street", 240, 180)
     samples = road_samples(image.float(), ("R", "G", "B"), SampleSettings()).double().numpy()
 

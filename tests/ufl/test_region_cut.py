@@ -52,7 +52,9 @@ def test_where_borders_are_dear_an_island_in_the_road_is_road() -> None:
     seed = torch.zeros(9, 6, dtype=torch.bool)
     seed[8] = True
 
-    cheap, dear = (cut_road(regions, words, 3, seed, CutSettings(border_cost=b)) for b in (0.0, 50.0))
+    cheap, dear = (
+        cut_road(regions, words, 3, seed, CutSettings(border_cost=b)) for b in (0.0, 50.0)
+    )
 
     for found, is_road in ((cheap, False), (dear, True)):
         assert found[5, 2] == is_road
