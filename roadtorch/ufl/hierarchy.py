@@ -108,7 +108,7 @@ def threshold_regions(mean_map: Tensor, steps: Tensor) -> Regions:
 
 
 def build_tree(regions: Regions, min_area: int, nodes: Nodes = "runs") -> RegionTree:
-    """Join regions of at least ``min_area`` pixels into nodes; the root is the whole map at any size.
+    """Join regions of at least ``min_area`` pixels into nodes; the root is the whole map.
 
     ``runs``: a region with a single large enough child shares its node; several children start
     nodes of their own. ``regions``, ours: each region is a node. Then the best single region is
