@@ -39,7 +39,7 @@ def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
 
 @pytest.mark.parametrize("path", THRESHOLDS, ids=lambda path: path.stem)
 def test_the_default_threshold_is_the_one_that_was_chosen(path: Path) -> None:
-    name, values = DetectorOptions(config=path).named()
+    name, values = DetectorOptions(config=path).name_and_values()
     entry = detector_entry(name)
 
     chosen, default = (entry.configured(given).model_dump() for given in (values, {}))

@@ -1,1 +1,1 @@
-"""Files in and out: bounded reads, atomic writes, images."""
+"""Errors, settings, signals, bounded reads, atomic writes and image codecs."""

@@ -1,4 +1,4 @@
-"""Files that are never half-written, and the folders they go to."""
+"""Atomic writes, locks on folders, and text formats: JSON and CSV."""
 
 import csv
 import errno
@@ -17,27 +17,27 @@ from roadtorch.base.bounded import printable
 from roadtorch.base.errors import InputError, UnwritableError
 
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
-"""The names of temporary files, those of earlier versions among them."""
+"""Pattern of the names of temporary files, including those of earlier versions."""
 
-LAST_BREATH = 1.0
-"""Seconds after which the workers of a killed run are gone; ours: they end within one image."""
+LOCK_TIMEOUT = 1.0
+"""Seconds to wait for a lock; ours: the workers of a killed run end within one image."""
 
-REMEDIES = {
+HINTS = {
     errno.ENAMETOOLONG: "give it a shorter name",
     errno.ENOSPC: "make room, or choose a folder with room",
     errno.EDQUOT: "make room, or choose a folder with room",
-    None: "see whether the disk has room and is whole",
+    None: "check that the disk has room and is intact",
 }
-"""What helps when a file cannot be written, by the number of the error, which some errors lack."""
+"""Hints for files that cannot be written, by errno; None for errors without a number."""
 
-FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
-"""What a cell begins with that spreadsheets take for a formula, and the sign against that."""
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "'")
+"""First characters of cells that spreadsheets take for a formula, and of escaped cells."""
 
-# --- in ---------------------------------------------------------------------------------
+# --- digests ----------------------------------------------------------------------------
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a file's bytes; empty where it is no regular file that can be read."""
+    """Return the SHA-256 of a file's bytes; "" if it is no readable regular file."""
     try:
         if path.is_file():
             with path.open("rb") as file:
@@ -48,20 +48,20 @@ def digest_of(path: Path) -> str:
 
 
 def digest_of_folder(path: Path) -> str:
-    """SHA-256 of the names and digests of the files right in a folder; empty without a file."""
-    digest, found = hashlib.sha256(), ""
+    """Return the SHA-256 of the names and digests of the files in a folder; "" without a file."""
+    digest, result = hashlib.sha256(), ""
     for file in sorted(path.iterdir()):
-        if own := digest_of(file):
-            digest.update(f"{own} {file.name}\n".encode("utf-8", "surrogateescape"))
-            found = digest.hexdigest()
-    return found
+        if file_digest := digest_of(file):
+            digest.update(f"{file_digest} {file.name}\n".encode("utf-8", "surrogateescape"))
+            result = digest.hexdigest()
+    return result
 
 
-# --- out --------------------------------------------------------------------------------
+# --- folders and files ------------------------------------------------------------------
 
 
 def make_folder(path: Path, hint: str = "give another folder") -> None:
-    """Make a folder and those above it; UnwritableError with the remedy when it cannot be made."""
+    """Make a folder and its parents; raise UnwritableError with the hint if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -71,11 +71,11 @@ def make_folder(path: Path, hint: str = "give another folder") -> None:
 
 @contextmanager
 def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path in the folder of ``path``; rename it at the end, if all went well.
+    """Yield a temporary path in the folder of ``path``, and rename it to ``path`` at the end.
 
     Whatever happens, ``path`` holds its old content or all of the new one, and no temporary
-    file stays; ``remove_leftovers`` takes those of a process that was killed. The temporary
-    name is short, whatever the name of ``path``. Raises UnwritableError when it cannot be written.
+    file stays; ``remove_leftovers`` removes those of a killed process. The temporary name is
+    short, whatever the name of ``path``. Raises UnwritableError if it cannot be written.
     """
     path = Path(path)
     temporary = path.with_name(f".roadtorch.{secrets.token_hex(4)}.part")
@@ -85,19 +85,19 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise unwritable(path, error) from None
     finally:
-        # Where even looking for the file fails there is none to remove.
+        # If even looking for the file fails, there is none to remove.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
 def unwritable(path: Path, error: OSError, problem: str = "cannot be written") -> UnwritableError:
-    """Return the error for a file that cannot be written, with what helps."""
-    hint = REMEDIES.get(error.errno, "choose a folder that you may write to")
+    """Return the UnwritableError, with a hint, for an OSError at a file."""
+    hint = HINTS.get(error.errno, "choose a folder that you may write to")
     return UnwritableError(path, f"{problem}: {error.strerror or error}", hint)
 
 
 def remove_leftovers(folders: Iterable[Path]) -> None:
-    """Remove what killed processes left in the folders; no process may be writing there now."""
+    """Remove temporary files of killed processes; no process may be writing to the folders."""
     for folder in folders:
         with suppress(OSError):
             for path in folder.iterdir():
@@ -105,23 +105,26 @@ def remove_leftovers(folders: Iterable[Path]) -> None:
                     path.unlink(missing_ok=True)
 
 
+# --- locks ------------------------------------------------------------------------------
+
+
 @contextmanager
 def locked(folder: Path, hint: str = "wait for it, or give another folder") -> Iterator[None]:
-    """Keep other runs out of a folder during the block; InputError where one is in it already.
+    """Hold the exclusive lock of a folder; raise InputError if another run holds one.
 
-    The lock is on the folder itself (flock): no file is made for it, and it ends with the
-    process and its workers, however they end; those of a killed run get ``LAST_BREATH`` for it.
-    Where a system or a disk has no such locks, nobody is kept out.
+    The lock is on the folder itself (flock): it needs no file, and ends with the process and
+    its workers, however they end; a run waits ``LOCK_TIMEOUT`` for those of a killed one.
+    Without locks of the operating system or the disk, nothing is excluded.
     """
-    with _lock_of(folder) as lock:
-        end = monotonic() + LAST_BREATH
+    with _folder_lock(folder) as lock:
+        end = monotonic() + LOCK_TIMEOUT
         while True:
             try:
-                lock(alone=True)
+                lock(exclusive=True)
             except BlockingIOError:
                 if monotonic() > end:
                     raise InputError(folder, "another run is writing here", hint) from None
-                sleep(LAST_BREATH / 50)
+                sleep(LOCK_TIMEOUT / 50)
                 continue
             except OSError:
                 pass  # a system or a disk without locks
@@ -131,47 +134,47 @@ def locked(folder: Path, hint: str = "wait for it, or give another folder") -> I
 
 @contextmanager
 def shared(folder: Path) -> Iterator[None]:
-    """Write into a folder, which is made, beside other runs that do so with this function.
+    """Hold a shared lock of a folder, which is made, so that several runs may write into it.
 
-    Who finds nobody there removes what killed runs left, in all folders below as well but those
-    that a run has for itself. Where a system or a disk has no locks, nobody does.
+    The first run to come removes the temporary files of killed runs, in subfolders too unless
+    another run holds their exclusive lock. Without locks nothing is removed.
     """
     make_folder(folder)
-    with _lock_of(folder) as lock:
+    with _folder_lock(folder) as lock:
         with suppress(OSError):
-            lock(alone=True)
-            for below, folders, _ in os.walk(folder):
-                remove_leftovers([Path(below)])
-                folders[:] = [one for one in folders if _is_free(Path(below, one))]
+            lock(exclusive=True)
+            for parent, subfolders, _ in os.walk(folder):
+                remove_leftovers([Path(parent)])
+                subfolders[:] = [name for name in subfolders if _is_unlocked(Path(parent, name))]
         with suppress(OSError):
-            lock(alone=False)
+            lock(exclusive=False)
         yield
 
 
-def _is_free(folder: Path) -> bool:
-    """Whether no run has a folder for itself; OSError where there are no locks."""
-    with _lock_of(folder) as lock:
+def _is_unlocked(folder: Path) -> bool:
+    """Return whether no run holds a lock of a folder; raise OSError without locks."""
+    with _folder_lock(folder) as lock:
         try:
-            lock(alone=True)
+            lock(exclusive=True)
         except BlockingIOError:
             return False
     return True
 
 
 @contextmanager
-def _lock_of(folder: Path) -> Iterator[Callable[..., None]]:
-    """``lock(alone=…)`` takes the lock of a folder, or changes it, until the block ends.
+def _folder_lock(folder: Path) -> Iterator[Callable[..., None]]:
+    """Yield ``lock(exclusive=…)``, which takes the lock of a folder or changes its kind.
 
-    alone: with nobody else, BlockingIOError where one has it; otherwise with others, and it
-    waits for one who is alone. OSError where there are no locks.
+    An exclusive lock raises BlockingIOError if any other is held; a shared one waits for an
+    exclusive one. Raises OSError without locks.
     """
 
-    def lock(*, alone: bool) -> None:
+    def lock(*, exclusive: bool) -> None:
         try:
             import fcntl
         except ImportError:  # not a Unix
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK)) from None
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB if alone else fcntl.LOCK_SH)
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB if exclusive else fcntl.LOCK_SH)
 
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -181,7 +184,7 @@ def _lock_of(folder: Path) -> Iterator[Callable[..., None]]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write UTF-8 text with the line ends as they are; other bytes of names as ``\\xff``."""
+    r"""Write UTF-8 text, line ends unchanged, bytes of names that are not UTF-8 as ``\xff``."""
     with atomic(path) as temporary:
         temporary.write_bytes(printable(text).encode())
 
@@ -196,25 +199,24 @@ def write_json(path: str | os.PathLike[str], document: object) -> None:
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:
-    """Rows as CSV under a line with the names of the columns; lines end in a line feed.
+    """Return rows as CSV with a header; lines end in a line feed.
 
-    A column that a row lacks stays empty; ValueError for a row with a key that is no column.
-    A text that spreadsheets would take for a formula has an apostrophe before it; ``from_cell``
-    takes it away.
+    A column that a row lacks stays empty; a key that is no column raises ValueError. Text that
+    spreadsheets would take for a formula gets an apostrophe in front, which ``from_cell`` removes.
     """
-    # The csv module quotes only the line ends that it is told to write: told of both, it quotes
-    # a carriage return in a name, which readers would take for the end of a row.
+    # The csv module quotes only the line ends that it writes: with both, it quotes a carriage
+    # return in a name, which readers would take for the end of a row.
     lines: list[str] = []
     for row in ({name: name for name in columns}, *rows):
         text = io.StringIO(newline="")
-        cells = {name: _cell(value) for name, value in row.items()}
+        cells = {name: _escape_cell(value) for name, value in row.items()}
         csv.DictWriter(text, columns, lineterminator="\r\n").writerow(cells)
         lines.append(text.getvalue().removesuffix("\r\n") + "\n")
     return "".join(lines)
 
 
-def _cell(value: object) -> object:
-    if isinstance(value, str) and value.startswith(FORMULA):
+def _escape_cell(value: object) -> object:
+    if isinstance(value, str) and value.startswith(FORMULA_STARTS):
         with suppress(ValueError):
             float(value)
             return value
@@ -223,5 +225,5 @@ def _cell(value: object) -> object:
 
 
 def from_cell(text: str) -> str:
-    """The text of a cell of ours, without an apostrophe that keeps it from being a formula."""
-    return text[1:] if text[:1] == "'" and text[1:].startswith(FORMULA) else text
+    """Return the text of a cell of ``csv_text`` without its escaping apostrophe."""
+    return text[1:] if text[:1] == "'" and text[1:].startswith(FORMULA_STARTS) else text

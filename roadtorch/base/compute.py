@@ -1,4 +1,4 @@
-"""What a process computes with: threads of torch and OpenCV, memory, a device of torch."""
+"""Computing resources of a process: threads of torch and OpenCV, memory, torch devices."""
 
 import ctypes
 import sys
@@ -13,64 +13,64 @@ from roadtorch.base.errors import ConfigError
 
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # numbers of glibc's mallopt(3)
 
-KEPT = 2**28
-"""Bytes of freed memory that stay with the process at most; ours: fusion frees 30 MB an image."""
+MAX_KEPT_BYTES = 2**28
+"""Freed memory that the process keeps, at most; ours: fusion frees 30 MB an image."""
 
-_SETTING = Lock()
+_THREAD_COUNT_LOCK = Lock()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Inside the block, or the function that it decorates, torch computes in the calling thread.
+    """Let torch compute in the calling thread inside the block, or in the decorated function.
 
-    So that the same image gives the same bytes: sums shared among threads depend on how many
-    there are. Afterwards the thread has the number it had; all others keep theirs throughout.
+    The same image then gives the same bytes: sums that threads share depend on their number.
+    Other threads keep their number throughout.
     """
     import torch
 
-    with _SETTING:  # a new thread takes the common number, which another may just be changing
-        before = torch.get_num_threads()
-    if before == 1:
+    with _THREAD_COUNT_LOCK:  # a new thread takes the default, which another may be changing
+        count = torch.get_num_threads()
+    if count == 1:
         yield
         return
-    _set_own(1)
+    _set_calling_thread_count(1)
     try:
         yield
     finally:
-        _set_own(before)
+        _set_calling_thread_count(count)
 
 
-def _set_own(number: int) -> None:
-    """``torch.set_num_threads`` for the calling thread alone.
+def _set_calling_thread_count(count: int) -> None:
+    """Set torch's number of threads for the calling thread alone.
 
-    torch's own function also sets what new threads begin with: another thread, new itself, looks
-    that number up and puts it back.
+    ``torch.set_num_threads`` also sets the default of new threads: another new thread looks that
+    up first and restores it.
     """
     import torch
 
-    with _SETTING, ThreadPoolExecutor(1) as new:
-        common = new.submit(torch.get_num_threads).result()
-        torch.set_num_threads(number)
-        new.submit(torch.set_num_threads, common).result()
+    with _THREAD_COUNT_LOCK, ThreadPoolExecutor(1) as new:
+        default = new.submit(torch.get_num_threads).result()
+        torch.set_num_threads(count)
+        new.submit(torch.set_num_threads, default).result()
 
 
 @dataclass(frozen=True)
 class Threads:
-    """The threads of torch and of OpenCV within one image."""
+    """Numbers of threads that torch and OpenCV use within one image."""
 
     torch: int
     opencv: int
 
     @classmethod
     def of_now(cls) -> "Threads":
-        """Those of this process."""
+        """Return the numbers of this process."""
         import cv2
         import torch
 
         return cls(torch.get_num_threads(), cv2.getNumThreads())
 
     def set(self) -> None:
-        """Let this process have as many."""
+        """Set the numbers of this process."""
         import cv2
         import torch
 
@@ -80,42 +80,42 @@ class Threads:
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Inside the block this process computes on one thread, and so do copies of it."""
-    before = Threads.of_now()
+    """Limit torch and OpenCV to one thread in this process, and in copies of it, in the block."""
+    previous = Threads.of_now()
     Threads(1, 1).set()
     try:
         yield
     finally:
-        before.set()
+        previous.set()
 
 
 # --- memory and device ------------------------------------------------------------------
 
 
 def keep_freed_memory() -> None:
-    """Let this process keep freed memory for the next image, where the C library is glibc.
+    """Make glibc keep freed memory for the next image, if it is the C library.
 
-    By default it gives larger pieces back to the system at once, and each step of a detector then
+    By default it returns larger pieces to the system at once, and each step of a detector then
     waits for empty pages: a tenth of its time.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # another C library
             library = ctypes.CDLL(None)
-            library.mallopt(MMAP_THRESHOLD, KEPT)
-            library.mallopt(TRIM_THRESHOLD, KEPT)
+            library.mallopt(MMAP_THRESHOLD, MAX_KEPT_BYTES)
+            library.mallopt(TRIM_THRESHOLD, MAX_KEPT_BYTES)
 
 
-def forget_peak() -> None:
-    """Let the peak of memory begin anew, where the system (Linux) can."""
+def reset_peak_memory() -> None:
+    """Reset the peak that ``peak_memory_mib`` returns, where the system (Linux) can."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def peak_mebibytes() -> float:
-    """The most memory that this process has held, since ``forget_peak`` where that works.
+def peak_memory_mib() -> float:
+    """Return the peak memory of this process in MiB, since ``reset_peak_memory`` on Linux.
 
-    Its own, not that of the process that started it. 0 where the system does not say (Windows).
-    What getrusage tells (macOS) is at least what the parent held when it started this process.
+    0 on Windows. On macOS (getrusage) it is at least what the parent process held when it started
+    this one.
     """
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text().splitlines():
@@ -130,7 +130,7 @@ def peak_mebibytes() -> float:
 
 
 def check_device(device: str, where: str) -> None:
-    """Raises ConfigError, which names ``where``, for a device that torch or this machine lacks."""
+    """Raise ConfigError at ``where`` if torch or this machine lacks a device."""
     import torch
 
     try:

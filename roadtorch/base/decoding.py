@@ -1,4 +1,4 @@
-"""Decoding: the bytes of an image to its pixels, or the reason why not."""
+"""Decoding of image files to pixels, with bounds on their size."""
 
 import io
 import os
@@ -12,26 +12,25 @@ import numpy as np
 from PIL import Image, ImageOps
 from PIL.ExifTags import Base as ExifTag
 
-FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
+PILLOW_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
 
-MEGAPIXELS = 100
-"""The most that an image may have, unless ``MEGAPIXELS_VARIABLE`` says otherwise; ours: fusion
-takes about 4 GB for as many."""
+MAX_MEGAPIXELS = 100
+"""Default limit of an image, see ``MEGAPIXELS_VARIABLE``; ours: fusion takes about 4 GB for it."""
 
 MEGAPIXELS_VARIABLE = "ROADTORCH_MAX_MEGAPIXELS"
 
-MAX_SIDE = 2**20
+MAX_IMAGE_SIDE = 2**20
 """Pixels; ours: Pillow's time for a row grows with the square of its length, half a minute for one
 of 16 megapixels."""
 
-PILLOWS_MEGAPIXELS = 178  # Pillow opens nothing larger, whatever we allow
+PILLOW_MAX_MEGAPIXELS = 178  # Pillow opens nothing larger
 
 # TIFF 6.0: tags, and values of theirs
-BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLES, PLANES = 258, 262, 277, 284
+BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLES_PER_PIXEL, PLANAR_CONFIGURATION = 258, 262, 277, 284
 EXTRA_SAMPLES, SAMPLE_FORMAT = 338, 339
 BLACK_IS_ZERO, RGB, UNSIGNED, ALPHA = 1, 2, 1, 2
 
-PNG_DEPTH = 24  # where a PNG has its bits a sample
+PNG_DEPTH = 24  # offset of the bit depth in a PNG
 
 _WARNING_FILTERS = threading.Lock()
 
@@ -40,20 +39,20 @@ class TooLargeError(ValueError):
     """An image that declares more pixels than are allowed."""
 
 
-def decode(data: bytes) -> np.ndarray:
-    """Decode an image to upright pixels: uint8 or uint16, (H,W), (H,W,3) RGB or (H,W,4) RGBA.
+def decode_pixels(data: bytes) -> np.ndarray:
+    """Decode an image to upright pixels: uint8 or uint16, (H, W), (H, W, 3) RGB or (H, W, 4) RGBA.
 
-    OpenCV decodes what has 16 bits, Pillow the rest. Raises TooLargeError before anything is
-    decoded, and whatever the decoders raise for bytes that are no image.
+    OpenCV decodes 16 bits, Pillow the rest. Raises TooLargeError before anything is decoded, and
+    whatever the decoders raise for other bytes.
     """
     image = open_image(data)
     if image.format == "PNG":
         image.verify()  # checks every chunk, and closes the image
         image = open_image(data)
         if data[PNG_DEPTH] == 16:
-            return _turn_upright(_opencv(data), image)
-    if image.format == "TIFF" and _is_deep_tiff(image):
-        pixels = _opencv(data)  # which turns TIFFs upright itself
+            return _apply_orientation(_decode_with_opencv(data), image)
+    if image.format == "TIFF" and _is_16_bit_tiff(image):
+        pixels = _decode_with_opencv(data)  # which applies the orientation of TIFFs itself
         has_alpha = _tiff_tag(image, EXTRA_SAMPLES)[0] == ALPHA
         return pixels if pixels.ndim == 2 or has_alpha else pixels[..., :3]
     return pillow_pixels(image)
@@ -62,46 +61,46 @@ def decode(data: bytes) -> np.ndarray:
 def open_image(data: bytes) -> Image.Image:
     """Open an image with Pillow, without decoding it.
 
-    Raises TooLargeError for more pixels than allowed, ValueError for more than ``MAX_SIDE`` in
-    a row, UnidentifiedImageError and others of Pillow's for what is none.
+    Raises TooLargeError for more pixels than allowed, ValueError for a side longer than
+    ``MAX_IMAGE_SIDE``, UnidentifiedImageError and others of Pillow's for other bytes.
     """
     try:
         with without_warnings():
-            image = Image.open(io.BytesIO(data), formats=FORMATS)
+            image = Image.open(io.BytesIO(data), formats=PILLOW_FORMATS)
     except Image.DecompressionBombError:
-        most = min(PILLOWS_MEGAPIXELS, most_megapixels())
-        raise TooLargeError(f"has more than {most:g} megapixels") from None
+        limit = min(PILLOW_MAX_MEGAPIXELS, most_megapixels())
+        raise TooLargeError(f"has more than {limit:g} megapixels") from None
     check_pixels(*image.size)
-    if max(image.size) > MAX_SIDE:
-        raise ValueError(f"a side of {max(image.size)} pixels, more than {MAX_SIDE}")
+    if max(image.size) > MAX_IMAGE_SIDE:
+        raise ValueError(f"a side of {max(image.size)} pixels, more than {MAX_IMAGE_SIDE}")
     return image
 
 
 def check_pixels(width: int, height: int) -> None:
-    """Raises TooLargeError for more pixels than are allowed, in an image of any source."""
+    """Raise TooLargeError for an image of any source with more pixels than are allowed."""
     if width * height > most_megapixels() * 1e6:
-        problem = f"has {width} by {height} pixels"
-        raise TooLargeError(f"{problem}, more than {most_megapixels():g} megapixels")
+        size = f"has {width} by {height} pixels"
+        raise TooLargeError(f"{size}, more than {most_megapixels():g} megapixels")
 
 
 def most_megapixels() -> float:
-    """The bound on an image's pixels: 100 megapixels, or what the environment says.
+    """Return the limit of an image: MAX_MEGAPIXELS, or the environment's MEGAPIXELS_VARIABLE.
 
-    Raises ValueError for what is not a number above 0.
+    Raises ValueError if the variable is not a number above 0.
     """
-    text = os.environ.get(MEGAPIXELS_VARIABLE, str(MEGAPIXELS))
+    text = os.environ.get(MEGAPIXELS_VARIABLE, str(MAX_MEGAPIXELS))
     try:
-        most = float(text)
+        limit = float(text)
     except ValueError:
-        most = 0.0
-    if not most > 0:
+        limit = 0.0
+    if not limit > 0:
         raise ValueError(f"{MEGAPIXELS_VARIABLE} is {text!r}, not a number above 0")
-    return most
+    return limit
 
 
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """A decoder's warnings, such as Pillow's about metadata, are no failures, even as errors."""
+    """Ignore warnings of decoders inside the block, even where the filters make them errors."""
     with _WARNING_FILTERS, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -109,30 +108,30 @@ def without_warnings() -> Iterator[None]:
 
 @contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """Within the block OpenCV writes no warnings to stderr; our errors tell it in one line."""
+    """Keep OpenCV from writing warnings to stderr inside the block."""
     log = cv2.utils.logging
-    before = log.getLogLevel()
+    level = log.getLogLevel()
     log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
-        log.setLogLevel(before)
+        log.setLogLevel(level)
 
 
 # --- pixels -----------------------------------------------------------------------------
 
 
 def pillow_pixels(image: Image.Image) -> np.ndarray:
-    """Return the pixels of an image of Pillow's, upright: uint8 RGB or RGBA, or uint16 (H,W).
+    """Return the pixels of a Pillow image, upright: uint8 RGB or RGBA, or uint16 (H, W).
 
-    Raises ValueError for 32 bits, whose white nobody has agreed on, and what Pillow raises.
+    Raises ValueError for 32 bits, which have no agreed white, and whatever Pillow raises.
     """
     image.load()
     with without_warnings():
         try:
             upright = ImageOps.exif_transpose(image)
         except Exception:
-            upright = image  # a damaged note about the image is no damage of the image
+            upright = image  # damaged metadata is no damage of the image
         if upright.mode in ("I", "F"):
             raise ValueError(f"Pillow's mode {upright.mode} has no agreed white")
         if upright.mode.startswith("I;16"):
@@ -140,8 +139,8 @@ def pillow_pixels(image: Image.Image) -> np.ndarray:
         return np.array(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
 
 
-def _opencv(data: bytes) -> np.ndarray:
-    """Decode with OpenCV, as RGB or RGBA, grey stays (H,W)."""
+def _decode_with_opencv(data: bytes) -> np.ndarray:
+    """Decode with OpenCV to RGB or RGBA; grey stays (H, W)."""
     with quiet_opencv():
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
@@ -151,8 +150,8 @@ def _opencv(data: bytes) -> np.ndarray:
     return pixels
 
 
-def _turn_upright(pixels: np.ndarray, image: Image.Image) -> np.ndarray:
-    """Turn pixels (H,W[,C]) as the EXIF of their PNG says; EXIF 2.3, tag 274."""
+def _apply_orientation(pixels: np.ndarray, image: Image.Image) -> np.ndarray:
+    """Turn pixels (H, W[, C]) upright by the EXIF orientation of their PNG; EXIF 2.3, tag 274."""
     with without_warnings():
         try:
             orientation = image.getexif().get(ExifTag.Orientation, 1)
@@ -167,22 +166,24 @@ def _turn_upright(pixels: np.ndarray, image: Image.Image) -> np.ndarray:
     return pixels
 
 
-def _is_deep_tiff(image: Image.Image) -> bool:
-    """Return whether a TIFF has 16 bits a sample; ValueError for layouts that are misread."""
+def _is_16_bit_tiff(image: Image.Image) -> bool:
+    """Return whether a TIFF has 16 bits a sample; raise ValueError for unsupported layouts."""
     bits, colours = set(_tiff_tag(image, BITS_PER_SAMPLE)), _tiff_tag(image, PHOTOMETRIC)[0]
+    samples, planar = _tiff_tag(image, SAMPLES_PER_PIXEL)[0], _tiff_tag(image, PLANAR_CONFIGURATION)
     is_deep, is_grey = max(bits) > 8, colours == BLACK_IS_ZERO
-    is_one_plane = _tiff_tag(image, PLANES)[0] == 1 or _tiff_tag(image, SAMPLES)[0] == 1
-    is_read = set(_tiff_tag(image, SAMPLE_FORMAT)) == {UNSIGNED}
+    is_one_plane = planar[0] == 1 or samples == 1
+    is_supported = set(_tiff_tag(image, SAMPLE_FORMAT)) == {UNSIGNED}
     if is_deep:
-        is_grey = is_grey and _tiff_tag(image, SAMPLES)[0] == 1
-        is_read = is_read and bits == {16} and is_one_plane and (is_grey or colours == RGB)
-    if not is_read or not (is_one_plane or colours == RGB):
+        is_grey = is_grey and samples == 1
+        is_layout = is_one_plane and (is_grey or colours == RGB)
+        is_supported = is_supported and bits == {16} and is_layout
+    if not is_supported or not (is_one_plane or colours == RGB):
         raise ValueError("TIFF is read in one plane of 8 or 16 bits without sign, grey or RGB")
     return is_deep
 
 
 def _tiff_tag(image: Image.Image, tag: int) -> tuple[int, ...]:
-    """Return the values of a TIFF tag, one a sample; (1,) when it is absent, as TIFF 6.0 has it."""
+    """Return the values of a TIFF tag, one a sample; (1,) if it is absent, as TIFF 6.0 has it."""
     tags: dict[int, tuple[int, ...] | int | None] = getattr(image, "tag_v2", {})
     value = tags.get(tag)
     return value if isinstance(value, tuple) else (1 if value is None else value,)

@@ -1,4 +1,4 @@
-"""Documents of other programs and of browsers: bounded models, and one line for any mistake."""
+"""Documents of other programs and of browsers: bounded models, and errors of one line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,44 +11,44 @@ from pydantic import Field
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import DatasetError, RoadtorchError, shortened
 
-# A model bounds every number and list, so that nothing is allocated for what a file merely claims;
-# JSON goes from its bytes straight into the model.
+# A model bounds every number and list, so that a file cannot make us allocate what it merely
+# claims to hold; JSON goes from its bytes straight into the model.
 
 MAX_DOCUMENT_BYTES = 2**28  # of one file; ours: a COCO file of a thousand images has as many
 
 MAX_SIDE = 2**20  # pixels, as of an image that is read
 
-SHOWN = 60  # letters of a wrong value that a refusal repeats
+MAX_INPUT_LENGTH = 60  # characters of a wrong value that an error repeats
 
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
 Coordinate = Annotated[float, Field(ge=-4 * MAX_SIDE, le=4 * MAX_SIDE)]
 
 
 class ForeignDocument(pydantic.BaseModel):
-    """A part of a document of another program: the keys that are read; others are passed over."""
+    """A part of another program's document; keys without a field are ignored."""
 
     model_config = pydantic.ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
 
 def first_mistake(error: pydantic.ValidationError) -> str:
-    """Describe the first mistake: where in the document, what should be there, what is there."""
-    mistake = error.errors(include_url=False)[0]
-    if mistake["type"] == "json_invalid":
-        return f"it is not JSON: {mistake['msg'].removeprefix('Invalid JSON: ')}"
-    place = ".".join(str(part) for part in mistake["loc"]) or "it"
-    if mistake["type"] == "missing":
-        return f"{place} is missing"
-    message = mistake["msg"].removeprefix("Value error, ")
-    value = shortened(repr(mistake["input"]), SHOWN)
-    return f"{place}: {message[0].lower()}{message[1:]}, {value} was given"
+    """Describe the first error of a validation: its position, the requirement, the value."""
+    details = error.errors(include_url=False)[0]
+    if details["type"] == "json_invalid":
+        return f"it is not JSON: {details['msg'].removeprefix('Invalid JSON: ')}"
+    position = ".".join(str(part) for part in details["loc"]) or "it"
+    if details["type"] == "missing":
+        return f"{position} is missing"
+    message = details["msg"].removeprefix("Value error, ")
+    value = shortened(repr(details["input"]), MAX_INPUT_LENGTH)
+    return f"{position}: {message[0].lower()}{message[1:]}, {value} was given"
 
 
 @contextmanager
 def read_document(path: Path, hint: str) -> Iterator[bytes]:
-    """Yield the bytes of a file to a block that reads a document from them.
+    """Yield the bytes of a file to a block that parses them.
 
-    What goes wrong in the block with files, numbers and memory becomes a DatasetError that names
-    the file; errors of ours go through.
+    Errors of files, values and memory in the block become a DatasetError that names the file;
+    a RoadtorchError passes unchanged.
     """
     try:
         yield read_regular(path, MAX_DOCUMENT_BYTES)

@@ -1,11 +1,11 @@
-"""The errors that users see.
+"""Errors that users see.
 
 RoadtorchError
 ├── InputError      an image, map or folder that cannot be used
 │   └── UnwritableError  a file or folder that cannot be written
-├── ConfigError     a setting, a name or an option that is wrong
-├── DatasetError    a data set that is incomplete or not what it says
-│   └── UnscorableError  one whose labels say nothing about road
+├── ConfigError     a wrong setting, name or option
+├── DatasetError    a data set that is incomplete or malformed
+│   └── UnscorableError  one whose labels do not cover road
 └── WeightsError    a weight file that is damaged or foreign
 """
 
@@ -14,25 +14,24 @@ import os
 from collections.abc import Iterable
 from enum import IntEnum
 
-MAX_LETTERS = 400
-"""Of what a refusal repeats of a file's content: a line that can be read, whatever is in there."""
+MAX_MESSAGE_LENGTH = 400
+"""Characters of a place or problem in an error, which may repeat a file's content."""
 
 
 class ExitCode(IntEnum):
-    """What the command line ends with; 0 where all went well."""
+    """Exit codes of the command line other than 0, success."""
 
     SOME_FAILED = 1
     WRONG_USAGE = 2
-    INTERRUPTED = 130  # as shells say of SIGINT (Ctrl-C)
-    TERMINATED = 143  # and of SIGTERM
+    INTERRUPTED = 130  # as shells report SIGINT (Ctrl-C)
+    TERMINATED = 143  # and SIGTERM
 
 
 class RoadtorchError(Exception):
-    """A mistake that the user can mend: where it is, what is wrong, what to do.
+    """A mistake that the user can fix: where it is, what is wrong, what to do.
 
-    The text reads ``where: problem (hint)``; the command line prints it behind
-    ``roadtorch: error:`` and nothing else. Where and problem lose their middle when they are
-    longer than ``MAX_LETTERS``; paths are told whole.
+    Its text is ``where: problem (hint)``; the command line prints it after
+    ``roadtorch: error:`` and nothing else.
 
         >>> from roadtorch import RoadtorchError, load_detector
         >>> try:
@@ -40,6 +39,12 @@ class RoadtorchError(Exception):
         ... except RoadtorchError as error:
         ...     print(error.where, "|", error.problem)
         threshold | 2 was given
+
+    Args:
+        where: the file, setting or option; a path stays whole, other text longer than
+            ``MAX_MESSAGE_LENGTH`` loses its middle.
+        problem: what is wrong with it, shortened likewise.
+        hint: what to do.
     """
 
     exit_code = ExitCode.WRONG_USAGE
@@ -51,14 +56,14 @@ class RoadtorchError(Exception):
         super().__init__(f"{self.where}: {self.problem} ({hint})")
 
     def __reduce__(self) -> tuple[type["RoadtorchError"], tuple[str, str, str]]:
-        """Three arguments again, so that the error survives a process boundary."""
+        """Pickle by the three arguments, so that the error crosses process boundaries."""
         return type(self), (self.where, self.problem, self.hint)
 
 
-def shortened(text: str, most: int = MAX_LETTERS) -> str:
-    """A text of at most ``most`` letters, an ellipsis in the place of its middle."""
-    half = (most - 1) // 2
-    return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
+def shortened(text: str, max_length: int = MAX_MESSAGE_LENGTH) -> str:
+    """Return text of at most ``max_length`` characters, its middle replaced by an ellipsis."""
+    half = (max_length - 1) // 2
+    return text if len(text) <= max_length else f"{text[:half]}…{text[-half:]}"
 
 
 class InputError(RoadtorchError):
@@ -66,19 +71,19 @@ class InputError(RoadtorchError):
 
 
 class UnwritableError(InputError):
-    """A file or folder that cannot be written, for want of room or of permission."""
+    """A file or folder that cannot be written, for lack of room or permission."""
 
 
 class ConfigError(RoadtorchError):
-    """A setting, a name or an option that is wrong."""
+    """A wrong setting, name or option."""
 
 
 class DatasetError(RoadtorchError):
-    """A data set that is incomplete or not what it says."""
+    """A data set that is incomplete or malformed."""
 
 
 class UnscorableError(DatasetError):
-    """A data set that was read whole, and whose labels say nothing about road."""
+    """A readable data set whose labels do not cover road."""
 
     exit_code = ExitCode.SOME_FAILED
 
@@ -87,12 +92,9 @@ class WeightsError(RoadtorchError):
     """A weight file that is damaged or foreign."""
 
 
-def lacks_memory(error: Exception) -> bool:
-    """Whether it is of memory that was not there: Python's, NumPy's, torch's, OpenCV's words.
-
-    The last are the linker's, where a library finds no room.
-    """
-    words = (
+def is_out_of_memory(error: Exception) -> bool:
+    """Return whether Python, NumPy, torch, OpenCV or the dynamic linker lacked memory."""
+    messages = (
         "allocate memory",
         "out of memory",
         "Insufficient memory",
@@ -100,33 +102,32 @@ def lacks_memory(error: Exception) -> bool:
         "bad allocation",
         "failed to map segment",
     )
-    return isinstance(error, MemoryError) or any(word in str(error) for word in words)
+    return isinstance(error, MemoryError) or any(text in str(error) for text in messages)
 
 
 def fault(where: object, error: Exception) -> InputError:
-    """What went wrong at an image or frame, for messages that name it.
+    """Return the InputError for an exception at an image or frame of the name ``where``.
 
-    Detectors cannot know the file and speak of ``image``. What nobody foresaw is more memory than
-    there is, or a fault of ours.
+    Detectors do not know the name and say ``image``. Unforeseen are a lack of memory, and bugs.
     """
     if isinstance(error, RoadtorchError):
-        known = where if error.where == "image" else error.where
-        return InputError(known, error.problem, error.hint)
-    if lacks_memory(error):
+        place = where if error.where == "image" else error.where
+        return InputError(place, error.problem, error.hint)
+    if is_out_of_memory(error):
         problem = "needs more memory than there is"
         return InputError(where, problem, "give smaller images, or fewer --jobs")
     return InputError(where, f"{type(error).__name__}: {error}", "report it")
 
 
 def unknown_name(
-    kind: str, name: str, known: Iterable[str], groups: Iterable[str] | None = None
+    kind: str, name: str, choices: Iterable[str], groups: Iterable[str] | None = None
 ) -> ConfigError:
-    """The error for a misspelt name, with the nearest known ones in its remedy.
+    """Return the ConfigError for a misspelt name, with the nearest choices as its hint.
 
-    Where none is near, all are told; or ``groups``, where they are too many.
+    If none is near, the hint lists all choices; or ``groups``, if there are too many.
     """
-    known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    every = known if groups is None else sorted(groups)
-    hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(every)}"
+    choices = sorted(choices)
+    near = difflib.get_close_matches(name, choices, n=3, cutoff=0.5)
+    listed = choices if groups is None else sorted(groups)
+    hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(listed)}"
     return ConfigError(name, f"unknown {kind}", hint)

@@ -1,4 +1,4 @@
-"""Images in and out: decoding to RGB tensors, encoding maps, masks and overlays."""
+"""Reading of images to RGB tensors, and writing of maps, masks and overlays."""
 
 import io
 import os
@@ -18,62 +18,67 @@ from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.decoding import (
     MEGAPIXELS_VARIABLE,
     TooLargeError,
-    decode,
+    decode_pixels,
     pillow_pixels,
 )
-from roadtorch.base.errors import InputError, fault, lacks_memory, unknown_name
+from roadtorch.base.errors import InputError, fault, is_out_of_memory, unknown_name
 from roadtorch.base.urls import scheme_of, url_bytes, without_password
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # looked for in folders
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # of images in folders
 
-# Okabe and Ito, "Color Universal Design" (2008): told apart with every kind of colour vision.
+# Okabe and Ito, "Color Universal Design" (2008): distinct for every kind of colour vision.
 SKY_BLUE = (86, 180, 233)
 
 ORANGE = (230, 159, 0)
 
-TINT = 0.5  # share of the tint's colour inside the mask; ours: the road's texture stays visible
+TINT = 0.5  # opacity of the tint inside the mask; ours: the road's texture stays visible
 
-LEVELS = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, 2)
-TINTED = cv2.addWeighted(LEVELS, 1 - TINT, np.full_like(LEVELS, SKY_BLUE), TINT, 0)
-"""What each level of each channel becomes inside the mask: uint8 (256,1,3)."""
+_LEVELS = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, 2)
+TINT_TABLE = cv2.addWeighted(_LEVELS, 1 - TINT, np.full_like(_LEVELS, SKY_BLUE), TINT, 0)
+"""Lookup table from the level of a channel to that inside the mask: uint8 (256, 1, 3)."""
 
-OUTLINE = 1 / 240  # the outline's width as a share of the shorter side; ours
+OUTLINE_WIDTH = 1 / 240  # fraction of the shorter side; ours
 
-LETTERS = 14  # pixels that a caption's letters have at least; ours: legible in an image of 320
+MIN_FONT_SIZE = 14  # pixels; ours: legible in an image of 320
 
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 
-MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
-"""Of PNGs of smooth maps: a quarter smaller than OpenCV's default, and written faster."""
+PNG_MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
+"""For smooth maps: a quarter smaller than OpenCV's default, and written faster."""
 
 Order = Literal["rgb", "bgr"]
-"""The order of colours in an array: OpenCV's is ``bgr``, nearly everybody else's ``rgb``."""
+"""Order of the colour channels of an array: OpenCV's is ``bgr``, most others' is ``rgb``."""
 
 ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str] | bytes | IO[bytes]
-"""What programs have of an image, see ``as_image``."""
+"""Types of images that ``as_image`` converts."""
 
-# --- in ---------------------------------------------------------------------------------
+# --- reading ----------------------------------------------------------------------------
 
 
 def read_image(path: str | os.PathLike[str]) -> Tensor:
-    """Read an image as float32 RGB (3,H,W) in [0,1], sRGB, upright.
+    """Read an image file.
 
-    path: of a file, or, as text, an address of the web (``https://…``).
-    JPEG, PNG, TIFF, WebP and BMP; 8 or 16 bits (65535 becomes 1), grey, palette. EXIF
-    orientation is applied. Alpha is composited over black: see-through pixels of
-    footage are the rims of rectified frames, where no light was measured. Of several
-    frames or pages the first is read. Embedded colour profiles are ignored, as the
-    papers' sets have none.
-
-    Raises InputError when the file is missing, a folder, a pipe, empty, truncated, damaged
-    where the decoder can tell, no image, or has more than 1 GiB or 100 megapixels (the
-    environment's ROADTORCH_MAX_MEGAPIXELS says otherwise, up to Pillow's own 178).
+    JPEG, PNG, TIFF, WebP and BMP; 8 or 16 bits (65535 becomes 1), grey or palette. EXIF orientation
+    is applied. Alpha is composited over black: transparent pixels of footage are the borders of
+    rectified frames, where no light was measured. Of several frames or pages the first is read.
+    Embedded colour profiles are ignored, as the papers' data sets have none.
 
         >>> from roadtorch import read_image
         >>> read_image("street.jpg").shape
         torch.Size([3, 240, 320])
+
+    Args:
+        path: a file or, as text, a web address (``https://…``).
+
+    Returns:
+        sRGB in [0, 1], float32, shape (3, H, W).
+
+    Raises:
+        InputError: the file is missing, no regular file, empty, no image, truncated, damaged as far
+            as the decoder can tell, or larger than 1 GiB or 100 megapixels (or the environment's
+            ROADTORCH_MAX_MEGAPIXELS, up to Pillow's 178).
     """
     if isinstance(path, str) and scheme_of(path):
         return decode_image(url_bytes(path), without_password(path))
@@ -90,19 +95,21 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
 
 
 def decode_image(data: bytes, origin: object) -> Tensor:
-    """The bytes of an image as float32 RGB (3,H,W) in [0,1]: all that ``read_image`` reads.
+    """Decode the bytes of an image file as ``read_image`` does.
 
-    origin: what messages call it. Raises InputError as ``read_image`` does.
+    Args:
+        data: content of the file.
+        origin: name of the image in errors.
     """
     if not data:
         raise InputError(origin, "is empty", "replace the file")
     with undecodable(origin):
-        return from_pixels(decode(data))
+        return from_pixels(decode_pixels(data))
 
 
 @contextmanager
 def undecodable(origin: object) -> Iterator[None]:
-    """What goes wrong as an image is decoded in the block, as InputError with that origin."""
+    """Turn any exception of a decoder in the block into an InputError at ``origin``."""
     try:
         yield
     except UnidentifiedImageError:
@@ -111,16 +118,20 @@ def undecodable(origin: object) -> Iterator[None]:
         hint = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
         raise InputError(origin, str(error), hint) from None
     except Exception as error:
-        if lacks_memory(error):
+        if is_out_of_memory(error):
             raise fault(origin, error) from None
         problem = f"cannot be decoded: {reason(error)}"
         raise InputError(origin, problem, "replace it, or convert it to PNG") from None
 
 
 def from_pixels(pixels: np.ndarray) -> Tensor:
-    """Pixels (H,W), (H,W,3) RGB or (H,W,4) RGBA to float32 (3,H,W).
+    """Convert an array of pixels to an image.
 
-    Of uint8 and uint16 the highest value becomes 1; floating point stays as it is.
+    Args:
+        pixels: grey (H, W), RGB (H, W, 3) or RGBA (H, W, 4); uint8, uint16 or floating point.
+
+    Returns:
+        float32, shape (3, H, W); the highest value of an integer type becomes 1.
     """
     levels = 1 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
     if pixels.ndim == 2:
@@ -131,16 +142,20 @@ def from_pixels(pixels: np.ndarray) -> Tensor:
 
 
 def as_image(image: ImageLike, order: Order | None = None) -> Tensor:
-    """What a program has of an image, as image (3,H,W) in [0,1].
+    """Convert what programs have of an image to a tensor.
 
-    A tensor (3,H,W) is RGB: floating point stays as it is, uint8 is divided by 255. A NumPy array
-    is (H,W) grey, or (H,W,3) or (H,W,4) in the ``order`` of colours that is told, not guessed;
-    uint8, uint16 or floating point in [0,1]. A Pillow image is turned and converted as
-    ``read_image`` does, which reads a path or URL; so are a file's bytes, and an open file is read
-    from where it is. Whether values are in range is for ``detect``.
+    Args:
+        image: an RGB tensor (3, H, W), floating point (returned as it is) or uint8; a NumPy array
+            (H, W) grey, (H, W, 3) or (H, W, 4), uint8, uint16 or floating point in [0, 1]; a Pillow
+            image; a path or web address; a file's bytes; an open file, read from its position.
+        order: order of the colour channels of a NumPy array, which is not guessed.
 
-    Raises InputError for anything else, and as ``read_image`` does; ConfigError for an order that
-    is none.
+    Returns:
+        sRGB, shape (3, H, W); ``detect`` checks its range.
+
+    Raises:
+        InputError: anything else, and as for ``read_image``.
+        ConfigError: an unknown order.
     """
     if order is not None:
         checked_order(order)
@@ -170,7 +185,7 @@ def as_image(image: ImageLike, order: Order | None = None) -> Tensor:
 
 
 def _read_bytes(file: IO[bytes]) -> bytes:
-    """All that is left of an open file; InputError where it gives no bytes."""
+    """Read the rest of an open file; raise InputError if it gives no bytes."""
     try:
         data = file.read()
     except OSError as error:
@@ -181,14 +196,14 @@ def _read_bytes(file: IO[bytes]) -> bytes:
 
 
 def checked_order(order: Order) -> Order:
-    """The order of colours, if it is one; else ConfigError."""
+    """Return an order of colour channels; raise ConfigError if it is unknown."""
     if order not in get_args(Order):
         raise unknown_name("order of colours", order, get_args(Order))
     return order
 
 
 def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
-    """Pixels (H,W) or (H,W,C), C being 1, 3 or 4, as grey, RGB or RGBA; else InputError."""
+    """Return pixels (H, W) or (H, W, 1, 3 or 4) as grey, RGB or RGBA, else raise InputError."""
     if pixels.dtype not in (np.uint8, np.uint16) and pixels.dtype.kind != "f":
         hint = "give uint8 from 0 to 255, or floating point from 0 to 1"
         raise InputError("image", f"is an array of {pixels.dtype}", hint)
@@ -202,44 +217,40 @@ def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
     if pixels.shape[2] == 1:
         return pixels[..., 0]
     if order is None:
-        problem = "is an array whose order of colours is not told"
         hint = (
             'give order="rgb", or order="bgr" if it is from OpenCV; once: load_detector(…, order=…)'
         )
-        raise InputError("image", problem, hint)
+        raise InputError("image", "has no colour order", hint)
     if order == "rgb":
         return pixels
     return pixels[..., ::-1] if pixels.shape[2] == 3 else pixels[..., [2, 1, 0, 3]]
 
 
-# --- out --------------------------------------------------------------------------------
+# --- writing ----------------------------------------------------------------------------
 
 
 def write_map(path: str | os.PathLike[str], likelihood: Tensor, depth: Literal[8, 16] = 8) -> None:
-    """Write a map (H,W) in [0,1] as grey PNG of 8 or 16 bits: round(x · 255 or 65535)."""
+    """Write a map in [0, 1], shape (H, W), as grey PNG of 8 or 16 bits: round(x · 255 or 65535)."""
     levels, kind = {8: (255, np.uint8), 16: (65535, np.uint16)}[depth]
     grey = likelihood.detach().cpu().to(torch.float64).mul(levels).round()
-    _write_encoded(path, ".png", grey.numpy().astype(kind), *MAP_OPTIONS)
+    _write_encoded(path, ".png", grey.numpy().astype(kind), *PNG_MAP_OPTIONS)
 
 
 def write_mask(path: str | os.PathLike[str], mask: Tensor) -> None:
-    """Write a mask bool (H,W) as grey PNG: road 255, the rest 0."""
-    _write_encoded(path, ".png", mask.cpu().numpy().astype(np.uint8) * 255, *MAP_OPTIONS)
+    """Write a mask, bool, shape (H, W), as grey PNG: road 255, the rest 0."""
+    _write_encoded(path, ".png", mask.cpu().numpy().astype(np.uint8) * 255, *PNG_MAP_OPTIONS)
 
 
 def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
-    """Write labels 0…255 of any integer type (H,W) as grey PNG, values unchanged.
-
-    Raises InputError for labels that do not fit one byte.
-    """
+    """Write integer labels, shape (H, W), as grey PNG; raise InputError beyond 0 to 255."""
     if labels.numel() and not (int(labels.min()) >= 0 and int(labels.max()) <= 255):
         raise InputError(path, "labels do not fit one byte", "use labels from 0 to 255")
     _write_encoded(path, ".png", labels.cpu().numpy().astype(np.uint8))
 
 
 def write_colours(path: str | os.PathLike[str], image: Tensor) -> None:
-    """Write an image (3,H,W) in [0,1] as 8-bit RGB PNG."""
-    _write_encoded(path, ".png", _bgr(to_pixels(image)))
+    """Write an image in [0, 1], shape (3, H, W), as 8-bit RGB PNG."""
+    _write_encoded(path, ".png", _to_bgr(to_pixels(image)))
 
 
 def write_overlay(
@@ -249,38 +260,45 @@ def write_overlay(
     ego: Tensor | None = None,
     caption: str = "",
 ) -> None:
-    """Write ``overlay_pixels`` as JPEG."""
+    """Write the result of ``overlay_pixels`` as JPEG, or as PNG if the name ends so."""
     write_pixels(path, overlay_pixels(image, mask, ego, caption))
 
 
 def overlay_pixels(
     image: Tensor, mask: Tensor, ego: Tensor | None = None, caption: str = ""
 ) -> np.ndarray:
-    """The image (3,H,W) with its mask bool (H,W) as uint8 (H,W,3): a tint and an outline.
+    """Draw a mask over an image: road is tinted sky blue, with an orange outline on a dark rim.
 
-    Inside is tinted sky blue, the border is drawn orange on a dark rim, so that it
-    shows on pale and on dark road, in colour and in grey print. The ego car bool (H,W) is
-    darkened; a caption stands in the upper left corner.
+    The outline shows on light and dark road, in colour and in grey print.
+
+    Args:
+        image: sRGB in [0, 1], shape (3, H, W).
+        mask: road, bool, shape (H, W).
+        ego: ego car, bool, shape (H, W); it is darkened.
+        caption: text for the upper left corner.
+
+    Returns:
+        RGB pixels, uint8, shape (H, W, 3).
     """
     pixels = to_pixels(image)
     if ego is not None and ego.any():
         pixels[ego.cpu().numpy()] //= 2
-    return with_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
+    return draw_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
 
 
 def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:
-    """Write an image (3,H,W) in [0,1] as JPEG, for looking at."""
+    """Write an image in [0, 1], shape (3, H, W), as JPEG, or as PNG if the name ends so."""
     write_pixels(path, to_pixels(image))
 
 
 def write_pixels(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
-    """Write pixels uint8 (H,W,3) RGB as PNG where the name ends so, else as JPEG."""
+    """Write RGB pixels, uint8, shape (H, W, 3), as PNG if the name ends so, else as JPEG."""
     kind, options = (".png", ()) if os.fspath(path).endswith(".png") else (".jpg", JPEG_OPTIONS)
-    _write_encoded(path, kind, _bgr(pixels), *options)
+    _write_encoded(path, kind, _to_bgr(pixels), *options)
 
 
 def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
-    """Write a tensor as NumPy file, type and shape unchanged."""
+    """Write a tensor as NumPy file, dtype and shape unchanged."""
     data = io.BytesIO()
     np.save(data, values.detach().cpu().numpy(), allow_pickle=False)
     with atomic(path) as temporary:
@@ -290,14 +308,14 @@ def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
 
 
 def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Pixels uint8 (H,W,3) RGB with a mask bool (H,W) tinted and outlined; a new array."""
-    width = max(1, round(min(mask.shape) * OUTLINE))
+    """Return RGB pixels, uint8 (H, W, 3), with a mask, bool (H, W), tinted and outlined; a copy."""
+    width = max(1, round(min(mask.shape) * OUTLINE_WIDTH))
     inside = mask.astype(np.uint8)
     brush = np.ones((3, 3), np.uint8)
-    # A replicated border keeps the outline off the image's own edge.
+    # A replicated border keeps the outline off the image border.
     wide = cv2.erode(inside, brush, iterations=2 * width, borderType=cv2.BORDER_REPLICATE)
     thin = cv2.erode(inside, brush, iterations=width, borderType=cv2.BORDER_REPLICATE)
-    tinted = cv2.LUT(pixels, TINTED)
+    tinted = cv2.LUT(pixels, TINT_TABLE)
     result = cv2.copyTo(tinted, inside, pixels.copy())
     flat = result.reshape(-1, 3)
     flat[np.flatnonzero(inside > wide)] = 0
@@ -305,11 +323,11 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return result
 
 
-def with_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
-    """Pixels uint8 (H,W,3) with a line of white text on a dark rim, sized with the image."""
+def draw_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
+    """Draw white text with a dark rim, sized with the image, on RGB pixels, uint8 (H, W, 3)."""
     if not caption:
         return pixels
-    size = max(LETTERS, round(min(pixels.shape[:2]) / 22))
+    size = max(MIN_FONT_SIZE, round(min(pixels.shape[:2]) / 22))
     band = Image.fromarray(pixels[: 2 * size])
     ImageDraw.Draw(band).text(
         (size // 2, size // 2),
@@ -323,33 +341,32 @@ def with_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
 
 
 def to_pixels(image: Tensor) -> np.ndarray:
-    """An image (3,H,W) in [0,1] as uint8 (H,W,3)."""
+    """Convert an image in [0, 1], shape (3, H, W), to RGB pixels, uint8, shape (H, W, 3)."""
     planes = image.detach().mul(255).round_().to(torch.uint8).cpu().numpy()
     return cv2.merge(list(planes))  # three times as fast as a permutation
 
 
-def _bgr(pixels: np.ndarray) -> np.ndarray:
-    """Pixels uint8 (H,W,3) RGB as OpenCV writes them."""
+def _to_bgr(pixels: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
 
 
 def png_bytes(pixels: np.ndarray, longest: int) -> bytes:
-    """Pixels uint8 (H,W,3) RGB as the bytes of a PNG, made smaller to have that side at most."""
+    """Encode RGB pixels, uint8 (H, W, 3), as PNG, shrunk to at most ``longest`` a side."""
     height, width = pixels.shape[:2]
     scale = longest / max(height, width)
     if scale < 1:
         size = max(1, round(width * scale)), max(1, round(height * scale))
         pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    return bytes(_encoded(".png", _bgr(pixels)))
+    return bytes(_encode(".png", _to_bgr(pixels)))
 
 
-def _encoded(kind: str, pixels: np.ndarray, *options: int) -> memoryview:
+def _encode(kind: str, pixels: np.ndarray, *options: int) -> memoryview:
     return cv2.imencode(kind, np.ascontiguousarray(pixels), list(options))[1].data
 
 
 def _write_encoded(
     path: str | os.PathLike[str], kind: str, pixels: np.ndarray, *options: int
 ) -> None:
-    encoded = _encoded(kind, pixels, *options)
+    encoded = _encode(kind, pixels, *options)
     with atomic(path) as temporary:
         temporary.write_bytes(encoded)

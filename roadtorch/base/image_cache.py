@@ -1,12 +1,11 @@
-"""Work that several detectors need on one image, done once while it is shared.
+"""Results that several detectors need of one image, computed once.
 
-Functions of an image (or of what was made of one) and of settings are marked ``@cached_per_image``.
-Inside ``with image_cache():`` each of them computes once for an image and the same settings,
-whoever asks; outside, it is a plain call. What one shared function made of an image may go
-into another, so that a resized image, its superpixels and what is measured on them are all
-made once.
+Functions of an image (or of a result computed from one) and of settings are decorated with
+``@cached_per_image``. Inside ``with image_cache():`` each computes once for an image and the same
+settings; outside, it is a plain call. The result of one cached function may be the source of
+another, so that a resized image, its superpixels and their statistics are all computed once.
 
-Results are handed to several owners: nobody may change them in place.
+Results are shared: nobody may change them in place.
 """
 
 import time
@@ -17,69 +16,69 @@ from dataclasses import dataclass, field
 from functools import wraps
 from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
 
-P = ParamSpec("P")
+_P = ParamSpec("_P")
 
-Source = TypeVar("Source")
+_Source = TypeVar("_Source")
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
-class _Made(NamedTuple):
-    given: object  # kept, so that nothing else can have its identity
+class _CachedResult(NamedTuple):
+    inputs: object  # kept alive, so that no other object can have the same id
     result: object
     seconds: float
 
 
 @dataclass
 class ImageCache:
-    """What has been made so far; ``saved`` is the time that asking again did not take."""
+    """Results computed so far; ``saved`` is the time in seconds that cached results saved."""
 
-    saved: float = 0.0  # seconds
-    _made: dict[Hashable, _Made] = field(default_factory=dict, repr=False)
+    saved: float = 0.0
+    _results: dict[Hashable, _CachedResult] = field(default_factory=dict, repr=False)
 
-    def get(self, key: Hashable, given: object, make: Callable[[], Result]) -> Result:
-        """The result under that key, made now if it is not there."""
-        if key in self._made:
-            made = self._made[key]
-            self.saved += made.seconds
-            return made.result  # type: ignore[return-value]
+    def get(self, key: Hashable, inputs: object, compute: Callable[[], _Result]) -> _Result:
+        """Return the result for a key, computed if it is missing."""
+        if key in self._results:
+            cached = self._results[key]
+            self.saved += cached.seconds
+            return cached.result  # type: ignore[return-value]
         start, saved = time.perf_counter(), self.saved
-        result = make()
-        # What it took from others counts as its own: whoever saves this saves that too.
+        result = compute()
+        # A later hit also saves the time that this computation itself saved by hits.
         seconds = time.perf_counter() - start + self.saved - saved
-        self._made[key] = _Made(given, result, seconds)
+        self._results[key] = _CachedResult(inputs, result, seconds)
         return result
 
 
-_current: ContextVar[ImageCache | None] = ContextVar("shared", default=None)
+_current: ContextVar[ImageCache | None] = ContextVar("image_cache", default=None)
 
 
 @contextmanager
 def image_cache() -> Iterator[ImageCache]:
-    """Share work inside the block; everything made is forgotten at its end."""
-    shared = ImageCache()
-    token = _current.set(shared)
+    """Cache the results of ``cached_per_image`` functions inside the block."""
+    cache = ImageCache()
+    token = _current.set(cache)
     try:
-        yield shared
+        yield cache
     finally:
         _current.reset(token)
 
 
 def cached_per_image(
-    function: Callable[Concatenate[Source, P], Result],
-) -> Callable[Concatenate[Source, P], Result]:
-    """Mark a function of one source, told by identity, and of what can be hashed.
+    function: Callable[Concatenate[_Source, _P], _Result],
+) -> Callable[Concatenate[_Source, _P], _Result]:
+    """Cache a function by the identity of its first argument and the hash of the others.
 
-    That is settings, and other tensors, which are told by identity as well.
+    Settings hash by value, tensors by identity.
     """
 
     @wraps(function)
-    def wrapped(source: Source, /, *args: P.args, **kwargs: P.kwargs) -> Result:
-        shared = _current.get()
-        if shared is None:
+    def wrapped(source: _Source, /, *args: _P.args, **kwargs: _P.kwargs) -> _Result:
+        cache = _current.get()
+        if cache is None:
             return function(source, *args, **kwargs)
         key = (function, id(source), args, tuple(sorted(kwargs.items())))
-        given = (source, args, kwargs)
-        return shared.get(key, given, lambda: function(source, *args, **kwargs))
+        inputs = (source, args, kwargs)
+        return cache.get(key, inputs, lambda: function(source, *args, **kwargs))
 
     return wrapped

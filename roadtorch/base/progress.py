@@ -1,4 +1,4 @@
-"""How far a long run is: a bar on a terminal, now and then a line where output is piped."""
+"""Progress of a long run: a bar on a terminal, occasional lines where output is piped."""
 
 import sys
 from collections.abc import Iterable
@@ -6,14 +6,14 @@ from typing import Any
 
 from tqdm import tqdm
 
-LINE_EVERY = 30.0  # seconds between lines where there is no terminal; the first comes after as many
+LINE_INTERVAL = 30.0  # seconds before the first line and between lines, without a terminal
 
 
 class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
-    """tqdm's bar on stderr where that is a terminal; elsewhere a line every half a minute.
+    """A bar of tqdm on stderr if that is a terminal, otherwise a line every half minute.
 
-    A line has the share that is done and the time left, where the total is known. quiet: neither of
-    them. unit: in the singular. Everything else is tqdm's, ``Progress.write`` among it.
+    A line has the fraction done and the time left, if the total is known. quiet: neither bar nor
+    lines. unit: in the singular. Everything else is tqdm's, such as ``Progress.write``.
     """
 
     def __init__(
@@ -23,10 +23,10 @@ class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
         if self._lines:
             total = options.get("total") or (len(items) if hasattr(items, "__len__") else None)  # type: ignore[arg-type]
             title = f"{options['desc']}: " if "desc" in options else ""
-            share = "{percentage:.0f} % ({n_fmt} of {total_fmt} %ss), {remaining} left"
-            line = (share if total else "{n_fmt} %ss in {elapsed}").replace("%s", unit)
+            fraction = "{percentage:.0f} % ({n_fmt} of {total_fmt} %ss), {remaining} left"
+            line = (fraction if total else "{n_fmt} %ss in {elapsed}").replace("%s", unit)
             options |= {"bar_format": f"roadtorch: {title}{line}", "leave": False, "miniters": 1}
-            options |= {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
+            options |= {"mininterval": LINE_INTERVAL, "delay": LINE_INTERVAL}
         super().__init__(items, unit=unit, disable=quiet, file=sys.stderr, **options)
 
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
@@ -39,11 +39,11 @@ class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
         return False
 
     def clear(self, nolock: bool = False) -> None:
-        """Make room for a message; lines stay."""
+        """Clear the bar to make room for a message; lines stay."""
         if not self._lines:
             super().clear(nolock)
 
     def refresh(self, nolock: bool = False, lock_args: Any = None) -> Any:
-        """Draw the bar again; a line is written when it is due, not after each message."""
+        """Draw the bar again; write a line only when it is due, not after each message."""
         if not (self._lines and nolock):
             return super().refresh(nolock, lock_args)

@@ -1,4 +1,4 @@
-"""Settings: frozen pydantic models whose mistakes read like sentences."""
+"""Settings: frozen pydantic models, their TOML files and ``--set`` assignments."""
 
 import math
 import os
@@ -13,20 +13,20 @@ import tomli_w
 from roadtorch.base.bounded import read_regular
 from roadtorch.base.errors import ConfigError, InputError, shortened, unknown_name
 
-SHOWN = 200  # letters of what was given that a refusal repeats
+MAX_VALUE_LENGTH = 200  # characters of a wrong value that an error repeats
 
 CONFIGS = Path(__file__).parents[1] / "configs"
-"""The configs that come with roadtorch: a link to the repository's ``configs/``, so that they are
-found beside the package in a checkout and in a wheel alike."""
+"""Folder of the shipped configs: a link to the repository's ``configs/``, so that a checkout and a
+wheel both have them in the package."""
 
 THRESHOLDS = "thresholds/"
-"""What the names of configs for detectors begin with; the others are for training."""
+"""Prefix of the names of configs for detectors; the others are for training."""
 
 SUFFIX = ".toml"
 
 
 class Settings(pydantic.BaseModel):
-    """The base of every group of settings: frozen, and unknown keys are refused."""
+    """Base of every group of settings: frozen, strict, and without unknown keys."""
 
     model_config = pydantic.ConfigDict(
         frozen=True, extra="forbid", strict=True, validate_default=True, allow_inf_nan=False
@@ -37,42 +37,47 @@ AnySettings = TypeVar("AnySettings", bound=Settings)
 
 
 def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySettings:
-    """Make settings of one kind from nested values.
+    """Build settings from nested values.
 
-    Raises ConfigError naming the full key (``texture.bins``), what was given and
-    what is allowed.
+    Args:
+        kind: the class of the settings.
+        values: values by key, a mapping for a group; missing keys get their defaults.
+
+    Raises:
+        ConfigError: a wrong key or value; names the full key (``texture.bins``), the value and
+            what is allowed.
     """
     try:
         return kind.model_validate(dict(values))
     except pydantic.ValidationError as error:
-        raise _first_mistake(kind, error) from None
+        raise _config_error(kind, error) from None
 
 
-def _first_mistake(kind: type[Settings], error: pydantic.ValidationError) -> ConfigError:
-    mistake = error.errors()[0]
-    path = [str(part) for part in mistake["loc"]]
+def _config_error(kind: type[Settings], error: pydantic.ValidationError) -> ConfigError:
+    details = error.errors()[0]
+    path = [str(part) for part in details["loc"]]
     key = ".".join(path)
-    if mistake["type"] == "extra_forbidden":
-        known = group_at(kind, path[:-1]).model_fields
-        return unknown_name("setting", key, [".".join([*path[:-1], name]) for name in known])
-    if mistake["type"] == "missing":
+    if details["type"] == "extra_forbidden":
+        names = group_at(kind, path[:-1]).model_fields
+        return unknown_name("setting", key, [".".join([*path[:-1], name]) for name in names])
+    if details["type"] == "missing":
         return ConfigError(key, "is missing", "give it a value")
-    given = f"{shortened(repr(mistake['input']), SHOWN)} was given"
-    if mistake["type"] == "model_type":
-        known = ", ".join(group_at(kind, path).model_fields)
-        return ConfigError(key, f"{given} for a group of settings", f"set one of its keys: {known}")
-    reasons = getattr(mistake.get("ctx", {}).get("error"), "args", ())
-    if reasons and isinstance(reasons[0], ConfigError):  # a validator's own words
-        problem = f"{reasons[0].problem} {shortened(repr(mistake['input']), SHOWN)}"
-        return ConfigError(key, problem, reasons[0].hint)
-    message = mistake["msg"].removeprefix("Value error, ")
-    return ConfigError(key, given, message[0].lower() + message[1:])
+    value = shortened(repr(details["input"]), MAX_VALUE_LENGTH)
+    if details["type"] == "model_type":
+        names = ", ".join(group_at(kind, path).model_fields)
+        problem = f"{value} was given for a group of settings"
+        return ConfigError(key, problem, f"set one of its keys: {names}")
+    arguments = getattr(details.get("ctx", {}).get("error"), "args", ())
+    if arguments and isinstance(arguments[0], ConfigError):  # raised by a validator
+        return ConfigError(key, f"{arguments[0].problem} {value}", arguments[0].hint)
+    message = details["msg"].removeprefix("Value error, ")
+    return ConfigError(key, f"{value} was given", message[0].lower() + message[1:])
 
 
 def group_at(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
-    """The innermost group of settings on ``path`` from ``kind``.
+    """Return the class of the innermost group of settings on a path of keys.
 
-    What is no group, as the place in a list or the kind of a union, is passed over.
+    Keys that are no group, such as positions in a list or the kind of a union, are skipped.
     """
     for name in path:
         field = kind.model_fields.get(name)
@@ -85,8 +90,12 @@ def group_at(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     """Turn ``["texture.bins=64"]`` into ``{"texture": {"bins": 64}}``.
 
-    A value is read as TOML (numbers, true/false, quoted strings, lists); what is
-    not TOML is a plain string. Raises ConfigError for an item without ``=``.
+    Args:
+        assignments: ``key=value`` each. A value is read as TOML (numbers, true/false, quoted
+            strings, lists); what is not TOML is a plain string.
+
+    Raises:
+        ConfigError: an assignment without ``=``, or a key given twice.
     """
     tree: dict[str, Any] = {}
     for item in assignments:
@@ -116,68 +125,70 @@ def _toml_value(text: str) -> Any:
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested values with changes on top; groups are merged, everything else replaced."""
+    """Return nested values with changes: groups are merged, other values replaced."""
     merged = dict(base)
     for key, value in changes.items():
         old = merged.get(key)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        merged[key] = merge(old, value) if both else value  # type: ignore[arg-type]
+        are_groups = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(old, value) if are_groups else value  # type: ignore[arg-type]
     return merged
 
 
 def read_settings_file(path: Path) -> dict[str, Any]:
-    """The nested values of a TOML file; InputError when it cannot be read or parsed.
+    """Read the nested values of a TOML file.
 
-    A name of a file with a suffix that lies beside it becomes its path: folders can be moved.
+    A string that names an existing file beside it, with a suffix, becomes that file's path: a
+    folder with a config and its files can be moved. Raises InputError if the file cannot be read,
+    ConfigError if it is not TOML.
     """
     try:
-        return _found_beside(path, tomllib.loads(read_regular(path).decode()))
+        return _resolve_files(path, tomllib.loads(read_regular(path).decode()))
     except OSError as error:
         problem = f"cannot be read: {error.strerror}"
         raise InputError(path, problem, "give a TOML file") from None
     except UnicodeDecodeError:
         raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
     except (ValueError, RecursionError) as error:
-        raise ConfigError(path, f"is not TOML: {error}", "mend that line") from None
+        raise ConfigError(path, f"is not TOML: {error}", "fix that line") from None
 
 
-def _found_beside(path: Path, values: dict[str, Any]) -> dict[str, Any]:
-    """Nested values, the names of files in the folder of ``path`` as paths."""
+def _resolve_files(path: Path, values: dict[str, Any]) -> dict[str, Any]:
+    """Replace the names of files in the folder of ``path`` by their paths."""
 
-    def beside(value: Any) -> Any:
+    def resolve(value: Any) -> Any:
         if isinstance(value, dict):
-            return _found_beside(path, value)
+            return _resolve_files(path, value)
         if not isinstance(value, str) or not Path(value).suffix:
             return value
         file = os.path.join(path.parent, value)
         return file if os.path.isfile(file) else value  # Path.is_file raises for names too long
 
-    return {key: beside(value) for key, value in values.items()}
+    return {key: resolve(value) for key, value in values.items()}
 
 
 def to_toml(detector: str, settings: Settings) -> str:
-    """The text of a file for ``--config`` that gives this detector with these settings."""
+    """Return the text of a file for ``--config`` that gives a detector with these settings."""
     return tomli_w.dumps({"detector": detector, **settings.model_dump(exclude_none=True)})
 
 
 # --- shipped configs --------------------------------------------------------------------
 
 
-def shipped_configs() -> list[str]:
+def list_shipped_configs() -> list[str]:
     """Return the sorted names of all shipped configs: paths below ``configs/`` without suffix."""
-    found = CONFIGS.rglob(f"*{SUFFIX}")
-    return sorted(path.relative_to(CONFIGS).with_suffix("").as_posix() for path in found)
+    files = CONFIGS.rglob(f"*{SUFFIX}")
+    return sorted(path.relative_to(CONFIGS).with_suffix("").as_posix() for path in files)
 
 
 def config_file(text: str) -> Path:
-    """Return the file that ``--config`` names: one that exists, or else one that is shipped.
+    """Find the file that ``--config`` names: an existing file, or else a shipped config.
 
-    What ends in ``.toml`` is a file in any case. Raises ConfigError, with the known names, for
-    a name that is neither.
+    Text that ends in ``.toml`` is a file in any case. Raises ConfigError, with the nearest
+    names, for any other text.
     """
     path = Path(text)
     if path.suffix == SUFFIX or path.is_file():
         return path
-    if text not in shipped_configs():
-        raise unknown_name("config, and no file", text, shipped_configs())
+    if text not in list_shipped_configs():
+        raise unknown_name("config, and no file", text, list_shipped_configs())
     return CONFIGS / f"{text}{SUFFIX}"

@@ -1,4 +1,4 @@
-"""Ctrl-C and termination: finish what is in hand, save, and leave."""
+"""Ctrl-C and SIGTERM: finish and save the current item, then stop."""
 
 import multiprocessing
 import os
@@ -13,18 +13,18 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM came: what a KeyboardInterrupt is for SIGINT."""
+    """Exception for SIGTERM, as KeyboardInterrupt is for SIGINT."""
 
 
-def raise_terminated(*_: object) -> NoReturn:
-    """The handler of SIGTERM for a process that has nothing in hand to save."""
+def sigterm_handler(*_: object) -> NoReturn:
+    """Raise Terminated, in a process that has nothing to save first."""
     raise Terminated
 
 
 class Stop:
-    """Whether somebody asked to stop, and by which signal.
+    """A request to stop by a signal.
 
-    at_once: whether asking raises, as while a live source is waited for.
+    at_once: raise when the request comes, as while waiting for a live source.
     """
 
     def __init__(self) -> None:
@@ -33,18 +33,18 @@ class Stop:
 
     @property
     def asked(self) -> bool:
-        """Whether to stop as soon as what is in hand is saved."""
+        """True if the program is to stop once the current item is saved."""
         return self.signal is not None
 
     def interrupt(self) -> None:
-        """Raise KeyboardInterrupt, or Terminated, if somebody asked to stop."""
+        """Raise KeyboardInterrupt or Terminated if a stop was requested."""
         if self.signal == signal.SIGTERM:
             raise Terminated
         if self.asked:
             raise KeyboardInterrupt
 
     def ask(self, number: int, _: FrameType | None = None) -> None:
-        """Remember the request; the second one no longer waits."""
+        """Record a request, as a signal handler; raise on the second one."""
         self.interrupt()
         self.signal = signal.Signals(number)
         if self.at_once:
@@ -52,13 +52,13 @@ class Stop:
 
 
 @contextmanager
-def terminated_in_words() -> Iterator[None]:
-    """Within the block SIGTERM raises Terminated, unless somebody handles or ignores it."""
-    own = threading.current_thread() is threading.main_thread()
-    if not own or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+def raise_on_sigterm() -> Iterator[None]:
+    """Raise Terminated on SIGTERM inside the block, unless SIGTERM is handled or ignored."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield
         return
-    signal.signal(signal.SIGTERM, raise_terminated)
+    signal.signal(signal.SIGTERM, sigterm_handler)
     try:
         yield
     finally:
@@ -66,18 +66,18 @@ def terminated_in_words() -> Iterator[None]:
 
 
 @contextmanager
-def noted_signals() -> Iterator[Stop]:
-    """Within the block, signals that raise are noted as well; what handled them still does.
+def record_signals() -> Iterator[Stop]:
+    """Record the signals whose handlers raise inside the block, and still call the handlers.
 
-    Of an exception from foreign code it can then be said whether a signal was its cause. Only
-    handlers written in Python are looked at, and in the main thread alone, where they run.
+    Shows whether a signal caused an exception of foreign code. Only handlers in Python are
+    wrapped, and only in the main thread, where they run.
     """
     stop = Stop()
-    own = threading.current_thread() is threading.main_thread()
-    before = {number: signal.getsignal(number) for number in SIGNALS} if own else {}
+    is_main = threading.current_thread() is threading.main_thread()
+    previous = {number: signal.getsignal(number) for number in SIGNALS} if is_main else {}
 
-    def note(number: int, frame: FrameType | None) -> None:
-        handler = before[signal.Signals(number)]
+    def record(number: int, frame: FrameType | None) -> None:
+        handler = previous[signal.Signals(number)]
         assert callable(handler)
         try:
             handler(number, frame)
@@ -86,23 +86,23 @@ def noted_signals() -> Iterator[Stop]:
             raise
 
     try:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             if callable(handler):
-                signal.signal(number, note)
+                signal.signal(number, record)
         yield stop
     finally:
-        for number, handler in before.items():
-            if signal.getsignal(number) is note:  # unless the block has set one of its own
+        for number, handler in previous.items():
+            if signal.getsignal(number) is record:  # unless the block has set another one
                 signal.signal(number, handler)
 
 
 @contextmanager
-def interruption_first() -> Iterator[None]:
-    """Raise an interruption as such, whatever the block's code or its libraries make of it.
+def prefer_interruption() -> Iterator[None]:
+    """Raise KeyboardInterrupt or Terminated for a signal, whatever exception it led to.
 
-    Libraries in C or Rust turn a KeyboardInterrupt that meets them into errors of their own.
+    Libraries in C or Rust turn a KeyboardInterrupt inside them into errors of their own.
     """
-    with noted_signals() as stop:
+    with record_signals() as stop:
         try:
             yield
         except BaseException:
@@ -112,25 +112,25 @@ def interruption_first() -> Iterator[None]:
 
 @contextmanager
 def interrupting_none_started() -> Iterator[None]:
-    """Processes that are started within the block never see SIGINT; here it waits for the end.
+    """Start processes that never receive SIGINT; this process receives it after the block.
 
-    A terminal sends Ctrl-C to all processes of a command. The first one answers for them.
+    A terminal sends Ctrl-C to all processes of a command; the first one handles it for them.
     """
     if not hasattr(signal, "pthread_sigmask"):  # not a Unix
         yield
         return
     from multiprocessing import resource_tracker
 
-    resource_tracker.ensure_running()  # as it starts, with the first process, it lets SIGINT in
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    resource_tracker.ensure_running()  # it starts with the first process, and unblocks SIGINT
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def end_with_parent() -> None:
-    """Let this process end when the one that started it does, even if that was killed."""
+    """End this process when its parent process ends, even if that was killed."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -144,11 +144,11 @@ def end_with_parent() -> None:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Within the block, SIGINT and SIGTERM only ask; the handlers before it come back."""
+    """Let SIGINT and SIGTERM only request a stop inside the block; then restore the handlers."""
     stop = Stop()
-    before = {number: signal.signal(number, stop.ask) for number in SIGNALS}
+    previous = {number: signal.signal(number, stop.ask) for number in SIGNALS}
     try:
         yield stop
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)

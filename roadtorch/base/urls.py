@@ -1,4 +1,4 @@
-"""Addresses: their kinds, and what servers of the web answer."""
+"""URLs: their schemes, and responses of web servers."""
 
 import base64
 import re
@@ -16,39 +16,39 @@ from roadtorch.base.errors import InputError
 WEB = ("http", "https")
 
 ANSWER = 10.0
-"""Seconds that a server of the web may be silent; ours: as ``Patience`` has it."""
+"""Seconds that a web server may be silent; ours: the same as ``Patience``."""
 
-CHUNK = 2**20  # bytes that are fetched at once
+READ_SIZE = 2**20  # bytes
 
 
-def scheme_of(given: str) -> str:
-    """Return the scheme of an address; empty for a path."""
-    scheme = re.match(r"([A-Za-z][A-Za-z0-9+._-]+)://", given)
+def scheme_of(address: str) -> str:
+    """Return the scheme of a URL; "" for a path."""
+    scheme = re.match(r"([A-Za-z][A-Za-z0-9+._-]+)://", address)
     return scheme[1].lower() if scheme else ""
 
 
 def without_password(url: str) -> str:
-    """Return an address for messages and files: without the name and password of a user."""
+    """Return a URL without user name and password, for messages and files."""
     return re.sub(r"(?<=://)[^/@]*@", "", url)
 
 
 def slug(url: str) -> str:
-    """Return a name for results: what stands between the signs of an address, no password."""
+    """Return a file name for the results of a URL: its words, without password and query."""
     address = re.sub(r"^\w+://|[?#].*", "", without_password(url))
     return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
 
 
 @contextmanager
 def answer(url: str) -> Iterator[Any]:
-    """Yield a server's answer, after redirections: its headers, and its body to read.
+    """Yield the response to a GET request, after redirections: its headers, and its body to read.
 
-    Raises InputError for one that does not come, comes late, or is no success.
+    Raises InputError if there is none, or it comes late or with an error status.
     """
     address = without_password(url)
     headers = {"User-Agent": "roadtorch"}
     if (user := re.match(r"\w+://([^/@]*)@", url)) is not None:  # basic access, RFC 7617
-        told = base64.b64encode(unquote(user[1]).encode()).decode()
-        headers["Authorization"] = f"Basic {told}"
+        credentials = base64.b64encode(unquote(user[1]).encode()).decode()
+        headers["Authorization"] = f"Basic {credentials}"
     try:
         with closing(urlopen(Request(address, headers=headers), timeout=ANSWER)) as response:
             yield response
@@ -58,21 +58,21 @@ def answer(url: str) -> Iterator[Any]:
         raise InputError(address, problem, "check the address") from None
     except (OSError, HTTPException, ValueError) as error:
         cause = getattr(error, "reason", error)
-        late = isinstance(cause, TimeoutError)
-        problem = f"{ANSWER:g} seconds without an answer" if late else str(cause) or "no answer"
-        raise InputError(address, f"cannot be fetched: {problem}", "check the address") from None
+        is_late = isinstance(cause, TimeoutError)
+        text = f"{ANSWER:g} seconds without an answer" if is_late else str(cause) or "no answer"
+        raise InputError(address, f"cannot be fetched: {text}", "check the address") from None
 
 
 def url_bytes(url: str) -> bytes:
-    """Fetch the body of an answer, at most 1 GiB.
+    """Fetch the body of a response, at most 1 GiB.
 
-    Raises InputError as ``answer``, for more, for one that is cut, and for what is not of the web.
+    Raises InputError as ``answer`` does, for a larger or truncated body, and for other schemes.
     """
     if scheme_of(url) not in WEB:
-        raise InputError(url, "is not of the web", "give http:// or https://, or a file")
+        raise InputError(url, "is no web address", "give http:// or https://, or a file")
     data = bytearray()
     with answer(url) as response:
-        while chunk := response.read(CHUNK):
+        while chunk := response.read(READ_SIZE):
             data += chunk
             if len(data) > MAX_BYTES:
                 problem = f"has more than {MAX_BYTES:,} bytes"

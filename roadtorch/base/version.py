@@ -1,3 +1,3 @@
-"""The version of roadtorch: in one place, for the package, its files and its installation."""
+"""Version of roadtorch, for the package, its files and its installation."""
 
 __version__ = "1.0.0"

@@ -1,4 +1,4 @@
-"""torchvision, beside whichever torch is installed: it is imported here and nowhere else."""
+"""Import of torchvision, in this module only, beside any build of torch."""
 
 from contextlib import suppress
 from functools import cache
@@ -10,33 +10,33 @@ import torch
 
 from roadtorch.base.errors import RoadtorchError
 
-OPERATORS = ("nms", "qnms")
-SIGNATURE = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
+UNDECLARED_OPERATORS = ("nms", "qnms")
+OPERATOR_SIGNATURE = "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor"
 
 
 @cache
 def import_torchvision() -> ModuleType:
-    """torchvision with its ``transforms.v2``.
+    """Import torchvision with its ``transforms.v2``, and return it.
 
     Its wheels beside a CPU-only torch cannot load their compiled operators, and then fail at
-    import because they describe the results of operators that nobody declared (pytorch/vision
-    issues 9077 and 9085). Declaring these two first is enough: what is plain torch works. Raises
-    RoadtorchError where torchvision is missing or made for another torch altogether.
+    import because they describe the results of undeclared operators (pytorch/vision issues 9077
+    and 9085). Declaring these two first is enough: what is plain torch works. Raises RoadtorchError
+    if torchvision is missing or made for another version of torch.
     """
     hint = "pip install the torchvision that belongs to it, see docs/installation.md"
     package = find_spec("torchvision")
     if package is None or package.origin is None:
         raise RoadtorchError("torchvision", "is not installed", hint)
     for library in Path(package.origin).parent.glob("_C.*"):
-        with suppress(OSError):  # the very misfit
+        with suppress(OSError):  # built for another torch
             torch.ops.load_library(library)
-    for name in OPERATORS:
+    for name in UNDECLARED_OPERATORS:
         if not hasattr(torch.ops.torchvision, name):
-            torch.library.define(f"torchvision::{name}", SIGNATURE)
+            torch.library.define(f"torchvision::{name}", OPERATOR_SIGNATURE)
     try:
         import torchvision.transforms.v2
     except Exception as error:  # another build fails in many ways
-        reason = (str(error).splitlines() or [""])[0]
-        problem = f"cannot be imported beside torch {torch.__version__}: {reason}"
+        cause = (str(error).splitlines() or [""])[0]
+        problem = f"cannot be imported beside torch {torch.__version__}: {cause}"
         raise RoadtorchError("torchvision", problem, hint) from error
     return torchvision

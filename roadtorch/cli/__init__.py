@@ -1,4 +1,4 @@
-"""The command line: one module a command, no algorithm in any of them."""
+"""Command line: one module a command, without algorithms."""
 
 from roadtorch.cli.group import main
 

@@ -1,59 +1,65 @@
-"""roadtorch adapt: fine-tune the network of fusion on footage, without labels."""
+"""roadtorch adapt: fine-tune the network of fusion on unlabelled footage."""
 
 from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import FOOTAGE, PATH, QUIET, SETTING, command_line
+from roadtorch.cli.options import (
+    FOOTAGE_ARGUMENT,
+    PATH,
+    QUIET_OPTION,
+    SETTING_OPTION,
+    command_line,
+)
 
-CONFIG = "adapt"
+ADAPT_CONFIG = "adapt"
 
 
 @click.command()
-@FOOTAGE
-@click.option(
-    "--out", type=PATH, required=True, help="Folder of this run; a second run resumes it."
-)
+@FOOTAGE_ARGUMENT
+@click.option("--out", type=PATH, required=True, help="Folder of this run; run again to resume.")
 @click.option(
     "--frames",
-    "most",
+    "max_frames",
     type=click.IntRange(min=2),
     default=400,
-    help="Frames to learn from, in stretches of five.",
+    help="Training frames to sample, in runs of five consecutive ones.",
 )
-@SETTING
-@click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
-@QUIET
+@SETTING_OPTION
+@click.option(
+    "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
+)
+@QUIET_OPTION
 @click.pass_context
-def adapt(
+def adapt_command(
     context: click.Context,
     footage: tuple[str, ...],
     out: Path,
-    most: int,
+    max_frames: int,
     assignments: tuple[str, ...],
     threads: int | None,
     quiet: bool,
 ) -> None:
-    """Fine-tune the network of fusion on footage, without labels, and report whether it helped.
+    """Fine-tune the network of fusion on unlabelled footage, and report whether it helped.
 
-    FOOTAGE: images, folders, quoted globs, videos, bags; some minutes of one camera. Each half
-    of it trains a network that is judged on the other half; the last line says adopt, do not
-    adopt, or cannot tell, and why.
+    FOOTAGE: images, folders, quoted globs, videos or bags; some minutes of one camera. Each half
+    of the frames trains a network that is evaluated on the other half; the last line says adopt,
+    do not adopt, or cannot tell, and why.
 
     \b
-    The folder --out gets
-      weights.safetensors  for infer --set weights.file=OUT/weights.safetensors
-      camera.toml          what stays the same, for infer --camera; where the footage shows it
-      adaptation.html      before and after, on images
-      frames/, looks/      the sampled frames, and the teacher's prediction for each
-      prepared/            the same, averaged with those of the frames around
-      first/, second/      the run of each half
+    Written to the folder --out:
+      weights.safetensors  weights for infer --set weights.file=OUT/weights.safetensors
+      camera.toml          ego car and horizon for infer --camera, if the footage shows them
+      adaptation.html      masks before and after
+      frames/, looks/      sampled frames, and the teacher's prediction for each
+      prepared/            the predictions, averaged over neighbouring frames
+      first/, second/      the training run of each half
     """
     import torch
 
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.settings import config_file, merge, parse_assignments, read_settings_file
-    from roadtorch.train.adaptation.adapt import adapt as run
+    from roadtorch.train.adaptation.adapt import adapt
     from roadtorch.train.before_after import write_page
     from roadtorch.train.config import ImageTraining, build_training
     from roadtorch.train.folder import PAGE
@@ -61,25 +67,25 @@ def adapt(
 
     if threads:
         torch.set_num_threads(threads)
-    values = merge(read_settings_file(config_file(CONFIG)), parse_assignments(assignments))
+    values = merge(read_settings_file(config_file(ADAPT_CONFIG)), parse_assignments(assignments))
     training = build_training(values)
     if not isinstance(training, ImageTraining) or not training.start:
-        message = "adaptation starts from a network for whole images"
+        message = "adaptation starts from the weights of a whole-image network"
         raise ConfigError("kind, start", message, "leave kind as it is, and give start=WEIGHTS")
-    done = run(footage, out, training, most, quiet)
-    outcome, verdict, frames = done.outcome, str(done.verdict), done.frames
+    adaptation = adapt(footage, out, training, max_frames, quiet)
+    outcome, verdict, frames = adaptation.outcome, str(adaptation.verdict), adaptation.frames
     if outcome.interrupted:
         signal = outcome.interrupted.name
         text = f"roadtorch: stopped by {signal}; run the same command again to resume"
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
-    request = Request(frames.glob(), out, prepared=done.prepared, quiet=quiet)
+    request = Request(frames.glob(), out, prepared=adaptation.prepared, quiet=quiet)
     command = command_line(context)
     is_written = write_page(training, request, outcome, verdict, command)
-    files = [outcome.weights, done.camera, out / PAGE if is_written else None]
-    lines = [*frames.skipped, *done.missing]
+    files = [outcome.weights, adaptation.camera, out / PAGE if is_written else None]
+    lines = [*frames.skipped, *adaptation.missing]
     if not quiet:
-        camera = f" --camera {done.camera}" if done.camera else ""
+        camera = f" --camera {adaptation.camera}" if adaptation.camera else ""
         use = f"roadtorch infer FOOTAGE --set weights.file={outcome.weights}{camera} --out roads"
         lines += [*(f"wrote {file}" for file in files if file), f"to use it: {use}"]
     for line in lines:

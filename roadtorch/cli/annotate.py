@@ -1,34 +1,36 @@
-"""roadtorch annotate: correct machine labels in a page, report on it, bring labels in and out."""
+"""roadtorch annotate: correct machine labels in a page; report, export and import corrections."""
 
 from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, DetectorOptions, Sectioned, with_detector
+from roadtorch.cli.options import PATH, DetectorOptions, SectionedCommand, detector_options
 
 ORDERS = ("least-trust", "random")
 
-FORMATS = ("png", "coco")
+LABEL_FORMAT = click.Choice(("png", "coco"))
 
 
-@click.command(cls=Sectioned)
+@click.command(cls=SectionedCommand)
 @click.argument("folder", type=PATH)
-@click.option("--out", type=PATH, help="Where corrections are kept. [FOLDER/corrections]")
+@click.option("--out", type=PATH, help="Folder of the corrections. [FOLDER/corrections]")
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the page. [a free one]")
 @click.option(
     "--order",
     type=click.Choice(ORDERS),
     default=ORDERS[0],
-    help="Which image comes next.",
+    help="Order of the images: least trusted first, or random.",
 )
-@with_detector
-@click.option("--report", "reports", is_flag=True, help="Say what was corrected, and stop.")
-@click.option("--export", "exported", type=click.Choice(FORMATS), help="Write corrections to --to.")
+@detector_options
+@click.option("--report", "reports", is_flag=True, help="Print a report on corrections and exit.")
+@click.option("--export", "exported", type=LABEL_FORMAT, help="Write the corrections to --to.")
 @click.option("--to", type=PATH, help="Folder for --export.")
-@click.option("--import", "imported", type=click.Choice(FORMATS), help="Read labels from --from.")
-@click.option("--from", "origin", type=PATH, help="Folder of --import, or a COCO file.")
+@click.option(
+    "--import", "imported", type=LABEL_FORMAT, help="Read labels from --from as corrections."
+)
+@click.option("--from", "origin", type=PATH, help="Folder or COCO file for --import.")
 @click.pass_context
-def annotate(
+def annotate_command(
     context: click.Context,
     folder: Path,
     out: Path | None,
@@ -41,10 +43,10 @@ def annotate(
     imported: str | None,
     origin: Path | None,
 ) -> None:
-    """Correct the machine's labels of the images in FOLDER, in a page in your browser.
+    """Correct the machine labels of the images in FOLDER, in a page in your browser.
 
-    The page is served to this computer alone, to whoever has its address. Every stroke is on disk
-    at once; a second run resumes where the first one stopped.
+    The page is served to this computer only, to whoever has its address. Every stroke is saved
+    at once; run the same command again to resume.
     """
     out = out or folder / "corrections"
     if reports:
@@ -53,15 +55,15 @@ def annotate(
         click.echo(corrections_report(out, folder))
     elif exported:
         from roadtorch.base.atomic import shared
-        from roadtorch.data.correction_formats import FORMATS as KNOWN
+        from roadtorch.data.correction_formats import FORMATS
         from roadtorch.data.corrections import read_corrections
 
         if to is None:
             raise click.UsageError("Missing option '--to'")
-        corrected = read_corrections(out, folder)
+        corrections = read_corrections(out, folder)
         context.with_resource(shared(to))
-        KNOWN[exported].write(corrected, to)
-        click.echo(f"{len(corrected)} images written to {to}")
+        FORMATS[exported].write(corrections, to)
+        click.echo(f"{len(corrections)} images written to {to}")
     elif imported:
         from roadtorch.annotate.session import import_labels
         from roadtorch.run.folder import output_lock
@@ -70,7 +72,7 @@ def annotate(
             raise click.UsageError("Missing option '--from'")
         context.with_resource(output_lock(out))
         count = import_labels(imported, origin, folder, out)
-        click.echo(f"{count} images brought in")
+        click.echo(f"{count} images imported")
     else:
         from roadtorch.annotate.next_images import ImageOrder
         from roadtorch.annotate.session import opened_session
@@ -84,9 +86,9 @@ def annotate(
             hint = "pip install 'roadtorch[annotate]'"
             raise ConfigError("annotate", "needs Starlette and uvicorn", hint) from None
         count = len(find_images([folder], out))
-        detector, _ = choice.loaded()
+        detector, _ = choice.load()
         context.with_resource(output_lock(out))
         server = page_server(opened_session(folder, out, detector, order=ImageOrder(order)), port)
-        click.echo(f"{count} images; corrections are kept in {out}")
-        click.echo(f"Open {server.address.url}  (Ctrl-C ends it)")
+        click.echo(f"{count} images; corrections are saved in {out}")
+        click.echo(f"Open {server.address.url}  (press Ctrl-C to stop)")
         server.run()

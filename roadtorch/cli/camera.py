@@ -1,29 +1,29 @@
-"""roadtorch camera: what one camera's footage tells about it."""
+"""roadtorch camera: estimate ego car and horizon from the footage of one camera."""
 
 from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import FOOTAGE, PATH
+from roadtorch.cli.options import FOOTAGE_ARGUMENT, PATH
 
-SHOWN = 12  # frames that the mean in the image is made of
+MEAN_FRAMES = 12  # frames averaged in the check image
 
 
 @click.command()
-@FOOTAGE
+@FOOTAGE_ARGUMENT
 @click.option("--out", type=PATH, default=Path("camera.toml"), help="File to write.")
 @click.option(
     "--frames",
-    "most",
+    "max_frames",
     type=click.IntRange(min=5),
     default=120,
-    help="Frames to look at, evenly chosen.",
+    help="Frames to sample, evenly spaced.",
 )
-def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
-    """Find what stays the same in the footage of one camera: ego car, horizon, seed row.
+def camera_command(footage: tuple[str, ...], out: Path, max_frames: int) -> None:
+    """Estimate ego car, horizon and seed row from the footage of one camera.
 
-    FOOTAGE: images, folders, quoted globs, video files; 10 frames or more of different
-    places. Writes --out for infer --camera, and beside it an image to check: the mean of
+    FOOTAGE: images, folders, quoted globs or video files; at least 10 frames of different
+    scenes. Writes --out for infer --camera, and beside it an image to check it by: the mean of
     the frames and one of them, with the ego car tinted, the horizon blue, the seed row orange.
     """
     from roadtorch.base.image import write_jpeg
@@ -33,37 +33,37 @@ def camera(footage: tuple[str, ...], out: Path, most: int) -> None:
     from roadtorch.inputs.find import frame_places, read_frames
     from roadtorch.road.ego import is_given, outline_rows
 
-    image = out.with_suffix(".jpg")
-    places = frame_places(footage, most)
-    _refuse_replacing(out, image, {place.path.resolve() for place in places})
+    check_file = out.with_suffix(".jpg")
+    places = frame_places(footage, max_frames)
+    _check_outputs(out, check_file, {place.path.resolve() for place in places})
     frames = Progress(read_frames(places), total=len(places), unit="frame")
     camera = camera_of(frames, footage[0])
     camera.write(out)
-    shown = places[:: max(1, len(places) // SHOWN)]
-    write_jpeg(image, check_image(camera, list(read_frames(shown))))
-    ego = "none seen"
+    sample = places[:: max(1, len(places) // MEAN_FRAMES)]
+    write_jpeg(check_file, check_image(camera, list(read_frames(sample))))
+    ego = "none found"
     if is_given(camera.ego):
         rows = outline_rows(camera.ego.outline, camera.width)
-        share, top = float((1 - rows).double().mean()), float(rows.min())
-        ego = f"{share:.1%} of the image, from row {top:.2f} of the height"
+        fraction, top = float((1 - rows).double().mean()), float(rows.min())
+        ego = f"{fraction:.1%} of the image, from row {top:.2f} of the height"
     click.echo(f"ego car: {ego}")
     click.echo(f"horizon: row {camera.horizon:.2f}; seed row: {camera.seed_row:.2f}")
     size = f"{camera.frames} frames of {camera.width}×{camera.height} pixels"
-    click.echo(f"{size}; written: {out}, and {image} to check")
+    click.echo(f"{size}; wrote {out}, and {check_file} to check it")
 
 
-def _refuse_replacing(out: Path, image: Path, inputs: set[Path]) -> None:
-    """Refuse to write over what is not ours: ConfigError."""
+def _check_outputs(out: Path, check_file: Path, inputs: set[Path]) -> None:
+    """Raise ConfigError if writing would replace a file that is no earlier output."""
     from roadtorch.base.errors import ConfigError, RoadtorchError
     from roadtorch.camera.camera import Camera
 
-    if image == out or {out.resolve(), image.resolve()} & inputs:
-        raise ConfigError(out, "would replace footage, or its own image", "name it camera.toml")
+    if check_file == out or {out.resolve(), check_file.resolve()} & inputs:
+        raise ConfigError(out, "would replace footage or its own image", "name it camera.toml")
     if out.exists():
         try:
             Camera.read(out)
         except RoadtorchError:
-            problem = "is there and no file of a camera"
+            problem = "exists and is no camera file"
             raise ConfigError(out, problem, "give another --out") from None
-    elif image.exists():
-        raise ConfigError(image, "is there and not ours", "give another --out")
+    elif check_file.exists():
+        raise ConfigError(check_file, "exists and is not ours", "give another --out")

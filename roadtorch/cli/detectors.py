@@ -1,4 +1,4 @@
-"""roadtorch detectors: what there is, and what can be set."""
+"""roadtorch detectors: list the detectors, and the settings of each."""
 
 import json
 import textwrap
@@ -13,20 +13,18 @@ from roadtorch.cli.options import suggest_detectors
 if TYPE_CHECKING:
     from roadtorch.detectors.detector import Entry
 
-WIDTH = 100  # letters in a line
-CELL = 14  # letters in a line of an inner column
-GAP = "  "
-
-CIRCULAR = "; circular"
+LINE_WIDTH = 100  # characters
+INNER_COLUMN_WIDTH = 14  # characters, at most
+COLUMN_GAP = "  "
 
 
 @click.command()
 @click.argument("name", required=False, shell_complete=suggest_detectors)
-def detectors(name: str | None) -> None:
-    """List the detectors; with a NAME, its settings and their meaning.
+def detectors_command(name: str | None) -> None:
+    """List the detectors, or the settings of the detector NAME.
 
-    A NAME with wildcards lists those that it fits: 'oneclass:*:HS'. The NAME planes lists the
-    colour planes with their ranges, and the representations made of them.
+    A NAME with wildcards lists the detectors that match: 'oneclass:*:HS'. The NAME planes lists
+    the colour planes with their ranges, and the colour representations that combine them.
     """
     from roadtorch.detectors.catalogue import (
         detector_entry,
@@ -36,12 +34,12 @@ def detectors(name: str | None) -> None:
     )
 
     if name is None:
-        rows = [row for group in detector_groups().items() for row in listed(*group)]
+        rows = [row for group in detector_groups().items() for row in detector_rows(*group)]
     elif name == "planes":
-        click.echo(planes())
+        click.echo(plane_tables())
         return
     elif is_pattern(name):
-        rows = [(known, detector_entry(known).summary) for known in list_detectors(name)]
+        rows = [(match, detector_entry(match).summary) for match in list_detectors(name)]
     else:
         entry = detector_entry(name)
         click.echo(f"{name}: {entry.summary}\n")
@@ -49,25 +47,25 @@ def detectors(name: str | None) -> None:
         defaults = entry.configured({}).model_dump(mode="json")
         schema = entry.settings.model_json_schema()
         rows = [header, *setting_rows(schema, defaults=defaults)]
-    click.echo("\n".join(columns(rows)))
+    click.echo("\n".join(align_columns(rows)))
 
 
-def planes() -> str:
-    """Return the colour planes with their ranges, and the representations made of them."""
+def plane_tables() -> str:
+    """Return tables of the colour planes and of the colour representations."""
     from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 
     rows = [("plane", "low", "high", "meaning")]
     rows += [
-        (name, f"{plane.low:g}", f"{plane.high:g}", plane.summary + CIRCULAR * plane.circular)
+        (name, f"{plane.low:g}", f"{plane.high:g}", plane.summary + "; circular" * plane.circular)
         for name, plane in PLANES.items()
     ]
     combined = [("representation", "planes")]
     combined += [(name, " ".join(parts)) for name, parts in REPRESENTATIONS.items()]
-    return "\n".join([*columns(rows), "", *columns(combined)])
+    return "\n".join([*align_columns(rows), "", *align_columns(combined)])
 
 
-def listed(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:
-    """The lines for a detector, or for a grid of them: name and summary, then its options."""
+def detector_rows(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:
+    """Yield name and summary of a detector; for a grid of detectors, its options as well."""
     grid = entries[0].grid
     if grid is None:
         yield name, entries[0].summary
@@ -79,25 +77,25 @@ def listed(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:
             yield f"  {option}", " ".join(dict.fromkeys(values))
 
 
-def columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
-    """Rows as lines with aligned columns, long cells over several lines, to fit WIDTH.
+def align_columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
+    """Yield rows as lines of LINE_WIDTH with aligned columns; long cells are wrapped.
 
-    The first column, which holds names, is as wide as it must be; the last gets the rest.
+    The first column, names, is as wide as they are; the last one fills the line.
     """
-    wrapped = [[row[0:1], *(_wrapped(cell, CELL) for cell in row[1:-1])] for row in rows]
+    wrapped = [[row[0:1], *(_wrap(cell, INNER_COLUMN_WIDTH) for cell in row[1:-1])] for row in rows]
     widths = [max(map(len, chain(*column))) for column in zip(*wrapped, strict=True)]
-    rest = WIDTH - sum(widths) - len(GAP) * len(widths)
+    last_width = LINE_WIDTH - sum(widths) - len(COLUMN_GAP) * len(widths)
     for cells, row in zip(wrapped, rows, strict=True):
-        for line in zip_longest(*cells, _wrapped(row[-1], rest), fillvalue=""):
+        for line in zip_longest(*cells, _wrap(row[-1], last_width), fillvalue=""):
             padded = (text.ljust(width) for text, width in zip(line, [*widths, 0], strict=True))
-            yield GAP.join(padded).rstrip()
+            yield COLUMN_GAP.join(padded).rstrip()
 
 
-def _wrapped(text: str, width: int) -> Sequence[str]:
+def _wrap(text: str, width: int) -> Sequence[str]:
     return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
 
 
-# --- what can be set --------------------------------------------------------------------
+# --- settings ---------------------------------------------------------------------------
 
 
 def setting_rows(
@@ -106,27 +104,27 @@ def setting_rows(
     defaults: Mapping[str, Any] | None = None,
     path: str = "",
 ) -> Iterator[tuple[str, str, str, str, str]]:
-    """Key, type, default, allowed and meaning of each setting in a JSON schema, depth first.
+    """Yield key, type, default, allowed and meaning of each setting in a JSON schema, depth first.
 
-    shared: definitions that the schema refers to. defaults: those that the owner of a group of
-    settings gives it, which go before the group's own. path: what stands before its keys.
+    shared: definitions that the schema refers to. defaults: override the schema's own, as a group's
+    owner may. path: prefix of the keys.
     """
     definitions = schema.get("$defs", {}) if shared is None else shared
     defaults = defaults or {}
     for key, field in schema.get("properties", {}).items():
         meaning = field.get("description", "")
         target = definitions.get(str(field.get("$ref", "")).rpartition("/")[2], field)
-        given = defaults.get(key, field.get("default"))
+        value = defaults.get(key, field.get("default"))
         if "properties" in target:
-            yield from setting_rows(target, definitions, given, f"{path}{key}.")
+            yield from setting_rows(target, definitions, value, f"{path}{key}.")
         else:
-            default = _text(given) if "default" in field or key in defaults else ""
-            yield f"{path}{key}", _kind(target), default, _allowed(target), meaning
+            default = _format(value) if "default" in field or key in defaults else ""
+            yield f"{path}{key}", _type_name(target), default, _allowed(target), meaning
 
 
-def _kind(field: Mapping[str, Any]) -> str:
+def _type_name(field: Mapping[str, Any]) -> str:
     if "anyOf" in field:
-        return " or ".join(_kind(option) for option in field["anyOf"])
+        return " or ".join(_type_name(option) for option in field["anyOf"])
     values = field.get("enum", [field["const"]] if "const" in field else None)
     return "choice" if values else str(field.get("type", "any"))
 
@@ -135,13 +133,13 @@ def _allowed(field: Mapping[str, Any]) -> str:
     if "anyOf" in field:
         return ", ".join(filter(None, (_allowed(option) for option in field["anyOf"])))
     if "enum" in field or "const" in field:
-        return " | ".join(map(_text, field.get("enum", [field.get("const")])))
+        return " | ".join(map(_format, field.get("enum", [field.get("const")])))
     signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
     return ", ".join(f"{sign} {field[key]:g}" for key, sign in signs.items() if key in field)
 
 
-def _text(value: Any) -> str:
-    """A value as ``--set`` takes it; strings without their quotes, 30.0 as 30."""
+def _format(value: Any) -> str:
+    """Format a value as ``--set`` takes it: strings without quotes, 30.0 as 30."""
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -1,6 +1,6 @@
-"""roadtorch doctor: what is installed here, and whether it works.
+"""roadtorch doctor: check this installation.
 
-Each section imports what it looks at when it looks: what cannot be imported breaks itself alone.
+Each section imports the packages that it checks, so that one that fails breaks only its section.
 """
 
 import os
@@ -15,36 +15,35 @@ from typing import Literal, NamedTuple
 import click
 
 from roadtorch.base.bounded import reason
-from roadtorch.base.compute import peak_mebibytes
+from roadtorch.base.compute import peak_memory_mib
 from roadtorch.base.version import __version__
 
-OF_DEVELOPERS = ("docs", "test")  # extras that users have no need of
+DEVELOPER_EXTRAS = ("docs", "test")  # not reported as missing
 
-VIDEO = ("h264", "hevc", "vp9", "av1", "mpeg4", "mjpeg")  # that cameras and archives have
+VIDEO_CODECS = ("h264", "hevc", "vp9", "av1", "mpeg4", "mjpeg")  # of cameras and archives
 
-HEIGHT, WIDTH = 360, 480  # of the street, as the README's table of times
+STREET_HEIGHT, STREET_WIDTH = 360, 480  # of the self-test, as in the README's table of times
 ROUNDS = 9  # of the self-test, after a first one
 MIN_F = 0.85
-"""Ours: the shipped weights have .95 on this street. Below this bound something is broken."""
+"""F-score below which the self-test fails; ours: the shipped weights have .95 on this street."""
 
-AGAIN = "install roadtorch again"
+REINSTALL_HINT = "install roadtorch again"
 
 
 class Check(NamedTuple):
     """One part of an installation: a line of the report.
 
-    state: missing is what can do without, broken is what cannot. what: version, figures, or what
-    is wrong. remedy: what to do, where something is to be done.
+    state: missing parts are optional, broken ones are not. details: version, figures or problem.
     """
 
     name: str
     state: Literal["ok", "missing", "broken"]
-    problem: str
+    details: str
     hint: str = ""
 
 
 def check_machine() -> list[Check]:
-    """Look at Python, the system, its processors and who takes how many of them."""
+    """Report Python, the system, its processors and the threads of libraries."""
     import cv2
     import torch
 
@@ -61,7 +60,7 @@ def check_machine() -> list[Check]:
 
 
 def check_packages() -> list[Check]:
-    """Look at the packages that roadtorch cannot do without, and at those of each extra."""
+    """Check the required packages, and those of each extra."""
     checks = [
         Check(name, "ok", release)
         if (release := _installed(name))
@@ -72,17 +71,17 @@ def check_packages() -> list[Check]:
     for extra in sorted(extras):
         versions = {name: _installed(name) for name in _requirements(extra)}
         absent = [name for name, release in versions.items() if not release]
-        if absent and extra not in OF_DEVELOPERS:
-            problem = f"{', '.join(absent)} not installed"
-            checks.append(Check(extra, "missing", problem, f"pip install 'roadtorch[{extra}]'"))
+        if absent and extra not in DEVELOPER_EXTRAS:
+            details = f"{', '.join(absent)} not installed"
+            checks.append(Check(extra, "missing", details, f"pip install 'roadtorch[{extra}]'"))
         elif not absent:
-            problem = ", ".join(f"{name} {release}" for name, release in versions.items())
-            checks.append(Check(extra, "ok", problem))
+            details = ", ".join(f"{name} {release}" for name, release in versions.items())
+            checks.append(Check(extra, "ok", details))
     return checks
 
 
 def _requirements(extra: str) -> list[str]:
-    """Return the names of the packages that an extra adds; for "", of those needed without any."""
+    """Return the names of the packages of an extra; for "", of the required ones."""
     names = []
     for text in requires("roadtorch") or []:
         marker = re.search(r"""extra == ["']([^"']+)""", text)
@@ -92,7 +91,7 @@ def _requirements(extra: str) -> list[str]:
 
 
 def _installed(package: str) -> str:
-    """Return the installed version of a package; "" where there is none."""
+    """Return the installed version of a package; "" if there is none."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -100,23 +99,22 @@ def _installed(package: str) -> str:
 
 
 def check_video() -> list[Check]:
-    """Look at the codecs of videos that PyAV reads and writes."""
+    """Check PyAV and its video codecs."""
     try:
         import av
     except ImportError:
         hint = "pip install 'roadtorch[video]'"
         return [Check("video", "missing", "PyAV is not installed", hint)]
-    read = [name for name in VIDEO if name in av.codecs_available]
-    absent = [name for name in VIDEO if name not in read]
+    readable = [name for name in VIDEO_CODECS if name in av.codecs_available]
+    absent = [name for name in VIDEO_CODECS if name not in readable]
     writes = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-    problem = f"PyAV {av.__version__}: reads {' '.join(read)}; writes {writes}"
-    return [
-        Check("video", "ok", problem + (f"; does not read {' '.join(absent)}" if absent else ""))
-    ]
+    details = f"PyAV {av.__version__}: reads {' '.join(readable)}; writes {writes}"
+    details += f"; does not read {' '.join(absent)}" if absent else ""
+    return [Check("video", "ok", details)]
 
 
 def check_weights() -> list[Check]:
-    """Read every weight file that comes with roadtorch, and hold it against its header's hash."""
+    """Load every shipped weight file, which compares it with the hash in its header."""
     from roadtorch.base.atomic import digest_of
     from roadtorch.base.errors import WeightsError
     from roadtorch.layout.weights import list_shipped_weights, load_network, shipped_weights
@@ -127,71 +125,71 @@ def check_weights() -> list[Check]:
             load_network(path)
             checks.append(Check(path.name, "ok", f"SHA-256 {digest_of(path)[:12]}…"))
         except WeightsError as error:
-            checks.append(Check(path.name, "broken", error.problem, AGAIN))
-    return checks or [Check("weights", "broken", "none are there", AGAIN)]
+            checks.append(Check(path.name, "broken", error.problem, REINSTALL_HINT))
+    return checks or [Check("weights", "broken", "no weight files", REINSTALL_HINT)]
 
 
 def check_self_test() -> list[Check]:
-    """Run ``fusion`` on a rendered street: F, median ms, most memory; the same bytes each time."""
+    """Run ``fusion`` on a rendered street: F-score, time, peak memory, determinism."""
     import torch
 
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.evaluation.metrics import count_mask, f_measure
     from roadtorch.testing.scenes import render_scene
 
-    scene, detector = render_scene(0, HEIGHT, WIDTH), load_detector("fusion")
-    first = detector.detect(scene.image)  # what is built on first use is no part of the time
+    scene, detector = render_scene(0, STREET_HEIGHT, STREET_WIDTH), load_detector("fusion")
+    first = detector.detect(scene.image)  # not timed: it builds what it needs
     times: list[float] = []
-    same = True
+    is_deterministic = True
     for _ in range(ROUNDS):
         start = perf_counter()
-        again = detector.detect(scene.image)
+        repeat = detector.detect(scene.image)
         times.append(1000 * (perf_counter() - start))
-        same &= torch.equal(first.likelihood, again.likelihood)
+        is_deterministic &= torch.equal(first.likelihood, repeat.likelihood)
     f, ms = (
         float(f_measure(count_mask(first.mask, scene.road, ~scene.void))),
         statistics.median(times),
     )
-    problem = f"F {f:.3f}, {ms:.0f} ms at {WIDTH}×{HEIGHT} (median of {ROUNDS}), "
-    problem += f"{peak_mebibytes():.0f} MiB at most"
-    wrong = "" if same else "; two runs differ"
+    details = f"F {f:.3f}, {ms:.0f} ms at {STREET_WIDTH}×{STREET_HEIGHT} (median of {ROUNDS}), "
+    details += f"{peak_memory_mib():.0f} MiB at most"
+    fault = "" if is_deterministic else "; not deterministic: two results for one image"
     if not f >= MIN_F:  # also true of NaN
-        wrong = f"; F is to be {MIN_F}"
-    if wrong:
-        return [Check("fusion", "broken", problem + wrong, "report it with this page")]
-    return [Check("fusion", "ok", problem)]
+        fault = f"; F should be at least {MIN_F}"
+    if fault:
+        return [Check("fusion", "broken", details + fault, "report it with this output")]
+    return [Check("fusion", "ok", details)]
 
 
-SECTIONS: dict[str, Callable[[], list[Check]]] = {
+CHECKS: dict[str, Callable[[], list[Check]]] = {
     "machine": check_machine,
     "packages": check_packages,
     "video": check_video,
     "weights": check_weights,
     "self-test": check_self_test,
 }
-"""What is looked at, in this order."""
+"""Checks by section of the report, in order."""
 
 
 @click.command()
 @click.pass_context
-def doctor(context: click.Context) -> None:
+def doctor_command(context: click.Context) -> None:
     """Check this installation and run it on a rendered street, in about five seconds.
 
-    Versions, threads, video codecs, extras, the weights' hashes, and of the street:
-    F, time and memory. Paste what it prints into a report. The exit code is 1 when something is
-    broken; what is only missing comes with the line that installs it.
+    Prints versions, threads, video codecs, extras, hashes of the weights, and F-score, time and
+    memory on the street. Paste the output into a bug report. The exit code is 1 if something is
+    broken; missing extras are listed with the command that installs them.
     """
     click.echo(f"roadtorch {__version__}")
-    is_well = True
-    for section, look in SECTIONS.items():
+    is_sound = True
+    for section, run_checks in CHECKS.items():
         try:
-            checks = look()
+            checks = run_checks()
         except Exception as error:  # an installation can be broken in any way
-            problem = f"{type(error).__name__}: {reason(error)}"
-            checks = [Check(section, "broken", problem, AGAIN)]
+            details = f"{type(error).__name__}: {reason(error)}"
+            checks = [Check(section, "broken", details, REINSTALL_HINT)]
         click.echo(f"\n{section}")
         for check in checks:
             hint = f" ({check.hint})" if check.hint else ""
-            click.echo(f"  {check.state:<8} {check.name:<28} {check.problem}{hint}")
-            is_well &= check.state != "broken"
-    context.exit(0 if is_well else 1)
+            click.echo(f"  {check.state:<8} {check.name:<28} {check.details}{hint}")
+            is_sound &= check.state != "broken"
+    context.exit(0 if is_sound else 1)

@@ -1,4 +1,4 @@
-"""roadtorch evaluate: detectors over labelled images, beside the baselines."""
+"""roadtorch evaluate: score detectors and baselines on labelled images."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import click
 
 from roadtorch.cli.options import (
-    CAMERA,
-    JOBS,
+    CAMERA_OPTION,
+    JOBS_OPTION,
     PATH,
-    SETTING,
-    as_toml,
+    SETTING_OPTION,
     command_line,
+    config_text,
     suggest_candidates,
     suggest_datasets,
 )
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("dataset", shell_complete=suggest_datasets)
 @click.argument("root", type=PATH)
-@click.option("--split", help="Part of the data set; camvid: dev (default), train, val, test.")
+@click.option("--split", help="Split of the data set; camvid: dev (default), train, val, test.")
 @click.option(
     "--detector",
     "names",
@@ -34,31 +34,31 @@ if TYPE_CHECKING:
     default=("fusion",),
     shell_complete=suggest_candidates,
     help="Detector, with wildcards ('cpf*'), or [NAME=]PATH of weights, a config or a folder of "
-    "maps; may be given several times.",
+    "maps; may be repeated.",
 )
-@SETTING
-@CAMERA
+@SETTING_OPTION
+@CAMERA_OPTION
 @click.option(
     "--against",
     shell_complete=suggest_candidates,
-    help="Compare all with this one, as of --detector; the best one if not given.",
+    help="Compare the others with this --detector. [the best one]",
 )
-@click.option("--tune", is_flag=True, help="Choose each detector's threshold: OUT/NAME.toml.")
+@click.option("--tune", is_flag=True, help="Choose each detector's threshold; write OUT/NAME.toml.")
 @click.option("--submit", is_flag=True, help="Write maps for KITTI's server instead (kitti-road).")
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
-@click.option("--conditions", type=PATH, help="CSV with each image's conditions, for ROOT's own.")
+@click.option("--conditions", type=PATH, help="CSV of each image's conditions. [that of ROOT]")
 @click.option(
     "--leave-out",
     "left_out",
     multiple=True,
     metavar="GROUP",
-    help="Score this group, but leave it out of means and choices.",
+    help="Exclude this group from means and chosen thresholds; score it apart; may be repeated.",
 )
-@click.option("--mean-from", help="Learn prior:mean on another set: NAME:ROOT.")
-@click.option("--threshold-from", type=PATH, help="Thresholds that an earlier metrics.json chose.")
-@click.option("--limit", type=click.IntRange(min=1), help="Look at this many images only.")
-@JOBS
-@click.option("--out", type=PATH, help="Folder for metrics.json, report.html, tables and rows.")
+@click.option("--mean-from", help="Estimate prior:mean on another data set: NAME:ROOT.")
+@click.option("--threshold-from", type=PATH, help="Take thresholds from an earlier metrics.json.")
+@click.option("--limit", type=click.IntRange(min=1), help="Evaluate at most this many images.")
+@JOBS_OPTION
+@click.option("--out", type=PATH, help="Folder for metrics.json, report.html and tables.")
 @click.option(
     "--montage",
     type=click.IntRange(min=0),
@@ -66,14 +66,14 @@ if TYPE_CHECKING:
     help="Show the N best, median and worst images of each detector.",
 )
 @click.pass_context
-def evaluate(
+def evaluate_command(
     context: click.Context,
     dataset: str,
     root: Path,
     split: str | None,
     names: tuple[str, ...],
     assignments: tuple[str, ...],
-    camera: Path | None,
+    camera_file: Path | None,
     against: str | None,
     tune: bool,
     submit: bool,
@@ -89,14 +89,13 @@ def evaluate(
 ) -> None:
     """Score detectors on the labelled images of DATASET (camvid, kitti-road, …) at ROOT.
 
-    Every image is read once and shown to every detector. Beside them stand blind
-    baselines, which never look at the image: prior:rows, prior:triangle and, where other
-    groups can teach it, prior:mean.
+    Every image is read once and given to every detector. Blind baselines, which ignore the
+    image, are scored as well: prior:rows, prior:triangle and, with several groups, prior:mean.
 
-    --tune chooses the threshold with the highest F, averaged over the groups, for infer
-    --config; beside it stands how well such a choice carries over: F and IoU of each group at
-    the threshold that the other groups choose. --submit writes the maps that KITTI's server
-    takes, of the images in ROOT/image_2 or ROOT/testing/image_2.
+    --tune chooses the threshold with the highest F-score, averaged over the groups, for infer
+    --config. It also prints the leave-one-group-out scores: F and IoU of each group at the
+    threshold chosen on the other groups. --submit writes maps for KITTI's server, of the images
+    in ROOT/image_2 or ROOT/testing/image_2.
     """
     from roadtorch.base.settings import parse_assignments
     from roadtorch.camera.camera import Camera
@@ -104,7 +103,7 @@ def evaluate(
     from roadtorch.data.dataset import leave_out
     from roadtorch.data.folder import with_conditions
     from roadtorch.data.kitti import birds_eye
-    from roadtorch.evaluation.evaluate import evaluate as score
+    from roadtorch.evaluation.evaluate import evaluate
     from roadtorch.evaluation.methods import reference
     from roadtorch.evaluation.report.tables import screen
     from roadtorch.evaluation.tuning import choice_table, tune_thresholds
@@ -115,22 +114,22 @@ def evaluate(
         raise click.UsageError("--tune and --submit write files: give --out")
     settle(threads=1)
     settings = parse_assignments(assignments)
-    lens = None if camera is None else Camera.read(camera)
+    camera = None if camera_file is None else Camera.read(camera_file)
     if submit:
         assert out is not None
         if len(names) != 1 or dataset != "kitti-road":
             raise click.UsageError("--submit is for kitti-road and one --detector")
-        write_submission(context, reference(names[0], settings, lens), root, out, jobs)
+        write_submission(context, reference(names[0], settings, camera), root, out, jobs)
     if out is not None:
-        context.with_resource(output_lock(out))  # now rather than after the long run
+        context.with_resource(output_lock(out))  # fail before the long run
     labelled = leave_out(open_dataset(dataset, root, split), left_out)
     if conditions is not None:
         labelled = with_conditions(labelled, conditions)
-    evaluation = score(
+    evaluation = evaluate(
         birds_eye(labelled) if bev else labelled,
         names,
         settings=settings,
-        camera=lens,
+        camera=camera,
         limit=limit,
         mean_from=None if mean_from is None else open_named(mean_from),
         threshold_from=threshold_from,
@@ -149,13 +148,13 @@ def evaluate(
 
 
 def print_cautions(evaluation: "Evaluation") -> None:
-    """Print a line for each detector that people's corrections taught, and for each failure."""
+    """Print a line for each detector trained on corrections, and for each failed image."""
     from roadtorch.layout.weights import corrected_images
 
     for name, figures in evaluation.detectors.items():
         if count := corrected_images(figures.contender.settings):
-            text = f"{name} was trained with {count} images that people corrected: not "
-            click.echo(f"roadtorch: {text}label-free, and no news on those images", err=True)
+            text = f"{name} was trained on {count} images corrected by hand: it is not label-free, "
+            click.echo(f"roadtorch: {text}and scores on those images are optimistic", err=True)
     for failure in evaluation.failures:
         click.echo(f"failed: {failure.image}: {failure.reason}", err=True)
 
@@ -167,15 +166,15 @@ def write_files(
     command: str,
     montage: int,
 ) -> None:
-    """Write what stays of a run, and a config with each threshold that was chosen."""
+    """Write metrics, tables and report, and a config for each chosen threshold."""
     from roadtorch.base.atomic import write_text
-    from roadtorch.evaluation.report.files import write  # with what draws, which takes a while
+    from roadtorch.evaluation.report.files import write  # slow: it imports matplotlib
     from roadtorch.evaluation.tuning import provenance
 
     write(evaluation, out, command, montage)
     for choice in choices:
         comment = provenance(choice, evaluation, command)
-        config = as_toml(choice.contender.detector, choice.settings)
+        config = config_text(choice.contender.detector, choice.settings)
         file = out / f"{choice.contender.name.replace(':', '-')}.toml"
         write_text(file, f"{comment}\n{config}\n")
 
@@ -187,7 +186,7 @@ def write_submission(
 
     ROOT holds image_2 and calib, or testing/image_2 and testing/calib. The image um_000012
     gives um_road_000012.png, its likelihood in bird's-eye view (800 by 400, 8 bits), and all of
-    them submission.zip once every image is done. A second run resumes where the first stopped.
+    them submission.zip once every image is done. Another run resumes.
     """
     from roadtorch.data.kitti import base_folder, calib_folder
     from roadtorch.detectors.catalogue import load_detector
@@ -205,11 +204,11 @@ def write_submission(
     maps = BirdsEyeMaps(out, calib_folder(base))
     images = images_to_submit(base / "image_2", maps.calib, out)
     todo = plan(Inputs(images, []), out, maps.suffixes)
-    effective = as_toml(detector.name, detector.settings)
+    effective = config_text(detector.name, detector.settings)
     run = context.with_resource(open_run(out, effective, todo.count, RunOptions(jobs)))
     method = Method(key_of(detector), ("map",))
     if failed := run.images(images, Task(Inference(detector), maps, method)):
-        click.echo(f"roadtorch: {out / ARCHIVE} not written, as maps are missing", err=True)
+        click.echo(f"roadtorch: {out / ARCHIVE} not written: maps are missing", err=True)
         context.exit(failed)
     archive = pack(images, out)
     click.echo(f"roadtorch: {len(images)} maps in {archive}", err=True)

@@ -1,10 +1,10 @@
-"""roadtorch export: networks as files that run without Python."""
+"""roadtorch export: write networks as files that run without Python."""
 
 from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, SETTING, suggest_detectors
+from roadtorch.cli.options import PATH, SETTING_OPTION, suggest_detectors
 
 
 @click.command()
@@ -13,22 +13,22 @@ from roadtorch.cli.options import PATH, SETTING, suggest_detectors
     "--out",
     type=PATH,
     required=True,
-    help="File: NAME.onnx; for web and hub, a folder.",
+    help="File NAME.onnx; for web and hub, a folder.",
 )
 @click.option(
     "--format",
     "kind",
     type=click.Choice(["onnx", "web", "hub"]),
     default="onnx",
-    help="web is a page for browsers; hub a folder for model hubs, which load_detector reads.",
+    help="web: a page for browsers; hub: a folder for model hubs, which load_detector reads.",
 )
-@SETTING
-def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
-    """Write the part of a detector that runs without Python: fusion, layout:cnn-7.
+@SETTING_OPTION
+def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
+    """Export the part of a detector that runs without Python: fusion, layout:cnn-7.
 
-    The file takes images as bytes (N, height, width, 3) in RGB, of any size, and gives maps of
-    that size: all that happens before and behind the network is inside, but what needs connected
-    regions. What it says is compared with Python before it is written.
+    The model takes RGB images of any size, uint8 (N, height, width, 3), and returns maps of that
+    size: pre- and postprocessing are included, except steps that need connected regions. The file
+    is checked against Python before it is written.
     """
     from roadtorch.base.settings import parse_assignments
     from roadtorch.detectors.catalogue import load_detector
@@ -52,10 +52,10 @@ def export(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> Non
             click.echo(f"  {key:<18} {text}")
     parity = exported.parity
     click.echo(
-        f"parity with Python on {parity.images} rendered images: at most {parity.most:.1e} off "
-        f"({parity.where}), {parity.mean:.1e} in the mean; allowed {BOUND:g}"
+        f"difference from Python on {parity.images} rendered images: at most {parity.most:.1e} "
+        f"({parity.where}), mean {parity.mean:.1e}; allowed {BOUND:g}"
     )
     lacks = exported.notes["lacks"]
-    click.echo(f"It lacks: {lacks}. What that costs: docs/export.md")
+    click.echo(f"Not included: {lacks}. See docs/export.md for the cost.")
     if kind == "web":
         click.echo(f"try it: python -m http.server --directory {out}")

@@ -1,4 +1,4 @@
-"""roadtorch grid: the road in images and footage as metric maps of the ground."""
+"""roadtorch grid: map the road in images and footage onto the ground, in metres."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from roadtorch.cli.options import (
-    CAMERA,
-    INPUTS,
+    CAMERA_OPTION,
+    INPUTS_ARGUMENT,
     PATH,
     DetectorOptions,
-    Sectioned,
-    as_toml,
-    with_detector,
-    with_run,
-    with_selection,
+    SectionedCommand,
+    config_text,
+    detector_options,
+    run_options,
+    selection_options,
 )
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from roadtorch.run.plan import RunOptions
 
 
-def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
-    """The two numbers of ``X,Y``."""
+def _parse_mount(_: click.Context, __: click.Parameter, value: str) -> tuple[float, float]:
+    """Parse ``X,Y``."""
     from math import isfinite
 
     from roadtorch.base.errors import ConfigError
@@ -33,51 +33,51 @@ def _place(_: click.Context, __: click.Parameter, value: str) -> tuple[float, fl
     except ValueError:
         x = y = float("nan")
     if not (isfinite(x) and isfinite(y)):
-        raise ConfigError("--mount", f"{value!r} was given", "give X,Y in metres, as 0.3,0")
+        raise ConfigError("--mount", f"{value!r} was given", "give X,Y in metres, such as 0.3,0")
     return x, y
 
 
-@click.command(cls=Sectioned)
-@INPUTS
+@click.command(cls=SectionedCommand)
+@INPUTS_ARGUMENT
 @click.option("--out", type=PATH, required=True, help="Folder for the grids.")
 @click.option("--height", type=float, help="Height of the camera above the ground, in metres.")
 @click.option(
-    "--pitch", type=float, help="Pitch in degrees; positive looks down. [from the layout]"
+    "--pitch", type=float, help="Pitch in degrees, positive downwards. [estimated from the layout]"
 )
 @click.option(
     "--roll",
     type=float,
     default=0.0,
     show_default=False,
-    help="Roll in degrees; positive: the right side is lower. [0]",
+    help="Roll in degrees, positive if the right side is lower. [0]",
 )
-@click.option("--fov", type=float, help="What the camera sees from side to side, degrees.")
-@click.option("--camera-info", type=PATH, help="ROS camera_info as YAML, with its distortion.")
-@click.option("--calibration", type=PATH, help="KITTI's calibration file; it has the height.")
-@CAMERA
+@click.option("--fov", type=float, help="Horizontal field of view, in degrees.")
+@click.option("--camera-info", type=PATH, help="ROS camera_info as YAML, with distortion.")
+@click.option("--calibration", type=PATH, help="KITTI calibration file, with the height.")
+@CAMERA_OPTION
 @click.option(
     "--mount",
     default="0,0",
     show_default=False,
-    callback=_place,
-    help="X,Y of the camera on the robot.",
+    callback=_parse_mount,
+    help="X,Y of the camera on the robot, in metres. [0,0]",
 )
-@click.option("--resolution", type=float, default=0.1, help="Metres a cell.")
-@click.option("--range", type=float, default=30.0, help="Metres ahead.")
-@click.option("--side", type=float, default=15.0, help="Metres left and right.")
-@with_detector
+@click.option("--resolution", type=float, default=0.1, help="Size of a cell, in metres.")
+@click.option("--range", type=float, default=30.0, help="Extent ahead, in metres.")
+@click.option("--side", type=float, default=15.0, help="Extent to each side, in metres.")
+@detector_options
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option("--likelihood", is_flag=True, help="Also write NAME.grid.likelihood.npy.")
-@click.option("--image", is_flag=True, help="Also write NAME.grid.jpg, to look at.")
-@with_selection
-@click.option("--frame-id", default="base_link", help="Frame of the robot in bags of grids.")
-@with_run
+@click.option("--image", is_flag=True, help="Also write NAME.grid.jpg, for viewing.")
+@selection_options
+@click.option("--frame-id", default="base_link", help="TF frame of the robot, for bags.")
+@run_options
 @click.pass_context
-def grid(
+def grid_command(
     context: click.Context,
     inputs: tuple[str, ...],
     out: Path,
-    camera: Path | None,
+    camera_file: Path | None,
     choice: DetectorOptions,
     threshold: float | None,
     likelihood: bool,
@@ -90,15 +90,15 @@ def grid(
     """Map the road in images and footage onto flat ground: x forward, y left (REP 103).
 
     \b
-    Each image NAME.jpg gives, in the folder --out,
-      NAME.grid.pgm, NAME.grid.yaml   as Nav2's map_server loads them
+    For each image NAME.jpg, in the folder --out:
+      NAME.grid.pgm, NAME.grid.yaml   for Nav2's map_server
       NAME.grid.npy                   int8: 0 free, 100 no road, -1 unknown
-    Footage, as infer takes it, gives these for each frame, NAME/000123.grid.pgm, and a bag also
-    the bag NAME.grid (of ROS 1: NAME.grid.bag) with /segmentation/grid. The camera's height is
-    needed, its lens (--fov, --camera-info or --calibration; a bag's camera_info else), and its
-    pitch; without --pitch and --camera that is estimated in each image, to 1 or 2 degrees, or
+    Footage (see infer) gives these for each frame, NAME/000123.grid.pgm; a bag also gives the
+    bag NAME.grid (of ROS 1: NAME.grid.bag) with /segmentation/grid. Required are the camera's
+    height, its lens (--fov, --camera-info or --calibration; for a bag, its camera_info) and its
+    pitch; without --pitch and --camera, pitch is estimated for each image, to 1 or 2 degrees, or
     once for all frames of a video or bag.
-    What lies behind the first cell that is no road is unknown.
+    Cells behind the first one that is no road are unknown.
     """
     from roadtorch.base.settings import build_settings
     from roadtorch.camera.ground_grid import GridSettings
@@ -114,19 +114,19 @@ def grid(
     from roadtorch.run.writers.grid import Grids
 
     settle(threads=1)
-    found = select_inputs(inputs, selection, out)
+    selected = select_inputs(inputs, selection, out)
     cells = {name: mounting.pop(name) for name in ("resolution", "range", "side")}
-    of_bags = not found.images and all(map(is_from_bag, found.sources))
-    placing = placing_of(Mounting(camera=camera, **mounting), of_bags)
-    detector, known = choice.loaded(camera, threshold)
+    only_bags = not selected.images and all(map(is_from_bag, selected.sources))
+    placing = placing_of(Mounting(camera=camera_file, **mounting), only_bags)
+    detector, camera = choice.load(camera_file, threshold)
     settings = build_settings(GridSettings, {**cells, "threshold": detector.settings.threshold})
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["image"] * image)
-    inference = Inference(detector, known)
+    inference = Inference(detector, camera)
     grids = Grids(out, placing, settings, kinds, frame_id=frame_id)
-    todo = plan(found, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
-    effective = as_toml(detector.name, detector.settings)
+    todo = plan(selected, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
+    effective = config_text(detector.name, detector.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
-    own = context.with_resource(open_run(out, effective, todo.count, run))
+    opened = context.with_resource(open_run(out, effective, todo.count, run))
     key = key_of(detector, effective)
-    method, of_footage = Method(key, kinds), Method(key_of(key, selection, frame_id), ())
-    context.exit(own.all(todo, Task(inference, grids, method), of_footage))
+    method, footage_method = Method(key, kinds), Method(key_of(key, selection, frame_id), ())
+    context.exit(opened.all(todo, Task(inference, grids, method), footage_method))

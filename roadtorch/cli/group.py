@@ -1,4 +1,4 @@
-"""The ``roadtorch`` command: sub-commands loaded on use, mistakes told in one line."""
+"""The ``roadtorch`` command: subcommands imported on use, errors in one line."""
 
 import atexit
 import gc
@@ -14,56 +14,67 @@ from typing import Any, NoReturn
 
 import click
 
-from roadtorch.base.errors import ExitCode, RoadtorchError, fault, lacks_memory
-from roadtorch.base.signals import Terminated, interruption_first, terminated_in_words
+from roadtorch.base.errors import ExitCode, RoadtorchError, fault, is_out_of_memory
+from roadtorch.base.signals import Terminated, prefer_interruption, raise_on_sigterm
 from roadtorch.base.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
 COMMANDS = {
-    "adapt": ("roadtorch.cli.adapt:adapt", "Fine-tune the network on footage, without labels."),
-    "annotate": ("roadtorch.cli.annotate:annotate", "Correct machine labels in a page."),
-    "camera": ("roadtorch.cli.camera:camera", "Find ego car and horizon in a camera's footage."),
-    "detectors": ("roadtorch.cli.detectors:detectors", "List the detectors, or explain one."),
-    "doctor": ("roadtorch.cli.doctor:doctor", "Check this installation."),
-    "evaluate": ("roadtorch.cli.evaluate:evaluate", "Score detectors on labelled images."),
-    "export": ("roadtorch.cli.export:export", "Export a network: ONNX, a web page."),
-    "grid": ("roadtorch.cli.grid:grid", "Map the road in images onto the ground, in metres."),
-    "infer": ("roadtorch.cli.infer:infer", "Find the road in images."),
-    "label": ("roadtorch.cli.label:label", "Label images as sky, vertical and horizontal."),
-    "ros": ("roadtorch.cli.ros:ros", "Run a node of ROS 2 that finds the road."),
-    "train": ("roadtorch.cli.train:train", "Train a layout network on unlabelled images."),
+    "adapt": ("roadtorch.cli.adapt:adapt_command", "Fine-tune fusion on unlabelled footage."),
+    "annotate": ("roadtorch.cli.annotate:annotate_command", "Correct machine labels in a page."),
+    "camera": ("roadtorch.cli.camera:camera_command", "Estimate a camera's ego car and horizon."),
+    "detectors": (
+        "roadtorch.cli.detectors:detectors_command",
+        "List detectors or settings of one.",
+    ),
+    "doctor": ("roadtorch.cli.doctor:doctor_command", "Check this installation."),
+    "evaluate": ("roadtorch.cli.evaluate:evaluate_command", "Score detectors on labelled images."),
+    "export": ("roadtorch.cli.export:export_command", "Export a network to ONNX or a web page."),
+    "grid": ("roadtorch.cli.grid:grid_command", "Map the road in images onto the ground."),
+    "infer": ("roadtorch.cli.infer:infer_command", "Find the road in images and footage."),
+    "label": ("roadtorch.cli.label:label_command", "Label sky, vertical and horizontal."),
+    "ros": ("roadtorch.cli.ros:ros_command", "Run a ROS 2 node that finds the road."),
+    "train": ("roadtorch.cli.train:train_command", "Train a layout network on unlabelled images."),
 }
 
-ELSEWHERE = {
+INTERRUPTED = {
+    **dict.fromkeys(("infer", "label", "grid"), "interrupted; finished results are kept"),
+    **dict.fromkeys(("adapt", "train"), "interrupted; run the same command again to resume"),
+    "annotate": "interrupted; corrections are saved",
+    "ros": "node stopped",
+}
+"""Messages of commands on Ctrl-C or SIGTERM; of others, ``interrupted``."""
+
+SYNONYMS = {
     **dict.fromkeys(("predict", "segment", "detect", "run", "mask"), "infer"),
     **dict.fromkeys(("finetune", "fine-tune", "learn"), "adapt"),
     **dict.fromkeys(("score", "test", "eval", "benchmark", "val"), "evaluate"),
     **dict.fromkeys(("calibrate", "ego"), "camera"),
 }
-"""What other programs call our commands."""
+"""Names of other programs for our commands, to suggest ours."""
 
-ALLOCATIONS = 50_000
-"""New objects after which Python looks for circles, of its own 700; ours: ten images' worth.
+GC_THRESHOLD = 50_000
+"""New objects between two runs of the garbage collector, instead of 700; ours: those of ten images.
 
-What a command loads (torch alone: 166 thousand objects) stays until its end. To look through it
-again and again while it is loaded, and once more at the end, takes a third of the time of a command
-on one image."""
+What a command loads (torch alone: 166 thousand objects) stays until its end. Scanning it again and
+again while it loads, and once more at the end, takes a third of the time of a command on one image.
+"""
 
-BRIEF_WAITS = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "20000"}
-"""Threads of OpenMP that wait spin for about a millisecond, then sleep, unless somebody has said
-how they wait. By default they spin fifteen times as long: beside other work on the same cores a
-step of training on two threads then takes three times as long."""
+OPENMP_WAIT = {"OMP_WAIT_POLICY": "passive", "GOMP_SPINCOUNT": "20000"}
+"""Variables with which waiting OpenMP threads spin for about a millisecond, then sleep. By default
+they spin fifteen times as long: beside other work on the same cores a step of training on two
+threads then takes three times as long."""
 
 
 class CommandGroup(click.Group):
-    """A click group that imports a command when it is used and reports our errors."""
+    """A click group that imports commands on use and reports errors in one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names of all commands."""
+        """Return the names of all commands."""
         return sorted(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import one command; None when there is none of that name."""
+        """Import a command; return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         module, attribute = COMMANDS[cmd_name][0].split(":")
@@ -75,49 +86,48 @@ class CommandGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command that the first argument names; misspelt, the nearest ones are told."""
+        """Return the command of the first argument; suggest the nearest if it is misspelt."""
         if args[0] not in COMMANDS and not (ctx.resilient_parsing or args[0].startswith("-")):
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
-            near = [ELSEWHERE[args[0]]] if args[0] in ELSEWHERE else near
+            near = [SYNONYMS[args[0]]] if args[0] in SYNONYMS else near
             hint = f"did you mean {', '.join(near)}?" if near else "see roadtorch --help"
-            raise _Mistake(f"{args[0]}: no such command ({hint})")
+            raise _OneLineError(f"{args[0]}: no such command ({hint})")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The list of commands in ``--help``, from the table alone."""
+        """Write the list of commands in ``--help`` from COMMANDS, without imports."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, COMMANDS[name][1]) for name in sorted(COMMANDS)])
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; mistakes and crashes become one line, unless ``--debug`` asks."""
+        """Run the command; errors and crashes become one line, with a traceback on ``--debug``."""
         try:
             return super().invoke(ctx)
         except RoadtorchError as error:
-            _trace(ctx)
-            mistake = _Mistake(str(error))
-            mistake.exit_code = error.exit_code
-            raise mistake from None
+            _print_traceback(ctx)
+            raise _OneLineError(str(error), error.exit_code) from None
         except (click.ClickException, click.exceptions.Exit, click.Abort, OSError):
-            raise  # OSError: a closed pipe, which click ends quietly
+            raise  # OSError: a closed pipe, on which click exits quietly
         except Exception as error:
-            _trace(ctx)
-            if lacks_memory(error):
+            _print_traceback(ctx)
+            if is_out_of_memory(error):
                 raise click.ClickException(str(fault(ctx.invoked_subcommand, error))) from None
-            problem = f"a fault of roadtorch: {type(error).__name__}: {error}"
+            problem = f"a bug in roadtorch: {type(error).__name__}: {error}"
             raise click.ClickException(
                 f"{ctx.invoked_subcommand}: {problem} (report it with --debug)"
             ) from None
 
     def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
-        """Run with the given arguments or those of the process, and exit with its code."""
+        """Run with these arguments, or those of the process, and exit with the exit code."""
         args = sys.argv[1:] if args is None else list(args)
         extra |= {"prog_name": "roadtorch", "standalone_mode": False, "obj": args}
         try:
-            with terminated_in_words(), interruption_first():
-                _settle_process()
+            with raise_on_sigterm(), prefer_interruption():
+                _configure_process()
                 code = super().main(args, **extra)
         except (click.Abort, KeyboardInterrupt) as error:
-            click.echo("roadtorch: interrupted; what was finished is kept", err=True)
+            name = next((word for word in args if not word.startswith("-")), "")
+            click.echo(f"roadtorch: {INTERRUPTED.get(name, 'interrupted')}", err=True)
             cause = error.__cause__ or error  # click makes an Abort of KeyboardInterrupt
             code = ExitCode.TERMINATED if isinstance(cause, Terminated) else ExitCode.INTERRUPTED
         except click.exceptions.NoArgsIsHelpError as error:
@@ -132,14 +142,16 @@ class CommandGroup(click.Group):
         sys.exit(code if isinstance(code, int) else 0)
 
 
-class _Mistake(click.ClickException):
-    """A mistake that is already told as ``where: what (remedy)``."""
+class _OneLineError(click.ClickException):
+    """An error whose message is already ``where: problem (hint)``."""
 
-    exit_code: int = ExitCode.WRONG_USAGE
+    def __init__(self, message: str, exit_code: int = ExitCode.WRONG_USAGE) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
 
 
 def _one_line(error: click.ClickException) -> str:
-    """``where: what (remedy)`` for click's own mistakes."""
+    """Return ``where: problem (hint)`` for an error of click."""
     if isinstance(error, click.NoSuchOption):
         near = error.possibilities or []
         hint = f"did you mean {', '.join(near)}?" if near else _see_help(error)
@@ -154,7 +166,7 @@ def _see_help(error: click.UsageError) -> str:
     return f"see {error.ctx.command_path if error.ctx else 'roadtorch'} --help"
 
 
-def _trace(ctx: click.Context) -> None:
+def _print_traceback(ctx: click.Context) -> None:
     if ctx.meta.get("roadtorch.debug"):
         traceback.print_exc()
 
@@ -173,32 +185,32 @@ def _debug_option() -> click.Option:
     )
 
 
-def _settle_process() -> None:
-    """Warnings in our words, any name tellable, streams that are open, brief waits, seldom gc."""
+def _configure_process() -> None:
+    """Configure warnings, encoding errors, OpenMP, the garbage collector and standard streams."""
 
     def show_warning(message: Warning | str, *_: Any) -> None:
         click.echo(f"roadtorch: warning: {message}", err=True)
 
     warnings.showwarning = show_warning
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be told
+        if isinstance(stream, io.TextIOWrapper):  # names in any encoding can be printed
             stream.reconfigure(errors="backslashreplace")
     if isinstance(sys.stdin, io.TextIOWrapper):  # and read
         sys.stdin.reconfigure(errors="surrogateescape")
-    if not any(name in os.environ for name in (*BRIEF_WAITS, "KMP_BLOCKTIME")):
-        os.environ.update(BRIEF_WAITS)  # read by OpenMP when torch is loaded
-    # Python started anew for a worker takes no types.py beside the user's images for its own.
+    if not any(name in os.environ for name in (*OPENMP_WAIT, "KMP_BLOCKTIME")):
+        os.environ.update(OPENMP_WAIT)  # read by OpenMP when torch is loaded
+    # A new Python of a worker must not import a types.py from the folder of the user's images.
     os.environ.setdefault("PYTHONSAFEPATH", "1")
-    gc.set_threshold(ALLOCATIONS)
+    gc.set_threshold(GC_THRESHOLD)
     atexit.register(gc.freeze)
     open_streams()
 
 
 def open_streams() -> None:
-    """Send what is written to a closed stdout or stderr nowhere, and read nothing from stdin.
+    """Connect closed standard streams (``2>&-``) to the null device.
 
-    Where one is closed (``2>&-``) Python has None in its place, and the next file that is
-    opened gets its number: libraries would write their messages into an image.
+    Python has None in place of a closed stream, and the next file to be opened gets its number:
+    libraries would write their messages into an image.
     """
     handle = os.open(os.devnull, os.O_RDWR)
     while handle <= 2:
@@ -219,5 +231,5 @@ def open_streams() -> None:
 def main() -> None:
     """Find the road in images, without labels, on a CPU.
 
-    roadtorch infer IMAGES makes maps of how road-like each pixel is.
+    roadtorch infer IMAGES writes likelihoods, masks and overlays.
     """

@@ -1,4 +1,4 @@
-"""roadtorch infer: images to likelihoods, masks and overlays."""
+"""roadtorch infer: write likelihoods, masks and overlays of images and footage."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 import click
 
 from roadtorch.cli.options import (
-    CAMERA,
-    INPUTS,
+    CAMERA_OPTION,
+    INPUTS_ARGUMENT,
     PATH,
     DetectorOptions,
-    Sectioned,
-    as_toml,
+    SectionedCommand,
     command_line,
-    with_computing,
-    with_detector,
-    with_selection,
+    computing_options,
+    config_text,
+    detector_options,
+    selection_options,
 )
 
 if TYPE_CHECKING:
@@ -24,28 +24,30 @@ if TYPE_CHECKING:
     from roadtorch.inputs.item import Selection
     from roadtorch.run.plan import RunOptions
 
-KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
+RESULT_KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
 FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
 
 
-def _kinds(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """The kinds of results in a comma-separated list, each once, in the order of KINDS."""
+def _parse_kinds(
+    _: click.Context, __: click.Parameter, value: str | None
+) -> tuple[str, ...] | None:
+    """Parse a comma-separated list of kinds of results, into the order of RESULT_KINDS."""
     from roadtorch.base.errors import ConfigError, unknown_name
 
     if value is None:
         return None
-    asked = [kind.strip() for kind in value.split(",") if kind.strip()]
-    known = (*KINDS, *FOOTAGE_KINDS)
-    for kind in asked:
-        if kind not in known:
-            raise unknown_name("kind of result", kind, known)
-    if not asked:
-        raise ConfigError("--save", "nothing to save", f"name some of {', '.join(known)}")
-    return tuple(kind for kind in known if kind in asked)
+    requested = [kind.strip() for kind in value.split(",") if kind.strip()]
+    choices = (*RESULT_KINDS, *FOOTAGE_KINDS)
+    for kind in requested:
+        if kind not in choices:
+            raise unknown_name("kind of result", kind, choices)
+    if not requested:
+        raise ConfigError("--save", "nothing to save", f"give some of {', '.join(choices)}")
+    return tuple(kind for kind in choices if kind in requested)
 
 
-def opened_viewer() -> "Viewer":
-    """The page that shows footage, its address printed; ConfigError where its extra is missing."""
+def open_viewer() -> "Viewer":
+    """Open the page that shows footage, and print its address."""
     from roadtorch.base.errors import ConfigError
 
     try:
@@ -54,35 +56,36 @@ def opened_viewer() -> "Viewer":
         hint = "pip install 'roadtorch[annotate]'"
         raise ConfigError("--view", "needs Starlette and uvicorn", hint) from None
     viewer = Viewer()
-    click.echo(f"Open {viewer.address.url}  (Ctrl-C ends it)")
+    click.echo(f"Open {viewer.address.url}  (press Ctrl-C to stop)")
     return viewer
 
 
-@click.command(cls=Sectioned)
-@INPUTS
-@with_detector
+@click.command(cls=SectionedCommand)
+@INPUTS_ARGUMENT
+@detector_options
 @click.option("--out", type=PATH, default="roads", help="Folder for results.")
 @click.option(
     "--save",
-    callback=_kinds,
-    help=f"What to write: some of {','.join(KINDS)}; of footage also {','.join(FOOTAGE_KINDS)}. "
-    "[likelihood,mask,overlay; of footage overlay, of bags overlay,bag]",
+    callback=_parse_kinds,
+    help=f"Results to write: some of {','.join(RESULT_KINDS)}; for footage also "
+    f"{','.join(FOOTAGE_KINDS)}. [likelihood,mask,overlay; for footage overlay, for bags "
+    "overlay,bag]",
 )
-@with_selection
+@selection_options
 @click.option(
     "--steady/--no-steady",
     default=True,
-    help="In footage, smooth the likelihood over time.",
+    help="Smooth the likelihood of footage over time.",
 )
 @click.option("--view", is_flag=True, help="Show footage live on a local page.")
-@CAMERA
+@CAMERA_OPTION
 @click.option("--threshold", type=float, help="Likelihood from which a pixel is road.")
 @click.option(
     "--depth", type=click.Choice(["8", "16"]), default="8", help="Bits of likelihood maps."
 )
-@with_computing
+@computing_options
 @click.pass_context
-def infer(
+def infer_command(
     context: click.Context,
     inputs: tuple[str, ...],
     choice: DetectorOptions,
@@ -91,7 +94,7 @@ def infer(
     selection: "Selection",
     steady: bool,
     view: bool,
-    camera: Path | None,
+    camera_file: Path | None,
     threshold: float | None,
     depth: str,
     run: "RunOptions",
@@ -99,18 +102,20 @@ def infer(
     """Find the road in images, videos, cameras, streams and bags.
 
     \b
-    INPUT is a file, a folder (with all below), a quoted glob, a camera (0 or
-    camera:0), a stream (rtsp://, http://), an image by http, a ROS bag, - for
-    names on standard input, or @list.txt. Each image NAME.jpg gives, in the folder --out,
-      NAME.likelihood.png   how road-like each pixel is, 0 to white
+    INPUT is a file, a folder (with its subfolders), a quoted glob, a camera (0
+    or camera:0), a stream (rtsp://, http://), an image by http, a ROS bag, - for
+    names on standard input, or @list.txt. For each image NAME.jpg, in the
+    folder --out:
+      NAME.likelihood.png   road likelihood, 0 black to 1 white
       NAME.mask.png         road white, the rest black
-      NAME.overlay.jpg      the image with its road tinted and outlined
+      NAME.overlay.jpg      the image with road tinted and outlined
     and on demand NAME.cue.CUE.png (--save cues), .npy files, outlines (--save
-    polygons: NAME.labelme.json and coco.json) and NAME.json. Each video
-    NAME.mp4 gives NAME.overlay.mp4, and on demand these files for each frame,
-    NAME/000123.mask.png. Each bag gives NAME.overlay.mp4 and the bag NAME.road
+    polygons: NAME.labelme.json and coco.json) and NAME.json. For each video
+    NAME.mp4: NAME.overlay.mp4, and on demand these files for each frame,
+    NAME/000123.mask.png. For each bag: NAME.overlay.mp4 and the bag NAME.road
     (of ROS 1: NAME.road.bag). index.csv lists every image and frame, run.json
-    says how it was made. A second run resumes where the first one stopped.
+    records the command, the settings and the environment. Run the same
+    command again to resume.
     """
     from roadtorch.inputs.find import select_inputs
     from roadtorch.run.ledger import Method
@@ -125,24 +130,24 @@ def infer(
     from roadtorch.run.writers.maps import Maps
 
     settle(run.threads, run.device)
-    detector, known = choice.loaded(camera, threshold)
-    effective = as_toml(detector.name, detector.settings)
-    found = select_inputs(inputs, selection, out)
+    detector, camera = choice.load(camera_file, threshold)
+    effective = config_text(detector.name, detector.settings)
+    selected = select_inputs(inputs, selection, out)
     kinds = OF_IMAGES if save is None else save
     bits = 16 if depth == "16" else 8
     maps = Maps(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
-    viewer = context.with_resource(opened_viewer()) if view else None
+    viewer = context.with_resource(open_viewer()) if view else None
     output = MapOutput(maps, save, selection.topic, viewer)
-    todo = plan(found, out, maps.suffixes, output)
-    of_frames = {**asdict(selection), "steady": steady}
+    todo = plan(selected, out, maps.suffixes, output)
+    footage_options = {**asdict(selection), "steady": steady}
     key = key_of(detector, depth)
-    method, of_footage = Method(key, kinds), Method(key_of(key, of_frames), ())
-    task = Task(Inference(detector, known, run.device), maps, method)
-    given = {**asdict(run), **of_frames, "save": kinds, "depth": bits}
-    record = recorded(out, detector, todo.row_names, given, command_line(context))
-    with open_run(out, effective, todo.count, run, record) as own:
+    method, footage_method = Method(key, kinds), Method(key_of(key, footage_options), ())
+    task = Task(Inference(detector, camera, run.device), maps, method)
+    options = {**asdict(run), **footage_options, "save": kinds, "depth": bits}
+    record = recorded(out, detector, todo.row_names, options, command_line(context))
+    with open_run(out, effective, todo.count, run, record) as opened:
         try:
-            code = own.all(todo, task, of_footage, steady)
+            code = opened.all(todo, task, footage_method, steady)
         finally:
             if "polygons" in kinds:
                 write_coco(out)

@@ -1,24 +1,24 @@
-"""roadtorch label: machine labels of the scene layout, to look at or to train on."""
+"""roadtorch label: write machine labels of the scene layout."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.options import INPUTS, PATH, SETTING, as_toml, with_run
+from roadtorch.cli.options import INPUTS_ARGUMENT, PATH, SETTING_OPTION, config_text, run_options
 
 if TYPE_CHECKING:
     from roadtorch.run.plan import RunOptions
 
 
 @click.command()
-@INPUTS
+@INPUTS_ARGUMENT
 @click.option("--out", type=PATH, required=True, help="Folder for the labels.")
-@SETTING
+@SETTING_OPTION
 @click.option("--overlay", is_flag=True, help="Also write NAME.overlay.jpg.")
-@with_run
+@run_options
 @click.pass_context
-def label(
+def label_command(
     context: click.Context,
     inputs: tuple[str, ...],
     out: Path,
@@ -28,7 +28,7 @@ def label(
 ) -> None:
     """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
 
-    Each image gives NAME.png in the folder --out. No weights and no labels are needed.
+    Each image gives NAME.png in the folder --out. Neither weights nor labels are needed.
     """
     from roadtorch.base.settings import build_settings, parse_assignments
     from roadtorch.inputs.find import Inputs
@@ -46,8 +46,8 @@ def label(
     settings = build_settings(LabellerSettings, parse_assignments(assignments))
     labels = Labels(out, ["labels", *["overlay"] * overlay])
     todo = plan(Inputs(find_images(inputs, out), []), out, labels.suffixes)
-    effective = as_toml("labeller", settings)
-    own = context.with_resource(open_run(out, effective, todo.count, run))
+    effective = config_text("labeller", settings)
+    opened = context.with_resource(open_run(out, effective, todo.count, run))
     method = Method(key_of(settings), tuple(labels.kinds))
     task = Task(Labelling(settings), labels, method)
-    context.exit(own.images(todo.images, task))
+    context.exit(opened.images(todo.images, task))

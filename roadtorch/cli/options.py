@@ -1,4 +1,4 @@
-"""Options that several commands share, written once."""
+"""Options that several commands share."""
 
 import functools
 import importlib
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PATH = click.Path(path_type=Path)
 Command = Callable[..., Any]
 
-# --- what a user may say ------------------------------------------------------------------
+# --- detector ---------------------------------------------------------------------------
 
 DEFAULT_DETECTOR = "fusion"
 RUN_OPTIONS = "roadtorch.run.plan:RunOptions"
@@ -27,62 +27,59 @@ RUN_OPTIONS = "roadtorch.run.plan:RunOptions"
 
 @dataclass(frozen=True)
 class DetectorOptions:
-    """Which detector, and its settings.
-
-    detector: its name. assignments: KEY=VALUE each. config: a TOML file.
-    """
+    """A detector by name, with assignments ``KEY=VALUE`` and a TOML file of settings."""
 
     detector: str | None = None
     assignments: tuple[str, ...] = ()
     config: Path | None = None
 
-    def named(self, threshold: float | None = None) -> tuple[str, dict[str, Any]]:
-        """The detector's name and the values of its settings.
+    def name_and_values(self, threshold: float | None = None) -> tuple[str, dict[str, Any]]:
+        """Return the detector's name and the values of its settings.
 
-        The file's values yield to the assignments, and those to ``threshold``. The file may name
-        the detector under ``detector``. Raises ConfigError for what is no setting or no file.
+        Assignments override the file, and ``threshold`` overrides both. The file may name the
+        detector under ``detector``. Raises ConfigError for wrong assignments or a wrong file.
         """
         from roadtorch.base.errors import ConfigError
         from roadtorch.base.settings import merge, parse_assignments, read_settings_file
 
         values = read_settings_file(self.config) if self.config else {}
-        named = values.pop("detector", DEFAULT_DETECTOR)
-        if not isinstance(named, str):
-            raise ConfigError("detector", f"{named!r} was given", "give a name in quotes")
+        name = values.pop("detector", DEFAULT_DETECTOR)
+        if not isinstance(name, str):
+            raise ConfigError("detector", f"{name!r} was given", "give a name in quotes")
         values = merge(values, parse_assignments(self.assignments))
         if threshold is not None:
             values["threshold"] = threshold
-        return self.detector or named, values
+        return self.detector or name, values
 
-    def loaded(
-        self, camera: Path | None = None, threshold: float | None = None
+    def load(
+        self, camera_file: Path | None = None, threshold: float | None = None
     ) -> "tuple[Detector, Camera | None]":
-        """The detector, and the camera that a file describes, which its settings then know.
+        """Return the detector, with settings for the camera of a file, and that camera.
 
-        Raises what ``named``, ``Camera.read`` and ``load_detector`` raise.
+        Raises as ``name_and_values``, ``Camera.read`` and ``load_detector`` do.
         """
         from roadtorch.camera.camera import Camera
         from roadtorch.detectors.catalogue import load_detector
 
-        name, values = self.named(threshold)
-        known = None if camera is None else Camera.read(camera)
-        return load_detector(name, camera=known, **values), known
+        name, values = self.name_and_values(threshold)
+        camera = None if camera_file is None else Camera.read(camera_file)
+        return load_detector(name, camera=camera, **values), camera
 
 
-def as_toml(detector: str, settings: "Settings") -> str:
-    """A file for ``--config`` that gives this detector with these settings."""
+def config_text(detector: str, settings: "Settings") -> str:
+    """Return the text of ``to_toml`` without its last line end."""
     from roadtorch.base.settings import to_toml
 
     return to_toml(detector, settings).removesuffix("\n")
 
 
-# --- what a shell is told could come next ---------------------------------------------------
+# --- shell completion -------------------------------------------------------------------
 
-# Each function is a ``shell_complete`` of click, which knows of no detectors, data sets and files.
+# Each function is a ``shell_complete`` of click.
 
 
 def suggest_detectors(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
-    """Detectors; those of a grid of hundreds are left to ``roadtorch detectors``."""
+    """Suggest detectors, without those of a grid of hundreds (see ``roadtorch detectors``)."""
     from roadtorch.detectors.catalogue import list_detectors
 
     return [name for name in list_detectors("*") if name.startswith(incomplete)]
@@ -91,13 +88,13 @@ def suggest_detectors(_: click.Context, __: click.Parameter, incomplete: str) ->
 def suggest_candidates(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str] | list[CompletionItem]:
-    """Detectors, or else weight files, configs and folders of maps."""
+    """Suggest detectors, or else files: weights, configs, folders of maps."""
     detectors = suggest_detectors(context, parameter, incomplete)
     return detectors or [CompletionItem(incomplete, type="file")]
 
 
 def suggest_datasets(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
-    """Labelled sets."""
+    """Suggest labelled data sets."""
     from roadtorch.data.catalogue import list_datasets
 
     return [name for name in list_datasets() if name.startswith(incomplete)]
@@ -105,54 +102,58 @@ def suggest_datasets(_: click.Context, __: click.Parameter, incomplete: str) -> 
 
 # --- options ------------------------------------------------------------------------------
 
-SECTIONS = {
-    **dict.fromkeys(("detector", "assignments", "config", "camera", "threshold"), "Detector"),
+OPTION_SECTIONS = {
+    **dict.fromkeys(("detector", "assignments", "config", "camera_file", "threshold"), "Detector"),
     **dict.fromkeys(("every", "start", "end", "limit", "topic"), "Footage"),
     **dict.fromkeys(("steady", "view"), "Footage"),
     **dict.fromkeys(("jobs", "engine", "threads", "device"), "Computing"),
     **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }
-"""The section of ``--help`` in which an option stands."""
+"""Sections of ``--help``, by option."""
 
 
 class ConfigFile(click.Path):
-    """A TOML file, or the name of a config that is shipped."""
+    """A TOML file, or the name of a shipped config."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """The file; ConfigError for a name that is neither."""
+        """Return the path of the file; raise ConfigError for any other name."""
         from roadtorch.base.settings import config_file
 
         return config_file(str(value))
 
 
-SETTING = click.option(
+SETTING_OPTION = click.option(
     "--set",
     "assignments",
     multiple=True,
     metavar="KEY=VALUE",
-    help="One setting.",
+    help="Override a setting; may be repeated.",
 )
-INPUTS = click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path())
-FOOTAGE = click.argument(
+INPUTS_ARGUMENT = click.argument(
+    "inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path()
+)
+FOOTAGE_ARGUMENT = click.argument(
     "footage", metavar="FOOTAGE...", nargs=-1, required=True, type=click.Path()
 )
-CAMERA = click.option(
-    "--camera", type=PATH, help="What roadtorch camera wrote about the camera of the images."
+CAMERA_OPTION = click.option(
+    "--camera",
+    "camera_file",
+    type=PATH,
+    help="Camera file that roadtorch camera wrote from its footage.",
 )
-JOBS = click.option(
+JOBS_OPTION = click.option(
     "--jobs",
     type=click.IntRange(min=1),
     help="Parallel processes; results do not depend on it. [one for each processor]",
 )
-OVERWRITE = click.option("--overwrite", is_flag=True, help="Redo images that are done.")
-QUIET = click.option("--quiet", is_flag=True, help="No progress, only failures.")
+OVERWRITE_OPTION = click.option(
+    "--overwrite", is_flag=True, help="Process images again that are done."
+)
+QUIET_OPTION = click.option("--quiet", is_flag=True, help="Print only failures, no progress.")
 
 
-class Sectioned(click.Command):
-    """A command whose ``--help`` has its options in sections.
-
-    Those of its own stand first; what is gathered for a kind of ``SECTIONS`` has one of its own.
-    """
+class SectionedCommand(click.Command):
+    """A command whose ``--help`` groups its options by ``OPTION_SECTIONS``, others first."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, section by section."""
@@ -160,34 +161,38 @@ class Sectioned(click.Command):
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record and isinstance(parameter, click.Option):
-                rows.setdefault(SECTIONS.get(parameter.name or "", "Options"), []).append(record)
+                rows.setdefault(OPTION_SECTIONS.get(parameter.name or "", "Options"), []).append(
+                    record
+                )
         for section, records in rows.items():
             with formatter.section(section):
                 formatter.write_dl(records)
 
 
-def _gathered(kind: str, name: str, *options: Callable[..., Any]) -> Callable[[Command], Command]:
-    """Give a command options that it gets as one argument ``name``.
+def _group_options(
+    kind: str, name: str, *options: Callable[..., Any]
+) -> Callable[[Command], Command]:
+    """Return a decorator that adds options to a command, passed as one argument ``name``.
 
     kind: its dataclass as ``module:class``, so that ``--help`` need not import it.
     """
 
-    def decorated(command: Command) -> Command:
+    def decorate(command: Command) -> Command:
         @functools.wraps(command)
-        def gathered(*arguments: Any, **values: Any) -> Any:
+        def wrapped(*arguments: Any, **values: Any) -> Any:
             module, _, attribute = kind.partition(":")
-            made = getattr(importlib.import_module(module), attribute)
-            own = {field: values.pop(field) for field in made.__dataclass_fields__.keys() & values}
-            return command(*arguments, **{name: made(**own)}, **values)
+            group = getattr(importlib.import_module(module), attribute)
+            fields = {key: values.pop(key) for key in group.__dataclass_fields__.keys() & values}
+            return command(*arguments, **{name: group(**fields)}, **values)
 
         for option in reversed(options):
-            gathered = option(gathered)
-        return gathered
+            wrapped = option(wrapped)
+        return wrapped
 
-    return decorated
+    return decorate
 
 
-with_detector = _gathered(
+detector_options = _group_options(
     "roadtorch.cli.options:DetectorOptions",
     "choice",
     click.option(
@@ -195,40 +200,40 @@ with_detector = _gathered(
         shell_complete=suggest_detectors,
         help="Name of the detector; see roadtorch detectors. [fusion]",
     ),
-    SETTING,
+    SETTING_OPTION,
     click.option(
         "--config",
         type=ConfigFile(),
-        help="TOML file with the detector and its settings, or a shipped one's name.",
+        help="TOML file with the detector and its settings, or the name of a shipped one.",
     ),
 )
-"""A command gets the options of ``DetectorOptions`` as ``choice``."""
+"""Options of ``DetectorOptions``, passed as ``choice``."""
 
-with_run = _gathered(RUN_OPTIONS, "run", JOBS, OVERWRITE, QUIET)
-"""A command gets the options of a ``RunOptions`` as ``run``."""
+run_options = _group_options(RUN_OPTIONS, "run", JOBS_OPTION, OVERWRITE_OPTION, QUIET_OPTION)
+"""Options of ``RunOptions`` for commands without those of computing, passed as ``run``."""
 
-with_computing = _gathered(
+computing_options = _group_options(
     RUN_OPTIONS,
     "run",
-    JOBS,
+    JOBS_OPTION,
     click.option(
         "--engine",
         default="local",
-        help="local: processes; ray: actors on Ray (extra: ray), or the address of its cluster.",
+        help="local: processes; ray: actors on Ray (extra: ray); or the address of a Ray cluster.",
     ),
     click.option(
         "--threads",
         type=click.IntRange(min=1),
         default=1,
-        help="Threads within an image; likelihoods differ in the seventh digit.",
+        help="Threads within an image; they change likelihoods in the seventh digit.",
     ),
-    click.option("--device", default="cpu", help="Device of the tensors: cpu, cuda, cuda:1."),
-    OVERWRITE,
-    QUIET,
+    click.option("--device", default="cpu", help="torch device: cpu, cuda, cuda:1."),
+    OVERWRITE_OPTION,
+    QUIET_OPTION,
 )
-"""A command gets all options of a ``RunOptions`` as ``run``."""
+"""All options of ``RunOptions``, passed as ``run``."""
 
-with_selection = _gathered(
+selection_options = _group_options(
     "roadtorch.inputs.item:Selection",
     "selection",
     click.option(
@@ -236,26 +241,28 @@ with_selection = _gathered(
         type=click.IntRange(min=1),
         default=1,
         show_default=False,
-        help="Take one frame in this many.",
+        help="Process every Nth frame.",
     ),
     click.option(
         "--start",
         type=click.FloatRange(min=0),
         default=0.0,
         show_default=False,
-        help="Where to start in footage, in seconds.",
+        help="Start of the footage to process, in seconds.",
     ),
     click.option(
         "--end",
         type=click.FloatRange(min=0),
-        help="Where to end in footage, in seconds; that frame is left out.",
+        help="End of the footage to process, in seconds, exclusive.",
     ),
-    click.option("--limit", type=click.IntRange(min=1), help="At most this many frames or images."),
-    click.option("--topic", help="Image topic, where a bag has several."),
+    click.option(
+        "--limit", type=click.IntRange(min=1), help="Process at most this many images or frames."
+    ),
+    click.option("--topic", help="Image topic, if a bag has several."),
 )
-"""A command gets the options of a ``Selection`` as ``selection``."""
+"""Options of ``Selection``, passed as ``selection``."""
 
 
 def command_line(context: click.Context) -> str:
-    """Return the command as it was typed, quoted for a shell."""
+    """Return the command line as it was typed, quoted for a shell."""
     return shlex.join(["roadtorch", *context.obj])

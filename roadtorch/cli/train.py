@@ -1,10 +1,10 @@
-"""roadtorch train: a layout network from unlabelled footage."""
+"""roadtorch train: train a layout network on unlabelled footage."""
 
 from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
+from roadtorch.cli.options import PATH, SETTING_OPTION, ConfigFile, command_line
 
 
 @click.command()
@@ -12,26 +12,29 @@ from roadtorch.cli.options import PATH, SETTING, ConfigFile, command_line
     "--config",
     type=ConfigFile(),
     required=True,
-    help="What is trained, and how: a TOML file, or a shipped one's name, such as adapt.",
+    help="TOML file of the training, or the name of a shipped one, such as adapt.",
 )
 @click.option(
-    "--images", type=click.Path(), required=True, help="Folder, file or quoted glob of images."
+    "--images",
+    type=click.Path(),
+    required=True,
+    help="Training images: a folder, file or quoted glob.",
 )
-@click.option(
-    "--out", type=PATH, required=True, help="Folder of this run; a second run resumes it."
-)
-@click.option("--corrections", type=PATH, help="What roadtorch annotate kept: it counts as truth.")
+@click.option("--out", type=PATH, required=True, help="Folder of this run; run again to resume.")
+@click.option("--corrections", type=PATH, help="Folder of corrections by roadtorch annotate.")
 @click.option("--corrected-images", type=PATH, help="Folder of the corrected images, if it moved.")
-@SETTING
+@SETTING_OPTION
 @click.option(
     "--prepared",
     type=PATH,
-    help="Where labelled images are kept, for several runs. [OUT/prepared]",
+    help="Folder of images with machine labels, shared by several runs. [OUT/prepared]",
 )
-@click.option("--threads", type=click.IntRange(min=1), help="Threads; the result depends on it.")
-@click.option("--quiet", is_flag=True, help="No progress, only what goes wrong.")
+@click.option(
+    "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
+)
+@click.option("--quiet", is_flag=True, help="Print only failures, no progress.")
 @click.pass_context
-def train(
+def train_command(
     context: click.Context,
     config: Path,
     images: str,
@@ -43,20 +46,20 @@ def train(
     threads: int | None,
     quiet: bool,
 ) -> None:
-    """Train a layout network on machine labels of images that nobody labelled.
+    """Train a layout network on machine labels of unlabelled images.
 
-    With --corrections, what people said of some of them counts as truth; then the weights and
-    the card beside them say so, and what they find is not label-free.
+    With --corrections, labels corrected by hand are the truth where they exist; the weights and
+    their card record that, and the network is not label-free.
 
     \b
-    The folder --out gets
-      weights.safetensors  the network; also after an interruption, as far as it is
-      log.csv, curve.png   the error of each epoch
-      images.csv           which images were used, and why others were not
-      checkpoint.pt        how far it is; Ctrl-C and SIGTERM leave one
-      prepared/            small copies of the images with their labels, made once
-      weights.md           with --corrections: the card that says so
-      adaptation.html      with start in the config: images, trust, agreement before and after
+    Written to the folder --out:
+      weights.safetensors  the network; after an interruption, as trained so far
+      log.csv, curve.png   loss of each epoch
+      images.csv           images that were used, and why others were not
+      checkpoint.pt        state to resume from; also written on Ctrl-C and SIGTERM
+      prepared/            small copies of the images with their machine labels
+      weights.md           with --corrections: card of the weights
+      adaptation.html      with start in the config: masks, trust, agreement before and after
     """
     import torch
 
@@ -65,15 +68,14 @@ def train(
     from roadtorch.train.before_after import write_page
     from roadtorch.train.config import build_training
     from roadtorch.train.folder import PAGE
-    from roadtorch.train.run import Request
-    from roadtorch.train.run import train as run
+    from roadtorch.train.run import Request, train
 
     if threads:
         torch.set_num_threads(threads)
     training = build_training(merge(read_settings_file(config), parse_assignments(assignments)))
-    people = read_corrections(corrections, corrected_images) if corrections else []
-    request = Request(images, out, prepared, quiet, people)
-    outcome = run(training, request)
+    corrected = read_corrections(corrections, corrected_images) if corrections else []
+    request = Request(images, out, prepared, quiet, corrected)
+    outcome = train(training, request)
     if outcome.interrupted:
         signal = outcome.interrupted.name
         text = f"roadtorch: stopped by {signal}; run the same command again to resume"
@@ -85,5 +87,5 @@ def train(
     if training.start:
         is_written = write_page(training, request, outcome, command=command_line(context))
         if is_written and not quiet:
-            click.echo(f"roadtorch: before and after in {out / PAGE}", err=True)
+            click.echo(f"roadtorch: masks before and after in {out / PAGE}", err=True)
     context.exit(1 if outcome.skipped else 0)

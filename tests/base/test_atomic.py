@@ -102,10 +102,10 @@ def test_a_file_is_read_up_to_its_bound(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"12345")
 
-    assert read_regular(path, most=5) == b"12345"
+    assert read_regular(path, max_bytes=5) == b"12345"
     assert b"MemTotal" in read_regular("/proc/meminfo")  # whose size is told as 0
     with pytest.raises(OSError, match="more than 4 bytes"):
-        read_regular(path, most=4)
+        read_regular(path, max_bytes=4)
 
 
 def test_bytes_that_are_no_text_are_shown_and_ascii_systems_get_their_letters_back() -> None:

@@ -149,7 +149,7 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
 @pytest.mark.parametrize(
     ("image", "order", "problem"),
     [
-        (PIXELS, None, "whose order of colours is not told"),
+        (PIXELS, None, "image: has no colour order"),
         (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
         (PIXELS[None], "bgr", "give all of them to detect_many"),
         ([PIXELS, PIXELS], "bgr", "image: is a list, not one image (give one, or all of them to"),

@@ -24,9 +24,9 @@ from roadtorch.base.settings import (
     Settings,
     build_settings,
     config_file,
+    list_shipped_configs,
     parse_assignments,
     read_settings_file,
-    shipped_configs,
     to_toml,
 )
 
@@ -124,11 +124,11 @@ def test_only_names_of_files_with_a_suffix_are_those_beside_the_file(tmp_path: P
 
 
 def test_every_config_of_the_repository_has_a_name_that_leads_to_it() -> None:
-    files = {config_file(name).resolve() for name in shipped_configs()}
+    files = {config_file(name).resolve() for name in list_shipped_configs()}
 
     assert CONFIGS.resolve() == Path(__file__).resolve().parents[2] / "configs"
     assert files == set(CONFIGS.resolve().rglob("*.toml"))
-    assert {"adapt", "layout-free", "thresholds/labeller"} <= {*shipped_configs()}
+    assert {"adapt", "layout-free", "thresholds/labeller"} <= {*list_shipped_configs()}
 
 
 def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,7 +185,7 @@ class Terminal(io.StringIO):
     ],
 )
 def test_a_pipe_gets_a_line_when_it_is_due(monkeypatch, capsys, items, options, lines):
-    monkeypatch.setattr(progress, "LINE_EVERY", 1e-9)
+    monkeypatch.setattr(progress, "LINE_INTERVAL", 1e-9)
 
     for _ in Progress(items, **options):
         Progress.write("a.jpg: is empty", file=sys.stderr)

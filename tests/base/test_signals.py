@@ -13,10 +13,10 @@ import pytest
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import (
     Terminated,
-    interruption_first,
-    noted_signals,
+    prefer_interruption,
+    raise_on_sigterm,
+    record_signals,
     stop_on_signals,
-    terminated_in_words,
 )
 
 
@@ -34,12 +34,12 @@ def test_an_interruption_stays_one(number: signal.Signals, raised: type[Keyboard
         except KeyboardInterrupt:
             raise InputError("weights", "is damaged", "remove it") from None
 
-    with pytest.raises(raised), terminated_in_words(), interruption_first():
+    with pytest.raises(raised), raise_on_sigterm(), prefer_interruption():
         read()
 
 
 def test_a_signal_that_is_only_asked_about_is_not_noted() -> None:
-    with stop_on_signals() as stop, noted_signals() as noted:
+    with stop_on_signals() as stop, record_signals() as noted:
         send(signal.SIGINT)
 
     assert stop.asked
@@ -84,11 +84,11 @@ def test_handlers_come_back_but_for_those_that_the_block_set() -> None:
 
     before: Callable[..., object] | int | None = signal.getsignal(signal.SIGINT)
     try:
-        with noted_signals():
+        with record_signals():
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
         assert signal.getsignal(signal.SIGINT) is before
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
-        with noted_signals():
+        with record_signals():
             signal.signal(signal.SIGINT, theirs)
         assert signal.getsignal(signal.SIGINT) is theirs
     finally:

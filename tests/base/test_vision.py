@@ -40,14 +40,14 @@ def test_one_of_another_build_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 HELD = """
-from roadtorch.base.compute import forget_peak, peak_mebibytes
-forget_peak()
-before = peak_mebibytes()
+from roadtorch.base.compute import reset_peak_memory, peak_memory_mib
+reset_peak_memory()
+before = peak_memory_mib()
 held = bytearray(64 * 2**20)
 for place in range(0, len(held), 4096):  # pages count when they are written
     held[place] = 1
 del held
-print(before, peak_mebibytes())
+print(before, peak_memory_mib())
 """
 
 

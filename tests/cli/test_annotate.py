@@ -8,7 +8,7 @@ import pytest
 from roadtorch.annotate.server import PageServer
 from roadtorch.annotate.session import opened_session
 from roadtorch.base.atomic import locked
-from roadtorch.cli.annotate import FORMATS
+from roadtorch.cli.annotate import LABEL_FORMAT
 from roadtorch.data import correction_formats
 from roadtorch.data.corrections import read_corrections, read_logs
 from roadtorch.data.events import Confirm
@@ -41,7 +41,7 @@ def test_the_address_is_printed(call: Call, footage: Path) -> None:
     result = call("annotate", footage, *QUICK)
     assert result.exit_code == 0, result.stderr
     first, second = result.stdout.splitlines()
-    assert first == f"3 images; corrections are kept in {footage / 'corrections'}"
+    assert first == f"3 images; corrections are saved in {footage / 'corrections'}"
     assert second.startswith("Open http://127.0.0.1:")
     assert call("annotate", footage, *QUICK).stdout.splitlines()[1] == second
 
@@ -70,7 +70,7 @@ def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -
     words = ("--out", second, "--import", "coco", "--from", tmp_path / "coco")
     for _ in range(2):  # the same labels a second time are no event
         result = call("annotate", corrected, *words)
-        assert result.stdout == "1 images brought in\n", result.stderr
+        assert result.stdout == "1 images imported\n", result.stderr
     (before,), (after,) = read_corrections(corrected / "corrections"), read_corrections(second)
     assert (before.labels == after.labels).all()
     assert after.image == before.image
@@ -86,4 +86,4 @@ def test_no_images(call: Call, tmp_path: Path, name: str, words: str) -> None:
 
 
 def test_formats_are_those_that_there_are() -> None:
-    assert tuple(correction_formats.FORMATS) == FORMATS
+    assert tuple(correction_formats.FORMATS) == tuple(LABEL_FORMAT.choices)

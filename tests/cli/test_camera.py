@@ -41,7 +41,7 @@ def test_a_file_and_an_image_are_written(
     lines = result.stdout.splitlines()
     assert lines[0].startswith("ego car: 1")
     assert lines[1].startswith("horizon: row 0.4")
-    assert lines[2].startswith("12 frames of 160×120 pixels; written: ")
+    assert lines[2].startswith("12 frames of 160×120 pixels; wrote ")
     assert {path.name for path in out.parent.iterdir()} == {"camera.toml", "camera.jpg"}
     keys = list(tomllib.loads(out.read_text()))
     assert keys == ["width", "height", "frames", "horizon", "seed_row", "ego", "look"]
@@ -83,7 +83,7 @@ def test_files_of_others_stay(name: str, call: Call, street: Path, tmp_path: Pat
     result = call("camera", street, "--out", tmp_path / "camera.toml")
 
     assert result.exit_code == 2
-    assert f"{other}: is there and" in result.output
+    assert f"{other}: exists and" in result.output
     assert other.read_text() == "x = 1"
     assert len(list(tmp_path.iterdir())) == 1
 

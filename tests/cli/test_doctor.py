@@ -34,7 +34,7 @@ def test_a_failing_section_breaks_itself_alone(call: Call, monkeypatch: pytest.M
 
     good = Check("torch", "ok", "2.13.0")
     missing = Check("video", "missing", "is not", "mend it")
-    monkeypatch.setattr(doctor, "SECTIONS", {"one": lambda: [good, missing], "gone": fails})
+    monkeypatch.setattr(doctor, "CHECKS", {"one": lambda: [good, missing], "gone": fails})
 
     result = call("doctor")
 
@@ -61,7 +61,7 @@ def test_what_is_absent_comes_with_its_installation(monkeypatch: pytest.MonkeyPa
     problem = "not-there-either not installed"
     assert absent == Check("not-there", "broken", "is not installed", "pip install not-there")
     assert (numpy.name, numpy.state, numpy.hint) == ("numpy", "ok", "")
-    assert (grid.name, grid.state, grid.problem[:7]) == ("grid", "ok", "click 8")
+    assert (grid.name, grid.state, grid.details[:7]) == ("grid", "ok", "click 8")
     assert video == Check("video", "missing", problem, "pip install 'roadtorch[video]'")
     assert [check.state for check in doctor.check_video()] == ["missing"]
 
@@ -73,11 +73,11 @@ def test_other_bytes_and_missing_weights(tmp_path: Path, monkeypatch: pytest.Mon
 
     for folder, problem in (
         (tmp_path, "is damaged: its weights do not match the hash in its header"),
-        (tmp_path / "bare", "none are there"),
+        (tmp_path / "bare", "no weight files"),
     ):
         monkeypatch.setattr(weights, "SHIPPED", folder)
         (check,) = doctor.check_weights()
-        assert (check.state, check.problem) == ("broken", problem)
+        assert (check.state, check.details) == ("broken", problem)
 
 
 def test_a_detector_that_is_wrong_or_wavers_is_broken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,5 +96,5 @@ def test_a_detector_that_is_wrong_or_wavers_is_broken(monkeypatch: pytest.Monkey
     (unsteady,) = doctor.check_self_test()
 
     assert (wrong.state, unsteady.state) == ("broken", "broken")
-    assert wrong.problem.endswith("; F is to be 0.999")
-    assert unsteady.problem.endswith("; two runs differ")
+    assert wrong.details.endswith("; F should be at least 0.999")
+    assert unsteady.details.endswith("; not deterministic: two results for one image")

@@ -12,7 +12,7 @@ from click.testing import Result
 from roadtorch.annotate.session import import_event
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
-from roadtorch.cli.evaluate import evaluate
+from roadtorch.cli.evaluate import evaluate_command
 from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.corrections import EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
@@ -39,7 +39,7 @@ def camvid(tmp_path_factory) -> Path:
     return write_set(tmp_path_factory.mktemp("set") / "camvid")
 
 
-run = partial(invoked, evaluate)
+run = partial(invoked, evaluate_command)
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_a_config_holds_the_chosen_threshold_its_command_and_its_worth(camvid, t
     assert f"#   roadtorch evaluate camvid {camvid} --detector cpf:squares" in text
     assert "camvid dev, 6 images" in text
     assert "Each group at the threshold of the others: F 0." in text
-    detector, values = DetectorOptions(config=tmp_path / "cpf-squares.toml").named()
+    detector, values = DetectorOptions(config=tmp_path / "cpf-squares.toml").name_and_values()
     assert (detector, values["isolated"]) == ("cpf:squares", "keep")
     assert load_detector(detector, **values).settings.model_dump(mode="json") == values
     header, row = done.stdout.splitlines()[-2:]
@@ -162,7 +162,7 @@ def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(t
                "--out", tmp_path, "--montage", 0)  # fmt: skip
 
     assert done.exit_code == 0
-    assert "mine-weights was trained with 7 images that people corrected" in done.stderr
+    assert "mine-weights was trained on 7 images corrected by hand" in done.stderr
     found = metrics(tmp_path)
     assert (found["dataset"], found["images"]) == ("corrections", 3)
     assert found["paired"]["against"] == "prior:uniform"

@@ -58,7 +58,7 @@ def test_a_fault_is_one_line_or_a_traceback(call: Call, monkeypatch: pytest.Monk
 
     short, long, also_long = call("fails"), call("fails", "--debug"), call("--debug", "fails")
 
-    line = "roadtorch: error: fails: a fault of roadtorch: ZeroDivisionError: oh (report it with"
+    line = "roadtorch: error: fails: a bug in roadtorch: ZeroDivisionError: oh (report it with"
     assert short.exit_code == long.exit_code == 1
     assert short.stderr.startswith(line)
     assert short.stderr.count("\n") == 1
@@ -91,7 +91,7 @@ def test_a_signal_is_told_as_a_signal(
     result = call("reads")
 
     assert result.exit_code == status
-    assert result.stderr.strip() == "roadtorch: interrupted; what was finished is kept"
+    assert result.stderr.strip() == "roadtorch: interrupted"
 
 
 def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,7 +107,7 @@ def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.M
         f"{out}: 0.02 MB",
         "prior:rows: the whole of prior:rows",
         "  threshold          0.4",
-        "parity with Python on 6 rendered images: at most 2.0e-05 off (road at 16×16), "
-        "1.0e-07 in the mean; allowed 0.0001",
-        "It lacks: a soul, trust. What that costs: docs/export.md",
+        "difference from Python on 6 rendered images: at most 2.0e-05 (road at 16×16), "
+        "mean 1.0e-07; allowed 0.0001",
+        "Not included: a soul, trust. See docs/export.md for the cost.",
     ]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from roadtorch.cli.group import BRIEF_WAITS
+from roadtorch.cli.group import OPENMP_WAIT
 from roadtorch.testing.scenes import render_scene, write_image
 
 COMMAND = [sys.executable, "-m", "roadtorch"]
@@ -78,6 +78,6 @@ def test_threads_wait_briefly_unless_the_user_says_otherwise() -> None:
     words = [sys.executable, "-c", code]
 
     for chosen, kept in ({}, "passive 20000"), ({"OMP_WAIT_POLICY": "active"}, "active None"):
-        rest = {k: v for k, v in os.environ.items() if k not in BRIEF_WAITS}
+        rest = {k: v for k, v in os.environ.items() if k not in OPENMP_WAIT}
         done = subprocess.run(words, capture_output=True, text=True, env=rest | chosen, timeout=60)
         assert done.stdout.splitlines()[-1] == kept

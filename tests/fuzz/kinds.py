@@ -155,7 +155,7 @@ def make_config(draw: Draw, _: Path) -> bytes:
 
 def read_config(path: Path) -> bool:
     def build() -> object:
-        name, values = DetectorOptions(config=path).named()
+        name, values = DetectorOptions(config=path).name_and_values()
         if "kind" in values:
             return build_training(values)
         return build_settings(detector_entry(name).settings, values)

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.base.compute import forget_peak, peak_mebibytes
+from roadtorch.base.compute import peak_memory_mib, reset_peak_memory
 from roadtorch.base.errors import InputError, RoadtorchError
 from tests.command import Call, files_in, save_image
 from tests.fuzz.footage import FOOTAGE
@@ -50,7 +50,7 @@ def verdict(path: Path, read: Read) -> str:
     A hang ends the process, with the stack.
     """
     faulthandler.dump_traceback_later(SECONDS, exit=True, file=STDERR)
-    forget_peak()
+    reset_peak_memory()
     refusal = None
     try:
         assert read(path), "what was read makes no sense"
@@ -58,7 +58,7 @@ def verdict(path: Path, read: Read) -> str:
         refusal = error
     finally:
         faulthandler.cancel_dump_traceback_later()
-    assert peak_mebibytes() < GIBIBYTES * 2**10
+    assert peak_memory_mib() < GIBIBYTES * 2**10
     if refusal is None:
         return "read"
     check_line(refusal, path)
@@ -197,7 +197,7 @@ def test_a_command_says_in_a_line_what_is_wrong_and_leaves_nothing_half_written(
         (file,) = re.findall(rf"{folder}/(\S+)", " ".join(words))
         key = "none|network.wide" if name == "settings" and "--config @" in line else file
         assert result.exit_code in (1, 2), about
-        assert "fault of roadtorch" not in about
+        assert "bug in roadtorch" not in about
         assert re.search(rf"^roadtorch: .*({key})", result.stderr, re.M), about
         assert not any(".part" in written for written in files_in(folder)), about
         if result.exit_code == 2:

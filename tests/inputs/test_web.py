@@ -86,7 +86,7 @@ def test_detectors_and_streams_take_an_address(host: str) -> None:
 
 @pytest.mark.parametrize("url", ["s3://bucket/a.png", "file:///a.png", "zip://a.png"])
 def test_addresses_of_no_server_are_refused(url: str) -> None:
-    with pytest.raises(InputError, match=f"{url}: is not of the web"):
+    with pytest.raises(InputError, match=f"{url}: is no web address"):
         read_image(url)
     for find in (find_inputs, find_images):
         with pytest.raises(InputError, match=f"{url}: cannot be read from a URL"):

@@ -12,7 +12,7 @@ import torch
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import Stop
-from roadtorch.cli.ros import ros
+from roadtorch.cli.ros import ros_command
 from roadtorch.detectors.detection import Detection
 from roadtorch.ros.node import Inbox
 from roadtorch.run.writers.bag import pixels_of
@@ -62,4 +62,4 @@ def test_without_ros_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "rclpy", None)
 
     with pytest.raises(ConfigError, match=r"ros: rclpy is not installed \(source the setup\.bash"):
-        invoked(ros)
+        invoked(ros_command)

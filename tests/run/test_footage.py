@@ -183,7 +183,7 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
     told = process.communicate(timeout=60)[1]
 
     assert process.returncode == ExitCode.INTERRUPTED
-    assert told.endswith("roadtorch: interrupted; what was finished is kept\n")
+    assert told.endswith("roadtorch: interrupted; finished results are kept\n")
     frames = len(stamps_of(out / "drive.overlay.mp4"))
     rows = rows_of(out)
     assert len(rows) == frames + 1 > 20

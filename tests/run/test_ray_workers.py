@@ -123,7 +123,7 @@ def test_an_interrupted_run_keeps_its_rows(images: Path, expected: Path, tmp_pat
 
     kept = rows_of(out)
     assert run.returncode == 130, told
-    assert told.endswith("roadtorch: interrupted; what was finished is kept\n")
+    assert told.endswith("roadtorch: interrupted; finished results are kept\n")
     assert 0 < len(kept) < 17
     subprocess.run([*COMMAND, images, *WORK, "--out", out], capture_output=True, check=False)
     assert bytes_in(out) == bytes_in(expected)

@@ -139,7 +139,7 @@ def test_what_is_in_hand_is_finished_when_a_signal_ends_the_run(
         ["a.jpg", "b.png"][:jobs], "done"
     )
     assert record["images"]["not_tried"] == 3 - jobs
-    assert "roadtorch: interrupted; what was finished is kept" in stopped.stderr
+    assert "roadtorch: interrupted; finished results are kept" in stopped.stderr
     assert run().stderr.startswith(f"roadtorch: {3 - jobs} done, {jobs} skipped")
 
 

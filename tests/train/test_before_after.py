@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.cli.train import train as train_command
+from roadtorch.cli.train import train_command
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.run.memo import write_arrays

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from roadtorch.annotate.session import import_event
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import read_settings_file
-from roadtorch.cli.train import train as command_of_train
+from roadtorch.cli.train import train_command
 from roadtorch.data.corrections import Correction, EventLog, LogHead, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import corrected_images, load_network, people_behind
@@ -182,7 +182,7 @@ def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_pat
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
     words += ["--corrections", logs, "--corrected-images", streets, "--prepared", kept / "patches"]
 
-    result = CliRunner().invoke(command_of_train, [str(word) for word in words])
+    result = CliRunner().invoke(train_command, [str(word) for word in words])
 
     assert result.exit_code == 0, result.output
     (summary,) = people_behind(tmp_path / "run" / "weights.safetensors")
