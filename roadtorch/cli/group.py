@@ -105,7 +105,9 @@ class CommandGroup(click.Group):
             return super().invoke(ctx)
         except RoadtorchError as error:
             _print_traceback(ctx)
-            raise _OneLineError(str(error), error.exit_code) from None
+            one_line = _OneLineError(str(error))
+            one_line.exit_code = error.exit_code
+            raise one_line from None
         except (click.ClickException, click.exceptions.Exit, click.Abort, OSError):
             raise  # OSError: a closed pipe, on which click exits quietly
         except Exception as error:
@@ -145,9 +147,7 @@ class CommandGroup(click.Group):
 class _OneLineError(click.ClickException):
     """An error whose message is already ``where: problem (hint)``."""
 
-    def __init__(self, message: str, exit_code: int = ExitCode.WRONG_USAGE) -> None:
-        super().__init__(message)
-        self.exit_code = exit_code
+    exit_code: int = ExitCode.WRONG_USAGE
 
 
 def _one_line(error: click.ClickException) -> str:
