@@ -69,9 +69,10 @@ def adapt_command(
         torch.set_num_threads(threads)
     values = merge(read_settings_file(config_file(ADAPT_CONFIG)), parse_assignments(assignments))
     training = build_training(values)
-    if not isinstance(training, ImageTraining) or not training.start:
+    if not isinstance(training, ImageTraining) or not training.initial_weights:
         message = "adaptation starts from the weights of a whole-image network"
-        raise ConfigError("kind, start", message, "leave kind as it is, and give start=WEIGHTS")
+        hint = "leave kind as it is, and give initial_weights=WEIGHTS"
+        raise ConfigError("kind, initial_weights", message, hint)
     adaptation = adapt(footage, out, training, max_frames, quiet)
     outcome, verdict, frames = adaptation.outcome, str(adaptation.verdict), adaptation.frames
     if outcome.interrupted:

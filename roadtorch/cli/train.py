@@ -59,7 +59,7 @@ def train_command(
       checkpoint.pt        state to resume from; also written on Ctrl-C and SIGTERM
       prepared/            small copies of the images with their machine labels
       weights.md           with --corrections: card of the weights
-      adaptation.html      with start in the config: masks, trust, agreement before and after
+      adaptation.html      with initial_weights: masks, trust, agreement before and after
     """
     import torch
 
@@ -84,7 +84,7 @@ def train_command(
     if not quiet:
         skipped = f"; {outcome.skipped} skipped, see images.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
-    if training.start:
+    if training.initial_weights:
         is_written = write_page(training, request, outcome, command=command_line(context))
         if is_written and not quiet:
             click.echo(f"roadtorch: masks before and after in {out / PAGE}", err=True)

@@ -39,7 +39,7 @@ def write_page(
     if outcome.weights is None:
         return False
     weights, calibrated = outcome.weights, outcome.weights.with_name(FUSION_CONFIG)
-    start = weights_path(training.start)
+    start = weights_path(training.initial_weights)
     initial = reference(str(start), {})
     trained = reference(str(calibrated if calibrated.exists() else weights), {})
     methods = (replace(initial, name="before"), replace(trained, name="after"))

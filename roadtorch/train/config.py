@@ -113,7 +113,7 @@ class CommonTraining(Settings):
     """Settings that both kinds of training have."""
 
     random_seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
-    start: str = Field(
+    initial_weights: str = Field(
         default="",
         description="weight file of the same network to start from, or the name of one that is "
         "shipped, such as layout-free; none: new weights",
@@ -271,10 +271,10 @@ def build_training(values: dict[str, Any]) -> Training:
                 message = f"{low:g} was given, and augmentation.max_{name} is {high:g}"
                 key = f"augmentation.min_{name}"
                 raise ConfigError(key, message, "give the lower bound first")
-    elif isinstance(settings.network, BackboneNetworkSettings) and not settings.start:
+    elif isinstance(settings.network, BackboneNetworkSettings) and not settings.initial_weights:
         message = "is empty, and a backbone does not learn from new weights"
         hint = "give weights of such a network, such as backbone-free"
-        raise ConfigError("start", message, hint)
+        raise ConfigError("initial_weights", message, hint)
     elif (share := settings.augmentation.ego_car.share) and not settings.recordings.separator:
         message = f"is {share:g}, and without recordings no ego car is known"
         hint = 'set recordings.separator, such as "_"'

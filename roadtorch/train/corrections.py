@@ -119,7 +119,7 @@ def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:
 
     Raises WeightsError for an unusable weight file.
     """
-    names = [training.start]
+    names = [training.initial_weights]
     if isinstance(training, ImageTraining):
         names.append(training.teacher.weights)
     runs = [run for name in names if name for run in people_behind(weights_path(name))]

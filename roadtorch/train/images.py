@@ -283,13 +283,13 @@ class ImageRecipe:
         stacked = torch.stack(planes).to(torch.float32)
         return {"planes": to_uint8(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
-    def network(self, start: LayoutNetwork | None) -> WholeImageNetwork:
+    def network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""
         settings = self._training.network
-        if isinstance(start, BackboneNetwork):
-            return start
-        if isinstance(start, ImageNetwork) and self._training.rounds.start == "continued":
-            return start
+        if isinstance(initial, BackboneNetwork):
+            return initial
+        if isinstance(initial, ImageNetwork) and self._training.rounds.start == "continued":
+            return initial
         assert isinstance(settings, ImageNetworkSettings)  # a backbone has weights to start from
         with seeded(self._training.random_seed, 0):
             return ImageNetwork(settings)
@@ -297,8 +297,8 @@ class ImageRecipe:
     def samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
         """Return augmented images with their targets, and the labels of an initial network."""
         training, files, labels = self._training, inputs.files, list[Path]()
-        if isinstance(inputs.start, WholeImageNetwork):
-            network = inputs.start.eval()
+        if isinstance(inputs.initial, WholeImageNetwork):
+            network = inputs.initial.eval()
             labels = label_with_network(files, inputs.labels, network, stop, quiet)
         names = []
         for file in files:

@@ -82,13 +82,13 @@ SAVE_INTERVAL = 60.0  # seconds of work that a power cut may cost
 class TrainingInputs(NamedTuple):
     """The inputs of a training.
 
-    files: prepared images. corrected: file of the correction by prepared image. start: network
+    files: prepared images. corrected: file of the correction by prepared image. initial: network
     with the initial weights, if any. labels: folder for that network's labels.
     """
 
     files: Sequence[Path]
     corrected: Mapping[Path, Path]
-    start: LayoutNetwork | None
+    initial: LayoutNetwork | None
     labels: Path
 
 

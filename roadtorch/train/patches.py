@@ -349,10 +349,10 @@ class PatchRecipe:
         void = at_image_size(torch.from_numpy(correction.road == VOID_SAID), size)
         return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
-    def network(self, start: LayoutNetwork | None) -> LayoutNetwork:
+    def network(self, initial: LayoutNetwork | None) -> LayoutNetwork:
         """Return a new patch network, or the initial one."""
-        if start is not None:
-            return start
+        if initial is not None:
+            return initial
         with seeded(self._training.random_seed, 0):
             return PatchNetwork(self._training.network)
 

@@ -92,10 +92,10 @@ def train(training: Training, request: Request) -> Outcome:
     images = find_images([request.images], apart=request.out)
     with stop_on_signals() as stop:
         folder = RunFolder(request.out)
-        start, recipe = load_initial_network(training), make_recipe(training)
+        initial, recipe = load_initial_network(training), make_recipe(training)
         with folder.lock():
             corrections = corrections_by_image(images, request.corrections)
-            run = TrainingRun(training, recipe, start, request, folder, stop, corrections)
+            run = TrainingRun(training, recipe, initial, request, folder, stop, corrections)
             return run.run(images)
 
 
@@ -112,15 +112,15 @@ def load_initial_network(training: Training) -> LayoutNetwork | None:
     A whole-image network may have been trained at another size; it continues at that of the
     settings. Raises WeightsError if its settings differ otherwise.
     """
-    if not training.start:
+    if not training.initial_weights:
         return None
-    network = load_network(weights_path(training.start))
+    network = load_network(weights_path(training.initial_weights))
     if isinstance(network, WholeImageNetwork) and isinstance(training, ImageTraining):
         network = network_at(network, training.network.height, training.network.width)
     if network.settings != training.network:
         message = "holds a network with other settings than this training"
-        hint = "give the same [network] settings, or leave start out"
-        raise WeightsError(training.start, message, hint)
+        hint = "give the same [network] settings, or leave initial_weights out"
+        raise WeightsError(training.initial_weights, message, hint)
     return network
 
 
@@ -140,12 +140,12 @@ def prepare_folder(
 class TrainingRun:
     """A run of a training in its folder.
 
-    start: network with the initial weights, if any. corrections: by name of the image.
+    initial: network with the initial weights, if any. corrections: by name of the image.
     """
 
     training: Training
     recipe: Recipe
-    start: LayoutNetwork | None
+    initial: LayoutNetwork | None
     request: Request
     folder: RunFolder
     stop: Stop
@@ -188,7 +188,7 @@ class TrainingRun:
         shrink = self.recipe.shrink
         corrected = write_corrections(path / CORRECTIONS, people, shrink) if people else {}
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
-        inputs = TrainingInputs(list(files), corrected, self.start, path / LABELS)
+        inputs = TrainingInputs(list(files), corrected, self.initial, path / LABELS)
         loop = self._train_epochs(inputs, progress, state)
         self._write(loop.average.network.eval(), progress, len(files), inherited)
         if people and progress.finished and isinstance(self.training, ImageTraining):
@@ -202,7 +202,7 @@ class TrainingRun:
         training = self.training
         stop, quiet = self.stop, self.request.quiet
         samples = self.recipe.samples(inputs, stop, quiet)
-        network = self.recipe.network(self.start)
+        network = self.recipe.network(self.initial)
         descent = scale_learning_rate(
             training.descent, training.corrections.halfway, len(self.corrections)
         )

@@ -177,7 +177,7 @@ ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96
             "run with other settings",
         ),
         (
-            f"{TRAIN} --set start=@weights.safetensors",
+            f"{TRAIN} --set initial_weights=@weights.safetensors",
             "weights.safetensors",
             "run with other settings",
         ),

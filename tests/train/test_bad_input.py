@@ -50,7 +50,7 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
     (tmp_path / "mine" / "log.csv").write_text("mine")
     mine = Request(str(streets), tmp_path / "mine")
     save_network(tmp_path / "network", PatchNetwork(), {})
-    start = build_training({**values, "start": str(tmp_path / "network")})
+    start = build_training({**values, "initial_weights": str(tmp_path / "network")})
     new = Request(str(streets), tmp_path / "new")
     rows: list[tuple[Training, Request, type[RoadtorchError], str]] = [
         (whole, request, ConfigError, "holds a run with other settings"),
@@ -116,7 +116,7 @@ EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"share": 0.5}}}
         ({"augmentation": {"min_scale": 2.0}}, "min_scale: 2 was given, and .*max_scale is 1.4"),
         ({"network": {"topology": {"size1": 9}}}, "topology: .* cannot halve"),
         (BACKBONE | {"network": {"heads": 1, "width": 80}}, "network.width: .* multiple of 32"),
-        (BACKBONE, "start: is empty, and a backbone"),
+        (BACKBONE, "initial_weights: is empty, and a backbone"),
         (EGO_CARS, r"augmentation.ego_car.share: is 0.5, .*recordings.separator"),
     ],
 )

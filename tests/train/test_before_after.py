@@ -45,7 +45,7 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     write_image(images / "plain.png", scene(0, 60, 80))
     for name in (HOSTILE, "third"):
         shutil.copy(images / "plain.png", images / f"{name}.png")
-    given = words(tmp_path / "run", images, "--set", f"start={start}")
+    given = words(tmp_path / "run", images, "--set", f"initial_weights={start}")
 
     result = run(*given)
 

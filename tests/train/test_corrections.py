@@ -169,7 +169,9 @@ def test_weights_say_that_people_corrected_images(kind: str, runs: dict[str, Out
 def test_what_starts_there_is_not_label_free(trained: Trained, runs: dict[str, Outcome]) -> None:
     first = runs["patches"].weights
     assert first
-    second = trained("patches", f"start={first}", "stopping.epochs=1", out="second").weights
+    second = trained(
+        "patches", f"initial_weights={first}", "stopping.epochs=1", out="second"
+    ).weights
     assert second
     assert people_behind(second) == people_behind(first) != []
 

@@ -103,7 +103,7 @@ def adapt(
             reason = "the footage stands still: both halves show the same"
             verdict = no_verdict(reason, frames.count)
         else:
-            initial = weights_path(training.start)
+            initial = weights_path(training.initial_weights)
             judged = []
             for half, held_out in zip(HALVES, reversed(halves), strict=True):
                 weights = (initial, held_out, out / WEIGHTS)
