@@ -1,8 +1,8 @@
-"""roadtorch: find the road in a single image, on a CPU, without labels.
+"""roadtorch: road detection from a single image, on a CPU, without labels.
 
-The names in ``__all__`` are what most programs need; what else they may rely on is in the modules
-that the reference documents. Each is loaded when it is first used, so that ``import roadtorch``
-(and with it ``roadtorch --help``) does not wait for torch.
+The names in ``__all__`` are what most programs need; other public names are in the modules that
+the reference documents. Each is imported when it is first used, so that ``import roadtorch`` (and
+with it ``roadtorch --help``) does not wait for torch.
 """
 
 from importlib import import_module
@@ -14,32 +14,36 @@ if TYPE_CHECKING:
     from roadtorch.base.errors import RoadtorchError
     from roadtorch.base.image import read_image
     from roadtorch.camera.camera import Camera
-    from roadtorch.detectors.catalogue import list_detectors, load_detector
+    from roadtorch.detectors.catalogue import list_detectors, load_detector, register_detector
     from roadtorch.detectors.detection import Detection
-    from roadtorch.detectors.detector import DetectorSettings
+    from roadtorch.detectors.detector import DetectorSettings, Entry
     from roadtorch.run.loop import detect_stream
 
 __all__ = [
     "Camera",
     "Detection",
     "DetectorSettings",
+    "Entry",
     "RoadtorchError",
     "__version__",
     "detect_stream",
     "list_detectors",
     "load_detector",
     "read_image",
+    "register_detector",
 ]
 
 _MODULES = {
     "Camera": "camera.camera",
     "Detection": "detectors.detection",
     "DetectorSettings": "detectors.detector",
+    "Entry": "detectors.detector",
     "RoadtorchError": "base.errors",
     "detect_stream": "run.loop",
     "list_detectors": "detectors.catalogue",
     "load_detector": "detectors.catalogue",
     "read_image": "base.image",
+    "register_detector": "detectors.catalogue",
 }
 
 

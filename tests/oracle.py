@@ -6,8 +6,8 @@ import torch
 from pydantic import Field
 from torch import nn
 
-from roadtorch.detectors.catalogue import list_detectors, register
-from roadtorch.detectors.detector import DetectorSettings, Entry
+from roadtorch.detectors.catalogue import list_detectors, register_detector
+from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.testing.scenes import render_scene
 from tests.streets import write_camvid
 
@@ -47,7 +47,7 @@ class Oracle(nn.Module):
 def know_oracle() -> None:
     """Put the oracle among the detectors, once."""
     if ORACLE not in list_detectors():
-        register(Entry(ORACLE, "knows the truth", OracleSettings, Oracle))
+        register_detector(ORACLE, OracleSettings, summary="knows the truth")(Oracle)
 
 
 def write_set(root: Path) -> Path:

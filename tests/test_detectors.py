@@ -26,7 +26,7 @@ from roadtorch.detectors.catalogue import (
     detector_groups,
     list_detectors,
     load_detector,
-    register,
+    register_detector,
 )
 from roadtorch.detectors.detector import (
     Detector,
@@ -87,6 +87,8 @@ class Simple(DetectorSettings):
 
 
 class Brightness(nn.Module):
+    """Mean of the channels."""
+
     def __init__(self, settings: Simple) -> None:
         super().__init__()
         self.gain = settings.gain
@@ -110,18 +112,20 @@ def catalogue(monkeypatch: pytest.MonkeyPatch) -> dict[str, Entry]:
 def with_grid(catalogue: dict[str, Entry]) -> None:
     """A detector, a grid of four in two families of names, and one that follows in order."""
     for name in ("bright", "many:2:b", "many:2:a", "many:1:b", "many:1:a", "zebra"):
-        register(Entry(name, "", Simple, Brightness, MANY if ":" in name else None))
+        grid = MANY if ":" in name else None
+        catalogue[name] = Entry(name, "", Simple, Brightness, grid)
 
 
 @pytest.mark.usefixtures("catalogue")
 def test_a_registered_detector_is_found_set_and_run() -> None:
     values = {"gain": 3.0, "seed_area": {"width": 40}}
-    register(Entry("bright", "mean of the channels", Simple, Brightness, values=values))
+    assert register_detector("bright", Simple, values=values)(Brightness) is Brightness
 
     detection = load_detector("bright", gain=2).detect(torch.full((3, 16, 16), 0.4))
     settings = load_detector("bright", seed_area={"height": 20}).settings
 
     assert list_detectors() == ["bright"]
+    assert detector_entry("bright").summary == "Mean of the channels"
     assert torch.equal(detection.likelihood, torch.full((16, 16), 0.8))
     assert detection.mask.all()
     assert list(detection.cues) == ["red"]
@@ -139,7 +143,7 @@ class Silent(nn.Module):
 
 
 def registered(name: str, kind: Any, build: Callable[[Any], Any]) -> None:
-    register(Entry(name, "", kind, build))
+    register_detector(name, kind)(build)
     load_detector(name).detect(torch.rand(3, 16, 16))
 
 
@@ -150,10 +154,17 @@ def registered(name: str, kind: Any, build: Callable[[Any], Any]) -> None:
         (lambda: registered("bright", Simple, Brightness), "bright: is the name of another d"),
         (lambda: registered("other", Settings, Brightness), "other: has settings .Settings. that"),
         (lambda: registered("other", Simple, lambda _: street), "other: builds function .build an"),
-        (lambda: registered("other", Simple, lambda _: Silent(1)), "other: gives no likelihood: S"),
+        (
+            lambda: registered("other", Simple, lambda _: Silent(1)),
+            "other: returns no likelihood ",
+        ),
+        (lambda: register_detector(Brightness), "name: is Brightness .write @register_detector"),
         (lambda: load_detector("many:<gain>:<kind>"), "stands for many detectors .name one; 'many"),
-        (lambda: list_detectors("*:1:*"), r"\*:1:\*: fits only .* many:<gain>:<kind> \(begin it"),
+        (lambda: list_detectors("*:1:*"), r"\*:1:\*: matches only .* many:<gain>:<kind> \(be"),
         (lambda: load_detector("0"), "known: bright, many:<gain>:<kind>, zebra"),
+        (lambda: load_detector({"gain": 2}, "bright"), "settings: got str by position .write load"),
+        (lambda: load_detector("bright", {"gain": 2}), "settings: got dict by position .write lo"),
+        (lambda: load_detector({"gain": 2}), "name: got dict by position .write load_detector"),
     ],
 )
 def test_what_is_no_detector_is_refused(call: Callable[[], object], problem: str) -> None:

@@ -20,7 +20,7 @@ LINES = {
     "roadtorch/camera": 1_740,
     "roadtorch/cli": 1_920,
     "roadtorch/data": 2_240,
-    "roadtorch/detectors": 1_870,
+    "roadtorch/detectors": 2_000,
     "roadtorch/evaluation": 3_920,
     "roadtorch/export": 900,
     "roadtorch/imaging": 1_250,

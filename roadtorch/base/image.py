@@ -21,7 +21,7 @@ from roadtorch.base.decoding import (
     decode_pixels,
     pillow_pixels,
 )
-from roadtorch.base.errors import InputError, fault, is_out_of_memory, unknown_name
+from roadtorch.base.errors import ConfigError, InputError, fault, is_out_of_memory, unknown_name
 from roadtorch.base.urls import scheme_of, url_bytes, without_password
 
 READABLE = "JPEG, PNG, TIFF, WebP or BMP"
@@ -197,6 +197,9 @@ def _read_bytes(file: IO[bytes]) -> bytes:
 
 def checked_order(order: Order) -> Order:
     """Return an order of colour channels; raise ConfigError if it is unknown."""
+    if not isinstance(order, str):
+        hint = 'write detect(image, "rgb") or load_detector(name, order="rgb")'
+        raise ConfigError("order", f"is {type(order).__name__}", hint)
     if order not in get_args(Order):
         raise unknown_name("order of colours", order, get_args(Order))
     return order

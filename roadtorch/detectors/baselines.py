@@ -104,7 +104,11 @@ def located(image: Tensor, settings: DetectorSettings, prior: Prior) -> dict[str
     return {"likelihood": prior(*image.shape[-2:]).to(image)}
 
 
-SUMMARIES = ("0.5 everywhere", "row / height", "a triangle ahead of the car")
+PRIOR_SUMMARIES = (
+    "blind baseline: 0.5 everywhere",
+    "blind baseline: the lower the row, the likelier road",
+    "blind baseline: a triangle ahead of the car",
+)
 
 ENTRIES = (
     Entry(
@@ -115,13 +119,13 @@ ENTRIES = (
     ),
     Entry(
         "vanishing-point",
-        "between borders from a voted vanishing point (Kong et al.)",
+        "area between borders from a voted vanishing point (Kong et al.)",
         VanishingPointSettings,
         partial(Analysis, vanishing_point_road),
     ),
     *(
         Entry(f"prior:{name}", summary, DetectorSettings, build, baseline=True)
-        for (name, prior), summary in zip(PRIORS.items(), SUMMARIES, strict=True)
+        for (name, prior), summary in zip(PRIORS.items(), PRIOR_SUMMARIES, strict=True)
         for build in [partial(Analysis, partial(located, prior=prior))]
     ),
 )

@@ -1,15 +1,17 @@
-"""Detectors by name: the one door for commands, evaluation and tests.
+"""Catalogue of detectors by name, for Python and for every command.
 
-Other packages add detectors through the entry-point group ``roadtorch.detectors``;
-each entry point names an ``Entry`` or a sequence of them.
+A program adds a detector of its own with ``register_detector``; a package through the entry-point
+group ``roadtorch.detectors``, each entry point naming an ``Entry`` or a sequence of them.
 """
 
 import fnmatch
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Never, TypeVar
+
+from torch import nn
 
 from roadtorch.base.compute import check_device
 from roadtorch.base.errors import ConfigError, unknown_name
@@ -20,10 +22,12 @@ from roadtorch.camera.camera import Camera
 from roadtorch.detectors import baselines, fusion, layout, oneclass, texture, ufl
 from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 
-ENTRY_POINT_GROUP = "roadtorch.detectors"
+Build = TypeVar("Build", bound=Callable[[Any], nn.Module])
+
+DETECTOR_ENTRY_POINTS = "roadtorch.detectors"
 
 CONFIG = "detector.toml"
-"""In a folder that holds a detector: its name, its settings, and the name of its weights' file."""
+"""File of a folder that holds a detector: its name, settings and the name of its weights' file."""
 
 ENTRIES: tuple[Entry, ...] = (
     *fusion.ENTRIES,
@@ -33,33 +37,45 @@ ENTRIES: tuple[Entry, ...] = (
     *baselines.ENTRIES,
     *oneclass.ENTRIES,
 )
-"""All detectors of this package."""
+"""All detectors of roadtorch."""
 
 
 def load_detector(
     name: str,
-    *,
+    *positional: Never,
     camera: Camera | None = None,
     order: Order | None = None,
     device: str | None = None,
     **settings: Any,
 ) -> Detector:
-    """Make a detector; settings that are not given keep their defaults.
+    """Load a detector.
 
-    name: of a detector, or a folder that ``roadtorch export --format hub`` wrote.
-    Nested settings are dictionaries: ``load_detector("cpf", texture={"bins": 64})``.
-    camera: the one whose images it will see, such as ``Camera.read("camera.toml")``; it sets
-    the ego car and, where the detector has one, the horizon, unless they are given.
-    order: of the colours of the NumPy arrays it will see: ``"bgr"`` of OpenCV's, else ``"rgb"``.
-    device: of torch, ``"cuda"``: images are moved there, and what is detected stays there.
-    Raises ConfigError for an unknown name or key, for values that are not allowed, and for a device
-    that this machine lacks.
+    Args:
+        name: of a detector, or path of a folder written by ``roadtorch export --format hub``.
+        *positional: refused: all other arguments are named.
+        camera: camera that takes the images, such as ``Camera.read("camera.toml")``; sets the ego
+            car and, where the detector has one, the horizon.
+        order: colour order of NumPy arrays: ``"bgr"`` for OpenCV's, else ``"rgb"``.
+        device: torch device, such as ``"cuda"``; images are moved there, and results stay there.
+        **settings: changes of the defaults. Nested ones are dictionaries:
+            ``load_detector("cpf", texture={"bins": 64})``.
 
+    Raises:
+        ConfigError: Unknown name or key, value that is not allowed, or unavailable device.
+
+    Example:
         >>> from roadtorch import load_detector
         >>> detector = load_detector("fusion", threshold=0.6)
-        >>> detector("street.jpg").mask.shape
+        >>> detection = detector("street.jpg")
+        >>> detection.likelihood.shape  # torch tensors, as is the mask
         torch.Size([240, 320])
+        >>> detection.mask.numpy().dtype
+        dtype('bool')
     """
+    if positional or not isinstance(name, str | os.PathLike):
+        where, value = ("settings", positional[0]) if positional else ("name", name)
+        hint = 'write load_detector("fusion", threshold=0.5), camera=… and order=… likewise'
+        raise ConfigError(where, f"got {type(value).__name__} by position", hint)
     if name not in _catalogue() and os.path.isdir(name):
         stored = read_settings_file(Path(name, CONFIG))
         name, settings = str(stored.pop("detector", "")), merge(stored, settings)
@@ -72,40 +88,45 @@ def load_detector(
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:
-    """What there is to compare, sorted: every detector, and of a grid of hundreds its name alone.
+    """Return the names of all detectors, sorted, those of other packages included.
 
-    With a pattern (``cpf*``) the detectors that it fits: those of a grid only where it begins
-    with their family (``oneclass:*:HS``) and ends with their preset (``oneclass:*:paper``), so
-    that ``*`` does not mean hundreds of combinations.
-    Detectors of other packages are among them. Raises ConfigError for a pattern that fits none.
+    A grid of hundreds of detectors is listed by its own name, and ``*`` does not expand it.
 
+    Args:
+        pattern: wildcards (``cpf*``). Detectors of a grid match only if it begins with their
+            family (``oneclass:*:HS``) and ends with their preset (``oneclass:*:paper``).
+
+    Raises:
+        ConfigError: No detector matches.
+
+    Example:
         >>> from roadtorch import list_detectors
         >>> list_detectors("prior:t*")
         ['prior:triangle']
     """
     if pattern is None:
         return list(detector_groups())
-    fitting = [detector_entry(name) for name in fnmatch.filter(sorted(_catalogue()), pattern)]
-    if not fitting:
-        raise unknown_detector(pattern)
-    names = [entry.name for entry in fitting if not entry.grid or entry.grid.fits(pattern)]
+    entries = [detector_entry(name) for name in fnmatch.filter(sorted(_catalogue()), pattern)]
+    if not entries:
+        raise unknown_detector_error(pattern)
+    names = [entry.name for entry in entries if not entry.grid or entry.grid.matches(pattern)]
     if not names:
-        grids = sorted({entry.grid.name for entry in fitting if entry.grid})
-        problem = f"fits only detectors of {', '.join(grids)}"
+        grids = sorted({entry.grid.name for entry in entries if entry.grid})
+        problem = f"matches only detectors of {', '.join(grids)}"
         raise ConfigError(pattern, problem, "begin it with the name of the family")
     return names
 
 
 def detector_entry(name: str) -> Entry:
-    """The entry of one detector; ConfigError with the nearest names if there is none."""
+    """Return the entry of a detector; ConfigError with the nearest names if there is none."""
     entries = _catalogue()
     if name not in entries:
-        raise unknown_detector(name)
+        raise unknown_detector_error(name)
     return entries[name]
 
 
 def detector_groups() -> dict[str, list[Entry]]:
-    """Every detector under its own name, those of a grid together under the grid's; sorted."""
+    """Return the entries by name, those of a grid together under the grid's; sorted."""
     groups: dict[str, list[Entry]] = {}
     for entry in _catalogue().values():
         groups.setdefault(entry.grid.name if entry.grid else entry.name, []).append(entry)
@@ -113,25 +134,74 @@ def detector_groups() -> dict[str, list[Entry]]:
 
 
 def is_pattern(name: str) -> bool:
-    """Whether a name has wildcards."""
+    """Return whether a name has wildcards."""
     return any(letter in name for letter in "*?[")
 
 
-def unknown_detector(name: str) -> ConfigError:
-    """The error for a name or a pattern that fits no detector: why, or the nearest names."""
+def unknown_detector_error(name: str) -> ConfigError:
+    """Return the error for a name or pattern without a detector: the reason, or nearest names."""
     grids = {entry.grid.name: entry.grid for entry in _catalogue().values() if entry.grid}
     for grid in grids.values():
-        if name in grid.refused:
-            return ConfigError(name, grid.refused[name], f"choose another {grid.name}")
+        if name in grid.invalid:
+            return ConfigError(name, grid.invalid[name], f"choose another {grid.name}")
     if name in grids:
         hint = f"name one; '{grids[name].wildcard}' lists them"
         return ConfigError(name, "stands for many detectors", hint)
     return unknown_name("detector", name, _catalogue(), detector_groups())
 
 
-def register(entry: object, entries: dict[str, Entry] | None = None) -> None:
-    """Add a detector to the entries of this process; ConfigError when its name is taken."""
-    entries = _catalogue() if entries is None else entries
+def register_detector(
+    name: str,
+    settings: type[DetectorSettings] = DetectorSettings,
+    *,
+    summary: str | None = None,
+    values: Mapping[str, Any] | None = None,
+    baseline: bool = False,
+) -> Callable[[Build], Build]:
+    """Register a detector in this process; a decorator of the class or function that builds it.
+
+    The class is made from the settings, and its ``forward(image)`` returns cues by name; see
+    ``Entry``, which the entry point of a package names instead.
+
+    Args:
+        name: ``family[:option[:option]]``.
+        settings: class of its settings.
+        summary: one line for lists; None: the first line of the docstring.
+        values: defaults that differ from those of the settings, nested.
+        baseline: whether the detector ignores the image.
+
+    Raises:
+        ConfigError: The name is taken, or the settings are not derived from DetectorSettings.
+
+    Example:
+        >>> from roadtorch import load_detector, register_detector
+        >>> from torch import nn
+        >>> @register_detector("bright")
+        ... class Bright(nn.Module):
+        ...     '''Brighter is more road.'''
+        ...     def __init__(self, settings):
+        ...         super().__init__()
+        ...     def forward(self, image):
+        ...         return {"likelihood": image.mean(0)}
+        >>> load_detector("bright", threshold=0.4)
+        <Detector bright, threshold=0.4>
+    """
+    if not isinstance(name, str):
+        hint = 'write @register_detector("name", YourSettings) above the class'
+        raise ConfigError("name", f"is {getattr(name, '__name__', name)}", hint)
+
+    def decorate(build: Build) -> Build:
+        line = next(iter((build.__doc__ or "").strip().splitlines()), "")
+        text = line.rstrip(".") if summary is None else summary
+        entry = Entry(name, text, settings, build, None, baseline, values or {})
+        _add(entry, _catalogue())
+        return build
+
+    return decorate
+
+
+def _add(entry: object, entries: dict[str, Entry]) -> None:
+    """Add an entry to others; ConfigError if its name is taken, or if it is not an entry."""
     if not isinstance(entry, Entry):
         raise ConfigError(repr(entry), "is no Entry", "name an Entry or a sequence of them")
     if entry.name in entries:
@@ -147,11 +217,11 @@ def _catalogue() -> dict[str, Entry]:
     entries: dict[str, Entry] = {}
 
     for entry in ENTRIES:
-        register(entry, entries)
+        _add(entry, entries)
 
     def add(_: str, offered: object) -> None:
         for entry in offered if isinstance(offered, Iterable) else (offered,):
-            register(entry, entries)
+            _add(entry, entries)
 
-    load_plugins(ENTRY_POINT_GROUP, "detectors", add)
+    load_plugins(DETECTOR_ENTRY_POINTS, "detectors", add)
     return entries

@@ -1,4 +1,4 @@
-"""What a detector says about one image: shown, saved, handed on as arrays."""
+"""Detections: the result for one image, which can be shown, saved and converted."""
 
 import importlib
 import os
@@ -18,14 +18,14 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import overlay_pixels, png_bytes, write_map, write_mask, write_pixels
 from roadtorch.imaging.resize import at_image_size
 
-NOTEBOOK_SIDE = 960  # pixels of the longer side of what notebooks show; ours: the width of a page
+NOTEBOOK_SIDE = 960  # pixels of the longer side in notebooks; ours: the width of a page
 
 
 @dataclass(frozen=True, eq=False)
 class Cues(Mapping[str, Tensor]):
-    """The cues of an image, kept at the size at which they were found, enlarged when asked for.
+    """Cues of an image, stored at the size of the analysis and enlarged when they are accessed.
 
-    maps: by name, (h,w) or (C,h,w). size: rows and columns of the image.
+    maps: by name, (h, w) or (C, h, w). size: rows and columns of the image.
     """
 
     maps: Mapping[str, Tensor]
@@ -33,37 +33,42 @@ class Cues(Mapping[str, Tensor]):
 
     @one_thread()
     def __getitem__(self, name: str) -> Tensor:
-        """The cue of that name at the size of the image; KeyError where there is none."""
+        """Return the cue of that name at the size of the image."""
         return at_image_size(self.maps[name], self.size)
 
     def __iter__(self) -> Iterator[str]:
-        """The names of all cues."""
+        """Iterate over the names of the cues."""
         return iter(self.maps)
 
     def __len__(self) -> int:
-        """How many cues there are."""
+        """Return the number of cues."""
         return len(self.maps)
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What a detector says about one image.
+    """Result of a detector for one image; the maps are torch tensors.
 
-    likelihood: float32 (H,W) in [0,1], higher is more road-like.
-    mask: bool (H,W), the decision.
-    cues: the maps the decision rests on, by name; (H,W) or (C,H,W).
-    trust: the expected F of the mask, in [0,1]; None where the detector does not say.
-    doubt: why the mask should be looked at before it is used, in words; empty where it need not.
-    name, seconds: of the frame, where a source gave it: its name, the time since the source began.
-    image: (3,H,W) in [0,1], what was looked at; None where a Detection is made without one.
+    Attributes:
+        likelihood: road likelihood, float32 in [0, 1], shape (H, W).
+        mask: road mask, bool, shape (H, W).
+        cues: maps that the mask is based on, by name, shape (H, W) or (C, H, W).
+        trust: predicted F-score of the mask in [0, 1]; None: the detector does not predict it.
+        doubt: reason to check the mask before it is used; empty where there is none.
+        name: of the frame, if it comes from a source.
+        seconds: time of the frame since its source began.
+        image: the image in [0, 1], shape (3, H, W); None for a Detection made without one.
 
+    Example:
         >>> from roadtorch import load_detector
         >>> detection = load_detector("prior:rows")("street.jpg")
         >>> detection
         <Detection 320×240, road 50%>
-        >>> detection.save("street.mask.png")
+        >>> detection.mask.numpy().shape  # of one map; numpy() converts all
+        (240, 320)
         >>> sorted(detection.numpy())
         ['likelihood', 'mask']
+        >>> detection.save("street.mask.png")
     """
 
     likelihood: Tensor
@@ -77,20 +82,24 @@ class Detection:
 
     @property
     def caption(self) -> str:
-        """What an overlay says of it; nothing where the detector does not judge itself."""
+        """Caption of the overlay: the trust; empty where there is none."""
         return "" if self.trust is None else f"trust {self.trust:.2f}"
 
     def numpy(self) -> dict[str, np.ndarray]:
-        """The maps as arrays by name: ``likelihood``, ``mask`` and the cues."""
+        """Return all maps as NumPy arrays by name: ``likelihood``, ``mask`` and the cues."""
         maps = {"likelihood": self.likelihood, "mask": self.mask, **self.cues}
         return {name: map.detach().cpu().numpy() for name, map in maps.items()}
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write what the end of the file's name says.
+        """Write a file; the end of its name determines what is written.
 
-        ``….mask.png`` (road 255, the rest 0), ``….likelihood.png`` (0 to 255), ``….overlay.jpg`` or
-        ``….overlay.png``, or ``….npz`` with the arrays of ``numpy`` and the trust. Raises
-        ConfigError for another end, and InputError where the file cannot be written.
+        Args:
+            path: ends in ``mask.png`` (road 255, else 0), ``likelihood.png`` (0 to 255),
+                ``overlay.jpg``, ``overlay.png``, or ``.npz`` (arrays of ``numpy`` and the trust).
+
+        Raises:
+            ConfigError: The name has another end.
+            InputError: The file cannot be written.
         """
         name = os.fspath(path)
         if name.endswith("mask.png"):
@@ -105,12 +114,13 @@ class Detection:
                 np.savez_compressed(file, allow_pickle=False, **self.numpy(), **trust)
         else:
             hint = "end it with .mask.png, .likelihood.png, .overlay.jpg or .npz"
-            raise ConfigError(path, "does not say what to write", hint)
+            raise ConfigError(path, "has no known ending", hint)
 
     def show(self) -> None:
-        """Show the overlay: in the notebook, or else in the computer's viewer of images.
+        """Show the overlay in the notebook or the system's image viewer.
 
-        Raises InputError where there is neither.
+        Raises:
+            InputError: There is neither.
         """
         if "ipykernel" in sys.modules:
             importlib.import_module("IPython.display").display(self)
@@ -118,9 +128,10 @@ class Detection:
             raise InputError("show()", "finds no display", "use save(), or a notebook")
 
     def overlay(self) -> np.ndarray:
-        """The image with its road tinted and outlined, uint8 (H,W,3) RGB, as ``infer`` draws it.
+        """Return the image with its road tinted and outlined, as RGB uint8, shape (H, W, 3).
 
-        Raises InputError where there is no image.
+        Raises:
+            InputError: The detection has no image.
         """
         if self.image is None:
             raise InputError("image", "is not part of this detection", "give Detection(image=…)")
@@ -129,27 +140,29 @@ class Detection:
     # --- in the forms of other packages -----------------------------------------------------
 
     def polygons(self) -> list[list[np.ndarray]]:
-        """The regions of road: of each its border and those of its holes, int (N,2) as (x, y).
+        """Return the road regions as polygons: of each its border, then those of its holes.
 
-        Borders go through the centres of a region's outermost pixels, those of holes through the
-        road around them: ``shapely.Polygon(rings[0], rings[1:])`` where rings have four corners.
+        Borders have shape (N, 2), int, as (x, y). They pass through the centres of the outermost
+        pixels of a region, or of the road around a hole: ``shapely.Polygon(rings[0], rings[1:])``,
+        if rings have at least four corners.
         """
         pixels = self.mask.cpu().numpy().astype(np.uint8)
         borders, tree = cv2.findContours(pixels, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-        outside = tree[0, :, 3].tolist() if len(borders) else []  # of a hole: its region; or -1
+        parents = tree[0, :, 3].tolist() if len(borders) else []  # of a hole: its region; or -1
         rings = [border.reshape(-1, 2) for border in borders]
-        regions = {n: [ring] for n, ring in enumerate(rings) if outside[n] < 0}
-        for ring, region in zip(rings, outside, strict=True):
+        regions = {n: [ring] for n, ring in enumerate(rings) if parents[n] < 0}
+        for ring, region in zip(rings, parents, strict=True):
             if region >= 0:
                 regions[region].append(ring)
         return list(regions.values())
 
     def to_supervision(self) -> Any:
-        """``supervision.Detections``: the road as one object, none where there is none.
+        """Convert to ``supervision.Detections``: the road as one object, the trust its confidence.
 
-        Its confidence is the trust. Raises ConfigError where supervision is not installed.
+        Raises:
+            ConfigError: supervision is not installed.
         """
-        supervision = _package("supervision")
+        supervision = _import_optional("supervision")
         mask = self.mask.cpu().numpy()
         if not mask.any():
             return supervision.Detections.empty()
@@ -164,22 +177,22 @@ class Detection:
         )
 
     def __repr__(self) -> str:
-        """One line: size, share of road, and how far it can be trusted."""
+        """Return one line: size, fraction of road, trust and doubt."""
         height, width = self.mask.shape
         parts = [f"{width}×{height}", f"road {float(self.mask.double().mean()):.0%}", self.caption]
         doubt = f" ({self.doubt})" if self.doubt else ""
         return f"<Detection {', '.join(filter(None, parts))}{doubt}>"
 
     def _repr_png_(self) -> bytes | None:
-        """What notebooks show."""
+        """Return the overlay as PNG for notebooks."""
         return None if self.image is None else png_bytes(self.overlay(), NOTEBOOK_SIDE)
 
 
 def to_pandas(detections: Iterable[Detection]) -> Any:
-    """A ``pandas.DataFrame`` with a row for each detection, in their order.
+    """Return a ``pandas.DataFrame`` with a row for each detection, in order.
 
-    Columns: name, seconds, width, height, road_share (0 to 1), trust, doubt. Raises ConfigError
-    where pandas is not installed. ``index.csv`` of ``infer`` has the same of a folder.
+    Columns: name, seconds, width, height, road_share (0 to 1), trust, doubt; ``index.csv`` of
+    ``infer`` has the same for a folder. Raises ConfigError if pandas is not installed.
     """
     rows = [
         {
@@ -193,11 +206,11 @@ def to_pandas(detections: Iterable[Detection]) -> Any:
         }
         for detection in detections
     ]
-    return _package("pandas").DataFrame(rows)
+    return _import_optional("pandas").DataFrame(rows)
 
 
-def _package(name: str) -> Any:
-    """A package that roadtorch does not need itself; ConfigError where it is not installed."""
+def _import_optional(name: str) -> Any:
+    """Import a package that roadtorch does not require; ConfigError if it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:

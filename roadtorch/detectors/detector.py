@@ -1,17 +1,17 @@
-"""What a detector is: an image in, a likelihood, a mask and cues out.
+"""Detectors: an image in; a likelihood, a mask and cues out.
 
-A detector has two parts. Its own is an ``nn.Module`` that turns an image into cues, of which
-``likelihood`` is one: those that come with roadtorch are in ``detectors``, where they are
-found by name. What all detectors share (checking the image, deciding on the mask, batches)
-is ``Detector``, here, once; it knows none of them.
+A detector has two parts. Its analysis is an ``nn.Module`` that turns an image into cues, one of
+them ``likelihood``; those of roadtorch are in the other modules of ``detectors``. ``Detector`` is
+the part that all share: checking the image, the ego car, full size, the mask, batches and footage.
 """
 
 import os
-from collections.abc import Callable, Generator, Iterable, Mapping
+import reprlib
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import reduce, wraps
-from typing import Annotated, Any, Literal, NamedTuple, cast, overload
+from typing import Annotated, Any, Literal, NamedTuple, cast, get_args, overload
 
 import numpy as np
 import torch
@@ -30,20 +30,22 @@ from roadtorch.road.outlines import Outlines, guided
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
 
-MIN_SIDE = 16  # pixels; below it, superpixels and the seed area have no meaning
+MIN_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
 
-Threshold = Annotated[float, Field(ge=0, le=1, description="road from this likelihood on")]
+Threshold = Annotated[
+    float, Field(ge=0, le=1, description="likelihood from which a pixel is road, 0 to 1")
+]
 Isolated = Annotated[
     Literal["drop", "keep"],
-    Field(description="what becomes of road regions that do not touch the seed area"),
+    Field(description="drop or keep road regions that do not touch the seed area"),
 ]
 
-TUNED = "road from this likelihood on; the default has the best F on CamVid's three drives"
-"""The description of a threshold that was chosen on labelled images."""
+TUNED_THRESHOLD = "likelihood from which a pixel is road; the default has the best F on CamVid"
+"""Description of a threshold that was chosen on labelled images: CamVid's three drives."""
 
 
 class DetectorSettings(Settings):
-    """What every detector can be told: how its likelihood becomes a mask.
+    """Settings of every detector: how its likelihood becomes a mask.
 
     >>> from roadtorch import DetectorSettings, load_detector
     >>> isinstance(load_detector("cpf").settings, DetectorSettings)
@@ -53,17 +55,17 @@ class DetectorSettings(Settings):
     threshold: Threshold = 0.5
     isolated: Isolated = "keep"
     seed_area: SeedArea = Field(
-        default=SeedArea(), description="where road is assumed, and what connected road touches"
+        default=SeedArea(), description="area assumed to be road; connected road touches it"
     )
     ego: Ego = Field(
-        default=Ego(), description="the vehicle that carries the camera: never road, never seed"
+        default=Ego(), description="vehicle that carries the camera: never road, never seed"
     )
 
 
 class WorkingSettings(DetectorSettings):
-    """What every detector can be told that thinks at a working size; it drops isolated road.
+    """Settings of detectors that analyse the image at a working size and drop isolated road.
 
-    Its module sees the image at that size; ``Detector`` brings what it finds back to full size.
+    ``Detector`` resizes the image for the analysis, and its maps back to full size.
     """
 
     isolated: Isolated = "drop"
@@ -72,19 +74,19 @@ class WorkingSettings(DetectorSettings):
 
 
 Judge = Callable[[Tensor, Mapping[str, Tensor]], Judgement]
-"""What an analysis may have as ``judge``: a mask bool (H,W) made of its likelihood, and its cues of
-that size, of which ``ego`` is one → how far the mask can be trusted."""
+"""Optional method ``judge`` of an analysis: predicts the trust in a mask, bool (h, w), from it and
+the cues of that size, ``likelihood`` and ``ego`` among them."""
 
 
 class Evidence(NamedTuple):
-    """What one image shows by itself: all of a detection that needs no other frame.
+    """Part of a detection that depends on one image alone, before frames are smoothed.
 
-    analysed: likelihood and cues as the analysis gave them, at the size at which it thinks.
-    likelihood: float32 (H,W), without road on the ego car. ego: that, bool (H,W), where the
-    settings or the analysis have one. cues: the other ones. image: (3,H,W) in [0,1].
+    outputs: likelihood and cues of the analysis, at its working size. likelihood: float32 (H, W),
+    0 on the ego car. ego: bool (H, W), where the settings or the analysis have one. cues: the
+    others. image: (3, H, W) in [0, 1].
     """
 
-    analysed: Mapping[str, Tensor]
+    outputs: Mapping[str, Tensor]
     likelihood: Tensor
     ego: Tensor | None
     cues: Cues
@@ -93,46 +95,55 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True)
 class DetectorGrid:
-    """Many detectors of one family, one for each combination of options.
+    """Grid of detectors of one family, one for each combination of options.
 
-    Lists show them once, and a wildcard matches them only where it names the family, and the
-    preset where they have one.
-    name: ``family:<option>:<option>[:preset]``, the options by what they are. summary: one line.
-    refused: combinations that make no sense, by the name they would have, with the reason.
+    Lists show the grid once; a wildcard matches its detectors only if it names the family, and
+    the preset where there is one.
+    name: ``family:<option>:<option>[:preset]``, with placeholders. summary: one line.
+    invalid: names of combinations that are not offered, with the reason.
     """
 
     name: str
     summary: str
-    refused: Mapping[str, str] = field(default_factory=dict)
+    invalid: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def family(self) -> str:
-        """What all their names begin with, the colon included."""
+        """Prefix of all names, including the colon."""
         return self.name.partition(":")[0] + ":"
 
     @property
     def wildcard(self) -> str:
-        """What lists them all: ``family:*``, or ``family:*:preset``."""
+        """Pattern that matches all detectors: ``family:*``, or ``family:*:preset``."""
         last = self.name.rpartition(":")[2]
         return f"{self.family}*" if last.startswith("<") else f"{self.family}*:{last}"
 
-    def fits(self, pattern: str) -> bool:
-        """Whether a pattern names the family and the preset."""
+    def matches(self, pattern: str) -> bool:
+        """Return whether a pattern names the family and the preset."""
         begin, _, end = self.wildcard.partition("*")
         return pattern.startswith(begin) and pattern.endswith(end)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One detector on offer.
+    """Entry of the catalogue of detectors, also what an entry point of another package names.
 
-    name: ``family[:option[:option]]``. summary: one line for lists.
-    settings: the model of its settings.
-    build: makes from them the module whose ``forward(image)`` takes an image (3,H,W) in [0,1]
-        and gives named cues, (H,W) or (C,H,W); ``likelihood`` (H,W) in [0,1] is one of them.
-        Usually its class.
-    grid: where it is one of many. baseline: whether it never looks at the image.
-    values: its own defaults where they are not those of the model, nested.
+    Attributes:
+        name: ``family[:option[:option]]``.
+        summary: one line for lists.
+        settings: class of its settings.
+        build: usually a class: makes from the settings the ``nn.Module`` whose ``forward(image)``
+            takes an image, in [0, 1], shape (3, H, W), and returns cues by name, shape (H, W) or
+            (C, H, W). One of them is ``likelihood``, in [0, 1], shape (H, W).
+        grid: grid of detectors that it is part of.
+        baseline: whether it ignores the image.
+        values: its defaults where they differ from those of the class, nested.
+
+    Example:
+        >>> from roadtorch import Entry
+        >>> from roadtorch.detectors.catalogue import detector_entry
+        >>> isinstance(detector_entry("cpf"), Entry)
+        True
     """
 
     name: str
@@ -144,16 +155,27 @@ class Entry:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def configured(self, changes: Mapping[str, Any]) -> DetectorSettings:
-        """Its settings with changes, nested; ConfigError as ``build_settings``."""
+        """Return its settings with changes, nested; ConfigError as ``build_settings``."""
         return build_settings(self.settings, merge(self.values, changes))
 
 
 class Detector(nn.Module):
-    """A detector that is ready to look at images; made by ``load_detector``.
+    """Road detector, ready to use; made by ``load_detector``.
 
-    name, settings: what it was made from. order: of the colours of NumPy arrays, where none is
-    told with them. device: to which images are moved; None where they stay. analysis: the module
-    that finds the cues, its parts (networks among them) as attributes.
+    Attributes:
+        name: of the detector.
+        settings: all of them.
+        order: colour order of NumPy arrays that come without one.
+        device: device to which images are moved; None: they stay where they are.
+        analysis: module that computes the cues, with its networks as attributes.
+
+    Example:
+        >>> from roadtorch import load_detector
+        >>> detector = load_detector("fusion", threshold=0.6)
+        >>> detector
+        <Detector fusion, threshold=0.6>
+        >>> detector("street.jpg").mask.numpy().shape
+        (240, 320)
     """
 
     def __init__(
@@ -168,7 +190,9 @@ class Detector(nn.Module):
         self.order: Order | None = None if order is None else checked_order(order)
         self.name = entry.name
         self.settings = settings
-        # Read once, and before any work: what is wrong with it is told now.
+        usual = merge(type(settings).model_construct().model_dump(), entry.values)
+        self._changes = dict(_changes(settings.model_dump(), usual))
+        # Read once, and at once: errors in the file are reported before any image is analysed.
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
         if not isinstance(analysis, nn.Module):
@@ -189,41 +213,59 @@ class Detector(nn.Module):
     ) -> list[Detection]: ...
 
     def __call__(self, images: Any, order: Order | None = None) -> Any:
-        """An image's Detection, as ``detect``; those of several as a list, as ``detect_many``.
+        """Detect the road in an image, as ``detect``, or in several, as a list of ``detect_many``.
 
-        Several are a list, a stack of arrays and a tensor (B,3,H,W).
+        Several are a list, a stack of arrays or a tensor of shape (B, 3, H, W).
         """
         if isinstance(images, (Tensor, np.ndarray)):
             several = images.ndim == 4
         else:
-            one = isinstance(images, (str, bytes)) or hasattr(images, "read")  # an open file
-            several = isinstance(images, Iterable) and not one
+            single = isinstance(images, (str, bytes)) or hasattr(images, "read")  # an open file
+            several = isinstance(images, Iterable) and not single
         if several:
             return list(self.detect_many(images, order))
         return self.detect(cast("ImageLike", images), order)
 
     def detect(self, image: ImageLike, order: Order | None = None) -> Detection:
-        """Find the road in one image, from 16×16 up.
+        """Detect the road in one image of at least 16×16 pixels.
 
-        image: a path or URL, or a file's bytes, or the file opened to read them; a NumPy array
-        (H,W,3) with the ``order`` of its colours, also with alpha (H,W,4) or grey (H,W), uint8,
-        uint16 or floating point in [0,1]; a Pillow image; an RGB tensor (3,H,W), floating point in
-        [0,1] or uint8. Raises InputError when it is anything
-        else, and when what the detector makes of it is not finite: there is no decision on NaN.
+        Args:
+            image: path, URL, bytes of a file, or open binary file; NumPy array of shape (H, W, 3),
+                (H, W, 4) with alpha or (H, W) grey, uint8, uint16 or floating point in [0, 1];
+                Pillow image; or RGB tensor of shape (3, H, W), floating point in [0, 1] or uint8.
+            order: colour order of an array, ``"rgb"`` or ``"bgr"`` (OpenCV's), unless
+                ``load_detector`` got it.
+
+        Returns:
+            A detection with torch tensors; ``detection.mask.numpy()`` is an array.
+
+        Raises:
+            InputError: The image cannot be used, or its likelihood is not finite.
+            ConfigError: ``order`` is not a colour order.
         """
+        if order is not None:
+            checked_order(order)
+        if isinstance(image, str) and image in get_args(Order) and not os.path.exists(image):
+            raise InputError("image", "is an order of colours", f'write detect(image, "{image}")')
         if order == "bgr" and isinstance(image, Tensor):
-            raise InputError("order", "is of NumPy arrays; tensors are RGB", "give image.flip(0)")
+            raise InputError("order", "is for NumPy arrays; tensors are RGB", "give image.flip(0)")
         evidence = self.find(as_image(image, order or self.order))
         return self.conclude(evidence)
 
     def detect_many(
         self, images: Iterable[ImageLike], order: Order | None = None
     ) -> Generator[Detection]:
-        """Find the road in image after image, each given as to ``detect``, in their order.
+        """Detect the road in several images, one after the other, in order.
 
-        images: a list, a generator, which is asked when it is needed, or a stack of arrays of one
-        size. Raises what ``detect`` raises, naming the image ``images[3]``, and ends there.
+        Args:
+            images: list or generator of images as ``detect`` takes them, or a stack of arrays of
+                one size. A generator is advanced only as results are needed.
+            order: colour order of arrays, as in ``detect``.
 
+        Raises:
+            InputError: As in ``detect``, naming the image ``images[3]``; the generator ends there.
+
+        Example:
             >>> import numpy
             >>> from roadtorch import load_detector
             >>> detector = load_detector("prior:rows", order="bgr")
@@ -231,12 +273,14 @@ class Detector(nn.Module):
             >>> [detection.mask.shape[1] for detection in detector.detect_many(frames)]
             [80, 81]
         """
+        if order is not None:
+            checked_order(order)
         if isinstance(images, (str, os.PathLike, bytes)) or not isinstance(images, Iterable):
             hint = "give a list; detect takes one image"
             raise InputError("images", f"are {type(images).__name__}", hint)
-        return self._detected(images, order)
+        return self._detections(images, order)
 
-    def _detected(self, images: Iterable[ImageLike], order: Order | None) -> Generator[Detection]:
+    def _detections(self, images: Iterable[ImageLike], order: Order | None) -> Generator[Detection]:
         for number, image in enumerate(images):
             try:
                 yield self.detect(image, order)
@@ -245,9 +289,44 @@ class Detector(nn.Module):
                     raise
                 raise InputError(f"images[{number}]", error.problem, error.hint) from None
 
+    def stream(
+        self,
+        source: str | os.PathLike[str],
+        *,
+        steady: bool = True,
+        every: int = 1,
+        start: float = 0.0,
+        end: float | None = None,
+        limit: int | None = None,
+        topic: str | None = None,
+    ) -> Generator[Detection]:
+        """Detect the road in each frame of footage; ``detect_stream`` with this detector.
+
+        Args:
+            source: path of a video, bag or folder of images, camera number ("0"), or address.
+            steady: whether likelihoods are smoothed over time, as ``roadtorch infer`` does unless
+                it gets ``--no-steady``; images of a folder never are.
+            every: process the first of so many frames.
+            start: seconds of footage to skip.
+            end: seconds of footage at which to stop.
+            limit: largest number of frames.
+            topic: topic of the images in a bag, if it has several.
+
+        Example:
+            >>> from roadtorch import load_detector
+            >>> for detection in load_detector("prior:rows").stream("street.jpg"):
+            ...     print(detection.name, detection)
+            street <Detection 320×240, road 50%>
+        """
+        from roadtorch.run.loop import Selection, detect_stream  # a layer above: see pyproject.toml
+
+        return detect_stream(
+            source, self, Selection(every, start, end, limit, topic), steady=steady
+        )
+
     @one_thread()
     def forward(self, images: Tensor) -> Tensor:
-        """Likelihoods (B,H,W) of a batch (B,3,H,W); each equals that of ``detect``."""
+        """Compute the likelihoods (B, H, W) of a batch (B, 3, H, W), each as in ``detect``."""
         if images.ndim != 4:
             problem = f"have the shape {tuple(images.shape)}"
             raise InputError("images", problem, "give a batch (B, 3, height, width)")
@@ -258,38 +337,38 @@ class Detector(nn.Module):
     @one_thread()
     @torch.no_grad()
     def find(self, image: Tensor) -> Evidence:
-        """The first half of ``detect``: likelihood and cues of an image (3,H,W) in [0,1]."""
+        """Compute likelihood and cues of an image (3, H, W) in [0, 1]: first half of ``detect``."""
         return self._find(image)
 
     def _find(self, image: Tensor) -> Evidence:
-        """``_found``, in float32 inside autocast, too; ConfigError inside ``torch.compile``."""
+        """Run ``_analyse`` in float32, autocast or not; ConfigError inside ``torch.compile``."""
         if torch.compiler.is_compiling():
             hint = "compile its network: detector.analysis.network = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", hint)
         image = checked_image(image).to(self.device)
         with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):
-            return self._found(image)
+            return self._analyse(image)
 
-    def _found(self, image: Tensor) -> Evidence:
-        """The ego car is what the settings say, and what the analysis finds as its cue ``ego``."""
+    def _analyse(self, image: Tensor) -> Evidence:
+        """Analyse an image; the ego car is that of the settings and the analysis' cue ``ego``."""
         settings = self.settings if isinstance(self.settings, WorkingSettings) else None
         cars, ground = [], image
         if is_given(self.settings.ego):
             cars = [ego_car(image, self.settings.ego, self._ego_mask)]
             ground = continued(image, cars[0])
         small = at_work(ground, settings.working) if settings else ground
-        analysed = self.analysis(small)
-        if not isinstance(analysed, Mapping) or "likelihood" not in analysed:
-            problem = f"gives no likelihood: {type(self.analysis).__name__}.forward has to"
-            raise ConfigError(self.name, problem, "let it return a mapping with likelihood (H,W)")
-        if not analysed["likelihood"].sum().isfinite():  # one that is not makes the sum so
+        outputs = self.analysis(small)
+        if not isinstance(outputs, Mapping) or "likelihood" not in outputs:
+            problem = f"returns no likelihood from {type(self.analysis).__name__}.forward"
+            raise ConfigError(self.name, problem, "return a mapping with likelihood (H, W)")
+        if not outputs["likelihood"].sum().isfinite():  # a single NaN or inf shows in the sum
             problem = f"gives {self.name} a likelihood that is not finite"
             raise InputError("image", problem, "check the weights and the settings; else report it")
-        size, cues = size_of(image), dict(analysed)
+        size, cues = size_of(image), dict(outputs)
         likelihood = cues.pop("likelihood")
         if settings:
             if settings.outlines == "guided":
-                likelihood = guided(analysed, small, ground, settings.working, settings.threshold)
+                likelihood = guided(outputs, small, ground, settings.working, settings.threshold)
             likelihood = at_image_size(likelihood, size)
         if "ego" in cues:
             cars.append(at_image_size(cues.pop("ego"), size))
@@ -298,20 +377,21 @@ class Detector(nn.Module):
             likelihood = likelihood.masked_fill(ego, 0)
             if "seed_area" in cues:
                 cues["seed_area"] = at_image_size(cues["seed_area"], size).masked_fill(ego, 0)
-        return Evidence(analysed, likelihood, ego, Cues(cues, size), image)
+        return Evidence(outputs, likelihood, ego, Cues(cues, size), image)
 
     @one_thread()
     @torch.no_grad()
     def conclude(
         self, evidence: Evidence, likelihood: Tensor | None = None, ego: Tensor | None = None
     ) -> Detection:
-        """The second half of ``detect``: the decision, and how far it can be trusted.
+        """Decide on the mask and judge it: second half of ``detect``.
 
-        likelihood: float32 (H,W) in [0,1], and ego: the ego car bool (H,W), decided on in the place
-        of those of the evidence, as when frames of a video steady one another. Trust still rests on
-        the frame's own.
+        Args:
+            evidence: result of ``find``. Trust is always computed from its likelihood.
+            likelihood: smoothed likelihood to decide on instead, float32 in [0, 1], shape (H, W).
+            ego: smoothed ego car to use instead, bool, shape (H, W).
         """
-        analysed, seed = evidence.analysed, evidence.analysed.get("seed_area")
+        outputs, seed = evidence.outputs, evidence.outputs.get("seed_area")
         ego = evidence.ego if ego is None else ego
         if likelihood is None:
             likelihood = evidence.likelihood
@@ -323,57 +403,73 @@ class Detector(nn.Module):
         trust, doubt, cues = None, "", evidence.cues
         judge: Judge | None = getattr(self.analysis, "judge", None)
         if judge is not None:
-            size = size_of(analysed["likelihood"])
+            size = size_of(outputs["likelihood"])
             hidden = torch.zeros_like(mask) if ego is None else ego
-            small = {**analysed, "ego": at_image_size(hidden, size)}
+            small = {**outputs, "ego": at_image_size(hidden, size)}
             trust, doubt = judge(at_image_size(mask, size), small)
         if ego is not None:
             cues = Cues({**cues.maps, "ego": ego}, cues.size)
         return Detection(likelihood, mask, cues, trust, doubt, image=evidence.image)
 
-    def extra_repr(self) -> str:
-        """The name and settings, for ``print(detector)``."""
-        return f"{self.name!r}, {self.settings!r}"
+    def __repr__(self) -> str:
+        """Return one line: the name, and the settings that differ from the detector's defaults."""
+        options = {**self._changes, "order": self.order, "device": self.device}
+        set_ones = (f", {k}={reprlib.repr(v)}" for k, v in options.items() if v is not None)
+        return f"<Detector {self.name}{''.join(set_ones)}>"
 
 
-def lean(find: Callable[..., Mapping[str, Tensor]]) -> Callable[..., dict[str, Tensor]]:
-    """Mark what an analysis does: image (3,H,W) in [0,1] and more → maps.
+def _changes(
+    settings: Mapping[str, Any], usual: Mapping[str, Any], group: str = ""
+) -> Iterator[tuple[str, Any]]:
+    """Yield the settings that differ from the usual ones, by their full key."""
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _changes(value, usual.get(key) or {}, f"{group}{key}.")
+        elif value != usual.get(key):
+            yield f"{group}{key}", value
 
-    It runs in inference mode, on the CPU and where no gradients are asked for: what autograd
-    notes of a thousand small kernels takes a fifteenth of the time. Its maps are copies, with
-    which can be done what can be done with any tensor. For analyses of our own: others may want
-    gradients inside.
+
+def use_inference_mode(
+    analyse: Callable[..., Mapping[str, Tensor]],
+) -> Callable[..., dict[str, Tensor]]:
+    """Run an analysis, an image and more to maps, in inference mode.
+
+    Only on the CPU and where no gradients are enabled: autograd's bookkeeping for a thousand small
+    kernels takes a fifteenth of the time. The maps are cloned, so that they are ordinary tensors.
+    For our own analyses: others may need gradients inside.
     """
 
-    @wraps(find)
-    def wrapped(*parts: Any) -> dict[str, Tensor]:
+    @wraps(analyse)
+    def wrapped(*arguments: Any) -> dict[str, Tensor]:
         if torch.compiler.is_exporting():
-            return dict(find(*parts))
-        on_cpu = all(part.device.type == "cpu" for part in parts if isinstance(part, Tensor))
+            return dict(analyse(*arguments))
+        on_cpu = all(item.device.type == "cpu" for item in arguments if isinstance(item, Tensor))
         with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
-            maps = find(*parts)
+            maps = analyse(*arguments)
         return {name: map.clone() if map.is_inference() else map for name, map in maps.items()}
 
     return wrapped
 
 
 class Analysis(nn.Module):
-    """An analysis without weights: ``find(image, settings)`` gives the cues."""
+    """Analysis without weights: a function of image and settings that returns the cues."""
 
-    def __init__(self, find: Callable[[Tensor, Any], Mapping[str, Tensor]], settings: Any) -> None:
+    def __init__(
+        self, analyse: Callable[[Tensor, Any], Mapping[str, Tensor]], settings: Any
+    ) -> None:
         super().__init__()
-        self.find = find
+        self.analyse = analyse
         self.settings = settings
 
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
-        return self.find(image, self.settings)
+        """Compute the cues of an image (3, H, W) in [0, 1]."""
+        return self.analyse(image, self.settings)
 
 
 def checked_image(image: Tensor) -> Tensor:
-    """The image as float32 (3,H,W), if it is one: floating point, ≥ 16×16, in [0,1].
+    """Check an image: floating point in [0, 1], shape (3, H, W), ≥ 16×16; return it as float32.
 
-    Raises InputError naming ``image``, what came and what to do.
+    Raises InputError that names ``image``, the problem and what to do.
     """
     if not isinstance(image, Tensor) or not image.is_floating_point():
         kind = image.dtype if isinstance(image, Tensor) else type(image).__name__
@@ -397,16 +493,21 @@ def decide(
     seed: Tensor | None = None,
     ego: Tensor | None = None,
 ) -> Tensor:
-    """The mask bool (H,W): likelihood ≥ threshold, isolated regions dropped if asked for.
+    """Return the mask, bool (H, W): likelihood ≥ threshold, isolated regions dropped if set.
 
-    seed: the seed area bool (H,W), where a detector has found it; else its rectangle. ego: the ego
-    car bool (H,W), no road. Road reaches the seed area through the ground that it hides. Where only
-    hidden ground does, that says nothing about which region is the road, and none is dropped.
+    Road may reach the seed area through the ground hidden by the ego car. Where only hidden ground
+    does, no region is known to be the road, and none is dropped.
+
+    Args:
+        likelihood: in [0, 1], shape (H, W).
+        settings: threshold, isolated regions and seed area.
+        seed: seed area, bool, shape (H, W); None: the rectangle of the settings.
+        ego: ego car, bool, shape (H, W); never road.
     """
     if ego is not None and not is_anywhere(ego):
         ego = None
-    shown = likelihood if ego is None else continued(likelihood, ego)
-    mask = at_least(shown, settings.threshold)
+    extended = likelihood if ego is None else continued(likelihood, ego)
+    mask = at_least(extended, settings.threshold)
     if settings.isolated == "drop":
         area = seed_rectangle(mask.shape, settings.seed_area) if seed is None else seed
         mask = remove_isolated(mask, area)

@@ -11,13 +11,13 @@ from torch.nn import functional
 
 from roadtorch.base.settings import Settings
 from roadtorch.detectors.detector import (
-    TUNED,
+    TUNED_THRESHOLD,
     Analysis,
     Entry,
     Outlines,
     Threshold,
     WorkingSettings,
-    lean,
+    use_inference_mode,
 )
 from roadtorch.imaging.color import brightened
 from roadtorch.imaging.resize import WorkingSize, side, whole
@@ -111,7 +111,7 @@ class FusionSettings(WorkingSettings):
 class UntrainedFusionSettings(WorkingSettings):
     """The fused detector without a network."""
 
-    threshold: Threshold = Field(default=0.39, description=TUNED)
+    threshold: Threshold = Field(default=0.39, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     labeller: HorizonSettings = HorizonSettings()
 
@@ -148,7 +148,7 @@ class PaperFusionSettings(WorkingSettings):
     and tests a uniform one alone. The other two priors are baselines of ours.
     """
 
-    threshold: Threshold = Field(default=0.131, description=TUNED)
+    threshold: Threshold = Field(default=0.131, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     weights: WeightsFile = WeightsFile()
     texture: TextureSettings = TextureSettings()
@@ -165,7 +165,7 @@ FROM_SCRATCH = "layout-free"
 """The shipped weights of a network that began with random ones."""
 
 
-@lean
+@use_inference_mode
 def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
     """Naive Bayes of what one image (3,H,W) shows by itself. Ours, after P2."""
     image = brightened(image, EXPOSURE)
@@ -198,7 +198,7 @@ class Fusion(nn.Module):
         file = settings.second.file
         self.second = image_network_of(WeightsFile(file=file), file) if file else None
 
-    @lean
+    @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]; in an exported graph of a batch (N,3,H,W)."""
         learned = self.learned(image)
@@ -268,7 +268,7 @@ class ScratchFusion(nn.Module):
         self.settings = settings
         self.network = image_network_of(settings.weights, FROM_SCRATCH)
 
-    @lean
+    @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """The cues of an image (3,H,W) in [0,1]."""
         settings = self.settings
@@ -364,13 +364,13 @@ class PaperFusion(nn.Module):
 ENTRIES = (
     Entry(
         "fusion",
-        "a network trained on rendered worlds and machine labels, refined at edges: our best",
+        "network trained on rendered worlds and machine labels, refined at image edges",
         FusionSettings,
         Fusion,
     ),
     Entry(
         "fusion:large",
-        "two networks, each looking twice, the second time closer: more accurate, slower",
+        "two networks, each also run on an enlarged lower crop: more accurate, slower",
         FusionSettings,
         Fusion,
         values={
@@ -387,13 +387,13 @@ ENTRIES = (
     ),
     Entry(
         "fusion:untrained",
-        "layout, texture and more fused, without a network or training",
+        "layout, texture and more fused, without a network",
         UntrainedFusionSettings,
         partial(Analysis, untrained),
     ),
     Entry(
         "fusion:paper",
-        "layout of CNN-7 times uniformity, as the paper has it (Álvarez 2012)",
+        "layout of CNN-7 times uniformity, faithful reimplementation (Álvarez 2012)",
         PaperFusionSettings,
         PaperFusion,
     ),

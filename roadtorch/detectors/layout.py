@@ -5,7 +5,14 @@ from functools import partial
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detectors.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
+from roadtorch.detectors.detector import (
+    TUNED_THRESHOLD,
+    Analysis,
+    Entry,
+    Threshold,
+    WorkingSettings,
+    use_inference_mode,
+)
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import HorizonSettings, label_whole
@@ -16,7 +23,7 @@ from roadtorch.layout.weights import WeightsFile, network_of
 class LabellerDetectorSettings(WorkingSettings):
     """The layout labeller as a road detector."""
 
-    threshold: Threshold = Field(default=0.92, description=TUNED)
+    threshold: Threshold = Field(default=0.92, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     labeller: HorizonSettings = HorizonSettings()
 
@@ -24,11 +31,11 @@ class LabellerDetectorSettings(WorkingSettings):
 class Cnn7Settings(WorkingSettings):
     """CNN-7 as a road detector."""
 
-    threshold: Threshold = Field(default=0.425, description=TUNED)
+    threshold: Threshold = Field(default=0.425, description=TUNED_THRESHOLD)
     weights: WeightsFile = WeightsFile()
 
 
-@lean
+@use_inference_mode
 def labeller(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
     """The ground that the labeller finds in the image itself; no weights."""
     layout = label_whole(image, settings.labeller, settings.superpixels)
@@ -55,20 +62,20 @@ class Cnn7(nn.Module):
 ENTRIES = (
     Entry(
         "layout:cnn-7",
-        "ground of the layout by CNN-7 (Álvarez 2012), trained as we do",
+        "ground of the layout by CNN-7, with our training (Álvarez 2012)",
         Cnn7Settings,
         Cnn7,
     ),
     Entry(
         "layout:paper",
-        "the same, trained to the letter of the paper",
+        "ground of the layout by CNN-7, trained as in the paper (Álvarez 2012)",
         Cnn7Settings,
         Cnn7,
         values={"threshold": 0.211, "weights": {"file": "cnn-7-paper"}},
     ),
     Entry(
         "labeller",
-        "ground of the machine-made scene layout, no training",
+        "ground of the machine-made scene layout, without training",
         LabellerDetectorSettings,
         partial(Analysis, labeller),
     ),

@@ -39,7 +39,7 @@ def _name(classifier: Classifier, planes: str) -> str:
 
 GRID = DetectorGrid(
     "oneclass:<classifier>:<planes>",
-    "colours like those ahead of the car, learned from the one image (Álvarez 2014)",
+    "colours like those ahead of the car, learned from the image (Álvarez 2014)",
     {
         _name(classifier, planes): reason
         for classifier in CLASSIFIERS.values()
@@ -50,9 +50,9 @@ GRID = DetectorGrid(
 
 PAPER = DetectorGrid(
     "oneclass:<classifier>:<planes>:paper",
-    "those of which the default is ours, as P3 has them to the letter",
+    "faithful reimplementations where the default differs from the paper",
     {
-        f"{_name(classifier, planes)}:paper": reason or "is P3's to the letter without that"
+        f"{_name(classifier, planes)}:paper": reason or "is already as in the paper"
         for classifier in CLASSIFIERS.values()
         for planes, names in REPRESENTATIONS.items()
         if (reason := classifier.refuses(len(names))) or not classifier.paper
@@ -130,10 +130,10 @@ def _entries() -> Iterator[Entry]:
         name, kind = _name(classifier, planes), settings_of(classifier)
         summary = f"{classifier.summary}, in {planes} (Álvarez 2014)"
         build = partial(Analysis, partial(judged, classifier=classifier, planes=planes))
-        if name not in GRID.refused:
+        if name not in GRID.invalid:
             yield Entry(name, summary, kind, build, GRID)
-        if f"{name}:paper" not in PAPER.refused:
-            letter, values = f"{summary}, to the letter", {"classifier": classifier.paper}
+        if f"{name}:paper" not in PAPER.invalid:
+            letter, values = f"{summary}, as in the paper", {"classifier": classifier.paper}
             yield Entry(f"{name}:paper", letter, kind, build, PAPER, values=values)
 
 

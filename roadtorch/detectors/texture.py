@@ -6,7 +6,14 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detectors.detector import TUNED, Analysis, Entry, Threshold, WorkingSettings, lean
+from roadtorch.detectors.detector import (
+    TUNED_THRESHOLD,
+    Analysis,
+    Entry,
+    Threshold,
+    WorkingSettings,
+    use_inference_mode,
+)
 from roadtorch.imaging.color import plane
 from roadtorch.imaging.segments import paint, segment_histogram
 from roadtorch.imaging.slic import Superpixels, squares
@@ -28,7 +35,7 @@ from roadtorch.road.texture import (
 class CpfSettings(WorkingSettings):
     """Colour plane fusion over superpixels."""
 
-    threshold: Threshold = Field(default=0.54, description=TUNED)
+    threshold: Threshold = Field(default=0.54, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     texture: TextureSettings = TextureSettings()
 
@@ -36,14 +43,14 @@ class CpfSettings(WorkingSettings):
 class CpfV2Settings(CpfSettings):
     """Colour plane fusion over superpixels, without saturated pixels."""
 
-    threshold: Threshold = Field(default=0.52, description=TUNED)
+    threshold: Threshold = Field(default=0.52, description=TUNED_THRESHOLD)
     saturation: Saturation = Saturation()
 
 
 class CpfSquaresSettings(WorkingSettings):
     """Colour plane fusion over squares."""
 
-    threshold: Threshold = Field(default=0.52, description=TUNED)
+    threshold: Threshold = Field(default=0.52, description=TUNED_THRESHOLD)
     square: int = Field(
         default=16, ge=2, le=4096, description="side of the squares in pixels at working size"
     )
@@ -53,7 +60,7 @@ class CpfSquaresSettings(WorkingSettings):
 class GreyUniformitySettings(WorkingSettings):
     """Uniformity of the grey image over superpixels."""
 
-    threshold: Threshold = Field(default=0.58, description=TUNED)
+    threshold: Threshold = Field(default=0.58, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
     even: float = Field(
@@ -64,11 +71,11 @@ class GreyUniformitySettings(WorkingSettings):
 class LbpSettings(WorkingSettings):
     """Local binary patterns over superpixels."""
 
-    threshold: Threshold = Field(default=0.97, description=TUNED)
+    threshold: Threshold = Field(default=0.97, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
 
 
-@lean
+@use_inference_mode
 def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, Tensor]:
     """Colour plane fusion: U of the fused plane over segments (P2, section 4).
 
@@ -96,7 +103,7 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
     }
 
 
-@lean
+@use_inference_mode
 def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str, Tensor]:
     """U of the grey image over superpixels, P2's baseline without fusion."""
     labels = settings.superpixels.cut(image)
@@ -107,7 +114,7 @@ def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str
     return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
 
 
-@lean
+@use_inference_mode
 def lbp(image: Tensor, settings: LbpSettings) -> dict[str, Tensor]:
     """Local binary patterns like those of the seed area, P2's texture baseline."""
     labels = settings.superpixels.cut(image)
@@ -125,8 +132,13 @@ ENTRIES = (
     Entry(
         "cpf", "uniformity of fused colour planes over superpixels (Álvarez 2012)", CpfSettings, CPF
     ),
-    Entry("cpf:v2", "the same without saturated pixels (Álvarez 2012)", CpfV2Settings, CPF),
-    Entry("cpf:squares", "the same as cpf over squares (Álvarez 2012)", CpfSquaresSettings, CPF),
+    Entry("cpf:v2", "cpf without saturated pixels (Álvarez 2012)", CpfV2Settings, CPF),
+    Entry(
+        "cpf:squares",
+        "cpf over squares instead of superpixels (Álvarez 2012)",
+        CpfSquaresSettings,
+        CPF,
+    ),
     Entry(
         "grey-uniformity",
         "uniformity of the grey image (Álvarez 2012)",

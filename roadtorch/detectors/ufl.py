@@ -91,7 +91,7 @@ UFL = partial(Analysis, ufl)
 ENTRIES = (
     Entry(
         "ufl",
-        "features learned from the image, regions chosen (Zhang 2016)",
+        "features learned from the image, regions of a threshold tree (Zhang 2016)",
         UflSettings,
         UFL,
         # The best readings and settings we know.
@@ -102,6 +102,6 @@ ENTRIES = (
             "road": {"weight": 1.5, "position": "ahead", "dilation": 2},
         },
     ),
-    Entry("ufl:paper", "the same after the text of the paper", UflSettings, UFL, values=TEXT),
-    Entry("ufl:original", "the same after the authors' program", UflSettings, UFL),
+    Entry("ufl:paper", "ufl as in the text of the paper", UflSettings, UFL, values=TEXT),
+    Entry("ufl:original", "ufl as in the authors' program", UflSettings, UFL),
 )

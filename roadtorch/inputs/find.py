@@ -157,7 +157,7 @@ def open_source(argument: str, selection: Selection) -> Source:
         numbered = [replace(image, number=number) for number, image in enumerate(images)]
         chosen = list(selection.of(numbered))
         name = Path(argument).stem or "images"
-        return Source(name, argument, lambda: iter(chosen), count=len(chosen))
+        return Source(name, argument, lambda: iter(chosen), count=len(chosen), footage=False)
     if len(sources) != 1 or images:
         problem = f"holds {len(sources)} videos" + " and images" * bool(images)
         raise ConfigError(argument, problem, "give one of them")

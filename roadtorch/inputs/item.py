@@ -119,6 +119,7 @@ class Source:
         count: number of items, if known.
         live: whether the newest frame is read, as from a camera.
         path: file that is read, if there is one.
+        footage: whether frames follow one another in time, so that they are smoothed.
     """
 
     name: str
@@ -128,6 +129,7 @@ class Source:
     count: int | None = None
     live: bool = False
     path: Path | None = None
+    footage: bool = True
 
     @property
     def row_name(self) -> str:

@@ -18,14 +18,14 @@ from typing import NamedTuple, Protocol, TypeVar
 from torch import Tensor
 
 from roadtorch.base.atomic import make_folder
-from roadtorch.base.errors import InputError, RoadtorchError, fault
+from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, fault
 from roadtorch.base.signals import Stop
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.detectors.detector import Detector, Evidence
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.road.steady import Steady
+from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.run.folder import OUT_HINT
 from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row
 from roadtorch.run.workers import DIED, Workers
@@ -258,27 +258,46 @@ def detect_stream(
     detector: Detector,
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     *,
-    steady: Steady | None = None,
+    steady: bool | Steady = True,
     progress: Callable[[int, float | None], None] | None = None,
     failed: Callable[[Item, RoadtorchError], None] | None = None,
 ) -> Generator[Detection]:
-    """Detect the road in frame after frame of a video, camera, stream, bag or folder.
+    """Detect the road in each frame of a video, camera, stream, bag or folder of images.
 
-    source: a path, an address or a source of one's own; ``selection`` is for the first two.
-    steady: what steadies the likelihood (``roadtorch.road.steady``), made for this source alone.
-    progress: told how many frames are done, and their seconds. failed: told of a frame without a
-    result, which is then left out; without it, its error is raised. Leaving the loop, closing the
-    generator and any error close the source. Raises InputError when the source cannot be opened,
-    and behind the last frame when it is cut.
+    Leaving the loop, closing the generator and any error close the source.
 
+    Args:
+        source: path, address (rtsp://, https://), camera number ("0"), or a source of your own.
+        detector: result of ``load_detector``.
+        selection: frames to process, unless the source is your own.
+        steady: whether the likelihoods of footage are smoothed over time, as ``roadtorch infer``
+            does unless it gets ``--no-steady``; or the filter that does it, for this source alone.
+        progress: called after each frame with the number of frames and the frame's seconds.
+        failed: called with each frame that has no result, which is then skipped; without it the
+            frame's error is raised.
+
+    Yields:
+        A detection for each frame, in order; ``name`` and ``seconds`` tell which.
+
+    Raises:
+        InputError: The source cannot be opened; or it is cut, after its last frame.
+
+    Example:
         >>> from roadtorch import detect_stream, load_detector
         >>> for detection in detect_stream("street.jpg", load_detector("prior:rows")):
         ...     print(detection.name, detection)
         street <Detection 320×240, road 50%>
     """
+    if not isinstance(detector, Detector):
+        hint = "write detect_stream(source, detector)"
+        raise ConfigError("detector", f"is {type(detector).__name__}", hint)
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
-    with closing(detect_frames(source, Inference(detector), Workers(), steady)) as frames:
+    if isinstance(steady, bool):
+        smoothing = Steady(SteadySettings()) if steady and source.footage else None
+    else:
+        smoothing = steady
+    with closing(detect_frames(source, Inference(detector), Workers(), smoothing)) as frames:
         for done, frame in enumerate(frames, 1):
             if failed is not None and isinstance(frame.outcome, RoadtorchError):
                 failed(frame.item, frame.outcome)

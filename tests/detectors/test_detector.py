@@ -20,7 +20,7 @@ from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import overlay_pixels, read_image
 from roadtorch.detectors.detection import to_pandas
-from roadtorch.detectors.detector import Detection, lean
+from roadtorch.detectors.detector import Detection, use_inference_mode
 from roadtorch.imaging import slic as superpixels
 from roadtorch.imaging.resize import at_image_size, averaging_bands
 from roadtorch.oneclass import base
@@ -33,7 +33,7 @@ from tests.streets import scene
 class Doubling(nn.Module):
     """Twice the first plane."""
 
-    @lean
+    @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         return {"doubled": 2 * image[0]}
 
@@ -58,7 +58,7 @@ def test_cues_are_enlarged_when_asked_for_and_cross_processes_small() -> None:
     for name, cue in sent.cues.items():
         assert cue.shape[-2:] == (48, 64)
         assert sent.cues.maps[name].shape[-2:] != (48, 64)
-        assert torch.equal(cue, at_image_size(evidence.analysed[name], (48, 64)))
+        assert torch.equal(cue, at_image_size(evidence.outputs[name], (48, 64)))
     with pytest.raises(KeyError, match="missing"):
         sent.cues["missing"]
 
@@ -184,9 +184,12 @@ def test_a_generator_is_asked_when_a_image_is_needed_and_left_where_one_is_wrong
         (None, {}, "image: is None"),
         (3.5, {}, "image: is float"),
         (["x.jpg", "y.jpg"], {}, "x.jpg: does not exist"),
-        ([torch.rand(3, 20, 20)], {"order": "bgr"}, "order: is of NumPy arrays"),
+        ([torch.rand(3, 20, 20)], {"order": "bgr"}, "order: is for NumPy arrays"),
         ([np.full((20, 20, 3), 200.0)], {"order": "rgb"}, "images[0]: has values from 200 to 200"),
         ([BGR[0]], {"order": "gbr"}, "gbr: unknown order of colours"),
+        ("bgr", {}, 'image: is an order of colours (write detect(image, "bgr")'),
+        ("bgr", {"order": BGR[0]}, 'order: is ndarray (write detect(image, "rgb")'),
+        (["bgr"], {"order": BGR}, "order: is list (write detect("),
     ],
 )
 def test_other_values_are_refused_as_given(
@@ -204,6 +207,17 @@ def test_one_image_is_no_list_and_an_order_is_checked_at_once() -> None:
         detector.forward(torch.zeros(3, 32, 32))
     with pytest.raises(ConfigError, match="BGR: unknown order of colours"):
         load_detector("prior:rows", order="BGR")  # type: ignore[arg-type]
+
+
+def test_the_line_of_a_detector_has_the_settings_that_differ_from_its_own() -> None:
+    ego = {"outline": [0.9] * 64}
+    detector = load_detector("fusion:large", order="bgr", working={"pixels": 4096}, ego=ego)
+
+    assert repr(load_detector("fusion:large")) == "<Detector fusion:large>"
+    assert repr(detector) == (
+        "<Detector fusion:large, ego.outline=(0.9, 0.9, 0.9, 0.9, 0.9, 0.9, ...), "
+        "working.pixels=4096, order='bgr'>"
+    )
 
 
 # --- detections out -----------------------------------------------------------------------
@@ -232,7 +246,7 @@ def test_a_detection_is_saved_as_its_name_says(found: Detection, tmp_path: Path)
     with np.load(tmp_path / "street.npz") as stored:
         assert set(stored) == {"likelihood", "mask", "trust", *found.cues}
         assert all(np.array_equal(stored[name], map) for name, map in found.numpy().items())
-    with pytest.raises(ConfigError, match=r"street\.png: does not say what to write \(end it with"):
+    with pytest.raises(ConfigError, match=r"street\.png: has no known ending \(end it with"):
         found.save(tmp_path / "street.png")
 
 

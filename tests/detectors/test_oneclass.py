@@ -66,7 +66,7 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
 @pytest.mark.parametrize(
     ("name", "settings", "problem"),
     [
-        ("gaussian:RGB:paper", {}, ":gaussian:RGB:paper: is P3's to the letter without that"),
+        ("gaussian:RGB:paper", {}, ":gaussian:RGB:paper: is already as in the paper"),
         ("pca:R", {}, ":pca:R: one plane has a single principal component, .* .choose another"),
         ("kmeans:RGB", {"classifier": {"centre": 1}}, r"^classifier\.centre"),
     ],

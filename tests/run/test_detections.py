@@ -1,23 +1,25 @@
 """Frame after frame: in order, whoever works; steadied, bounded, and the source closed at last."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from roadtorch import detect_stream, load_detector
-from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.base.image import read_image
 from roadtorch.base.signals import Stop
 from roadtorch.camera.camera import Camera
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.steady import Steady, SteadySettings
 from roadtorch.run.loop import FrameResult, Inference, detect_frames
 from roadtorch.run.workers import Workers
-from tests.command import save_image
+from tests.command import Call, save_image
 from tests.streets import scene
 from tests.videos import write_video
 
@@ -53,7 +55,7 @@ def of_scenes(count: int, closed: list[bool] | None = None, bad: int | None = No
 def test_detections_have_names_time_stamps_and_images(tmp_path: Path) -> None:
     path = write_video(tmp_path / "drive.mp4")
 
-    frames = list(detect_stream(path, GREY, Selection(every=3)))
+    frames = list(detect_stream(path, GREY, Selection(every=3), steady=False))
 
     assert [frame.name for frame in frames] == [f"drive/{n:06d}" for n in (0, 3, 6, 9)]
     assert [frame.seconds for frame in frames] == pytest.approx([0, 0.3, 0.6, 0.9])
@@ -64,12 +66,47 @@ def test_detections_have_names_time_stamps_and_images(tmp_path: Path) -> None:
 
 
 def test_images_are_a_source_that_does_not_move(tmp_path: Path) -> None:
-    save_image(tmp_path / "b.png")
-    save_image(tmp_path / "sub" / "a.jpg")
+    save_image(tmp_path / "b.png", seed=1)
+    save_image(tmp_path / "sub" / "a.jpg", seed=2)
 
-    frames = list(detect_stream(tmp_path, ROWS))
+    frames = list(detect_stream(tmp_path, GREY))
 
     assert [(frame.name, frame.seconds) for frame in frames] == [("b", None), ("sub/a", None)]
+    for frame in frames:
+        assert frame.image is not None
+        assert torch.equal(frame.likelihood, GREY.detect(frame.image).likelihood)
+
+
+@pytest.mark.parametrize("steady", [True, False])
+def test_footage_is_smoothed_as_the_command_does(steady: bool, call: Call, tmp_path: Path) -> None:
+    path, out = write_video(tmp_path / "drive.mp4"), tmp_path / "roads"
+    options = ["--detector", GREY.name, "--save", "likelihood"] + ["--no-steady"] * (not steady)
+    call("infer", path, *options, "--out", out)
+    written = [255 * read_image(file)[0] for file in sorted(out.glob("drive/*.likelihood.png"))]
+
+    for frames in (GREY.stream(path, steady=steady), detect_stream(path, GREY, steady=steady)):
+        likelihoods = [frame.likelihood.mul(255).round() for frame in frames]
+        assert len(likelihoods) == len(written) == 12
+        assert mean_change(likelihoods) == pytest.approx(mean_change(written), rel=1e-5)
+        assert all(map(torch.allclose, likelihoods, written))
+    unsmoothed = mean_change([frame.likelihood for frame in GREY.stream(path, steady=False)])
+    assert (255 * unsmoothed > 1.2 * mean_change(written)) == steady
+
+
+def mean_change(maps: Sequence[Tensor]) -> float:
+    return float(torch.stack([*maps]).diff(dim=0).abs().mean())
+
+
+def test_a_method_selects_frames_and_swapped_arguments_are_named(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "drive.mp4")
+
+    assert [frame.name for frame in ROWS.stream(path, every=5, start=0.2, end=0.9, limit=2)] == [
+        "drive/000002",
+        "drive/000007",
+    ]
+    swapped: Any = (ROWS, path)
+    with pytest.raises(ConfigError, match=r"detector: is .*Path \(write detect_stream\(source, d"):
+        list(detect_stream(*swapped))
 
 
 def test_leaving_the_loop_and_an_error_in_it_close_the_source() -> None:
