@@ -147,6 +147,9 @@ def registered(name: str, kind: Any, build: Callable[[Any], Any]) -> None:
     load_detector(name).detect(torch.rand(3, 16, 16))
 
 
+misused: Any = catalogue_module  # calls that a type checker refuses
+
+
 @pytest.mark.usefixtures("with_grid")
 @pytest.mark.parametrize(
     ("call", "problem"),
@@ -158,13 +161,25 @@ def registered(name: str, kind: Any, build: Callable[[Any], Any]) -> None:
             lambda: registered("other", Simple, lambda _: Silent(1)),
             "other: returns no likelihood ",
         ),
-        (lambda: register_detector(Brightness), "name: is Brightness .write @register_detector"),
+        (
+            lambda: misused.register_detector(Brightness),
+            "name: is Brightness .write @register_detector",
+        ),
         (lambda: load_detector("many:<gain>:<kind>"), "stands for many detectors .name one; 'many"),
         (lambda: list_detectors("*:1:*"), r"\*:1:\*: matches only .* many:<gain>:<kind> \(be"),
         (lambda: load_detector("0"), "known: bright, many:<gain>:<kind>, zebra"),
-        (lambda: load_detector({"gain": 2}, "bright"), "settings: got str by position .write load"),
-        (lambda: load_detector("bright", {"gain": 2}), "settings: got dict by position .write lo"),
-        (lambda: load_detector({"gain": 2}), "name: got dict by position .write load_detector"),
+        (
+            lambda: misused.load_detector({"gain": 2}, "bright"),
+            "settings: got str by position .write load",
+        ),
+        (
+            lambda: misused.load_detector("bright", {"gain": 2}),
+            "settings: got dict by position .write lo",
+        ),
+        (
+            lambda: misused.load_detector({"gain": 2}),
+            "name: got dict by position .write load_detector",
+        ),
     ],
 )
 def test_what_is_no_detector_is_refused(call: Callable[[], object], problem: str) -> None:

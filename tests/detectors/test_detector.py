@@ -83,7 +83,7 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
             *(band.weights for band in averaging_bands(41, 23, 8)),
             superpixels._positions(grid, 1),
             *superpixels._distance_maps(grid, 0.0123, 1),
-            base._moves(axes),
+            base._quantum_steps(axes),
             floor_of(axes),
         ]
 
