@@ -105,7 +105,7 @@ def evaluate_command(
     from roadtorch.data.kitti import birds_eye
     from roadtorch.evaluation.evaluate import evaluate
     from roadtorch.evaluation.methods import reference
-    from roadtorch.evaluation.report.tables import screen
+    from roadtorch.evaluation.report.tables import SCREEN_WIDTH, screen
     from roadtorch.evaluation.tuning import choice_table, tune_thresholds
     from roadtorch.run.folder import output_lock
     from roadtorch.run.workers import settle
@@ -140,10 +140,13 @@ def evaluate_command(
     click.echo(screen(evaluation))
     choices = tune_thresholds(evaluation) if tune else []
     if choices:
-        click.echo(f"\n{choice_table(choices).text()}")
+        click.echo(f"\n{choice_table(choices).text(SCREEN_WIDTH)}")
     print_cautions(evaluation)
-    if out is not None:
+    if out is None:
+        click.echo("\nMore columns, charts and images: report.html, written with --out DIR")
+    else:
         write_files(evaluation, choices, out, command_line(context), montage)
+        click.echo(f"\nAll columns, charts and images: {out / 'report.html'}")
     context.exit(1 if evaluation.failures else 0)
 
 

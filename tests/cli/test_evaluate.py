@@ -134,7 +134,8 @@ def test_a_config_holds_the_chosen_threshold_its_command_and_its_worth(camvid, t
     detector, values = DetectorOptions(config=tmp_path / "cpf-squares.toml").name_and_values()
     assert (detector, values["isolated"]) == ("cpf:squares", "keep")
     assert load_detector(detector, **values).settings.model_dump(mode="json") == values
-    header, row = done.stdout.splitlines()[-2:]
+    header, row, _, closing = done.stdout.splitlines()[-4:]
+    assert closing == f"All columns, charts and images: {tmp_path / 'report.html'}"
     assert header.split()[:5] == ["detector", "default", "F", "at", "default"]
     name, _, f_default, threshold, f, *_ = row.split()
     assert (name, threshold) == ("cpf:squares", f"{values['threshold']:.3f}")

@@ -21,6 +21,7 @@ from roadtorch.evaluation import curves
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.measures import F_MASK
 from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.report.table import shorten
 from roadtorch.evaluation.result import Evaluation
 
 MAX_SERIES = 8  # detectors in a chart, best first
@@ -183,8 +184,8 @@ def draw_groups(figure: Figure, series: Sequence[Series], evaluation: Evaluation
         values = [F_MASK.of(detectors[detector.name].group(group)) for group in groups]
         face = "none" if detector.is_baseline else detector.colour
         axes.plot(values, range(len(groups)), "o", color=detector.colour, mfc=face,
-                  label=shorten(detector.name), zorder=4 - depth / 100)  # fmt: skip
-    axes.set_yticks(range(len(groups)), [shorten(group) for group in groups])
+                  label=_label(detector.name), zorder=4 - depth / 100)  # fmt: skip
+    axes.set_yticks(range(len(groups)), [_label(group) for group in groups])
     axes.set_ylim(len(groups) - 0.5, -0.5)
     axes.set_xlabel("F of the mask at the default threshold")
     figure.legend(loc="outside lower center", ncols=2)
@@ -193,16 +194,14 @@ def draw_groups(figure: Figure, series: Sequence[Series], evaluation: Evaluation
 def _draw_curve(axes: Axes, curve: Curve, detector: Series, depth: int) -> None:
     """Draw a curve; better detectors are drawn over others."""
     style = detector.line(1.2 if detector.is_baseline else 2)
-    axes.plot(curve.x, curve.y, **style, label=shorten(detector.name), zorder=4 - depth / 100)
+    axes.plot(curve.x, curve.y, **style, label=_label(detector.name), zorder=4 - depth / 100)
 
 
 # --- as an image inside a page ----------------------------------------------------------
 
 
-def shorten(name: str) -> str:
-    """Return a name for a chart: printable, and not too long."""
-    text = "".join(letter if letter.isprintable() else "?" for letter in name)
-    return text if len(text) <= MAX_LABEL_LENGTH else f"{text[: MAX_LABEL_LENGTH - 10]}…{text[-9:]}"
+def _label(name: str) -> str:
+    return shorten(name, MAX_LABEL_LENGTH)
 
 
 def svg_uri(width: float, height: float, draw: Callable[[Figure], None]) -> str:

@@ -12,6 +12,8 @@ from roadtorch.evaluation.measure import UNDEFINED, Measure, Scores
 
 MINUS = "\N{MINUS SIGN}"
 
+MAX_NAME_LENGTH = 48  # letters of a name on a screen of limited width
+
 
 def format_number(value: float) -> str:
     """Return a number with three decimals."""
@@ -39,16 +41,17 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of cells under headers; title: the header above the names of the rows.
+    """Columns of cells under headers; title: the header of the names of the rows.
 
-    baselines: the rows that are set apart, for they never look at the image. omitted: rows
-    that metrics.json has beside these.
+    baselines: names of rows that ignore the image. omitted: number of rows that only metrics.json
+    has. required: headers of columns that every screen shows, however narrow.
     """
 
     title: str
     names: Sequence[str]
     baselines: Collection[str] = ()
     omitted: int = 0
+    required: Collection[str] = ()
     headers: list[str] = field(default_factory=list)
     columns: list[list[Cell]] = field(default_factory=list)
 
@@ -78,15 +81,27 @@ class Table:
         cells = zip(*self.columns, strict=True) if self.columns else ([] for _ in self.names)
         return [(name, list(row)) for name, row in zip(self.names, cells, strict=True)]
 
-    def text(self) -> str:
-        """Return the table for a screen; notes, which are intervals, have a column of their own."""
-        columns = [[self.title, *self.names]]
-        for header, cells in zip(self.headers, self.columns, strict=True):
-            columns.append([header, *(_to_ascii(cell.text) for cell in cells)])
-            if any(cell.note for cell in cells):
-                columns.append(["95 %", *(_to_ascii(cell.note) for cell in cells)])
-        omitted = f"\n{self.omitted} more are in metrics.json (--out DIR)" if self.omitted else ""
-        return aligned(list(zip(*columns, strict=True))) + omitted
+    def text(self, width: float = math.inf) -> str:
+        """Return the table for a screen; notes, which are intervals, have their own columns.
+
+        width: letters in a line; where there is one, long names are shortened, and the last columns
+        that are not required are left out.
+        """
+        names = [self.title, *self.names]
+        if width < math.inf:
+            names = [shorten(name, MAX_NAME_LENGTH) for name in names]
+        pairs = zip(self.headers, self.columns, strict=True)
+        blocks = [(header, _screen_columns(header, cells)) for header, cells in pairs]
+        while True:
+            columns = [names, *(column for _, block in blocks for column in block)]
+            text = aligned(list(zip(*columns, strict=True)))
+            optional = [i for i, (header, _) in enumerate(blocks) if header not in self.required]
+            if not optional or max(map(len, text.splitlines())) <= width:
+                break
+            del blocks[optional[-1]]
+        return (
+            f"{text}\n{self.omitted} more rows: metrics.json (--out DIR)" if self.omitted else text
+        )
 
     def to_markdown(self) -> str:
         """Return the table as Markdown, notes in parentheses."""
@@ -99,6 +114,13 @@ class Table:
         return "".join(f"| {' | '.join(map(_escape, cells))} |\n" for cells in lines)
 
 
+def _screen_columns(header: str, cells: Sequence[Cell]) -> list[list[str]]:
+    columns = [[header, *(_to_ascii(cell.text) for cell in cells)]]
+    if any(cell.note for cell in cells):
+        columns.append(["95 %", *(_to_ascii(cell.note) for cell in cells)])
+    return columns
+
+
 def _to_ascii(text: str) -> str:
     """Replace dashes and minus signs of a cell, so that it can be searched for and copied."""
     return "-" if text == UNDEFINED else text.replace(MINUS, "-")
@@ -106,6 +128,12 @@ def _to_ascii(text: str) -> str:
 
 def _escape(text: str) -> str:
     return text.replace("\\", "\\\\").replace("|", "\\|")
+
+
+def shorten(name: str, length: int) -> str:
+    """Return a printable name of so many letters at most, with both of its ends."""
+    text = "".join(letter if letter.isprintable() else "?" for letter in name)
+    return text if len(text) <= length else f"{text[: length - 10]}…{text[-9:]}"
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:

@@ -18,17 +18,22 @@ MAX_GROUP_COLUMNS = 6
 MAX_PART_TABLES = 3
 """Best detectors with a table by group and one by condition."""
 
+SCREEN_WIDTH = 100
+"""Letters in a line of the screen."""
+
 MAX_SCREEN_ROWS = 20
 """Rows of such a table on the screen."""
+
+INTERVAL, BASELINE_HEADER = "95 %", "MaxF of baseline"
 
 PartKind = Literal["group", "condition"]
 
 
 def screen(evaluation: Evaluation) -> str:
-    """Return the tables of a run as text."""
-    texts = [table.text() for table in build_tables(evaluation, MAX_SCREEN_ROWS)]
+    """Return the tables of an evaluation as text, with the columns that fit ``SCREEN_WIDTH``."""
+    texts = [table.text(SCREEN_WIDTH) for table in build_tables(evaluation, MAX_SCREEN_ROWS)]
     if more := len(evaluation.detectors) - len(shortlist(evaluation)):
-        texts.append(f"{more} more detectors, with lower MaxF, are in metrics.json (--out DIR)")
+        texts.append(f"{more} more detectors, with lower MaxF: metrics.json (--out DIR)")
     return "\n\n".join(texts)
 
 
@@ -74,14 +79,16 @@ def score_table(evaluation: Evaluation, names: Sequence[str]) -> Table:
     With groups there is also MaxF of all pixels pooled.
     """
     detectors, groups = evaluation.detectors, evaluation.groups
-    table = Table("detector", names, baseline_names(evaluation))
+    headline = evaluation.measures_in("headline")
+    required = {INTERVAL, *(measure.name for measure in headline)}
+    table = Table("detector", names, baseline_names(evaluation), required=required)
     has_columns = len(groups) <= MAX_GROUP_COLUMNS
     parts = [detectors[name].headline for name in names]
     for group in groups if has_columns else ():
         table.add_measure(MAXF, [detectors[name].group(group) for name in names], f"MaxF {group}")
-    for measure in evaluation.measures_in("headline"):
+    for measure in headline:
         table.add_measure(measure, parts)
-    table.add("95 %", (Cell(str(detectors[name].interval)) for name in names))
+    table.add(INTERVAL, (Cell(str(detectors[name].interval)) for name in names))
     for measure in () if has_columns else (F_MASK, MAXF):
         cells = []
         for values in (measure.get_defined(detectors[name].groups) for name in names):
@@ -164,11 +171,13 @@ def part_table(evaluation: Evaluation, name: str, kind: PartKind, most: int | No
         rows |= {
             f"{group} (left out)": evaluation.group_scores(group) for group in evaluation.left_out
         }
-    table = Table(f"{name} by {kind}", list(rows), omitted=len(parts) - len(worst_first))
+    required = {BASELINE_HEADER, *(measure.name for measure in evaluation.measures_in("headline"))}
+    omitted = len(parts) - len(worst_first)
+    table = Table(f"{name} by {kind}", list(rows), omitted=omitted, required=required)
     for measure in evaluation.measures_in("parts"):
         table.add_measure(measure, [scores[name] for scores in rows.values()], is_ranked=False)
     levels = (best_baseline_maxf(evaluation, scores) for scores in rows.values())
-    table.add("MaxF of baseline", (Cell(format_number(level)) for level in levels))
+    table.add(BASELINE_HEADER, (Cell(format_number(level)) for level in levels))
     return table
 
 

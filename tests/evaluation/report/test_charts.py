@@ -13,6 +13,7 @@ from roadtorch.evaluation import curves, metrics
 from roadtorch.evaluation.measures import F_MASK
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.report import charts
+from roadtorch.evaluation.report.table import shorten
 from roadtorch.evaluation.result import Evaluation
 from tests.evaluation.conftest import count
 from tests.oracle import GROUPS, ORACLE
@@ -71,9 +72,9 @@ def test_lines_and_marks_are_the_figures_of_the_run(oracle_run: Evaluation) -> N
 
 
 def test_names_are_text_and_long_ones_keep_both_ends() -> None:
-    assert charts.shorten("<b>$x$ \x01") == "<b>$x$ ?"
-    short = charts.shorten("oneclass:" + "x" * 100 + ":linear")
-    assert len(short) == charts.MAX_LABEL_LENGTH
+    assert shorten("<b>$x$ \x01", 34) == "<b>$x$ ?"
+    short = shorten("oneclass:" + "x" * 100 + ":linear", 34)
+    assert len(short) == 34
     assert (short[:9], short[-7:]) == ("oneclass:", ":linear")
 
 

@@ -28,7 +28,7 @@ def test_a_table_is_text_and_markdown() -> None:
         "name      F  change          95 %",
         "a|b   0.912  -0.100  -0.2 to +0.1",
         "c         -       -",
-        "2 more are in metrics.json (--out DIR)",
+        "2 more rows: metrics.json (--out DIR)",
     ]
     assert table.to_markdown().splitlines() == [
         "| name | F | change |",
@@ -36,6 +36,19 @@ def test_a_table_is_text_and_markdown() -> None:
         "| a\\|b | 0.912 | \N{MINUS SIGN}0.100 (\N{MINUS SIGN}0.2 to +0.1) |",
         "| c | – | – |",
     ]
+
+
+@pytest.mark.parametrize("groups", [3, 6, 30])
+@pytest.mark.parametrize("name", ["fusion", "oneclass:" + "x" * 60])
+def test_a_screen_has_100_columns_and_keeps_the_headline_and_its_interval(groups, name) -> None:
+    run = made_run([name, "prior:rows"], [f"camera{number}" for number in range(groups)])
+
+    lines = screen(run).splitlines()
+
+    assert max(map(len, lines)) <= 100
+    header = re.sub(" {2,}", "  ", lines[0])
+    assert "F of mask  IoU of mask  MaxF  95 %" in header
+    assert lines[1].split()[0] == name or "…" in lines[1]
 
 
 def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
@@ -46,7 +59,7 @@ def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
 
     kept = ["fusion", *worse[: MAX_LISTED - 1], "prior:rows", "prior:mean"]
     assert shortlist(evaluation) == kept
-    assert text.endswith("61 more detectors, with lower MaxF, are in metrics.json (--out DIR)")
+    assert text.endswith("61 more detectors, with lower MaxF: metrics.json (--out DIR)")
     assert worse[MAX_LISTED - 2] in text
     assert worse[MAX_LISTED - 1] not in text
 
