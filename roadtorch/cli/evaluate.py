@@ -141,10 +141,10 @@ def evaluate_command(
     choices = tune_thresholds(evaluation) if tune else []
     if choices:
         click.echo(f"\n{choice_table(choices).text(SCREEN_WIDTH)}")
-    print_cautions(evaluation)
     if out is None:
         click.echo("\nMore columns, charts and images: report.html, written with --out DIR")
-    else:
+    print_cautions(evaluation)
+    if out is not None:
         write_files(evaluation, choices, out, command_line(context), montage)
         click.echo(f"\nAll columns, charts and images: {out / 'report.html'}")
     context.exit(1 if evaluation.failures else 0)
