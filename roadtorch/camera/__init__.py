@@ -1,1 +1,1 @@
-"""What belongs to a camera: how its image lies on the ground."""
+"""Properties of a camera: lens, pose over the ground, horizon, ego car."""

@@ -1,12 +1,12 @@
 """KITTI's bird's-eye view: maps of an image on the road plane, 800×400 cells of 5 cm.
 
-Fritsch, Kuehnl, Geiger, "A New Performance Measure and Evaluation Benchmark for Road
-Detection Algorithms" (ITSC 2013), and what the benchmark's development kit of 2015 does
-with it: each rounding below is the kit's, so that every cell and pixel is the same.
+Fritsch, Kuehnl, Geiger, "A New Performance Measure and Evaluation Benchmark for Road Detection
+Algorithms" (ITSC 2013), and the benchmark's development kit of 2015: each rounding below is the
+kit's, so that every cell and pixel is the same.
 
 Coordinates come in pairs. Road: x metres to the right, z metres ahead, on the plane y = 0.
-Image: u to the right, v down, in pixels counted from ONE, as the kit reads them. Cells and
-pixels: row and column, counted from zero; cell row 0 is far, cell column 0 is left.
+Image: u to the right, v down, in pixels counted from one, as in the kit. Cells and pixels: row and
+column, counted from zero; cell row 0 is far, cell column 0 is left.
 """
 
 from functools import lru_cache
@@ -28,10 +28,10 @@ Pair = tuple[Tensor, Tensor]
 
 
 def project(homography: Tensor, x: Tensor, y: Tensor) -> Pair:
-    """Points through a homography (3,3); float64, of the common shape of x and y.
+    """Transform points by a homography (3, 3); float64, of the common shape of x and y.
 
-    A point at infinity comes out infinite or NaN. Points behind the camera are projected
-    like any other: the kit does not test for them, and its cells are all in front.
+    A point at infinity becomes infinite or NaN. Points behind the camera are projected like any
+    other: the kit does not test for them, and its cells are all in front.
     """
     # Not a matrix product: its rounding differs between machines, and cells hang on it.
     across, down, scale = (a * x + b * y + c for a, b, c in homography.tolist())
@@ -39,7 +39,7 @@ def project(homography: Tensor, x: Tensor, y: Tensor) -> Pair:
 
 
 def cell_to_road(row: Tensor, column: Tensor) -> Pair:
-    """The centre (x, z) of cells, float64, rounded to float32 as the kit does."""
+    """Return the centres (x, z) of cells, float64, rounded to float32 as in the kit."""
     x = LEFT + (column.double() + 0.5) * CELL
     z = FAR - (row.double() + 0.5) * CELL
     return x.float().double(), z.float().double()
@@ -50,11 +50,11 @@ def cell_to_road(row: Tensor, column: Tensor) -> Pair:
 
 @lru_cache(maxsize=4)  # 3 MB each; the maps of one image come one after the other
 def cell_pixels(calibration: Calibration, height: int, width: int) -> Pair:
-    """The image's pixel of each cell: flat index int64 (800,400), and whether there is one, bool.
+    """Return each cell's pixel, flat index int64 (800, 400), and bool of the cells that have one.
 
-    What is submitted and scored. A cell has a pixel where 1 ≤ u ≤ width and 1 ≤ v ≤ height: the
-    nearest lower one, counted from one by the kit. Sampling takes single pixels, so thresholds and
-    rounding may come before or after it. Shared between calls, never changed.
+    These are the submitted and scored cells. A cell has a pixel where 1 ≤ u ≤ width and
+    1 ≤ v ≤ height: the nearest lower one, counted from one by the kit. Sampling takes single
+    pixels, so thresholds and rounding may come before or after it. Cached: do not change it.
     """
     cells = torch.arange(ROWS)[:, None], torch.arange(COLUMNS)[None]
     u, v = project(road_to_image(calibration), *cell_to_road(*cells))
@@ -64,7 +64,7 @@ def cell_pixels(calibration: Calibration, height: int, width: int) -> Pair:
 
 
 def to_birds_eye(values: Tensor, calibration: Calibration) -> Tensor:
-    """Values (…,H,W) of an image as (…,800,400), type kept; 0 where no pixel shows the cell."""
+    """Warp values (..., H, W) to (..., 800, 400), same dtype; 0 where no pixel shows the cell."""
     height, width = values.shape[-2:]
     index, inside = (part.to(values.device) for part in cell_pixels(calibration, height, width))
     taken = values.flatten(-2).index_select(-1, index.flatten())

@@ -1,4 +1,4 @@
-"""Lenses and poses from the files of others: ROS camera_info, and KITTI's calibration."""
+"""Lenses and poses from foreign files: ROS camera_info, and KITTI's calibration."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -20,14 +20,14 @@ from roadtorch.camera.ground import COEFFICIENTS, GroundCamera, Lens, pose_of
 HINT = "give what camera_calibration writes, or ros2 topic echo --once of the camera_info topic"
 
 ROWS = {"P2": 12, "R0_rect": 9, "Tr_cam_to_road": 12}
-"""Rows of KITTI's files that are read, as ``Calibration`` has them, and how many numbers each."""
+"""Rows read from KITTI's files, in the order of ``Calibration``, and the length of each."""
 
 MODEL_NAMES = {"fisheye": "equidistant", "": "pinhole", "none": "pinhole", "pinhole": "pinhole"}
-"""Names of models of distortion besides those of ``COEFFICIENTS``."""
+"""Other names of the distortion models of ``COEFFICIENTS``."""
 
 
 def _data(matrix: Any) -> Any:
-    """The numbers of a matrix as camera_calibration writes it; a list of them as it is."""
+    """Return the numbers of a matrix as camera_calibration writes it; a plain list as it is."""
     return matrix.get("data") if isinstance(matrix, Mapping) else matrix
 
 
@@ -47,10 +47,12 @@ class _CameraInfo(ForeignDocument):
 
 
 def read_camera_info(path: str | os.PathLike[str]) -> Lens:
-    """The lens in a YAML file: as camera_calibration writes it, or a printed CameraInfo message.
+    """Read the lens of a YAML file by camera_calibration, or of a printed CameraInfo message.
 
-    The images are taken as the camera gives them: K and D count, not R and P. Raises ConfigError
-    or DatasetError naming the file when it is not such a file, or cannot be read.
+    K and D describe the images; R and P are ignored.
+
+    Raises:
+        ConfigError, DatasetError: naming the file when it cannot be read or describes no lens.
     """
     path = Path(path)
     try:
@@ -75,9 +77,9 @@ def lens_of_info(
     bent: Sequence[float],
     model: str,
 ) -> Lens:
-    """The lens of what a CameraInfo message says: width and height, K (9), D, distortion_model.
+    """Return the lens of a CameraInfo message: width and height, K (9), D, distortion_model.
 
-    Raises ConfigError naming the path, of the file or bag that says it, where it is no lens.
+    Raises ConfigError naming the path (file, bag or topic) for an unknown model or number.
     """
     model = MODEL_NAMES.get(model, model)
     if model not in COEFFICIENTS:
@@ -99,10 +101,12 @@ def lens_of_info(
 
 @dataclass(frozen=True)
 class Calibration:
-    """What one calibration file says of the left colour camera; matrices row by row.
+    """Calibration of KITTI's left colour camera; matrices row by row.
 
-    projection: P2 (3,4), rectified camera to image. rectification: R0_rect (3,3).
-    camera_to_road: Tr_cam_to_road (3,4), metres; the road plane has y = 0.
+    Attributes:
+        projection: P2 (3, 4), rectified camera to image.
+        rectification: R0_rect (3, 3).
+        camera_to_road: Tr_cam_to_road (3, 4), metres; the road plane has y = 0.
     """
 
     projection: tuple[float, ...]
@@ -111,10 +115,10 @@ class Calibration:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read P2, R0_rect and Tr_cam_to_road from a calibration file; other rows are not used.
+    """Read P2, R0_rect and Tr_cam_to_road from a calibration file; other rows are ignored.
 
-    Raises DatasetError, naming the file and the row, when the file is missing or no text, a row
-    has not its count of finite numbers, and when the road plane cannot be seen (a singular matrix).
+    Raises DatasetError naming file and row when the file is missing, a row has another length or
+    non-finite numbers, or the road plane is invisible (a singular matrix).
     """
     with read_document(path, "give the image's calibration file") as text:
         split = (line.partition(":") for line in text.decode().splitlines())
@@ -134,7 +138,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def road_to_image(calibration: Calibration) -> Tensor:
-    """The homography (3,3) float64 from (x, z, 1) to (u, v, 1) up to scale.
+    """Return the homography (3, 3) float64 from (x, z, 1) to (u, v, 1) up to scale.
 
     Columns 0, 2 and 3 of P2 · R0_rect · Tr_cam_to_road⁻¹, as the plane has y = 0.
     """
@@ -145,7 +149,7 @@ def road_to_image(calibration: Calibration) -> Tensor:
 
 
 def _to_four(values: tuple[float, ...], columns: int) -> Tensor:
-    """A matrix of three rows as (4,4), the rest from the identity."""
+    """Pad a matrix of three rows to (4, 4) with the identity."""
     matrix = torch.eye(4, dtype=torch.float64)
     matrix[:3, :columns] = torch.tensor(values, dtype=torch.float64).view(3, columns)
     return matrix
@@ -154,11 +158,11 @@ def _to_four(values: tuple[float, ...], columns: int) -> Tensor:
 def kitti_ground_camera(
     calibration: Calibration, width: int, height: int, mount: tuple[float, float] = (0.0, 0.0)
 ) -> GroundCamera:
-    """The left colour camera of a KITTI calibration over its road plane, for images of a size.
+    """Return KITTI's left colour camera over its road plane, for images of a size in pixels.
 
-    The robot's frame begins below that camera, or such that it stands at ``mount``; KITTI's road
-    has x to the right, y down and z ahead, and counts pixels from one. Raises InputError where
-    the optical axis misses the image: it is not of that camera, or cropped.
+    The robot's frame begins below that camera, or such that it is at ``mount``; KITTI's road has x
+    to the right, y down and z ahead, and counts pixels from one. Raises InputError if the optical
+    axis misses the image: it is of another camera, or cropped.
     """
     projection = np.array(calibration.projection).reshape(3, 4)
     inner = projection[:, :3]

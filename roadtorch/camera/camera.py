@@ -1,4 +1,4 @@
-"""What stays the same in all images of one camera, as a file: ego car, horizon, seed row."""
+"""What all images of one camera share, as a file: ego car, horizon, seed row."""
 
 import os
 from collections.abc import Sequence
@@ -28,14 +28,14 @@ EDGE_ROWS = 2  # rows above the ego car that its edge is spread over, of an imag
 SHIFT = 1  # pixels by which an image may be displaced, as rounding does when images are scaled
 
 MAX_LIKENESS, MIN_LIKENESS = 0.5, 0.2
-"""The likeness that is asked for lies between: other cameras have about .1, and .5 hardly ever."""
+"""Bounds of the required similarity: other cameras reach about .1, and hardly ever .5."""
 
 Shares = tuple[Annotated[float, Field(ge=0, le=1)], ...]
 Parts = tuple[Annotated[float, Field(ge=-1, le=1)], ...]
 
 
 class EgoLook(Settings):
-    """Softened gradients of the ego car at some points; no points where there is no ego car."""
+    """Gradient template of the ego car at some points; empty without an ego car."""
 
     least: float = Field(
         default=MIN_LIKENESS, ge=-1, le=1, description="likeness of its own images"
@@ -53,9 +53,9 @@ class EgoLook(Settings):
 
 
 def ego_look(still: Stillness, rows: Tensor) -> EgoLook:
-    """The look of the ego car that begins at rows (w,) int64 in images (h,w): the surest points.
+    """Return the template of the ego car below rows (w,) int64, at the most reliable points.
 
-    Points lie apart (each the best of 3×3 pixels), so that one long edge is not all there is.
+    Points lie apart (each is the best of 3×3 pixels), so that one long edge does not dominate.
     """
     height, width = still.length.shape
     row = torch.arange(height)[:, None]
@@ -74,19 +74,19 @@ def ego_look(still: Stillness, rows: Tensor) -> EgoLook:
 
 
 def rounded(values: Tensor, digits: int) -> tuple[float, ...]:
-    """Values (n,) as numbers of a file, with so many digits behind the point."""
+    """Return values (n,) as floats with so many decimals, for a file."""
     return tuple(round(value, digits) for value in values.tolist())
 
 
 def likenesses(look: EgoLook, gradients: Sequence[Tensor]) -> Tensor:
-    """The likeness (n,) of each of the gradients (2,h,w) of n small images."""
+    """Return the similarity (n,) of a template to each of n gradients (2, h, w) of small images."""
     return torch.tensor([gradient_likeness(look, gradient) for gradient in gradients])
 
 
 def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
-    """How alike the gradient (2,h,w) of a small grey image is to a look, from -1 to 1.
+    """Return the similarity of a template to the gradient (2, h, w) of a small image, from -1 to 1.
 
-    A cosine, the best of shifts; .1 for other cameras.
+    The cosine similarity, maximised over small shifts; about .1 for other cameras.
     """
     height, width = gradient.shape[1:]
     rows = (torch.tensor(look.rows) * height).long()
@@ -103,13 +103,13 @@ def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
 # --- the camera ------------------------------------------------------------------------
 
 SAME_SHAPE = 1.06
-"""Ratio of two aspect ratios up to which images may come from one camera: crops, rounding."""
+"""Ratio of two aspect ratios up to which images may be of one camera: crops, rounding."""
 
 HINT = "give images of the camera that the file was made for, or make one for theirs"
 
 
 class Camera(Settings):
-    """One camera, as its footage shows it. Rows are shares of the height from the top.
+    """A camera as estimated from its footage; rows are fractions of the height from the top.
 
     >>> from roadtorch import Camera
     >>> camera = Camera(width=640, height=480, frames=12, horizon=0.4, seed_row=0.9)
@@ -130,7 +130,11 @@ class Camera(Settings):
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Camera":
-        """Read a camera's file; InputError or ConfigError, naming it, when it is not one."""
+        """Read a camera's file.
+
+        Raises:
+            ConfigError, InputError: naming the file when it is not one.
+        """
         values = read_settings_file(Path(path))
         try:
             return build_settings(cls, values)
@@ -143,9 +147,13 @@ class Camera(Settings):
         write_text(path, tomli_w.dumps(self.model_dump(exclude_defaults=True)))
 
     def check(self, image: Tensor) -> None:
-        """Raise InputError when an image (3,H,W) in [0,1] cannot be of this camera: shape, look.
+        """Check that an image can be of this camera: its aspect ratio, and its ego car if any.
 
-        Without an ego car only the shape can be told.
+        Args:
+            image: sRGB in [0, 1], shape (3, H, W).
+
+        Raises:
+            InputError: when it cannot.
         """
         height, width = image.shape[-2:]
         ratio = width / height / (self.width / self.height)
@@ -158,9 +166,9 @@ class Camera(Settings):
                 raise InputError("image", "does not show this camera's ego car", HINT)
 
     def settings_for(self, kind: type[Settings]) -> dict[str, Any]:
-        """Values for a detector's settings of that kind, nested: what of the camera it can use.
+        """Return the values, nested, that a detector's settings of a class take from this camera.
 
-        The ego car, which every detector can, and the horizon for those with a labeller.
+        The ego car for every detector, and the horizon for those with a labeller.
         """
         values: dict[str, Any] = {}
         if is_given(self.ego):
@@ -179,9 +187,16 @@ SEED_SIDES = (3 / 8, 5 / 8)  # shares of the width between which the seed row is
 
 
 def check_image(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
-    """The mean of frames (3,H,W) and their middle one, side by side: an image (3,h,1280) in [0,1].
+    """Draw the mean of frames and their middle frame side by side, to check a camera's file.
 
     The ego car is tinted and outlined; the horizon is a blue line, the seed row an orange one.
+
+    Args:
+        camera: the camera to draw.
+        frames: sRGB in [0, 1], shape (3, H, W) each.
+
+    Returns:
+        An image in [0, 1], shape (3, h, 1280).
     """
     size = round(CHECK_WIDTH * camera.height / camera.width), CHECK_WIDTH
     small = [resized(frame, size).clamp(0, 1) for frame in frames]

@@ -1,4 +1,4 @@
-"""A camera from its footage: what stays the same in some dozens of frames, and what forbids it."""
+"""Estimation of a camera from some dozens of its frames."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -40,31 +40,34 @@ from roadtorch.road.ego import Ego
 NEUTRAL_EVIDENCE = 0.35  # evidence of an edge at which a column neither gains nor loses
 
 MIN_EVIDENCE = 0.08
-"""Evidence above NEUTRAL_EVIDENCE, mean over all columns, from which there is an ego car."""
+"""Evidence above NEUTRAL_EVIDENCE, averaged over all columns, from which there is an ego car."""
 
 MAX_CLIMB, CLIMB_COST = 3, 0.15  # rows by which a path may climb in a column, and what each costs
 
 NEXT_EDGE = 0.6
-"""Share of the best path's evidence that an edge above must have to be the ego car's as well."""
+"""Fraction of the best path's evidence that an edge above needs to be the ego car's as well."""
 
 MAX_EDGE_DISTANCE = 0.15  # share of the height within which an edge above belongs to the same car
 MIN_APART = 3  # rows between two edges: less is the same edge, blurred
 
 MIN_EGO_ROW, BELOW_HORIZON = 0.6, 0.12
-"""An ego car begins below this share of the height, and this far below the vanishing point."""
+"""Fractions of the height: an ego car begins below the first, and at least the second below the
+vanishing point.
+"""
 
 MIN_EGO_HEIGHT = 0.02
-"""Share of the height; a strip that is nowhere higher is a border of the image, or nothing."""
+"""Fraction of the height; a strip that is nowhere higher is a border of the image, or noise."""
 
 MAX_ROAD_LINES = 0.45
-"""Share of slanting edges that aim at the vanishing point, from which a place is road. About
-.1 to .3 on bonnets, .4 to .9 on roads with lanes; chance is .16."""
+"""Fraction of slanting edges that aim at the vanishing point, from which a region is road. About
+.1 to .3 on bonnets, .4 to .9 on roads with lanes; chance is .16.
+"""
 
 
 class Footage(NamedTuple):
-    """What frames of one camera have in common, all of the size (h,w) at which they are seen.
+    """Gradient statistics of frames of one camera, at the reduced size (h, w).
 
-    lines: (2,h,w), strength of edges that aim at the vanishing point, and of all.
+    lines: (2, h, w), strength of edges that aim at the vanishing point, and of all.
     """
 
     still: Stillness
@@ -73,11 +76,17 @@ class Footage(NamedTuple):
 
 
 def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
-    """The ego car in frames (3,H,W) of one camera, floating point in [0,1]: bool (H,W), or None.
+    """Detect the ego car in frames of one camera.
 
-    None where the camera sees none, which is common. 10 frames of different places are enough,
-    more are better. The map has the size of the first frame; the others may differ in size.
-    Raises InputError for fewer than two frames.
+    Args:
+        frames: sRGB in [0, 1], shape (3, H, W) each; sizes may differ. 10 of different places are
+            enough, more are better.
+
+    Returns:
+        Mask, bool, of the size of the first frame; None without an ego car, which is common.
+
+    Raises:
+        InputError: for fewer than two frames.
     """
     if len(frames) < 2:
         raise InputError("footage", f"is {len(frames)} frame(s)", "give 10 or more of one camera")
@@ -90,16 +99,16 @@ def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
 
 
 def look_through(gradients: Sequence[Tensor]) -> Footage:
-    """What the gradients (2,h,w) of two or more frames say together."""
+    """Return the statistics of the gradients (2, h, w) of two or more frames."""
     point = vanishing_point(gradients)
     return Footage(stillness(gradients), point, road_lines(gradients, point))
 
 
 def ego_rows(footage: Footage) -> Tensor | None:
-    """The row (w,) int64 at which the ego car begins in each column, h for none; None without one.
+    """Return the row (w,) int64 where the ego car begins in each column (h: none), or None.
 
-    The best path of an edge that stays, below which no road goes on; then, as long as there is
-    one nearly as good close above it, that one: a bonnet has several edges, and wipers before it.
+    The best path of a static edge that has no road below; then the next nearly as good one close
+    above, as long as there is one: a bonnet has several edges, and wipers before it.
     """
     evidence = edge_evidence(footage.still, footage.point)
     height, row = len(evidence), torch.arange(len(evidence))[:, None]
@@ -115,7 +124,7 @@ def ego_rows(footage: Footage) -> Tensor | None:
 
 
 def _edge_above(lines: Tensor, evidence: Tensor, rows: Tensor, enough: float) -> Tensor | None:
-    """The rows (w,) of an edge close above that is the ego car's too; None where there is none."""
+    """Return the rows (w,) of an edge close above that belongs to the ego car; None without one."""
     height, row = len(evidence), torch.arange(len(evidence))[:, None]
     close = (row < rows - MIN_APART) & (row >= rows - MAX_EDGE_DISTANCE * height)
     above, gained = best_path(evidence * close)
@@ -126,13 +135,13 @@ def _edge_above(lines: Tensor, evidence: Tensor, rows: Tensor, enough: float) ->
 
 
 def _is_road(lines: Tensor, where: Tensor) -> bool:
-    """Whether the edges of a place bool (h,w) aim at the vanishing point."""
+    """Return whether the edges in a region bool (h, w) aim at the vanishing point."""
     aiming, every = (float(strength[where].sum()) for strength in lines)
     return aiming > MAX_ROAD_LINES * every
 
 
 def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
-    """Where an edge stays that is no line of the road: (h,w) in [0,1]."""
+    """Return the evidence of static edges that are no lines of the road: (h, w) in [0, 1]."""
     direction = still.direction
     evidence = still.coherence * crossing(direction, point) * direction[1].abs()
     height = len(evidence)
@@ -141,10 +150,10 @@ def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
 
 
 def best_path(evidence: Tensor) -> tuple[Tensor, float]:
-    """The path across evidence (h,w) that gains most: its row (w,) int64 in each column, and gain.
+    """Return the path across evidence (h, w) of the largest gain: row (w,) int64, and the gain.
 
-    The row is h where the path is below the image, which is free; the gain is above
-    NEUTRAL_EVIDENCE, mean over the columns. Dynamic programming over the columns.
+    Row h, below the image, is free; the gain is the evidence above NEUTRAL_EVIDENCE, averaged over
+    the columns. Dynamic programming over the columns.
     """
     height, width = evidence.shape
     gain = torch.cat([evidence - NEUTRAL_EVIDENCE, evidence.new_zeros(1, width)])
@@ -169,14 +178,15 @@ MIN_FRAMES = 5  # frames; fewer have edges in common by chance
 OUTLINE_COLUMNS = 64  # columns of the outline in a camera's file
 
 STILL_SHARE = 0.85
-"""Share of common gradients from which nothing moves. Straight motorways have up to .7."""
+"""Fraction of common gradients from which nothing moves. Straight motorways reach .7."""
 
 OWN_LIKENESS, FOREIGN_LIKENESS = 0.8, 0.35
-"""Likeness to the ego car of some frames that four of five others of them have at least, and that
-four of five frames of another camera have at most."""
+"""Similarity to the ego car of some frames: reached by four of five other frames of the camera, and
+not exceeded by four of five frames of another camera.
+"""
 
 MIDDLE = slice(OUTLINE_COLUMNS * 3 // 8, OUTLINE_COLUMNS * 5 // 8)
-"""Columns of the outline over which the seed row is taken: those of the seed area."""
+"""Columns of the outline over which the seed row is computed: those of the seed area."""
 
 
 class StillError(InputError):
@@ -184,11 +194,16 @@ class StillError(InputError):
 
 
 def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
-    """The camera that took the frames (3,H,W), floating point in [0,1], 10 to some hundred.
+    """Estimate the camera from frames that it recorded.
 
-    They are gone through once, and may be large. Raises StillError for frames that stand still,
-    InputError for too few frames and for several cameras (their shapes differ, or there are two
-    unlike ego cars); both name ``where``.
+    Args:
+        frames: sRGB in [0, 1], shape (3, H, W) each, 10 to some hundred; iterated over once.
+        where: names the footage in errors.
+
+    Raises:
+        StillError: for footage in which nothing moves.
+        InputError: for too few frames, and for several cameras (of different shapes, or with an ego
+            car in one part of the frames only).
     """
     sizes, greys = [], []
     for frame in frames:
@@ -236,7 +251,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
 
 
 def _check_looks(footage: Footage, gradients: list[Tensor], where: str) -> None:
-    """InputError when one half of the frames shows an ego car that the other lacks."""
+    """Raise InputError when one half of the frames shows an ego car that the other half lacks."""
     halves = halved(footage, gradients)
     for shown, lacking in (halves, halves[::-1]):
         some, other = ([gradients[at] for at in half] for half in (shown, lacking))
@@ -250,7 +265,7 @@ def _check_looks(footage: Footage, gradients: list[Tensor], where: str) -> None:
 
 
 def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) -> bool:
-    """Whether frames have an ego car in common that others lack; gradients (2,h,w) of both."""
+    """Return whether frames share an ego car that the others lack; both as gradients (2, h, w)."""
     if min(len(half), len(other)) < MIN_FRAMES:
         return False
     still = stillness(half)
@@ -266,9 +281,9 @@ def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) 
 
 
 def halved(footage: Footage, gradients: Sequence[Tensor]) -> tuple[list[int], list[int]]:
-    """The frames' numbers in two groups, each alike at the bottom: what two cameras would be.
+    """Split frames by the lower part of the image, as two cameras would be; return their indices.
 
-    The sign of the first principal component of the softened gradients that are no road lines.
+    The sign of the first principal component of the normalised gradients, without road lines.
     """
     top = round(MIN_EGO_ROW * gradients[0].shape[1])
     weight = crossing(footage.still.direction, footage.point)

@@ -1,11 +1,11 @@
-"""Gradients of small grey frames: what never moves, and where the lines of the road meet. Ours.
+"""Gradients of small grey frames: static pixels, vanishing point and horizon. Ours.
 
-Where a bonnet, a dashboard or a wiper begins, the gradient points the same way in every frame;
-where the street passes, it points anywhere. Lane marks, kerbs, rails and the feet of houses run
-ahead, and their images meet in a point on the horizon: each frame's strong gradients vote for
-the points that their edges aim at (after Kong, Audibert and Ponce, "Vanishing point detection for
-road detection", CVPR 2009, who vote with Gabor filters in one image). Frames are looked at 320
-pixels wide: edges of the ego car stay visible, and a hundred frames take seconds.
+At the edge of a bonnet, a dashboard or a wiper, the gradient has the same direction in every
+frame; on the street it varies. Lane marks, kerbs, rails and the feet of houses run ahead and meet
+in a point on the horizon: each frame's strong gradients vote for the points that their edges aim
+at (after Kong, Audibert and Ponce, "Vanishing point detection for road detection", CVPR 2009, who
+vote with Gabor filters in one image). Frames are reduced to a width of 320 pixels: edges of the
+ego car stay visible, and a hundred frames take seconds.
 """
 
 from collections.abc import Sequence
@@ -24,14 +24,19 @@ SOFTNESS = 8.0  # grey levels of 255: gradients far below it are noise and count
 BLUR = 0.8  # pixels; standard deviation of the Gaussian that takes the noise of a small frame away
 
 FAINT_LENGTH = 0.12
-"""Mean length of a unit gradient at which coherence is halved: the even slope of light on a
-road points the same way in all frames, but is faint."""
+"""Mean length of a unit gradient at which coherence is halved: the smooth shading of a road has the
+same direction in all frames, but is faint.
+"""
 
 
 class Stillness(NamedTuple):
-    """Sums over n frames of gradients g, softened: u = g / (|g| + 8 grey levels).
+    """Statistics over n frames of normalised gradients u = g / (|g| + 8 grey levels).
 
-    mean: (2,h,w), of u, across and down. squares: (2,h,w), of u², each part. length: (h,w), of |u|.
+    Attributes:
+        mean: mean of u, right and down, shape (2, h, w).
+        squares: mean of u², by component, shape (2, h, w).
+        length: mean of |u|, shape (h, w).
+        frames: n.
     """
 
     mean: Tensor
@@ -41,10 +46,9 @@ class Stillness(NamedTuple):
 
     @property
     def common(self) -> Tensor:
-        """Length (h,w) in [0,1] of what the gradients of two different frames have in common.
+        """Root of the mean of u·u' over pairs of different frames, in [0, 1], shape (h, w).
 
-        The mean over pairs of frames of u·u', which is 0 on average where frames are unrelated,
-        however few they are; its root, and 0 where it is negative.
+        Unrelated frames give 0 on average, for any number of them; negative means become 0.
         """
         n = self.frames
         pairs = (self.mean.square() * n - self.squares).sum(0) / (n - 1)
@@ -52,47 +56,47 @@ class Stillness(NamedTuple):
 
     @property
     def coherence(self) -> Tensor:
-        """The same as a share of the mean length, (h,w) in [0,1]; small where all is faint."""
+        """``common`` over the mean length, in [0, 1], shape (h, w); small where all is faint."""
         return (self.common / (self.length + FAINT_LENGTH)).clamp(0, 1)
 
     @property
     def share(self) -> float:
-        """Share of all gradients that is common, in [0,1]: about 1 where nothing moves."""
+        """Fraction of all gradients that is common, in [0, 1]: about 1 where nothing moves."""
         return float(self.common.sum() / self.length.sum().clamp_min(1e-9))
 
     @property
     def direction(self) -> Tensor:
-        """Unit vectors (2,h,w) of the mean gradient; 0 where there is none."""
+        """Unit vectors of the mean gradient, shape (2, h, w); 0 where there is none."""
         return self.mean / self.mean.square().sum(0).sqrt().clamp_min(1e-9)
 
 
 def small_grey(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """An image (3,H,W) in [0,1] as grey levels (h,w) from 0 to 255: ITU-R BT.601 luma."""
+    """Return an image (3, H, W) in [0, 1] as grey levels (h, w), 0 to 255: ITU-R BT.601 luma."""
     luma = torch.einsum("chw,c->hw", image, image.new_tensor((0.299, 0.587, 0.114))) * 255
     pixels = np.ascontiguousarray(luma.float().cpu().numpy())
     return torch.from_numpy(cv2.resize(pixels, size[::-1], interpolation=cv2.INTER_AREA))
 
 
 def small_size(frames: Sequence[Tensor]) -> tuple[int, int]:
-    """Height and width at which frames (…,H,W) are looked at: the median of their shapes."""
+    """Return the reduced (height, width) of frames (..., H, W): that of their median shape."""
     shapes = sorted(frame.shape[-2] / frame.shape[-1] for frame in frames)
     return max(16, round(shapes[len(shapes) // 2] * SMALL_WIDTH)), SMALL_WIDTH
 
 
 def gradient_of(grey: Tensor) -> Tensor:
-    """Sobel's gradient (2,h,w) of grey levels (h,w): across and down, levels over two pixels."""
+    """Return Sobel's gradient (2, h, w), right and down, of grey levels (h, w), per two pixels."""
     smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), BLUR)
     ways = [cv2.Sobel(smooth, cv2.CV_32F, *way, scale=1 / 4) for way in ((1, 0), (0, 1))]
     return torch.from_numpy(np.stack(ways))
 
 
 def softened(gradient: Tensor) -> Tensor:
-    """A gradient (2,h,w) with a length below 1: divided by its own and 8 grey levels more."""
+    """Normalise a gradient (2, h, w) to lengths below 1: g / (|g| + 8 grey levels)."""
     return gradient / (gradient.square().sum(0).sqrt() + SOFTNESS)
 
 
 def stillness(gradients: Sequence[Tensor]) -> Stillness:
-    """How alike the gradients (2,h,w) of two or more frames are."""
+    """Return the statistics of the gradients (2, h, w) of two or more frames."""
     mean, squares = torch.zeros_like(gradients[0]), torch.zeros_like(gradients[0])
     length = torch.zeros_like(gradients[0][0])
     for unit in map(softened, gradients):
@@ -109,33 +113,34 @@ def stillness(gradients: Sequence[Tensor]) -> Stillness:
 FAINT_EDGE = 4.0  # grey levels over two pixels below which an edge has no sure direction
 
 CANDIDATE_ROWS = tuple(0.2 + 0.025 * step for step in range(22))
-"""Candidates, as shares of the height."""
+"""Candidate rows, fractions of the height."""
 
 CANDIDATE_COLUMNS = tuple(0.2 + 0.025 * step for step in range(25))
-"""Candidates, as shares of the width."""
+"""Candidate columns, fractions of the width."""
 
 MAX_VOTERS = 1500  # the strongest edges of a frame that may vote
 AIM = 0.05  # by how much an edge may miss (sine of the angle) until its vote has fallen to 1/e
 
 DOUBT = 15
-"""Votes a frame that a candidate must have beyond the others' share, so that few say little."""
+"""Pseudo-count per frame that is added to the votes of a candidate: few votes weigh little."""
 
 PLACE, SPREAD = (0.47, 0.5), 0.12
-"""Where a vanishing point tends to be, row and column, and the standard deviation of both."""
+"""Gaussian prior of the vanishing point: its mean row and column, and their standard deviation."""
 
 
 class VanishingPoint(NamedTuple):
-    """Shares of the height and of the width."""
+    """Position of a vanishing point, as fractions of the height and of the width."""
 
     row: float
     column: float
 
 
 def vanishing_point(gradients: Sequence[Tensor]) -> VanishingPoint:
-    """The point at which the edges of the frames' gradients (2,h,w) aim, left and right alike.
+    """Estimate the point at which the edges of the frames' gradients (2, h, w) aim.
 
-    The largest product of both sides' shares of aiming edges and of a Gaussian prior: a single
-    long line aims at all points along it, but the other side's lines cross it in one.
+    The maximum of a Gaussian prior times the fractions of edges that aim at the point, left of it
+    and right of it: a long line aims at all points along it, but lines of the other side cross it
+    in one.
     """
     rows, columns = torch.meshgrid(
         torch.tensor(CANDIDATE_ROWS), torch.tensor(CANDIDATE_COLUMNS), indexing="ij"
@@ -154,10 +159,10 @@ def vanishing_point(gradients: Sequence[Tensor]) -> VanishingPoint:
 
 
 def crossing(direction: Tensor, point: VanishingPoint) -> Tensor:
-    """How far edges are from aiming at the vanishing point: (h,w) in [0,1], 0 along a road's lines.
+    """Return how far edges deviate from the vanishing point: (h, w) in [0, 1], 0 on road lines.
 
-    direction: unit gradients (2,h,w). The sine of the angle between edge and line of sight,
-    from .15 (9°, still the road's: the point is known to a few pixels) to .35 (20°).
+    direction: unit gradients (2, h, w). The sine of the angle between edge and line of sight,
+    scaled from .15 (9°, within the error of the point) to .35 (20°).
     """
     height, width = direction.shape[1:]
     down = torch.arange(height).view(-1, 1) - point.row * height
@@ -168,10 +173,10 @@ def crossing(direction: Tensor, point: VanishingPoint) -> Tensor:
 
 
 def road_lines(gradients: Sequence[Tensor], point: VanishingPoint) -> Tensor:
-    """Strength of slanting edges that aim at the vanishing point, and of all: (2,h,w), summed.
+    """Sum the strength of slanting edges that aim at the vanishing point, and of all: (2, h, w).
 
-    Lanes, kerbs and rails pass through a place of the ground sooner or later; over a bonnet pass
-    reflections of all directions.
+    Any ground sees lanes, kerbs and rails pass sooner or later; reflections on a bonnet have all
+    directions.
     """
     total = torch.zeros(2, 1, 1)
     for gradient in gradients:
@@ -185,7 +190,7 @@ def road_lines(gradients: Sequence[Tensor], point: VanishingPoint) -> Tensor:
 
 
 def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-    """Votes (2,k) for k candidates from the left and the right of each, and how many could vote.
+    """Return the votes (2, k) for k candidates from edges left and right of each, and the voters.
 
     Strong slanting edges below the sky vote.
     """
@@ -212,33 +217,39 @@ def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Ten
 
 
 FARTHEST_SHARE = 0.05
-"""Share of the columns that may show ground above the farthest ground: mislabelled ones."""
+"""Fraction of the columns whose ground may reach above the farthest ground: mislabelled ones."""
 
 GROUND_BELOW_HORIZON = 0.025
-"""By which share of the height the farthest ground ends below the horizon: the median of 16
-rendered streets and four images of KITTI's."""
+"""Distance from the horizon to the farthest ground, as a fraction of the height: the median of 16
+rendered streets and four images of KITTI.
+"""
 
 MIN_GROUND = 0.25  # share of the columns that have to end in ground
 MAX_APART = 0.15  # share of the height by which both may differ
 
 MIN_SPREAD = 0.025
-"""Share of the height by which both were wrong where they agreed, root mean square."""
+"""Root-mean-square error, as a fraction of the height, where both estimates agreed."""
 
 PITCH_REMEDY = "give --pitch, or --camera with what roadtorch camera finds in footage"
 
 
 class Horizon(NamedTuple):
-    """Its row and how unsure that is, one standard deviation: shares of the height."""
+    """Row of the horizon and its standard deviation, as fractions of the height."""
 
     row: float
     spread: float
 
 
 def horizon_of(image: Tensor, layout: Tensor) -> Horizon:
-    """The horizon of an image (3,H,W) with the potentials (3,H,W) of its layout.
+    """Estimate the horizon of an image from its layout and its vanishing point.
 
-    Raises InputError where it cannot be told: hardly any ground, ground up to the upper edge, or
-    lines that meet elsewhere.
+    Args:
+        image: sRGB in [0, 1], shape (3, H, W).
+        layout: potentials of sky, vertical and horizontal, shape (3, H, W).
+
+    Raises:
+        InputError: for hardly any ground, ground up to the upper edge, and lines that meet far
+            from the end of the ground.
     """
     if not torch.isfinite(layout).all():
         raise InputError("image", "has a layout that is not finite", PITCH_REMEDY)

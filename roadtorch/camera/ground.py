@@ -1,7 +1,7 @@
-"""How a camera's image lies on flat ground: the lens, its place on the robot, points between.
+"""Projection between images and flat ground: the lens, and its pose on the robot.
 
 Frames are those of REP 103. Robot: x forward, y left, z up, in metres; the ground is z = 0.
-Camera: x right, y down, z along the optical axis. Pixels: (column, row), the middle of the first
+Camera: x right, y down, z along the optical axis. Pixels: (column, row), the centre of the first
 pixel is (0, 0), as in OpenCV and in camera_info.
 """
 
@@ -17,7 +17,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import Settings
 
 MIN_PITCH, MAX_PITCH = -30.0, 89.0
-"""Degrees; upwards less ground is seen, and straight down the image has no forward."""
+"""Degrees. Above, too little ground is visible; straight down, no direction is forward."""
 
 MAX_ROLL = 45.0
 
@@ -25,7 +25,7 @@ SAME_ASPECT = 0.01  # share by which two aspect ratios may differ: an image scal
 MIN_DISTANCE = 1e-6  # metres ahead of the lens from which a point has an image
 
 MAX_MISS = 0.5
-"""Pixels by which a point may miss itself when its distortion is undone and done again."""
+"""Pixels by which a point may differ after undistortion and distortion."""
 
 COEFFICIENTS = {
     "pinhole": (0,),
@@ -33,7 +33,7 @@ COEFFICIENTS = {
     "rational_polynomial": (8, 12, 14),
     "equidistant": (4,),
 }
-"""How many coefficients each model of distortion has, as ROS and OpenCV count them."""
+"""Numbers of coefficients of each distortion model, as ROS and OpenCV count them."""
 
 Focal = Annotated[float, Field(gt=0, le=1e6)]
 Centre = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -41,7 +41,7 @@ Triple = tuple[float, float, float]
 
 
 class Lens(Settings):
-    """How rays become pixels: focal lengths and principal point in pixels, and distortion."""
+    """Intrinsics: focal lengths and principal point in pixels, and distortion."""
 
     width: int = Field(ge=1, description="of the images, in pixels")
     height: int = Field(ge=1, description="likewise")
@@ -63,13 +63,13 @@ class Lens(Settings):
 
     @property
     def matrix(self) -> np.ndarray:
-        """The camera matrix (3,3) float64."""
+        """Camera matrix, float64, shape (3, 3)."""
         return np.array(
             [[self.focal_x, 0, self.centre_x], [0, self.focal_y, self.centre_y], [0, 0, 1.0]]
         )
 
     def at(self, width: int, height: int) -> "Lens":
-        """The lens for images scaled to that size; InputError for another aspect ratio."""
+        """Return the lens for images scaled to a size; InputError for another aspect ratio."""
         if abs(width * self.height / (height * self.width) - 1) > SAME_ASPECT:
             problem = f"is {width}×{height} pixels, the calibration {self.width}×{self.height}"
             raise InputError("image", problem, "give images of that shape, uncropped")
@@ -86,9 +86,12 @@ class Lens(Settings):
 
 
 def lens_of_view(width: int, height: int, degrees: float) -> Lens:
-    """A pinhole that sees so many degrees across, square pixels, its axis through the middle.
+    """Return a pinhole lens with square pixels and its axis through the image centre.
 
-    Raises ConfigError for an angle that no pinhole has.
+    Args:
+        width: of the images, in pixels.
+        height: of the images, in pixels.
+        degrees: horizontal field of view, 1 to 170; ConfigError for others.
     """
     if not 1 <= degrees <= 170:
         hint = "give 1 to 170 degrees from side to side"
@@ -102,10 +105,11 @@ def lens_of_view(width: int, height: int, degrees: float) -> Lens:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a camera is on the robot.
+    """Pose of a camera on the robot.
 
-    axes: the camera's x, y and z axis in the robot's frame, unit vectors. position: of the
-    camera in the robot's frame, metres; its z is the height above the ground.
+    Attributes:
+        axes: the camera's x, y and z axis in the robot's frame, unit vectors.
+        position: of the camera in the robot's frame, metres; z is the height above the ground.
     """
 
     axes: tuple[Triple, Triple, Triple]
@@ -120,11 +124,16 @@ class Pose:
 def mounted(
     height: float, pitch: float, roll: float = 0.0, mount: tuple[float, float] = (0.0, 0.0)
 ) -> Pose:
-    """The pose of a camera that looks ahead.
+    """Return the pose of a camera that looks ahead.
 
-    height: metres above the ground. pitch: degrees, positive looks down. roll: degrees, positive
-    has the camera's right side lower (REP 103). mount: x, y of the camera on the robot, metres.
-    Raises ConfigError for what is beyond the limits.
+    Args:
+        height: metres above the ground.
+        pitch: degrees, positive looks down.
+        roll: degrees, positive has the camera's right side lower (REP 103).
+        mount: x, y of the camera on the robot, metres.
+
+    Raises:
+        ConfigError: for values beyond the limits.
     """
     for option, value, low, high, unit in (
         ("--height", height, 0.01, 1000, "metres"),
@@ -142,23 +151,24 @@ def mounted(
 
 
 def pose_of(axes: np.ndarray, position: np.ndarray) -> Pose:
-    """The pose of axes (3,3), a row each, and position (3,), as ``Pose`` has them."""
+    """Return the pose with axes (3, 3), one per row, and position (3,), as in ``Pose``."""
     x, y, z, place = (tuple(row) for row in [*axes.tolist(), position.tolist()])
     return Pose((x, y, z), place)
 
 
 @dataclass(frozen=True)
 class GroundCamera:
-    """A camera over flat ground: its lens and where it is."""
+    """A camera over flat ground: its lens and its pose."""
 
     lens: Lens
     pose: Pose
 
     def pixels_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (n,2) float64 of points (n,3) in the robot's frame, and which of them it has.
+        """Project points (n, 3), metres in the robot's frame, into the image.
 
-        The second, bool (n,), is False behind the camera, outside the image, and where the
-        distortion turns back on itself.
+        Returns:
+            Pixels, float64, shape (n, 2), and a mask, bool, shape (n,), of the visible ones: false
+            behind the camera, outside the image, and where the distortion is not invertible.
         """
         rays = (points - self.pose.position) @ np.array(self.pose.axes).T
         ahead = rays[:, 2] > MIN_DISTANCE
@@ -173,13 +183,13 @@ class GroundCamera:
         return pixels, inside
 
     def rays_of(self, pixels: np.ndarray) -> np.ndarray:
-        """Directions (n,3) in the robot's frame, not normed, in which pixels (n,2) look."""
+        """Return the directions (n, 3) of pixels (n, 2) in the robot's frame, not normalised."""
         plane = undistorted(self.lens, pixels)
         return np.column_stack([plane, np.ones(len(plane))]) @ np.array(self.pose.axes)
 
 
 def distorted(lens: Lens, plane: np.ndarray) -> np.ndarray:
-    """Pixels (n,2) of points (n,2) on the plane one metre ahead of the lens (OpenCV's models)."""
+    """Return the pixels (n, 2) of points (n, 2) on the plane one metre ahead (OpenCV's models)."""
     if not lens.coefficients:
         return plane * (lens.focal_x, lens.focal_y) + (lens.centre_x, lens.centre_y)
     none, bent = np.zeros(3), np.array(lens.coefficients)
@@ -190,7 +200,7 @@ def distorted(lens: Lens, plane: np.ndarray) -> np.ndarray:
 
 
 def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
-    """Points (n,2) on the plane one metre ahead of the lens, of pixels (n,2)."""
+    """Return the points (n, 2) of pixels (n, 2) on the plane one metre ahead of the lens."""
     if not lens.coefficients:
         return (pixels - (lens.centre_x, lens.centre_y)) / (lens.focal_x, lens.focal_y)
     bent, criteria = np.array(lens.coefficients), (3, 50, 1e-9)  # 3: both count and precision
@@ -201,9 +211,9 @@ def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
 
 
 def pitch_of_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
-    """Degrees of pitch at which the horizon crosses the principal column at that row.
+    """Return the pitch in degrees at which the horizon crosses the principal column in a row.
 
-    horizon: share of the height from the top; roll in degrees. Raises ConfigError for a row
+    horizon: fraction of the height from the top; roll in degrees. Raises ConfigError for a row
     outside the image.
     """
     if not 0 <= horizon <= 1:

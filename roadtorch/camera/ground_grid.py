@@ -1,8 +1,8 @@
-"""The road as a metric grid on flat ground: what is free, what is not road, what is unknown. Ours.
+"""Metric grid of the road on flat ground: free, occupied or unknown cells. Ours.
 
-Flat ground smears whatever stands upright over the cells behind it. So the ground is looked at
-along rays from the camera's foot: free up to the first cell that is no road, which is occupied,
-and unknown behind it.
+On flat ground, upright things smear over the cells behind them. So cells are classified along
+rays from the camera's foot: free up to the first cell that is no road, which is occupied, and
+unknown behind it.
 """
 
 import math
@@ -27,8 +27,9 @@ MAX_SAMPLES = 2**24  # of all rays: some seconds, and a gigabyte
 MIN_SEEN = 0.5  # share of a cell's samples that an image must show
 
 JOINED, BETWEEN = 4, 8
-"""Cells that the ends of neighbouring rays may lie apart and still be one edge, and the points
-that are set between them."""
+"""Cells that the ends of neighbouring rays may lie apart and still form one edge, and the number of
+points inserted between them.
+"""
 
 MAX_HALVINGS = 8  # of the image, for cells that cover many of its pixels
 
@@ -38,7 +39,7 @@ Length = Annotated[float, Field(gt=0, le=1000)]
 
 
 class GridSettings(Settings):
-    """What part of the ground the grid covers, how finely, and when a cell is road."""
+    """Extent and resolution of the grid, and the threshold of road."""
 
     resolution: float = Field(default=0.1, ge=0.005, le=10, description="side of a cell, metres")
     range: Length = Field(default=30.0, description="metres ahead of the camera")
@@ -59,12 +60,14 @@ class GridSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A metric map of the ground in the robot's frame (REP 103): x forward, y left.
+    """Metric map of the ground in the robot's frame (REP 103): x forward, y left.
 
-    cells: int8 (rows along y, columns along x), 0 free, 100 no road, -1 unknown; cell (0, 0) is
-    the one of least x and y. likelihood: float32 of the same shape, the mean road likelihood,
-    NaN where a cell is unknown. resolution, origin: metres; the origin is the outer
-    corner of cell (0, 0).
+    Attributes:
+        cells: int8, shape (rows along y, columns along x): 0 free, 100 no road, -1 unknown; cell
+            (0, 0) has the least x and y.
+        likelihood: mean road likelihood, float32, of the same shape; NaN in unknown cells.
+        resolution: side of a cell, metres.
+        origin: outer corner of cell (0, 0), metres.
     """
 
     cells: Tensor
@@ -74,17 +77,23 @@ class Grid:
 
     @property
     def occupancy(self) -> Tensor:
-        """int8 (rows · columns,): the order of nav_msgs/OccupancyGrid, x running fastest."""
+        """int8, shape (rows · columns,), in nav_msgs/OccupancyGrid's order, x running fastest."""
         return self.cells.reshape(-1)
 
 
 def ground_grid(
     road: Tensor, camera: GroundCamera, settings: GridSettings, ego: Tensor | None = None
 ) -> Grid:
-    """The grid of a mask bool (H,W), or of a likelihood (H,W) in [0,1], seen by a camera.
+    """Project a mask or likelihood onto the ground.
 
-    ego: the ego car bool (H,W), unknown. Raises InputError for another size than the lens's, and
-    where no ground within the settings' distance is seen.
+    Args:
+        road: mask, bool, or likelihood in [0, 1], shape (H, W).
+        camera: the camera that took the image.
+        settings: extent, resolution and threshold.
+        ego: the ego car, bool, shape (H, W); unknown in the grid.
+
+    Raises:
+        InputError: for a size other than the lens's, and when no ground within range is visible.
     """
     lens, size = camera.lens, settings.resolution
     if tuple(road.shape) != (lens.height, lens.width):
@@ -128,11 +137,11 @@ def ground_grid(
 
 @dataclass(frozen=True, eq=False)
 class RayPlaces:
-    """Pixels of the samples of all rays; shared between calls, never changed.
+    """Pixels of the samples of all rays. Cached: do not change them.
 
-    azimuth (B,) and distance (K+1,) of samples. columns, rows: float32 (K+1,B). halvings: (K+1,),
-    how often the image is halved for them, so that no pixel between them is left out. inside:
-    bool (K+1,B), in the image and fine enough.
+    azimuth (B,), radians, and distance (K+1,), metres, of samples. columns, rows: float32 (K+1, B).
+    halvings: (K+1,), how often the image is halved for them, so that no pixel between them is left
+    out. inside: bool (K+1, B), in the image and fine enough.
     """
 
     azimuth: Tensor
@@ -145,7 +154,7 @@ class RayPlaces:
 
 @lru_cache(maxsize=2)  # some 10 MB each; the images of one camera come one after the other
 def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
-    """Where a camera sees the samples of its rays; InputError where it sees no ground."""
+    """Return the pixels at which a camera sees its rays' samples; InputError without ground."""
     low, high = _view(camera)
     count = math.ceil((high - low) / (settings.resolution / settings.range / ACROSS)) + 2
     azimuth = np.linspace(low, high, count)
@@ -179,7 +188,7 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
 
 
 def _view(camera: GroundCamera) -> tuple[float, float]:
-    """Least and greatest azimuth, radians, of the ground in the image, at most ±π/2."""
+    """Return the least and greatest azimuth, radians, of the visible ground, at most ±π/2."""
     width, height = camera.lens.width, camera.lens.height
     foot = np.array([[*camera.pose.position[:2], 0.0]])
     if camera.pixels_of(foot)[1].any():
@@ -199,7 +208,7 @@ def _view(camera: GroundCamera) -> tuple[float, float]:
 
 
 def _looked_up(values: Tensor, places: RayPlaces) -> Tensor:
-    """Values (H,W) at the samples (K+1,B), bilinear; near the camera means of many pixels."""
+    """Sample values (H, W) at (K+1, B), bilinearly; near the camera means of many pixels."""
     source = values.detach().cpu().contiguous().numpy()
     height, width = source.shape
     samples = np.empty(places.columns.shape, np.float32)
@@ -219,9 +228,9 @@ def _looked_up(values: Tensor, places: RayPlaces) -> Tensor:
 def _cell_means(
     values: Tensor, visible: Tensor, places: RayPlaces, settings: GridSettings
 ) -> tuple[Tensor, Tensor]:
-    """Means of samples (K+1,B) over a cell's length and width: (K,B), and which are seen.
+    """Return means of samples (K+1, B) over a cell's length and width, (K, B), and visible ones.
 
-    Near the camera a cell is wide for the rays, far off narrower than a pixel.
+    Near the camera a cell is wide compared with the rays, far off narrower than a pixel.
     """
     weight = visible.double()
     sums = torch.stack([values * weight, weight]).cumsum(2)
@@ -239,10 +248,11 @@ def _cell_means(
 
 
 def _edge_cells(free: Tensor, azimuth: Tensor, size: float, shape: torch.Size) -> Tensor:
-    """The cells, bool (R,C), in which rays meet the first that is no road; free, azimuth: (B,).
+    """Return the cells, bool (R, C), in which rays end at the first one without road.
 
-    A road's side is met at a slant: points between the ends of neighbouring rays close the gaps,
-    but not where one end is much nearer: it is a corner, and what lies between is unknown.
+    free, azimuth: (B,). Rays meet a road's side at a slant: points between the ends of neighbouring
+    rays close the gaps, but not at a corner, where one end is much nearer and what lies between is
+    unknown.
     """
     ends = free + size / (2 * ALONG)
     joined = (ends[1:] - ends[:-1]).abs() <= JOINED * size

@@ -1,4 +1,4 @@
-"""Where a camera is above the ground, for each image: what the user, files and layouts say."""
+"""Camera over the ground for each image, from options, files and layouts."""
 
 import json
 import math
@@ -31,10 +31,10 @@ from roadtorch.camera.ground import (
 
 @dataclass(frozen=True)
 class Mounting:
-    """What the user says about the camera: exactly one of the three that tell its lens.
+    """Options about the camera, with exactly one of ``fov``, ``camera_info`` and ``calibration``.
 
-    height: metres. pitch, roll: degrees. mount: x, y on the robot, metres. fov: degrees from side
-    to side. camera: what ``roadtorch camera`` wrote, for its horizon.
+    height: metres. pitch, roll: degrees. mount: x, y on the robot, metres. fov: horizontal field of
+    view, degrees. camera: file of ``roadtorch camera``, for its horizon.
     """
 
     height: float | None = None
@@ -47,7 +47,7 @@ class Mounting:
     camera: Path | None = None
 
     def pose(self, pitch: float) -> Pose:
-        """Where the camera is at so many degrees; ConfigError for what is beyond the limits."""
+        """Return the pose at a pitch in degrees; ConfigError beyond the limits."""
         if self.height is None:
             hint = "give the camera's height above the ground in metres, or --calibration"
             raise ConfigError("--height", "is missing", hint)
@@ -55,7 +55,7 @@ class Mounting:
 
 
 class Pitch(NamedTuple):
-    """Degrees, how they are known, and how unsure they are."""
+    """Pitch in degrees, its source, and its standard deviation."""
 
     degrees: float
     reason: str
@@ -64,11 +64,11 @@ class Pitch(NamedTuple):
 
 @dataclass(frozen=True)
 class Placing:
-    """How the camera over the ground is found for each image.
+    """Estimator of the camera over the ground for each image.
 
-    calibration: KITTI's, which tells all but ``mount``. lens: None for one of ``fov``, and where
-    each bag tells its own. horizon: of the camera's file, share of the height. pitch: None where
-    the horizon tells it, or else the layout of each image.
+    calibration: KITTI's, which determines all but ``mount``. lens: None if ``fov`` or each bag
+    determines it. horizon: of the camera's file, fraction of the height. pitch: None if the horizon
+    or each image's layout determines it.
     """
 
     mounting: Mounting
@@ -79,23 +79,23 @@ class Placing:
 
     @property
     def lacks_lens(self) -> bool:
-        """Whether the lens is for each bag to tell."""
+        """True if each bag provides the lens."""
         return self.lens is None and self.calibration is None and self.mounting.fov is None
 
     @property
     def asks_images(self) -> bool:
-        """Whether each image tells the pitch by its layout."""
+        """True if the pitch is estimated from each image's layout."""
         return self.calibration is None and self.horizon is None and self.pitch is None
 
     def through(self, lens: Lens) -> "Placing":
-        """The same through a lens; ConfigError where the horizon is beyond its limits."""
+        """Return a copy with a lens; ConfigError if the horizon exceeds the limits of the pitch."""
         if self.horizon is not None and self.pitch is None:
             self.mounting.pose(pitch_of_horizon(lens, self.horizon, self.mounting.roll))
         return replace(self, lens=lens)
 
     @property
     def words(self) -> str:
-        """What decides on the camera, as a line of comment in the settings' file."""
+        """The inputs that determine the camera, as a comment line for the settings file."""
         if self.calibration is not None:
             facts = {"calibration": asdict(self.calibration), "mount": self.mounting.mount}
         else:
@@ -105,7 +105,7 @@ class Placing:
         return f"# {json.dumps({name: fact for name, fact in facts.items() if fact is not None})}"
 
     def __call__(self, image: Tensor, layout: Tensor | None) -> tuple[GroundCamera, Pitch]:
-        """The camera of an image (3,H,W); InputError where its layout does not tell the pitch."""
+        """Return camera and pitch for an image (3, H, W); InputError if no horizon is found."""
         height, width = image.shape[-2:]
         if self.calibration is not None:
             camera = kitti_ground_camera(self.calibration, width, height, self.mounting.mount)
@@ -132,10 +132,9 @@ class Placing:
 
 
 def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
-    """How the cameras of inputs are found; of_bags: whether all of them are bags, with lenses.
+    """Return the estimator for all inputs; of_bags: whether all are bags, which have lenses.
 
-    Raises ConfigError for options that are missing,
-    contradict one another or lie beyond their limits, and what the files' readers raise.
+    Raises ConfigError for missing, contradictory or invalid options, and the errors of the readers.
     """
     ways = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
     ways["--calibration"] = mounting.calibration
@@ -167,7 +166,7 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
 
 
 def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
-    """One pitch for a whole source: single images jitter, and a robot's camera does not."""
+    """Return one pitch for a whole source: estimates jitter, but a robot's camera does not."""
     degrees = [pitch.degrees for pitch in pitches]
     spread = statistics.median(pitch.spread for pitch in pitches)
     reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"

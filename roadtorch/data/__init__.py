@@ -1,1 +1,1 @@
-"""Labelled sets of street images: what they are, where their files lie, what labels mean."""
+"""Labelled data sets of street images: their file layouts and the meaning of their labels."""

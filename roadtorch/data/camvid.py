@@ -1,11 +1,12 @@
-"""CamVid: in the 11 classes it is mostly used with, and in its original 32 colours.
+"""CamVid: in the 11 classes that most papers use, and in its original 32 colours.
 
 Brostow, Fauqueur, Cipolla, Pattern Recognition Letters 30(2), 2009. Every figure on CamVid
-depends on how the 32 entries are read; the name of the set says how:
+depends on how the 32 entries are mapped to road and layout; the name of the set tells which
+mapping is used:
 
 ``camvid``, ``camvid32``        the 11 classes of the 480×360 release (SegNet's)
 ``camvid32:literal``            P2's sentence: sky; road and sidewalk; all 29 others vertical
-``camvid32:literal-ignore``     the same with void left out
+``camvid32:literal-ignore``     the same without void
 """
 
 import re
@@ -43,10 +44,9 @@ CAMVID_SPLITS = {
 
 
 def open_camvid(root: Path, split: str) -> Dataset:
-    """CamVid in the 11-class layout: ROOT/train and ROOT/trainannot, the same for val and test.
+    """Open CamVid in the 11-class layout: ROOT/train and ROOT/trainannot, likewise val and test.
 
-    The test split, which P2's Figs. 4 and 6 are about, is read where a user has it; ``dev`` has
-    no part in it.
+    The test split, which P2's Figs. 4 and 6 show, is not part of ``dev`` and may be missing.
     """
     items = tuple(
         _item(image, label)
@@ -106,7 +106,7 @@ LITERAL_LAYOUT = {"Sky": SKY, "Road": HORIZONTAL, "Sidewalk": HORIZONTAL}
 
 
 def _through_classes() -> NumberLabels:
-    """What the colours mean through the 11 classes; lane markings and shoulders are road."""
+    """Map the colours through the 11 classes, by which lane markings and shoulders are road."""
     became = [CLASSES11.index(name) for _, _, name in COLOURS32]
     values = range(len(became))
     return NumberLabels(
@@ -118,7 +118,7 @@ def _through_classes() -> NumberLabels:
 
 
 def _literal(void: tuple[str, ...]) -> NumberLabels:
-    """What the colours mean by P2's sentence (ECCV 2012, §6.1): only ``Road`` is road."""
+    """Map the colours as P2 writes (ECCV 2012, §6.1): only ``Road`` is road."""
     layout = [
         UNLABELLED if name in void else LITERAL_LAYOUT.get(name, VERTICAL) for name in NAMES32
     ]
@@ -148,9 +148,9 @@ SPLITS32 = {"all": ("train", "val", "test"), **CAMVID_SPLITS}
 
 
 def split_of(name: str) -> str:
-    """The part of SegNet's division (367, 101, 233 frames) that a frame is in, by its name.
+    """Return the split of SegNet's division (367, 101, 233 frames) that a frame's name belongs to.
 
-    Raises DatasetError for a name that is not CamVid's.
+    Raises DatasetError for a name that is not one of CamVid's.
     """
     parts = re.fullmatch(r"(0001TP|0006R0|0016E5|Seq05VD)_f?(\d+)", name)
     if parts is None:
@@ -163,11 +163,11 @@ def split_of(name: str) -> str:
 
 
 def open_camvid32(root: Path, split: str, name: str = "camvid32") -> Dataset:
-    """CamVid in its original colours: ROOT/images/NAME.*, ROOT/labels/NAME_L.png.
+    """Open CamVid in its original colours: ROOT/images/NAME.*, ROOT/labels/NAME_L.png.
 
-    Or ROOT/701_StillsRaw_full and ROOT/LabeledApproved_full, as published; or ROOT/train
-    and ROOT/train_labels, and so on. The split goes by the frames' names, whatever folder
-    they are in. name: which reading of the colours (``READINGS``).
+    ROOT/701_StillsRaw_full with ROOT/LabeledApproved_full, as published, and ROOT/train with
+    ROOT/train_labels and so on are read too. The frames' names decide on the split, not their
+    folders. name: a key of ``READINGS``.
     """
     items = tuple(item for item in _items32(root) if split_of(item.name) in SPLITS32[split])
     numbers = READINGS[name]

@@ -1,7 +1,7 @@
-"""Labelled sets by name: the one door to all of them.
+"""Registry of the labelled data sets by name.
 
-Other packages add theirs through the entry-point group ``roadtorch.datasets``: the entry
-point's name is the set's, and it names a ``Kind``.
+Other packages register theirs through the entry-point group ``roadtorch.datasets``: the entry
+point has the name of the data set and refers to a ``Kind``.
 """
 
 from collections.abc import Mapping
@@ -29,10 +29,16 @@ KINDS: Mapping[str, Kind] = {
 
 
 def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
-    """Open a labelled set; without ``split`` its default one.
+    """Open a labelled data set.
 
-    Raises ConfigError for an unknown name or split, DatasetError for an incomplete or
-    empty set.
+    Args:
+        name: one of ``list_datasets()``.
+        root: folder of the data set.
+        split: one of its splits; the first one by default.
+
+    Raises:
+        ConfigError: for an unknown name or split.
+        DatasetError: for an incomplete or empty data set.
     """
     kind = dataset_kind(name)
     if split is not None and split not in kind.splits:
@@ -47,9 +53,9 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
 
 
 def open_named(text: str) -> Dataset:
-    """Open ``NAME:ROOT``; names (``camvid32:literal``) and roots may have colons themselves.
+    """Open the data set of ``NAME:ROOT``; names (``camvid32:literal``) and roots may have colons.
 
-    Raises ConfigError for anything else, DatasetError for an incomplete set.
+    Raises ConfigError for any other text, DatasetError for an incomplete data set.
     """
     known = sorted(list_datasets(), key=len, reverse=True)
     name = next((name for name in known if text.startswith(f"{name}:")), None)
@@ -60,12 +66,12 @@ def open_named(text: str) -> Dataset:
 
 
 def list_datasets() -> list[str]:
-    """The names of all sets, sorted; those of other packages among them."""
+    """Return the names of all data sets, sorted, including those of other packages."""
     return sorted(_catalogue())
 
 
 def dataset_kind(name: str) -> Kind:
-    """The kind of one set; ConfigError with the nearest names if there is none."""
+    """Return the format of a data set; ConfigError with the nearest names for an unknown one."""
     kinds = _catalogue()
     if name not in kinds:
         raise unknown_name("data set", name, kinds)

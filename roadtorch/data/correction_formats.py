@@ -1,4 +1,4 @@
-"""Corrections out to other programs and in again: label images, and COCO's JSON."""
+"""Import and export of corrections: label images, and COCO's JSON."""
 
 import json
 import math
@@ -21,15 +21,15 @@ from roadtorch.data.labels import read_labels
 from roadtorch.data.polygons import coco_region
 
 Sizes = Mapping[str, tuple[int, int]]
-"""(height, width) of images by their relative name with ending."""
+"""(height, width) of images by their relative name with extension."""
 
 
 class CorrectionFormat(NamedTuple):
-    """How another program keeps labels.
+    """A file format in which other programs keep labels.
 
-    write: corrections to a folder. read: labels uint8 (H,W) by image, of a path and the sizes of
-    images; those of which nothing is said are left out. Raises DatasetError for what cannot be
-    read, or does not fit the images.
+    write: writes corrections to a folder. read: returns labels uint8 (H, W) by image, from a path
+    and the sizes of the images, without images that have no labels; raises DatasetError for files
+    that cannot be read or do not fit the images.
     """
 
     write: Callable[[Sequence[Correction], Path], None]
@@ -37,7 +37,7 @@ class CorrectionFormat(NamedTuple):
 
 
 def _check_stems(names: Iterable[str]) -> None:
-    """DatasetError for two images of one name without ending."""
+    """Raise DatasetError for two images whose names differ in the extension alone."""
     owners: dict[str, str] = {}
     for name in names:
         stem = PurePath(name).with_suffix("").as_posix()
@@ -50,7 +50,7 @@ def _check_stems(names: Iterable[str]) -> None:
 
 
 def write_png(corrections: Sequence[Correction], folder: Path) -> None:
-    """Write FOLDER/labels/NAME.png, numbers of ``LABELS``; FOLDER/road and /layout as sets have it.
+    """Write FOLDER/labels/NAME.png, numbers of ``LABELS``, and FOLDER/road and /layout as sets use.
 
     In road 0 is not road, 1 road, 255 void or untouched; in layout 255 is unknown.
     """
@@ -65,9 +65,9 @@ def write_png(corrections: Sequence[Correction], folder: Path) -> None:
 
 
 def read_png(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
-    """Read labels uint8 (H,W) by image from PATH/labels/NAME.png.
+    """Read labels uint8 (H, W) by image from PATH/labels/NAME.png.
 
-    DatasetError for other numbers and sizes, two images of one name, and a folder without any.
+    Raises DatasetError for other numbers or sizes, two images of one name, and an empty folder.
     """
     files = {name: (path / "labels" / name).with_suffix(".png") for name in sizes}
     present = {name: file for name, file in files.items() if file.is_file()}
@@ -79,7 +79,7 @@ def read_png(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
 
 
 def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """The numbers of ``LABELS`` uint8 (H,W); DatasetError for other numbers and sizes."""
+    """Read numbers of ``LABELS``, uint8 (H, W); DatasetError for other numbers or another size."""
     labels = read_labels(path, size)
     if not np.isin(labels, range(len(LABELS))).all():
         message = f"has other values than 0 to {len(LABELS) - 1}"
@@ -96,11 +96,11 @@ def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
 COCO_FILE = "coco.json"
 
 _UPLOAD = re.compile(r"[0-9a-f]{8}-(.+)")
-"""What Label Studio calls an image that was uploaded; its sub-folders are lost there."""
+"""File name of an image uploaded to Label Studio, which drops sub-folders."""
 
 
 def write_coco(corrections: Sequence[Correction], folder: Path) -> None:
-    """Write FOLDER/coco.json, with a region for each label that occurs in an image."""
+    """Write FOLDER/coco.json with one region for each label of each image."""
     images, regions = [], []
     for image, correction in enumerate(corrections, 1):
         height, width = correction.labels.shape
@@ -158,12 +158,12 @@ class _CocoFile(ForeignDocument):
 
 
 def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
-    """Labels uint8 (H,W) by the name of the image, for those that are in ``sizes``.
+    """Read labels uint8 (H, W) by the name of the image, for the images of ``sizes``.
 
-    path: of a folder with coco.json, or of a file of any name. Later regions cover earlier ones.
-    Raises DatasetError for what is no such file, without an image for any of the images, for two
-    images of one image, an image of another size, a region that does not fit its image, and a
-    category that is none of ours.
+    path: a folder with coco.json, or a file of any name. Later regions cover earlier ones.
+    Raises DatasetError for any other file, one without an image of ``sizes``, two entries for one
+    image, an image of another size, a region that does not fit its image, and a category that is
+    not one of ``LABELS``.
     """
     path = path / COCO_FILE if path.is_dir() else path
     with read_document(path, "export it anew, as COCO") as data:
@@ -199,9 +199,9 @@ def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
 
 
 def image_of(file: str, names: Collection[str]) -> str | None:
-    """The image that a file name ends with, whole parts of its path; None without one.
+    """Return the image whose name is the end of a file's path, in whole parts; None without one.
 
-    ValueError for an upload to Label Studio that could be either of two images.
+    Raises ValueError for an upload to Label Studio that could be either of two images.
     """
     parts = re.split(r"[/\\]", file)
     endings = ("/".join(parts[start:]) for start in range(len(parts)))
@@ -231,9 +231,9 @@ def _paint(labels: np.ndarray, segmentation: _Counts | _Polygons, number: int) -
 
 
 def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
-    """Fill the pixels of a canvas (H,W) whose centre is inside a polygon, by the even-odd rule.
+    """Fill the pixels of a canvas (H, W) whose centre is inside a polygon, by the even-odd rule.
 
-    points: (N,2) as (x, y), in pixel edges. The polygon may reach beyond the canvas.
+    points: (N, 2) as (x, y), in pixel edges. The polygon may reach beyond the canvas.
     """
     limits = [canvas.shape[1], canvas.shape[0]]
     left, top = points.min(0).clip(0, limits).astype(int).tolist()

@@ -1,9 +1,9 @@
-"""Corrections by people: the log of each image, and what it comes to.
+"""Human corrections: a log of events for each image, and the labels that they result in.
 
-A log is DIR/IMAGE.strokes.jsonl, IMAGE with its ending and its sub-folders. Its first line says
-which image; then comes a line for each event, only ever appended. A line is on disk (fsync) before
-its event is acknowledged. What has no whole first line, after a crash or on a full disk, is no log:
-the next event begins it anew.
+A log is DIR/IMAGE.strokes.jsonl, IMAGE with its extension and its sub-folders. Its first line
+names the image; then follows a line for each event, only ever appended. A line is on disk (fsync)
+before its event is acknowledged. A file without a complete first line, after a crash or on a full
+disk, counts as no log: the next event starts it anew.
 """
 
 import os
@@ -52,9 +52,9 @@ TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 
 class LogHead(Settings):
-    """The first line of a log.
+    """First line of a log.
 
-    image: its path as it is written from the folder of all logs. height, width: its pixels.
+    image: path of the image relative to the folder of all logs. height, width: in pixels.
     """
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
@@ -70,9 +70,9 @@ class LogHead(Settings):
 
 @dataclass(eq=False)
 class EventLog:
-    """The work on one image, as its log has it; for one thread at a time.
+    """Log of the corrections of one image, for one thread at a time.
 
-    head: the first line, written with the first event. events: all of them.
+    head: the first line of the file, written with the first event.
     """
 
     path: Path
@@ -86,22 +86,22 @@ class EventLog:
 
     @property
     def effective_events(self) -> list[LastingEvent]:
-        """The events that hold."""
+        """Events that have not been undone."""
         return effective_events(self.events)
 
     @property
     def confirmed(self) -> bool:
-        """Whether the person said that it is right as it is."""
+        """True if the remaining labels were confirmed as shown."""
         return any(isinstance(event, Confirm) for event in self.effective_events)
 
     @property
     def seconds(self) -> float:
-        """How long the person was at work on it."""
+        """Working time on the image."""
         return sum(event.seconds for event in self.events)
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """What the events come to, uint8 (H,W); DatasetError where one does not fit the image."""
+        """Resulting labels, uint8 (H, W); DatasetError where an event does not fit the image."""
         try:
             return replay(self.events, self.size)
         except InputError as error:
@@ -109,7 +109,7 @@ class EventLog:
             raise DatasetError(self.path, message, "give the image that was corrected") from None
 
     def add(self, event: AnyEvent) -> None:
-        """Take an event and have it on disk; nothing is done for one that is there.
+        """Append an event and sync it to disk; an event that the log has already is ignored.
 
         Raises InputError for one that does not fit the image, UnwritableError for a full disk.
         """
@@ -125,10 +125,9 @@ class EventLog:
         self.labels = labels
 
     def _append(self, event: AnyEvent) -> None:
-        """Write an event at the end of the file, of a new one behind the head.
+        """Append an event to the file, after the header in a new one, and sync it to disk.
 
-        It is on disk when this returns. UnwritableError when it cannot be; then what was there
-        stands, and no more of this event.
+        Raises UnwritableError when it cannot; the file then holds what it held before.
         """
         make_folder(self.path.parent, "give a folder that you may write to with --out")
         try:
@@ -153,7 +152,7 @@ class EventLog:
 
 
 def _drop_half_line(file: FileIO) -> int:
-    """Drop half a line of a crash from the end of a file; return the bytes that it has then."""
+    """Truncate an incomplete last line that a crash left; return the remaining size in bytes."""
     size = file.seek(0, os.SEEK_END)
     if size:
         file.seek(size - 1)
@@ -165,7 +164,7 @@ def _drop_half_line(file: FileIO) -> int:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have a new file's name on disk as well, where the system can."""
+    """Sync a new file's directory entry to disk, where the system can."""
     if hasattr(os, "O_DIRECTORY"):
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
@@ -175,14 +174,14 @@ def _sync_folder(folder: Path) -> None:
 
 
 def log_path(folder: Path, image: str) -> Path:
-    """Return the path of the log for an image, by its relative name with ending."""
+    """Return the path of the log of an image, given by its relative name with extension."""
     return folder / f"{PurePosixPath(image)}{ENDING}"
 
 
 def read_log(path: Path) -> EventLog | None:
-    """Read a log without a last line that was cut off; None where the first one was.
+    """Read a log without an incomplete last line; None if the first line is incomplete.
 
-    Raises DatasetError naming file and line for anything else that is wrong.
+    Raises DatasetError naming file and line for any other error.
     """
     with read_document(path, "give logs that roadtorch wrote") as data:
         lines = data[: data.rfind(b"\n") + 1].splitlines()
@@ -197,7 +196,7 @@ def read_log(path: Path) -> EventLog | None:
 
 
 def read_logs(folder: Path) -> list[EventLog]:
-    """Read all logs below a folder, sorted; DatasetError where it is none, or as ``read_log``."""
+    """Read all logs below a folder, sorted; DatasetError for a missing folder or a broken log."""
     if not folder.is_dir():
         raise DatasetError(folder, "is no folder", "give the folder with corrections")
     paths = sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
@@ -209,12 +208,16 @@ def read_logs(folder: Path) -> list[EventLog]:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What a person said about one image.
+    """Human labels of one image.
 
-    image: its file. name: relative to the folder of images, with ending. labels: uint8 (H,W),
-    numbers of ``LABELS``. confirmed: said to be right as it is, so that every pixel's road is
-    known. seconds: at work on it. clicks: strokes, those taken back among them. log: where it was
-    said.
+    Attributes:
+        image: its file.
+        name: path relative to the folder of images, with extension.
+        labels: numbers of ``LABELS``, uint8, shape (H, W).
+        confirmed: true if the rest was confirmed as shown, so that road is known in all pixels.
+        seconds: working time.
+        clicks: number of strokes, including undone ones.
+        log: file of the log.
     """
 
     image: Path
@@ -227,26 +230,29 @@ class Correction:
 
     @property
     def road(self) -> np.ndarray:
-        """uint8 (H,W): 1 road, 0 not road, 254 void, 255 untouched."""
+        """1 road, 0 not road, 254 void, 255 untouched: uint8, shape (H, W)."""
         return road_layer(self.labels)
 
     @property
     def layout(self) -> np.ndarray:
-        """uint8 (H,W): 0 sky, 1 vertical, 2 horizontal, 255 untouched."""
+        """0 sky, 1 vertical, 2 horizontal, 255 untouched: uint8, shape (H, W)."""
         return layout_layer(self.labels)
 
     @property
     def says_road(self) -> np.ndarray:
-        """bool (H,W): where it is said whether there is road."""
+        """Mask of the pixels labelled road or not road: bool, shape (H, W)."""
         return (self.road == ROAD_SAID) | (self.road == NOT_ROAD)
 
 
 def read_corrections(folder: Path, images: Path | None = None) -> list[Correction]:
-    """Read what is known of each image that was worked on, sorted by name.
+    """Read the corrections of each image, sorted by name, without those that were undone entirely.
 
-    folder: where ``roadtorch annotate`` keeps its logs. images: their folder, if it moved;
-    else the logs know. Images on which every stroke was taken back are left out. Raises
-    DatasetError for a folder without logs, and for a broken one.
+    Args:
+        folder: where ``roadtorch annotate`` keeps its logs.
+        images: folder of the images, if it moved; by default the logs' own paths are used.
+
+    Raises:
+        DatasetError: for a folder without logs, and for a broken log.
     """
     logs = read_logs(folder)
     if not logs:
@@ -271,10 +277,7 @@ def read_corrections(folder: Path, images: Path | None = None) -> list[Correctio
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Return (height, width) of an image as it is shown, from its header.
-
-    Raises DatasetError when it cannot be opened.
-    """
+    """Read (height, width) of an image from its header, after EXIF rotation; DatasetError else."""
     try:
         with open_image(read_regular(path)) as image, without_warnings():
             turned = image.getexif().get(ExifTag.Orientation) in TURNED
@@ -289,10 +292,10 @@ def image_size(path: Path) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class CorrectionLabels:
-    """The truth in the log of an image, which is the item's label."""
+    """Reader of ground truth from an image's log, which is the item's label file."""
 
     def truth(self, item: LabelledItem) -> Truth:
-        """Read what was said; DatasetError for a log that cannot be read."""
+        """Read the log; DatasetError when it cannot be read."""
         log = read_log(item.label)
         if log is None:
             raise DatasetError(item.label, "holds no corrections", "correct the image again")
@@ -305,9 +308,10 @@ class CorrectionLabels:
 
 
 def open_corrections(folder: Path, split: str = "all") -> Dataset:
-    """Open the corrected images of which the road of some pixel was said, sorted by name.
+    """Open the corrected images with road labels as a data set, sorted by name.
 
-    Raises what ``read_corrections`` does; DatasetError too where nobody said anything of the road.
+    Raises:
+        DatasetError: as ``read_corrections`` does, and when no pixel has a road label.
     """
     items = []
     for correction in read_corrections(folder):

@@ -1,8 +1,8 @@
-"""What a labelled set of street images is.
+"""Labelled data sets of street images.
 
-A set is a list of items (paths), a reader of their truth and, where it is not scored in
-the image itself, a view. Images and labels are read one at a time, so memory is flat
-over any number of items.
+A data set is a list of items (paths), a reader of their ground truth and, where scores are not
+computed in the image itself, a view. Images and labels are read one at a time, so memory does not
+grow with the number of items.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,10 +18,12 @@ from roadtorch.base.image import read_image
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known about one image.
+    """Ground truth of one image.
 
-    road: bool (H,W). valid: bool (H,W), False where nothing is known (void).
-    layout: uint8 (H,W), 0 sky, 1 vertical, 2 horizontal, 255 void; None if the set has none.
+    Attributes:
+        road: bool, shape (H, W).
+        valid: bool, shape (H, W); False in void pixels, which are not scored.
+        layout: uint8, shape (H, W): 0 sky, 1 vertical, 2 horizontal, 255 void; None without one.
     """
 
     road: Tensor
@@ -33,9 +35,10 @@ class Truth:
 class LabelledItem:
     """One image with its label file.
 
-    group: the camera, drive or city it is from, if known. extra: further files that its
-    truth or view is made of, such as a calibration.
-    conditions: under which it was taken, in words ("night", "rain").
+    Attributes:
+        group: the camera, drive or city, if known.
+        extra: further files of its truth or view, such as a calibration.
+        conditions: words such as "night" or "rain".
     """
 
     name: str
@@ -47,7 +50,7 @@ class LabelledItem:
 
 
 class TruthReader(Protocol):
-    """Reads the truth of an item; a small frozen dataclass, for it travels to processes."""
+    """Reader of an item's ground truth; a small frozen dataclass, since processes pickle it."""
 
     def truth(self, item: LabelledItem) -> Truth:
         """Read and check the item's label files; DatasetError naming the file."""
@@ -55,25 +58,27 @@ class TruthReader(Protocol):
 
 
 class View(Protocol):
-    """Brings maps of an item's image into the space in which they are scored."""
+    """Mapping of an image's maps into the space in which they are scored."""
 
     @property
     def name(self) -> str:
-        """What the space is called in results."""
+        """Name of the space in results."""
         ...
 
     def __call__(self, item: LabelledItem, values: Tensor) -> Tensor:
-        """Turn maps (...,H,W) of any type into (...,h,w); what is unseen becomes 0 (False)."""
+        """Map values (..., H, W) of any dtype to (..., h, w); invisible cells become 0 (False)."""
         ...
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """A labelled set that has been found complete: every image has its label file.
+    """Labelled data set in which every image has its label file.
 
-    levels: how many levels of likelihood are told apart in scoring (KITTI's program: 256).
-    view: None for sets that are scored in the image itself.
-    left_out: groups that are scored, but count in no mean and choose nothing.
+    Attributes:
+        reader: reads the ground truth of an item.
+        levels: number of levels to which scoring rounds likelihoods (KITTI's program: 256).
+        view: maps results into the space of the scores; None for the image itself.
+        left_out: groups that are scored, but enter no mean and choose no threshold.
     """
 
     name: str
@@ -86,21 +91,25 @@ class Dataset:
     left_out: frozenset[str] = frozenset()
 
     def groups(self) -> list[str]:
-        """The groups, sorted; empty for a set that does not know them."""
+        """Return the groups, sorted; an empty list if the data set has none."""
         return sorted({item.group for item in self.items if item.group is not None})
 
     def by_condition(self) -> dict[str, list[LabelledItem]]:
-        """The images of each condition, sorted by its name; without groups left out."""
+        """Return the items of each condition, by its name, sorted; without the groups left out."""
         counting = [item for item in self.items if item.group not in self.left_out]
         names = sorted({name for item in counting for name in item.conditions})
         return {name: [item for item in counting if name in item.conditions] for name in names}
 
     def truth(self, item: LabelledItem) -> Truth:
-        """Read the truth of one item, in the image's own space."""
+        """Read the ground truth of one item, in image space."""
         return self.reader.truth(item)
 
     def read(self, item: LabelledItem) -> tuple[Tensor, Truth]:
-        """Read image (3,H,W) and truth; DatasetError when their sizes differ."""
+        """Read the image, shape (3, H, W), and the ground truth of one item.
+
+        Raises:
+            DatasetError: when a file cannot be read, or their sizes differ.
+        """
         image, truth = read_image(item.image), self.truth(item)
         if image.shape[1:] != truth.road.shape:
             (height, width), (rows, columns) = image.shape[1:], truth.road.shape
@@ -110,7 +119,7 @@ class Dataset:
 
 
 def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
-    """At most ``limit`` items of a set, spread evenly over it."""
+    """Return the data set with at most ``limit`` of its items, evenly spaced; all for None."""
     if limit is None or limit >= len(dataset.items):
         return dataset
     step = len(dataset.items) / limit
@@ -118,9 +127,10 @@ def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
 
 
 def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
-    """The set with some groups left out of means and choices; they are scored all the same.
+    """Return the data set with groups that enter no mean and choose no threshold; they are scored.
 
-    Raises ConfigError for a group that it does not have, and when none is left.
+    Raises:
+        ConfigError: for an unknown group, and when no group is left.
     """
     left_out, known = frozenset(groups), dataset.groups()
     if left_out and not known:
@@ -135,10 +145,11 @@ def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
 
 @dataclass(frozen=True)
 class Kind:
-    """A layout of files that can be opened.
+    """File layout of a data set and the function that opens it.
 
-    splits: their names, the default first. open: makes the set from its folder and the name
-    of a split; raises DatasetError for an incomplete one.
+    Attributes:
+        splits: names of the splits, the default first.
+        open: opens a folder and the name of a split; raises DatasetError for an incomplete one.
     """
 
     splits: tuple[str, ...]

@@ -1,12 +1,11 @@
-"""What a person did to the labels of an image, one event at a time, and what it comes to.
+"""Annotation events of one image, and the labels that they result in.
 
-A pixel has one of eight labels. Each means something for the road (road, not road, void) and for
-the layout (sky, vertical, horizontal); what was not said stays open. Ours: the two questions are
-asked with one set of keys, and what follows is inferred: road is horizontal, sky and vertical
-things are not road.
+A pixel has one of eight labels. Each implies a value for the road (road, not road, void) and for
+the layout (sky, vertical, horizontal), or leaves it open. Ours: one set of keys answers both
+questions by inference: road is horizontal, and sky and vertical things are not road.
 
 Positions are in pixels of the image, x to the right, y down, pixel centres at whole numbers.
-Regions are runs: start, length, start, length, … of pixels counted row by row.
+Regions are run-length encoded: start, length, start, length, … of pixels counted row by row.
 """
 
 from collections.abc import Iterable, Sequence
@@ -26,7 +25,7 @@ from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 # --- labels -----------------------------------------------------------------------------
 
 NOT_ROAD, ROAD_SAID, VOID_SAID, OPEN = 0, 1, 254, 255
-"""The values of ``road_layer``; ``OPEN`` is where nobody said anything."""
+"""Values of ``road_layer``; ``OPEN`` means that the road is not labelled."""
 
 _MEANING = {
     "untouched": (OPEN, UNLABELLED),
@@ -40,10 +39,10 @@ _MEANING = {
 }
 
 LABELS = tuple(_MEANING)
-"""The names of the labels; a label's number is its position."""
+"""Names of the labels; a label's number is its index."""
 
 SAYINGS = LABELS[1:7]
-"""What a person says; two of them make the last label: a pavement, a verge."""
+"""Labels that strokes apply; the last of ``LABELS`` (a pavement, a verge) takes two strokes."""
 
 _ROAD, _LAYOUT = np.array(list(_MEANING.values()), np.uint8).T
 
@@ -60,17 +59,17 @@ _AFTER = {
 
 
 def road_layer(labels: np.ndarray) -> np.ndarray:
-    """Return 1 for road, 0 not road, 254 void, 255 unsaid: uint8, of labels of any shape."""
+    """Return 1 for road, 0 not road, 254 void, 255 unlabelled: uint8, of labels of any shape."""
     return _ROAD[labels]
 
 
 def layout_layer(labels: np.ndarray) -> np.ndarray:
-    """Return 0 for sky, 1 vertical, 2 horizontal, 255 unsaid: uint8, of labels of any shape."""
+    """Return 0 for sky, 1 vertical, 2 horizontal, 255 unlabelled: uint8, of labels of any shape."""
     return _LAYOUT[labels]
 
 
 def relabel(labels: np.ndarray, saying: str) -> np.ndarray:
-    """Return the labels, uint8 of any shape, after one of ``SAYINGS`` about all of them."""
+    """Return the labels, uint8 of any shape, after one of ``SAYINGS`` was applied to each."""
     return np.array(_AFTER[saying], np.uint8)[labels]
 
 
@@ -94,8 +93,8 @@ Label = Annotated[str, Field(pattern=f"^({'|'.join(LABELS)})$")]
 class Event(Settings):
     """One line of a log.
 
-    id: made where it was done; the same id twice is the same event, sent again. time: seconds
-    since 1970. seconds: how long the person was at it.
+    id: created in the browser; a repeated id is the same event, sent again. time: seconds since
+    1970. seconds: working time.
     """
 
     id: Name
@@ -104,7 +103,7 @@ class Event(Settings):
 
 
 class SuperpixelStroke(Event):
-    """Superpixels clicked or dragged over; ``runs`` are their pixels, for any later cut."""
+    """Superpixels clicked or dragged over; ``runs``: their pixels, valid for any segmentation."""
 
     kind: Literal["superpixel"]
     saying: Saying
@@ -113,7 +112,7 @@ class SuperpixelStroke(Event):
 
 
 class PolygonStroke(Event):
-    """A closed polygon, its border included."""
+    """A closed polygon, including its border."""
 
     kind: Literal["polygon"]
     saying: Saying
@@ -130,7 +129,7 @@ class BrushStroke(Event):
 
 
 class Confirm(Event):
-    """ "Right as it is": what was not said is as shown; ``runs`` are the pixels shown as road."""
+    """Confirmation of the remaining pixels as shown; ``runs`` are the pixels shown as road."""
 
     kind: Literal["right"]
     runs: Runs = ()
@@ -144,14 +143,14 @@ class Import(Event):
 
 
 class Undo(Event):
-    """Take an event back."""
+    """Undo of the event with id ``of``."""
 
     kind: Literal["undo"]
     of: Name
 
 
 class Redo(Event):
-    """Do an event again that was taken back."""
+    """Redo of an undone event."""
 
     kind: Literal["redo"]
     of: Name
@@ -167,7 +166,7 @@ _ADAPTER: pydantic.TypeAdapter[AnyEvent] = pydantic.TypeAdapter(
 
 
 def parse_event(text: str | bytes, where: object) -> AnyEvent:
-    """Parse an event's JSON; InputError naming ``where`` and the first thing that is wrong."""
+    """Parse an event's JSON; InputError naming ``where`` and the first mistake."""
     try:
         return _ADAPTER.validate_json(text)
     except pydantic.ValidationError as error:
@@ -179,14 +178,14 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
 
 
 def runs_of(mask: np.ndarray) -> tuple[int, ...]:
-    """Return the runs of a mask bool (H,W)."""
+    """Return the run-length encoding of a mask bool (H, W)."""
     edges = np.flatnonzero(np.diff(mask.reshape(-1), prepend=False, append=False))
     starts, ends = edges[::2], edges[1::2]
     return tuple(np.stack([starts, ends - starts], 1).reshape(-1).tolist())
 
 
 def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
-    """Return the mask bool (H,W) of runs; InputError where they overlap or do not fit the image."""
+    """Return the mask bool (H, W) of runs; InputError where they overlap or exceed the image."""
     if len(runs) % 2:
         raise InputError("runs", "have an odd number of values", "give start, length, …")
     borders = np.array(runs, np.int64).reshape(-1, 2).cumsum(1).reshape(-1)
@@ -198,7 +197,7 @@ def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
 
 
 def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
-    """Return the mask bool (H,W) of a stroke; what is outside the image is cut off."""
+    """Return the mask bool (H, W) of a stroke, clipped to the image."""
     if isinstance(stroke, SuperpixelStroke):
         return mask_of(stroke.runs, size)
     height, width = size
@@ -219,7 +218,7 @@ def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
 
 
 def effective_events(events: Iterable[AnyEvent]) -> list[LastingEvent]:
-    """Return the events that hold, in their order: each once, without those taken back."""
+    """Return the events that were not undone, in order, each once."""
     lasting: dict[str, LastingEvent] = {}
     undone: set[str] = set()
     for event in events:
@@ -233,7 +232,7 @@ def effective_events(events: Iterable[AnyEvent]) -> list[LastingEvent]:
 
 
 def redoable(events: Iterable[AnyEvent]) -> list[str]:
-    """Return the events that were taken back last, the latest last; none after a new one."""
+    """Return the ids of the undone events, the latest last; empty after a new event."""
     stack: list[str] = []
     for event in events:
         of = event.of if isinstance(event, Undo | Redo) else None
@@ -244,12 +243,12 @@ def redoable(events: Iterable[AnyEvent]) -> list[str]:
 
 
 def click_count(events: Iterable[Event]) -> int:
-    """Count the strokes, those that were taken back included, each once."""
+    """Count the strokes, each once, including undone ones."""
     return len({event.id for event in events if isinstance(event, Stroke)})
 
 
 def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
-    """Change labels uint8 (H,W) in place by one event; InputError for one that does not fit."""
+    """Apply one event to labels uint8 (H, W) in place; InputError if it does not fit the image."""
     size = (labels.shape[0], labels.shape[1])
     match event:
         case Confirm():
@@ -267,7 +266,7 @@ def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
 
 
 def replay(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:
-    """Return the labels uint8 (H,W) that all events come to."""
+    """Return the labels uint8 (H, W) after all events."""
     labels = np.zeros(size, np.uint8)
     for event in effective_events(events):
         apply_event(labels, event)

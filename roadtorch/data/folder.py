@@ -1,4 +1,4 @@
-"""Sets of label images in folders: any of your own with its conditions, IDD Lite, Cityscapes."""
+"""Data sets of label images in folders: your own with its conditions, IDD Lite, Cityscapes."""
 
 import csv
 import difflib
@@ -40,10 +40,10 @@ LAYOUT = NumberLabels(
 
 @dataclass(frozen=True)
 class FolderLabels:
-    """The truth in a folder of one's own, by the name of the folder that holds it.
+    """Reader of your own labels; the name of the folder that holds them tells their coding.
 
-    masks: 0 not road, 255 or 1 road, 127 or 128 void. road: 0, 1, void 255. layout, beside
-    either of them and only for some images: 0 sky, 1 vertical, 2 horizontal, 255 void.
+    masks: 0 not road, 255 or 1 road, 127 or 128 void. road: 0, 1, void 255. layout, beside either
+    of them and for some images only: 0 sky, 1 vertical, 2 horizontal, 255 void.
     """
 
     def truth(self, item: LabelledItem) -> Truth:
@@ -60,10 +60,10 @@ class FolderLabels:
 
 
 def open_folder(root: Path, split: str) -> Dataset:
-    """ROOT/images with ROOT/masks or ROOT/road; or folders of this kind, which are the groups.
+    """Open ROOT/images with ROOT/masks or ROOT/road, or folders of this layout as groups.
 
-    Images of groups are called GROUP/NAME. Conditions come from ROOT/pictures.csv, if it is
-    there. Raises DatasetError naming what is missing, or what is wrong in that table.
+    Images of groups are called GROUP/NAME. Conditions come from ROOT/pictures.csv, if it exists.
+    Raises DatasetError naming a missing file, or a mistake in that table.
     """
     if (root / "images").is_dir():
         items = tuple(_labelled(root, None))
@@ -95,14 +95,14 @@ def _labelled(folder: Path, group: str | None) -> Iterator[LabelledItem]:
 CONDITIONS = "pictures.csv"  # in the folder of a set
 
 Key = tuple[str, str]
-"""The group of an image ("" in a set without groups) and the name of its file."""
+"""Group of an image ("" in a set without groups) and its file name."""
 
 
 def with_conditions(dataset: Dataset, path: Path) -> Dataset:
-    """The set with the conditions that a table gives to its images.
+    """Return the data set with the conditions that a table lists for its images.
 
-    Raises DatasetError naming the table, and the line where there is one, for a file that
-    cannot be read, lacks a column, names an image that the set does not have, or one twice.
+    Raises DatasetError naming the table, and the line where there is one, for a file that cannot be
+    read, lacks a column, names an image that the set does not have, or names one twice.
     """
     images = {_key_of(item): item for item in dataset.items}
     columns = ["name", "file", "condition"] if dataset.groups() else ["file", "condition"]
@@ -130,7 +130,7 @@ def _shown(key: Key) -> str:
 
 
 def _rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
-    """Number of the line, and what it says, of every line below the names of the columns."""
+    """Yield line number and cells of each row below the header."""
     try:
         text = read_regular(path).decode("utf-8-sig")
         table = csv.DictReader(io.StringIO(text, newline=""), restval="")
@@ -156,7 +156,7 @@ IDD_LABELS = NumberLabels(
 
 
 def open_idd_lite(root: Path, split: str) -> Dataset:
-    """IDD Lite, seven classes: ROOT/images, ROOT/labels. Road is "drivable"."""
+    """Open IDD Lite, seven classes: ROOT/images, ROOT/labels. Road is "drivable"."""
     items = tuple(
         LabelledItem(image.stem, image, label)
         for image, label in pairs(root / "images", root / "labels")
@@ -190,9 +190,9 @@ IMAGE_ENDING, LABEL_ENDING = "_leftImg8bit", "_gtFine_labelIds.png"
 
 
 def open_cityscapes(root: Path, split: str) -> Dataset:
-    """ROOT/leftImg8bit/SPLIT/CITY/*_leftImg8bit.png, ROOT/gtFine/SPLIT/CITY/*_labelIds.png.
+    """Open ROOT/leftImg8bit/SPLIT/CITY/*_leftImg8bit.png, ROOT/gtFine/SPLIT/CITY/*_labelIds.png.
 
-    The groups are the cities. Raises DatasetError naming the first thing that is missing.
+    The groups are the cities. Raises DatasetError naming the first missing file.
     """
     images, labels = root / "leftImg8bit" / split, root / "gtFine" / split
     for folder in (images, labels):

@@ -1,8 +1,8 @@
-"""The KITTI road benchmark: its files, their names, and scoring in bird's-eye view.
+"""KITTI road benchmark: its files, their names, and scoring in bird's-eye view.
 
-Fritsch, Kuehnl, Geiger (ITSC 2013). Three categories: um, urban with marked lanes; umm,
-with several marked lanes; uu, unmarked. The benchmark scores maps of 8 bits in bird's-eye
-view; scores in the image itself are something else, as far pixels weigh much less there.
+Fritsch, Kuehnl, Geiger (ITSC 2013). Three categories: um, urban with marked lanes; umm, with
+several marked lanes; uu, unmarked. The benchmark scores maps of 8 bits in bird's-eye view; scores
+in image space are not comparable, as far pixels weigh much less there.
 """
 
 import re
@@ -36,13 +36,13 @@ KITTI_COLOURS = ColourLabels(
 
 
 def result_name(name: str, kind: str = "road") -> str:
-    """The name of an image's truth and of its map for the server: um_road_000012."""
+    """Return the name of an image's label file and of its map for the server: um_road_000012."""
     category, number = name_parts(name)
     return f"{category}_{kind}_{number}"
 
 
 def name_parts(name: str) -> tuple[str, str]:
-    """Category and number in an image's name, as um_000012; DatasetError for another one."""
+    """Split an image's name, as um_000012, into category and number; DatasetError for others."""
     parts = re.fullmatch(r"([a-z]+)_(\d+)", name)
     if parts is None:
         hint = "name images CATEGORY_NUMBER, as um_000012"
@@ -51,7 +51,7 @@ def name_parts(name: str) -> tuple[str, str]:
 
 
 def base_folder(root: Path, part: str) -> Path:
-    """The folder that holds image_2: ROOT itself or ROOT/part (training or testing).
+    """Return the folder that holds image_2: ROOT itself or ROOT/part (training or testing).
 
     Raises DatasetError when neither does.
     """
@@ -66,11 +66,11 @@ def base_folder(root: Path, part: str) -> Path:
 
 
 def open_kitti_road(root: Path, split: str) -> Dataset:
-    """The training images: ROOT/image_2 and ROOT/gt_image_2, or both in ROOT/training.
+    """Open the training images: ROOT/image_2 and ROOT/gt_image_2, or both in ROOT/training.
 
-    split: "road", every image; "lane", those of um with the car's own lane as road. The
-    groups are the categories. Scored in the image itself (see ``birds_eye``), with the
-    benchmark's 256 levels. Raises DatasetError for a missing folder or label file.
+    split: "road", every image; "lane", those of um with the ego lane as road. The groups are the
+    categories. Scored in image space (see ``birds_eye``), with the benchmark's 256 levels. Raises
+    DatasetError for a missing folder or label file.
     """
     folder, items = base_folder(root, "training"), []
     for image in filter(is_image, sorted((folder / "image_2").iterdir())):
@@ -84,13 +84,13 @@ def open_kitti_road(root: Path, split: str) -> Dataset:
 
 @dataclass(frozen=True)
 class BirdsEye:
-    """The view from above, by the images' calibration files; calib: their folder."""
+    """Bird's-eye view by the images' calibration files; calib: their folder."""
 
     calib: Path
     name: ClassVar[str] = "bird's-eye view"
 
     def __call__(self, item: LabelledItem, values: Tensor) -> Tensor:
-        """Maps (…,H,W) of the item's image as (…,800,400), type kept; 0 where unseen.
+        """Map (..., H, W) of the item's image to (..., 800, 400), same dtype; 0 in invisible cells.
 
         Raises DatasetError naming a calibration file that is missing or broken.
         """
@@ -99,10 +99,10 @@ class BirdsEye:
 
 
 def birds_eye(dataset: Dataset) -> Dataset:
-    """The same set, scored in bird's-eye view like the benchmark: ROOT/calib/NAME.txt.
+    """Return the data set scored in bird's-eye view, as the benchmark does, by ROOT/calib/NAME.txt.
 
-    Cells that no pixel shows are void. Raises ConfigError for another set than KITTI's,
-    DatasetError when there is no folder calib.
+    Invisible cells are void. Raises ConfigError for a set other than KITTI's, DatasetError when
+    there is no folder calib.
     """
     if dataset.name != NAME:
         hint = f"only {NAME} has calibration files"
@@ -111,7 +111,7 @@ def birds_eye(dataset: Dataset) -> Dataset:
 
 
 def calib_folder(folder: Path) -> Path:
-    """The calibration files beside image_2; DatasetError when there is no such folder."""
+    """Return the folder of calibration files beside image_2; DatasetError when there is none."""
     if not (folder / "calib").is_dir():
         hint = "bird's-eye view needs calibration files"
         raise DatasetError(folder / "calib", "does not exist", hint)

@@ -1,4 +1,4 @@
-"""Truth from label images: finding them; one number a pixel, or one colour a pixel."""
+"""Ground truth from label images with one number, or one colour, per pixel."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,12 +22,14 @@ CODES = 256  # label numbers fit one byte
 
 @dataclass(frozen=True)
 class NumberLabels:
-    """The truth in label images with one number (0…255) a pixel.
+    """Coding of label images with one number (0 to 255) per pixel; reads their ground truth.
 
-    road, void: the numbers of these two; values: every number that may occur; layout: the
-    layout class of each of ``values`` (255 for void), or empty for a set without layout;
-    exclusive: numbers of which a file may use one only.
-    Raises ConfigError when these do not fit each other.
+    Attributes:
+        road: numbers of road.
+        void: numbers of void.
+        values: every number that may occur.
+        layout: the layout class of each of ``values`` (255 for void); empty if there is no layout.
+        exclusive: numbers of which a file may use only one.
     """
 
     road: tuple[int, ...]
@@ -53,10 +55,11 @@ class NumberLabels:
 
 @dataclass(frozen=True)
 class ColourLabels:
-    """The truth in label images with one colour a pixel.
+    """Coding of label images with one colour per pixel; reads their ground truth.
 
-    colours: every (red, green, blue), 0…255, that may occur. numbers: what they mean; a
-    colour's number is its place in ``colours``.
+    Attributes:
+        colours: every (red, green, blue), 0 to 255, that may occur.
+        numbers: their meaning; the number of a colour is its index in ``colours``.
     """
 
     colours: tuple[tuple[int, int, int], ...]
@@ -69,7 +72,7 @@ class ColourLabels:
         )
 
     def places(self, pixels: np.ndarray, path: Path) -> np.ndarray:
-        """The place of each pixel's colour in ``colours``: uint8 (H,W) from uint8 (H,W,3).
+        """Return the index in ``colours`` of each pixel: uint8 (H, W) from colours uint8 (H, W, 3).
 
         Raises DatasetError naming unknown colours as "r g b" and counting their pixels.
         """
@@ -87,10 +90,10 @@ class ColourLabels:
 
 
 def pairs(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Path, Path]]:
-    """Every image of a folder, sorted, with its label file: its name with this ending.
+    """Yield every image of a folder, sorted, with its label file, whose name has another ending.
 
-    Raises DatasetError naming the first thing that is missing: a folder, any image, a
-    label file; and for two images with the same label file.
+    Raises DatasetError naming a missing folder or label file, and for two images with one label
+    file.
     """
     for folder in (images, labels):
         if not folder.is_dir():
@@ -107,7 +110,7 @@ def pairs(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Pa
 
 
 def require_labels(paths: Sequence[Path]) -> None:
-    """DatasetError naming the first label file that is missing, and how many are."""
+    """Raise DatasetError naming the first missing label file, and the number of missing ones."""
     missing = [path for path in paths if not path.is_file()]
     if missing:
         message = f"is missing, {len(missing)} of {len(paths)} label files in all"
@@ -115,7 +118,7 @@ def require_labels(paths: Sequence[Path]) -> None:
 
 
 def is_image(path: Path) -> bool:
-    """Whether a file's name is that of an image; hidden files are none."""
+    """Return whether a file has the extension of an image and is not hidden."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
 
 
@@ -123,10 +126,10 @@ def is_image(path: Path) -> bool:
 
 
 def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """The numbers (H,W) in a label image; palette files keep their indices.
+    """Read the integers (H, W) of a label image; palette files keep their indices.
 
-    size: that it has to have, looked at before anything is decoded. Raises DatasetError for a
-    file of another size, that cannot be decoded or has different colour channels.
+    size: required (height, width), checked before decoding. Raises DatasetError for a file of
+    another size, that cannot be decoded or is coloured.
     """
     labels = _read(path, None, size)
     if labels.ndim == 3:
@@ -159,7 +162,7 @@ def _read(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> 
 
 
 def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth:
-    """Turn label numbers (H,W) into truth; DatasetError naming and counting unknown ones."""
+    """Return the ground truth of label numbers (H, W); DatasetError counting unknown numbers."""
     if labels.dtype == np.uint8:  # without sorting
         counts = np.bincount(labels.ravel(), minlength=CODES)
         values = counts.nonzero()[0]
@@ -181,21 +184,21 @@ def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth
 
 
 def _counted(names: list[str], counts: np.ndarray) -> str:
-    """The most frequent names first, each with its pixels."""
+    """List the most frequent names with their numbers of pixels."""
     order = np.argsort(-counts, kind="stable")[:SHOWN]
     text = ", ".join(f"{names[place]} ({counts[place]} pixels)" for place in order)
     return text + (f" and {len(names) - SHOWN} others" if len(names) > SHOWN else "")
 
 
 def _codes(colours: np.ndarray) -> np.ndarray:
-    """One number for each colour uint8 (…,3): int32 (…)."""
+    """Pack each colour uint8 (..., 3) into one int32 (...)."""
     red, green, blue = np.moveaxis(colours.astype(np.int32), -1, 0)
     return red << 16 | green << 8 | blue
 
 
 @lru_cache(maxsize=4)
 def _colour_table(colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
-    """Look-up table uint8 over all 2²⁴ colours: the place, ``len(colours)`` where it has none."""
+    """Return the index of each of 2²⁴ colours, uint8; ``len(colours)`` for unknown ones."""
     table = np.full(2**24, len(colours), np.uint8)
     table[_codes(np.array(colours, np.uint8))] = np.arange(len(colours))
     return table
@@ -203,7 +206,7 @@ def _colour_table(colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
 
 @lru_cache
 def _tables(coding: NumberLabels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Look-up tables over the numbers 0…255: is road, is valid, layout class."""
+    """Return lookup tables over the numbers 0 to 255: is road, is valid, layout class."""
     road = np.zeros(CODES, np.bool_)
     valid = np.ones(CODES, np.bool_)
     layout = np.full(CODES, UNLABELLED, np.uint8)

@@ -1,4 +1,4 @@
-"""Likelihood maps made elsewhere, scored like those of a detector."""
+"""Likelihood maps of other programs, scored like those of a detector."""
 
 import io
 from collections.abc import Collection, Sequence
@@ -17,19 +17,19 @@ from roadtorch.detectors.detector import DetectorSettings, decide
 ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
 LEVEL = 1 / 255
-"""By which a map of 8 bits may differ from the same in another form."""
+"""Largest difference between a map of 8 bits and the same map in another format."""
 
 CONFIG, MASK = "config.toml", ".mask.png"
-"""What ``infer`` writes beside its maps: its settings, and how its own decisions end."""
+"""Settings that ``infer`` writes beside its maps, and the file name's end of its masks."""
 
 DECIDING = ("threshold", "isolated", "seed_area")
-"""The settings by which a likelihood becomes a mask."""
+"""Settings that turn a likelihood into a mask."""
 
 
 def read_map(path: Path) -> Tensor:
-    """A map file as float32 (H,W): a grey image of 8 or 16 bits, or a NumPy file of floats.
+    """Read a map as float32 (H, W): a grey image of 8 or 16 bits, or a NumPy file of floats.
 
-    Raises InputError for a file that cannot be read, is coloured, or has no two dimensions.
+    Raises InputError for a file that cannot be read, is coloured, or is not two-dimensional.
     """
     if path.suffix != ".npy":
         image = read_image(path)
@@ -50,14 +50,14 @@ def read_map(path: Path) -> Tensor:
 
 
 def is_of_infer(folder: Path) -> bool:
-    """Whether the maps of a folder are the results of ``infer``: its settings are beside them."""
+    """Return whether a folder holds results of ``infer``, which writes its settings there too."""
     return (folder / CONFIG).is_file()
 
 
 def deciding_settings(folder: Path) -> DetectorSettings:
-    """How the likelihoods of a folder become masks: as config.toml says, else road from 0.5 on.
+    """Read the settings by which a folder's likelihoods become masks; 0.5 without config.toml.
 
-    Raises InputError or ConfigError, which name the file, when it cannot be used.
+    Raises InputError or ConfigError naming the file when it cannot be used.
     """
     if not is_of_infer(folder):
         return DetectorSettings()
@@ -73,10 +73,10 @@ def deciding_settings(folder: Path) -> DetectorSettings:
 def map_mask(
     folder: Path, names: Sequence[str], likelihood: Tensor, settings: DetectorSettings
 ) -> Tensor:
-    """The decision bool (H,W) on a map: that of ``infer`` where it is beside it, else by settings.
+    """Return the mask bool (H, W) that ``infer`` wrote beside a map, or else one by the settings.
 
-    The detector may have known more than the map says: where the ego car is, and the road's seed.
-    Raises InputError for a mask that cannot be read or is not of the map's size.
+    ``infer`` may have used more than the likelihood: the ego car and the seed area. Raises
+    InputError for a mask that cannot be read or has another size.
     """
     paths = [folder / f"{name}{MASK}" for name in names] if is_of_infer(folder) else []
     for path in paths:
@@ -92,11 +92,10 @@ def map_mask(
 def map_likelihood(
     folder: Path, names: Sequence[str], sizes: Collection[tuple[int, int]]
 ) -> Tensor:
-    """The map of one image, float32 (H,W) in [0,1], of one of the allowed sizes.
+    """Read the map of one image, float32 (H, W) in [0, 1], of one of the allowed sizes.
 
-    names: what its file may be called, but for the ending. Raises InputError naming the
-    file when it is missing, of another size, not grey, or has values that are not in [0,1],
-    and where another file of the same image says otherwise.
+    names: possible stems of the file. Raises InputError naming the file when it is missing, of
+    another size, not grey, or has values outside [0, 1], and when two files of the image differ.
     """
     paths = [folder / f"{name}{ending}" for name in names for ending in ENDINGS]
     present = [path for path in paths if path.is_file()]

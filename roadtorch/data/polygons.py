@@ -1,4 +1,4 @@
-"""Polygons of masks: filling them, outlines as labelme stores them, regions as COCO does.
+"""Polygons of masks: filling them, outlines for labelme, regions for COCO.
 
 Border pixels belong to a polygon: corners are rounded to the nearest pixel, and a pixel is filled
 when its centre is inside or on the polygon through them, or on a border drawn one pixel wide.
@@ -18,13 +18,13 @@ from roadtorch.base.documents import Coordinate, ForeignDocument, Side, read_doc
 CORNERS = 3  # a polygon needs as many, even that of one pixel
 
 NAMES = ("not road", "road")
-"""Labels of outlines. A hole is drawn behind the road around it and cuts it."""
+"""Labels of outlines; a hole follows the road around it and overwrites it."""
 
 
 def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
-    """Fill a closed polygon and its border in a canvas uint8 (H,W).
+    """Fill a closed polygon and its border in a canvas uint8 (H, W).
 
-    points: (N,2), N ≥ 1, as (x, y); they may lie outside the canvas.
+    points: (N, 2), N ≥ 1, as (x, y); they may lie outside the canvas.
     """
     corners = np.floor(points + 0.5).astype(np.int32)
     low = np.minimum(corners.min(0), 0)
@@ -40,13 +40,13 @@ def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
 
 
 def outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Return the outlines that, filled one over the other, give a mask bool (H,W) back exactly.
+    """Return the outlines that, filled in order, reproduce a mask bool (H, W) exactly.
 
-    Each is 1 (road) or 0 (a hole in it), and a closed polygon int (N,2), N ≥ 3, through centres of
+    Each is 1 (road) or 0 (a hole in it), and a closed polygon int (N, 2), N ≥ 3, through centres of
     border pixels, as (x, y). Regions come first, then their holes, then the islands in these: each
-    polygon covers at least its region; the next ones take back the surplus. Suzuki and Abe,
-    "Topological structural analysis of digitized binary images" (1985), follow the borders.
-    Polygons of one or two pixels repeat their last corner.
+    polygon covers at least its region; the next ones remove the surplus. Borders are followed as by
+    Suzuki and Abe, "Topological structural analysis of digitized binary images" (1985). Polygons of
+    one or two pixels repeat their last corner.
     """
     polygons: list[tuple[int, np.ndarray]] = []
     wanted, drawn = mask.astype(np.uint8), np.zeros(mask.shape, np.uint8)
@@ -64,7 +64,7 @@ def outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
 
 
 def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
-    """Return the outlines of a mask bool (H,W) as the program labelme stores them.
+    """Return the outlines of a mask bool (H, W) in labelme's format.
 
     file: name of the image, which belongs beside the document.
     """
@@ -104,9 +104,9 @@ class _Document(ForeignDocument):
 
 
 def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Read the mask bool (H,W) of a ``labelme_document``.
+    """Read the mask bool (H, W) of a ``labelme_document``.
 
-    DatasetError for a file that is none, or is for an image of another size.
+    Raises DatasetError for any other file, and for an image of another size.
     """
     mask = np.zeros(size, np.uint8)
     with read_document(path, "remove it and infer the image again") as data:
@@ -124,7 +124,7 @@ def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def coco_region(mask: np.ndarray, number: int, image: int, category: int) -> dict[str, Any]:
-    """The annotation of a number for a mask bool (H,W), of which a pixel at least is true."""
+    """Return the COCO annotation of a non-empty mask bool (H, W)."""
     rows, columns = (np.flatnonzero(mask.any(axis)).tolist() for axis in (1, 0))
     left, top = columns[0], rows[0]
     return {
@@ -140,13 +140,13 @@ def coco_region(mask: np.ndarray, number: int, image: int, category: int) -> dic
 
 @dataclass
 class _Piece:
-    """Runs of road one below the other: each touches one run above and one below."""
+    """Consecutive rows of one run each, of which each touches one run above and one below."""
 
     top: int
     runs: list[tuple[int, int]] = field(default_factory=list)
 
     def polygon(self) -> list[int]:
-        """x and y in turn, along the edges of its pixels: down the right side, up the left."""
+        """Return x and y in turn, along the edges of the pixels: down the right, up the left."""
         rows = [(self.top + at + step, run) for at, run in enumerate(self.runs) for step in (0, 1)]
         points = [(end, row) for row, (_, end) in rows]
         points += [(start, row) for row, (start, _) in reversed(rows)]
@@ -157,11 +157,10 @@ class _Piece:
 
 
 def coco_polygons(mask: np.ndarray) -> list[list[int]]:
-    """A mask bool (H,W) as polygons without holes that share no pixel; their union is exact.
+    """Return polygons without holes that share no pixel and whose union is a mask bool (H, W).
 
-    COCO's polygons are united by its readers and cannot have holes. So regions are cut along
-    rows where they part or meet (ours). Coordinates are of pixel edges: column x reaches from
-    x to x + 1.
+    COCO's readers unite polygons and cannot subtract holes, so regions are cut along rows where
+    they part or meet (ours). Coordinates are of pixel edges: column x reaches from x to x + 1.
     """
     done: list[_Piece] = []
     open_pieces: list[_Piece] = []

@@ -1,4 +1,4 @@
-"""The bird's-eye view: against single points, a pinhole by hand, and the benchmark's own kit."""
+"""Bird's-eye view: against single points, a pinhole by hand, and the benchmark's own kit."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ SHARED = Path(__file__).resolve().parents[3] / "shared/reference/kitti_vectors.j
 
 
 def pattern(height: int, width: int) -> torch.Tensor:
-    """The image of the kit's vectors: (r + 2c) mod 256."""
+    """Return the image of the kit's vectors: (r + 2c) mod 256."""
     return ((torch.arange(height)[:, None] + 2 * torch.arange(width)) % 256).to(torch.uint8)
 
 

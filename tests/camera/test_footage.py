@@ -1,4 +1,4 @@
-"""A camera from its footage, rendered and real; the horizon of one image from its layout."""
+"""Estimating a camera from footage, rendered and real, and the horizon from a layout."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A camera over flat ground, calibration files of others, and the grid."""
+"""Camera over flat ground, foreign calibration files, and the grid."""
 
 import math
 from collections.abc import Callable
@@ -50,7 +50,7 @@ def bent(model: str) -> Lens:
 
 
 def ground_of(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
-    """Ground points (n,2), x and y in metres, of pixels (n,2); NaN at and above the horizon."""
+    """Return the ground points (n, 2), metres, of pixels (n, 2); NaN at and above the horizon."""
     rays = camera.rays_of(pixels)
     far = camera.pose.position[2] / np.where(rays[:, 2] < -1e-6, -rays[:, 2], np.nan)
     return np.array(camera.pose.position[:2]) + far[:, None] * rays[:, :2]
@@ -236,7 +236,7 @@ SETTINGS = GridSettings(resolution=0.2, range=16, side=6)
 
 
 def image_of(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor:
-    """A mask bool (H,W): ground but what ``inside`` (of x and y, metres) says; no sky."""
+    """Return a mask bool (H, W) of the ground where ``inside`` (of x, y, metres) is false."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     ground = ground_of(camera, np.stack([columns.ravel(), rows.ravel()], 1).astype(float))
     x, y = ground.T
@@ -247,7 +247,7 @@ def image_of(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor
 
 
 def cell(grid: Grid, x: float, y: float) -> int:
-    """The value of the cell at a point, metres."""
+    """Return the value of the cell at a point, metres."""
     column = math.floor((x - grid.origin[0]) / grid.resolution)
     row = math.floor((y - grid.origin[1]) / grid.resolution)
     return int(grid.cells[row, column])

@@ -1,4 +1,4 @@
-"""Files of labelled sets as tests write them."""
+"""Writer of the files of labelled sets."""
 
 from pathlib import Path
 

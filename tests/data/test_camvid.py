@@ -1,4 +1,4 @@
-"""CamVid in eleven classes and in 32 colours, and how its colours are read."""
+"""CamVid in eleven classes and in 32 colours, with each mapping of the colours."""
 
 import csv
 from pathlib import Path
@@ -17,7 +17,7 @@ NAMES = [name for _, name, _ in COLOURS32]
 
 
 def write_frame(root: Path, name: str, images: str = "images", labels: str = "labels") -> None:
-    """An image of 32 by 1 pixels that shows every colour once, in the table's order."""
+    """Write an image of 32 by 1 pixels that has every colour once, in the table's order."""
     colours = np.array([colour for colour, _, _ in COLOURS32], np.uint8)[None]
     write(root / images / f"{name}.png", np.zeros_like(colours))
     write(root / labels / f"{name}_L.png", colours)

@@ -1,4 +1,4 @@
-"""Corrections out to other programs and in again without loss."""
+"""Export and import of corrections without loss."""
 
 import json
 from pathlib import Path
@@ -18,12 +18,12 @@ SIZE = (19, 27)
 
 
 def noise(seed: int) -> np.ndarray:
-    """Every pixel its own label: the worst for polygons."""
+    """Return a random label for each pixel: the worst case for polygons."""
     return np.random.default_rng(seed).integers(0, len(LABELS), SIZE).astype(np.uint8)
 
 
 def nested(seed: int) -> np.ndarray:
-    """Rings and discs one over the other: holes, holes in holes, several parts."""
+    """Draw overlapping rings and discs: holes, holes in holes, several parts."""
     generator = np.random.default_rng(seed)
     labels = np.zeros(SIZE, np.uint8)
     for _ in range(14):
@@ -88,7 +88,7 @@ def test_a_set_of_ones_own_reads_the_files_and_untouched_is_void(tmp_path: Path)
 
 
 def coco(folder: Path, *segmentations: object) -> np.ndarray:
-    """The labels (2,4) of a file of another name: regions of road, sky, road, … in this order."""
+    """Return the labels (2, 4) of a COCO file with regions of road, sky, road, … in this order."""
     path = folder / "instances_default.json"
     regions = [
         {"image_id": 5, "category_id": 1 + number % 2, "segmentation": segmentation, "iscrowd": 0}

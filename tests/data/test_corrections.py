@@ -1,4 +1,4 @@
-"""Corrections: what sayings come to, and logs that survive a crash."""
+"""Corrections: the labels that events result in, and logs that survive a crash."""
 
 from pathlib import Path
 

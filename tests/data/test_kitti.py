@@ -1,4 +1,4 @@
-"""KITTI's files and names, its truth, and the whole way to a score in bird's-eye view."""
+"""KITTI's files, names and ground truth, and scores in bird's-eye view."""
 
 import json
 import pickle
@@ -21,7 +21,7 @@ HEIGHT, WIDTH = 120, 160
 
 
 def street() -> np.ndarray:
-    """Truth in KITTI's colours: road widening from the horizon, void at the left rim."""
+    """Draw ground truth in KITTI's colours: road below the horizon, void at the left edge."""
     row, column = np.indices((HEIGHT, WIDTH))
     truth = np.full((HEIGHT, WIDTH, 3), RED, np.uint8)
     truth[np.abs(column - 80) < row - 52] = MAGENTA
@@ -86,7 +86,7 @@ def test_lanes_are_those_of_um(kitti):
 
 
 def scores(dataset: Dataset, item: LabelledItem, likelihood: torch.Tensor) -> tuple[float, float]:
-    """MaxF and AP of a likelihood, scored where the set is scored."""
+    """Return MaxF and AP of a likelihood in the space in which the set is scored."""
     truth, view = dataset.truth(item), dataset.view
     assert view is not None
     road, valid = view(item, truth.road), view(item, truth.valid)

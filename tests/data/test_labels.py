@@ -1,4 +1,4 @@
-"""Label images, maps made elsewhere and drawn shapes: what their pixels mean."""
+"""Label images, foreign likelihood maps, and filled polygons."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""The refusals of labelled sets that users meet: one row a mistake.
+"""Errors of labelled sets that users meet: a row for each mistake.
 
-That anything else is refused, in one line, is held by tests/fuzz/test_refusals.py.
+tests/fuzz/test_refusals.py checks that every other file is refused in one line.
 """
 
 import json
@@ -25,7 +25,7 @@ from tests.data.conftest import Content, write
 Files = Mapping[str, Content]
 Read = Callable[[Path], object]
 Rows = Sequence[tuple[Read, Files, str, str]]
-"""The reader, the files of its folder, where something is wrong (the end of it), and what."""
+"""Reader, files of its folder, end of the error's ``where``, and pattern of its message."""
 
 # --- label images ---------------------------------------------------------------------
 
@@ -118,7 +118,7 @@ def read_format(name: str, folder: Path) -> object:
 
 
 def coco(region: Mapping[str, object] | None = None, **more: object) -> str:
-    """A file for the image a.jpg of two pixels, with a region or without."""
+    """Return a COCO file for the image a.jpg of two pixels, with or without a region."""
     image = {"id": 1, "file_name": "a.jpg", "height": 1, "width": 2}
     known = {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]}
     parts = {

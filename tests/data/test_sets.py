@@ -61,7 +61,7 @@ def test_what_the_labels_of_a_set_mean(tmp_path, name, image, label, pixels, roa
 
 
 def grouped_set(root: Path) -> Dataset:
-    """Two cameras: one with masks, one with road, void and the layout of one of its images."""
+    """Write two cameras: one with masks, one with road, void and one layout."""
     image = np.zeros((1, 3, 3), np.uint8)
     for name in ("near/images/a", "far/images/a", "far/images/b"):
         write(root / f"{name}.png", image)
@@ -100,7 +100,7 @@ far,b.png,,night rain night,3x1
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two cameras; ``a`` is an image of both."""
+    """Write two cameras; ``a`` is an image of both."""
     folder = tmp_path_factory.mktemp("set")
     for name in ("near/{}/a", "far/{}/a", "far/{}/b", "far/{}/c"):
         for part in ("images", "masks"):
@@ -206,7 +206,7 @@ def test_the_documented_set(tmp_path):
 
 
 class BottomHalf:
-    """A reader that opens no file: the lower half is road."""
+    """Reader without files: the lower half is road."""
 
     def truth(self, item: LabelledItem) -> Truth:
         road = torch.zeros(4, 6, dtype=torch.bool)
@@ -225,7 +225,7 @@ NO_KIND = open_foreign
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, Kind]:
-    """The sets on offer when another package has these entry points."""
+    """Register these entry points of another package and return all kinds of sets."""
     found = [
         EntryPoint(name, f"tests.data.test_sets:{value}", "roadtorch.datasets")
         for name, value in points.items()
