@@ -205,10 +205,13 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
     print(f"no road: {none.sum()} masks, trust below .3 of {(expected[none] < 0.3).sum()}")
     print(f"F above .8 and trust below .6: {((judged.f > 0.8) & (expected < 0.6))[many].sum()}")
     model, there = fitted(judged, ~made), road_there(judged, none, judged.f > -1)
-    print("WEIGHTS", [round(float(weight), 2) for weight in model.coef_], "and 0 of vague")
-    print("CONSTANT", round(float(model.intercept_), 3))
-    print("USUAL", judged.signs[~made].mean(0).round(2).tolist())
-    print("ROAD_STEADY, ROAD_VAGUE", there.coef_[0].round(2), "ROAD_THERE", there.intercept_)
+    print(
+        "FEATURE_WEIGHTS", [round(float(weight), 2) for weight in model.coef_], "and 0 of entropy"
+    )
+    print("INTERCEPT", round(float(model.intercept_), 3))
+    print("MEAN_FEATURES", judged.signs[~made].mean(0).round(2).tolist())
+    print("ROAD_STABILITY, ROAD_ENTROPY", there.coef_[0].round(2))
+    print("ROAD_INTERCEPT", there.intercept_)
     for number, sign in enumerate(Signs._fields):
         alone = rank_correlation(torch.from_numpy(judged.signs[many, number]), f)
         print(f"{sign} alone {alone:+.2f}")

@@ -99,11 +99,11 @@ def odds_of(
     nothing = torch.full_like(near, 0.5)
     for name, variant in VARIANTS.items():
         exponents = RULES.exponents._replace(
-            look=RULES.exponents.look * variant.look,
+            appearance=RULES.exponents.appearance * variant.look,
             neighbours=RULES.exponents.neighbours * variant.neighbours,
         )
-        place = RULES.place._replace(weight=RULES.place.weight * variant.place)
-        rules = RULES._replace(exponents=exponents, place=place)
+        position = RULES.position._replace(weight=RULES.position.weight * variant.place)
+        rules = RULES._replace(exponents=exponents, position=position)
         pairs = ((ground, variant.layout), (near, variant.distance), (even, variant.texture))
         likely, close, plain = (cue if on else nothing for cue, on in pairs)
         begun = perf_counter()

@@ -25,8 +25,8 @@ from roadtorch.base.settings import Settings, build_settings, merge
 from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.imaging.levels import at_least
 from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
-from roadtorch.road.ego import Ego, continued, ego_car, is_anywhere, is_given, read_ego_mask
-from roadtorch.road.outlines import Outlines, guided
+from roadtorch.road.ego import Ego, any_pixel, continued, ego_car, is_given, read_ego_mask
+from roadtorch.road.outlines import Outlines, refine
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
 
@@ -368,12 +368,12 @@ class Detector(nn.Module):
         likelihood = cues.pop("likelihood")
         if settings:
             if settings.outlines == "guided":
-                likelihood = guided(outputs, small, ground, settings.working, settings.threshold)
+                likelihood = refine(outputs, small, ground, settings.working, settings.threshold)
             likelihood = at_image_size(likelihood, size)
         if "ego" in cues:
             cars.append(at_image_size(cues.pop("ego"), size))
         ego = reduce(torch.logical_or, cars) if cars else None
-        if ego is not None and is_anywhere(ego):
+        if ego is not None and any_pixel(ego):
             likelihood = likelihood.masked_fill(ego, 0)
             if "seed_area" in cues:
                 cues["seed_area"] = at_image_size(cues["seed_area"], size).masked_fill(ego, 0)
@@ -504,7 +504,7 @@ def decide(
         seed: seed area, bool, shape (H, W); None: the rectangle of the settings.
         ego: ego car, bool, shape (H, W); never road.
     """
-    if ego is not None and not is_anywhere(ego):
+    if ego is not None and not any_pixel(ego):
         ego = None
     extended = likelihood if ego is None else continued(likelihood, ego)
     mask = at_least(extended, settings.threshold)

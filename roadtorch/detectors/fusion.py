@@ -1,4 +1,4 @@
-"""The fused detectors: naive Bayes over layout, texture and, in ours, more (P2 section 5)."""
+"""Fusion detectors: a network alone, or naive Bayes over layout and texture (P2 section 5)."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -33,14 +33,14 @@ from roadtorch.layout.weights import (
     image_network_of,
     network_of,
 )
-from roadtorch.road.ego import continued, ego_found, is_anywhere
+from roadtorch.road.ego import any_pixel, continued, ego_found
 from roadtorch.road.fusion import (
     PRIORS,
     RULES,
     fused_log_odds,
     likelihood_product,
     log_odds,
-    road_place,
+    position_prior,
     seed_log_odds,
     segment_road,
 )
@@ -50,7 +50,7 @@ from roadtorch.road.seed_area import (
     likely_seed_area,
     seed_distance,
     seed_rectangle,
-    seed_segments,
+    segments_inside,
 )
 from roadtorch.road.texture import (
     Saturation,
@@ -63,34 +63,34 @@ from roadtorch.road.trust import Judgement, TrustSettings, judgement, signs_of
 
 
 class RoadCalibration(Settings):
-    """What makes 0.5 mean as likely road as not on any camera, and other values what they say.
-
-    Platt scaling (``train/calibrate.py``).
-    """
+    """Calibration of the likelihood across cameras: Platt scaling (``train/calibrate.py``)."""
 
     centre: float = Field(
-        default=0.0, ge=-20, le=20, description="log odds that part road in most images"
+        default=0.0, ge=-20, le=20, description="log odds at which the likelihood becomes 0.5"
     )
     temperature: float = Field(
-        default=1.0, gt=0, le=100, description="by which log odds are divided then"
+        default=1.0, gt=0, le=100, description="temperature that divides the centred log odds"
     )
 
 
 class SecondNetwork(Settings):
-    """Another network beside the first: it began elsewhere, so that it errs elsewhere.
+    """Second network, trained from other initial weights, so that it makes other errors.
 
-    Road and layout are the mean of both; the ego car is the first one's, which may have adapted.
+    Road and layout are averaged; the ego car is that of the first network, which may be adapted.
     """
 
     file: str = Field(
         default="",
-        description="its weights, or the name of shipped ones, such as rendered-free; empty: none",
+        description="weights of a second network: a file or a shipped name, such as rendered-free; "
+        "empty: none",
     )
-    share: float = Field(default=0.4, gt=0, lt=1, description="of it in the mean of both")
+    share: float = Field(
+        default=0.4, gt=0, lt=1, description="weight of the second network in the average, 0 to 1"
+    )
 
 
 class FusionSettings(WorkingSettings):
-    """The road as a network has learned it from other streets, along the image's own outlines."""
+    """A network's road, refined at the edges of the image."""
 
     threshold: Threshold = 0.5
     working: WorkingSize = WorkingSize(pixels=256 * 192)
@@ -100,8 +100,8 @@ class FusionSettings(WorkingSettings):
         strict=False,
         default=(),
         max_length=8,
-        description="shares of the height that are cut off at the top for further looks, from "
-        "closer by, at what is left; the mean of all looks counts",
+        description="fractions of the height cropped at the top for extra passes; outputs are "
+        "averaged",
     )
     second: SecondNetwork = SecondNetwork()
     calibration: RoadCalibration = RoadCalibration()
@@ -109,7 +109,7 @@ class FusionSettings(WorkingSettings):
 
 
 class UntrainedFusionSettings(WorkingSettings):
-    """The fused detector without a network."""
+    """Naive Bayes without a network."""
 
     threshold: Threshold = Field(default=0.39, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
@@ -117,17 +117,21 @@ class UntrainedFusionSettings(WorkingSettings):
 
 
 class LearnedRoad(Settings):
-    """How much the road is trusted that the network has learned: weights of its log odds."""
+    """Weights of the log odds of the network's road."""
 
-    weight: float = Field(default=1.0, ge=0, le=10, description="in the mean of each superpixel")
-    detail: float = Field(default=0.5, ge=0, le=10, description="pixel by pixel, at the end")
+    weight: float = Field(
+        default=1.0, ge=0, le=10, description="weight of the network's road in each superpixel"
+    )
+    detail: float = Field(
+        default=0.5, ge=0, le=10, description="weight of the network's road in each pixel, at last"
+    )
 
 
 class ScratchFusionSettings(UntrainedFusionSettings):
-    """The fused detector with a network that began with random weights.
+    """Naive Bayes with a network trained from random weights.
 
-    It works at 240x180, with as many superpixels as the one without a network has at 320x240:
-    scores are the same within .001, and it takes three quarters of the time (docs/performance.md).
+    At 240x180, with as many superpixels as ``fusion:untrained`` has at 320x240: the same scores
+    within .001 in three quarters of the time (docs/performance.md).
     """
 
     threshold: Threshold = 0.5
@@ -142,10 +146,10 @@ class ScratchFusionSettings(UntrainedFusionSettings):
 
 
 class PaperFusionSettings(WorkingSettings):
-    """P2 as it is written: CNN-7, colour plane fusion over superpixels, a uniform prior.
+    """P2 as published: CNN-7, colour plane fusion over superpixels, a uniform prior.
 
-    P2 combines CNN-7 with CPF, and shows CPFv2 beside it (Fig. 6a); it names the prior of eq. 4
-    and tests a uniform one alone. The other two priors are baselines of ours.
+    P2 combines CNN-7 with CPF, and shows CPFv2 as well (Fig. 6a); eq. 4 has a prior, but only a
+    uniform one is tested. The other two priors are baselines of ours.
     """
 
     threshold: Threshold = Field(default=0.131, description=TUNED_THRESHOLD)
@@ -153,26 +157,26 @@ class PaperFusionSettings(WorkingSettings):
     weights: WeightsFile = WeightsFile()
     texture: TextureSettings = TextureSettings()
     descriptor: Literal["cpf", "cpf:v2"] = Field(
-        default="cpf", description="colour plane fusion, or the same without saturated pixels"
+        default="cpf", description="colour plane fusion with, or without (v2), saturated pixels"
     )
     saturation: Saturation = Saturation()
     prior: Literal["uniform", "rows", "triangle"] = Field(
-        default="uniform", description="where road is likely before the image is seen (eq. 4)"
+        default="uniform", description="location prior of the road (eq. 4)"
     )
 
 
-FROM_SCRATCH = "layout-free"
-"""The shipped weights of a network that began with random ones."""
+SCRATCH_WEIGHTS = "layout-free"
+"""Shipped weights of a network trained from random ones."""
 
 
 @use_inference_mode
-def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
-    """Naive Bayes of what one image (3,H,W) shows by itself. Ours, after P2."""
+def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
+    """Compute the cues of an image (3, H, W) by naive Bayes without a network. Ours, after P2."""
     image = brightened(image, EXPOSURE)
     segments = measure_segments(image, settings.superpixels.cut(image))
     labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    near, even, cues = seen_from(image, segments, seed, seed_segments(labels, seed))
+    near, even, cues = seen_from(image, segments, seed, segments_inside(labels, seed))
     return {
         "likelihood": paint(segment_road(segments, layout[:, HORIZONTAL], near, even), labels),
         "layout": paint(layout.T, labels),
@@ -183,12 +187,11 @@ def untrained(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, 
 
 
 class Fusion(nn.Module):
-    """The road that a network has learned from other streets: the best we know.
+    """Road of one or two networks, calibrated.
 
-    P2 fuses what was learned off line with what the image shows by itself. With a network that
-    sees 192x256 pixels texture, distance from the seed area, place and look no longer pay for
-    their time (docs/research/p2.md); ``fusion:scratch``, whose network knows less, and
-    ``fusion:untrained`` have them.
+    P2 fuses a network's layout with cues of the image. With a network of 192x256 pixels, texture,
+    distance from the seed area, position and appearance no longer gain enough for their time
+    (docs/research/p2.md); ``fusion:scratch`` and ``fusion:untrained`` use them.
     """
 
     def __init__(self, settings: FusionSettings) -> None:
@@ -200,17 +203,17 @@ class Fusion(nn.Module):
 
     @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]; in an exported graph of a batch (N,3,H,W)."""
-        learned = self.learned(image)
-        ego = ego_found(learned["ego"])
-        layout, road = learned["layout"], learned["road"]
-        if is_anywhere(ego):
-            known = torch.cat([layout, road[..., None, :, :]], -3)
-            layout, road = continued(known, ego).split([CLASSES, 1], -3)
+        """Compute the cues of an image (3, H, W) in [0, 1]; in an exported graph, of a batch."""
+        maps = self.predict(image)
+        ego = ego_found(maps["ego"])
+        layout, road = maps["layout"], maps["road"]
+        if any_pixel(ego):
+            stack = torch.cat([layout, road[..., None, :, :]], -3)
+            layout, road = continued(stack, ego).split([CLASSES, 1], -3)
             road = road.squeeze(-3)
         odds = log_odds(road)
         return {
-            "likelihood": calibrated(odds, self.settings.calibration),
+            "likelihood": calibrated_likelihood(odds, self.settings.calibration),
             "layout": layout,
             "layout_labels": decide_layout(layout.movedim(-3, -1)),
             "learned_road": road,
@@ -218,85 +221,83 @@ class Fusion(nn.Module):
             "ego": ego,
         }
 
-    def learned(self, image: Tensor) -> Mapping[str, Tensor]:
-        """What is known from other streets of an image (3,H,W): ``layout``, ``road``, ``ego``."""
-        learned = seen_closer(self.network, image, self.settings.cuts)
+    def predict(self, image: Tensor) -> Mapping[str, Tensor]:
+        """Compute the networks' ``layout``, ``road`` and ``ego`` of an image (3, H, W)."""
+        maps = average_views(self.network, image, self.settings.cuts)
         if self.second is None:
-            return learned
-        other = seen_closer(self.second, image, self.settings.cuts)
-        share = self.settings.second.share
-        pooled = {
-            name: torch.lerp(learned[name], other[name], share) for name in ("layout", "road")
-        }
-        return {**learned, **pooled}
+            return maps
+        second = average_views(self.second, image, self.settings.cuts)
+        weight = self.settings.second.share
+        mean = {name: torch.lerp(maps[name], second[name], weight) for name in ("layout", "road")}
+        return {**maps, **mean}
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
-        """How far a mask bool (H,W) can be trusted; the likelihood is one of the cues."""
-        signs = signs_of(cues["likelihood"], mask, cues)
-        return judgement(signs, mask.flatten(-2).any(-1), self.settings.trust)
+        """Predict the trust in a mask, bool (H, W); ``likelihood`` is one of the cues."""
+        features = signs_of(cues["likelihood"], mask, cues)
+        return judgement(features, mask.flatten(-2).any(-1), self.settings.trust)
 
 
-def seen_closer(
-    network: WholeImageNetwork, image: Tensor, cuts: Sequence[float]
+def average_views(
+    network: WholeImageNetwork, image: Tensor, crops: Sequence[float]
 ) -> Mapping[str, Tensor]:
-    """``cues`` of an image (…,3,H,W), and of what is left of it below each cut; their mean."""
+    """Average a network's maps of an image (…, 3, H, W) and of its lower crops (multi-view)."""
     total, height = network.cues(image), image.shape[-2]
-    looks = image.new_ones(height, 1)
-    for cut in cuts:
-        rows = whole(side(height) * (1 - cut), 1)
+    views = image.new_ones(height, 1)
+    for crop in crops:
+        rows = whole(side(height) * (1 - crop), 1)
         lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
-        above, maps = (0, 0, height - rows, 0), network.cues(lower)
-        total = {name: total[name] + functional.pad(maps[name], above) for name in total}
-        looks = looks + functional.pad(looks.new_ones(rows, 1), above)
-    return {name: maps / looks for name, maps in total.items()} if cuts else total
+        padding, maps = (0, 0, height - rows, 0), network.cues(lower)
+        total = {name: total[name] + functional.pad(maps[name], padding) for name in total}
+        views = views + functional.pad(views.new_ones(rows, 1), padding)
+    return {name: maps / views for name, maps in total.items()} if crops else total
 
 
-def calibrated(odds: Tensor, calibration: RoadCalibration) -> Tensor:
-    """Likelihoods in [0,1] of log odds, of any shape."""
+def calibrated_likelihood(odds: Tensor, calibration: RoadCalibration) -> Tensor:
+    """Convert log odds of any shape to calibrated likelihoods in [0, 1]."""
     return ((odds - calibration.centre) / calibration.temperature).sigmoid()
 
 
 class ScratchFusion(nn.Module):
-    """Naive Bayes of what the image shows and what a network has learned from other streets.
+    """Naive Bayes of cues of the image and a network's road and layout.
 
-    The network says where the ego car is, and the ground above is continued over it before
-    anything is measured; the seed area is where place, layout and network see road.
+    The ego car is the network's; the ground above is extrapolated over it before anything is
+    measured. The seed area is where position, layout and network see road.
     """
 
     def __init__(self, settings: ScratchFusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = image_network_of(settings.weights, FROM_SCRATCH)
+        self.network = image_network_of(settings.weights, SCRATCH_WEIGHTS)
 
     @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
+        """Compute the cues of an image (3, H, W) in [0, 1]."""
         settings = self.settings
-        learned = self.network.cues(image)
-        ego = ego_found(learned["ego"])
-        if is_anywhere(ego):
-            known = torch.cat([image, learned["layout"], learned["road"][None]])
-            image, layout, road = continued(known, ego).split([3, CLASSES, 1])
-            learned = {"layout": layout, "road": road[0]}
+        maps = self.network.cues(image)
+        ego = ego_found(maps["ego"])
+        if any_pixel(ego):
+            stack = torch.cat([image, maps["layout"], maps["road"][None]])
+            image, layout, road = continued(stack, ego).split([3, CLASSES, 1])
+            maps = {"layout": layout, "road": road[0]}
         image = brightened(image, EXPOSURE)
         segments = measure_segments(image, settings.superpixels.cut(image))
-        labels, own = segments.labels, segment_layout(segments, settings.labeller.rules)
-        taught = segment_mean([*learned["layout"], learned["road"]], labels, segments.pixels)
-        layout = pooled(own.T, taught[:CLASSES], settings.share)
-        known = log_odds(taught[CLASSES])
-        evidence = known + seed_log_odds(segments, layout[HORIZONTAL])
+        labels, labelled = segments.labels, segment_layout(segments, settings.labeller.rules)
+        means = segment_mean([*maps["layout"], maps["road"]], labels, segments.pixels)
+        layout = pooled(labelled.T, means[:CLASSES], settings.share)
+        network_odds = log_odds(means[CLASSES])
+        evidence = network_odds + seed_log_odds(segments, layout[HORIZONTAL])
         share = settings.seed_area.share
         sources = likely_seed(evidence, segments.row, segments.size, share)
         seed = sources[labels]
         near, even, cues = seen_from(image, segments, seed, sources.nonzero()[:, 0])
-        further = settings.learned.weight * known
+        further = settings.learned.weight * network_odds
         road = segment_road(segments, layout[HORIZONTAL], near, even, further)
-        odds = fused_log_odds([paint(road, labels), learned["road"]], [1, settings.learned.detail])
+        odds = fused_log_odds([paint(road, labels), maps["road"]], [1, settings.learned.detail])
         return {
-            "likelihood": calibrated(odds, settings.calibration),
-            "layout": pooled(paint(own.T, labels), learned["layout"], settings.share),
+            "likelihood": calibrated_likelihood(odds, settings.calibration),
+            "layout": pooled(paint(labelled.T, labels), maps["layout"], settings.share),
             "layout_labels": paint(decide_layout(layout.T), labels),
-            "learned_road": learned["road"],
+            "learned_road": maps["road"],
             "seed_area": seed,
             "ego": ego,
             **cues,
@@ -308,9 +309,9 @@ class ScratchFusion(nn.Module):
 def seen_from(
     image: Tensor, segments: Segments, seed: Tensor, sources: Tensor
 ) -> tuple[Tensor, Tensor, Mapping[str, Tensor]]:
-    """How like the seed area segments are: likelihoods (n,) by distance and by texture, and cues.
+    """Compute likelihoods (n,) by distance from the seed area and by texture like its, and cues.
 
-    image: (3,H,W) as it was measured; seed: bool (H,W); sources: numbers (k,) of its segments.
+    image: (3, H, W), as measured. seed: bool (H, W). sources: labels (k,) of its segments.
     """
     labels, settings = segments.labels, TextureSettings()
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
@@ -322,14 +323,14 @@ def seen_from(
         "fused_plane": fused,
         "saturated": clipped,
         "distance": paint(near, labels),
-        "place": paint(road_place(segments.row, segments.column), labels),
+        "place": paint(position_prior(segments.row, segments.column), labels),
         "segments": labels,
     }
     return near, even, cues
 
 
 class PaperFusion(nn.Module):
-    """Prior times layout of CNN-7 times uniformity, P2 eq. 4."""
+    """Product of prior, layout of CNN-7 and uniformity, P2 eq. 4."""
 
     def __init__(self, settings: PaperFusionSettings) -> None:
         super().__init__()
@@ -337,7 +338,7 @@ class PaperFusion(nn.Module):
         self.network = network_of(settings.weights, "cnn-7-paper", PatchNetwork)
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
+        """Compute the cues of an image (3, H, W) in [0, 1]."""
         settings, texture = self.settings, self.settings.texture
         layout = self.network.potentials(image)
         labels = settings.superpixels.cut(image)
@@ -389,7 +390,7 @@ ENTRIES = (
         "fusion:untrained",
         "layout, texture and more fused, without a network",
         UntrainedFusionSettings,
-        partial(Analysis, untrained),
+        partial(Analysis, untrained_fusion),
     ),
     Entry(
         "fusion:paper",

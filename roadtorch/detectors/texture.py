@@ -19,7 +19,7 @@ from roadtorch.imaging.segments import paint, segment_histogram
 from roadtorch.imaging.slic import Superpixels, squares
 from roadtorch.road.seed_area import seed_area, seed_rectangle
 from roadtorch.road.texture import (
-    PATTERNS,
+    PATTERN_COUNT,
     Saturation,
     TextureSettings,
     fused_uniformity,
@@ -119,9 +119,9 @@ def lbp(image: Tensor, settings: LbpSettings) -> dict[str, Tensor]:
     """Local binary patterns like those of the seed area, P2's texture baseline."""
     labels = settings.superpixels.cut(image)
     patterns = uniform_patterns(plane(image, "grey"))
-    counts = segment_histogram(patterns, labels, int(labels.max()) + 1, PATTERNS)
+    counts = segment_histogram(patterns, labels, int(labels.max()) + 1, PATTERN_COUNT)
     area = seed_area(labels.shape[-2], labels.shape[-1], settings.seed_area)
-    reference = torch.bincount(patterns[area].flatten(), minlength=PATTERNS).to(counts)
+    reference = torch.bincount(patterns[area].flatten(), minlength=PATTERN_COUNT).to(counts)
     likelihood = paint(similarity(counts, reference), labels)
     return {"likelihood": likelihood, "patterns": patterns, "segments": labels}
 

@@ -1,1 +1,1 @@
-"""Steps that say where road is: seed area, texture, priors, fusion, trust, ego car, steadying."""
+"""Steps of road detection: seed area, texture, priors, fusion, trust, ego car, smoothing."""

@@ -1,8 +1,8 @@
 """The ego car: pixels of the vehicle that carries the camera, never road and never seed.
 
-It is told by hand or by a camera's file (see ``Ego``). Before a detector looks at an image, the
-ground above the ego car is continued over it, so that whatever is learned or counted at the
-bottom of the image is ground.
+It comes from the settings (``Ego``), a camera's file, or a network's map. Before an image is
+analysed, the ground above the ego car is extrapolated over it, so that everything learned or
+counted at the bottom of the image is ground.
 """
 
 from pathlib import Path
@@ -20,69 +20,74 @@ from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import above
 from roadtorch.imaging.resize import side
 
-MIN_FREE = 0.1  # share of the image that an ego car must leave free
+MIN_FREE = 0.1  # fraction of the image that an ego car must leave free
 
-STRIP = 0.08
-"""Share of the image's side that is mirrored at most: near ground, never the sky above it."""
+MAX_STRIP = 0.08
+"""Largest strip that is mirrored, as a fraction of the height: near ground, never the sky."""
 
-MIN_MEAN, PER_SHARE = 0.7, 0.5
-"""Mean potential from which an ego car is one, and what is added for its share of the image:
-lines near the lower edge are half believed, bonnets mostly not, and more ground lost by mistake
-needs more certainty (train/README.md, "The ego car's edge")."""
+MIN_MEAN, MEAN_PER_AREA = 0.7, 0.5
+"""Mean potential that an ego car needs, and the increase of that per fraction of the image it
+covers: the network is half sure of lane markings near the lower edge, mostly surer of bonnets, and
+the more ground a mistake would lose, the surer it must be (train/README.md, "The ego car's edge").
+"""
 
-SOLID = 0.6  # share of the pixels below that must be ego car
+MIN_FILL = 0.6  # fraction of the pixels below a column's first row that must be ego car
 
-HINT = f"leave at least {MIN_FREE:.0%} of the image free"
-
-Row = Annotated[float, Field(ge=0, le=1)]
+FREE_HINT = f"leave at least {MIN_FREE:.0%} of the image free"
 
 
 class Ego(Settings):
-    """Where the ego car is in every image, in up to three ways; what any of them says counts."""
+    """Ego car of all images, given in up to three ways; their union counts."""
 
     bottom: float = Field(
-        default=0, ge=0, le=1 - MIN_FREE, description="share of the height, at the bottom"
+        default=0, ge=0, le=1 - MIN_FREE, description="fraction of the height, at the bottom"
     )
     mask: str = Field(
-        default="", description="image file of the same size as the images; black is no ego car"
+        default="",
+        description="image file as large as the images; pixels that are not black are ego car",
     )
-    outline: tuple[Row, ...] = Field(
+    outline: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(
         default=(),
         strict=False,
-        description="where it begins in equally wide columns: share of the height, 1 is nowhere",
+        description="first row of the ego car in equally wide columns, as a fraction of the height "
+        "from the top; 1: none in that column",
     )
 
     @field_validator("outline")
     @classmethod
-    def _leaves_something(cls, outline: tuple[float, ...]) -> tuple[float, ...]:
+    def _check_outline(cls, outline: tuple[float, ...]) -> tuple[float, ...]:
         if outline and sum(outline) < MIN_FREE * len(outline):
-            raise ValueError(f"{HINT}: these rows cover nearly all")
+            raise ValueError(f"{FREE_HINT}: these rows cover nearly all")
         return outline
 
 
 def is_given(ego: Ego) -> bool:
-    """Whether the settings say that there is an ego car at all."""
+    """Return whether the settings describe an ego car."""
     return ego != Ego()
 
 
 def read_ego_mask(path: str) -> Tensor:
-    """The ego car bool (H,W) in an image file: what is not black.
+    """Read an ego car mask, bool (H, W), from an image file: pixels that are not black.
 
     Raises InputError when it cannot be read, ConfigError when it covers nearly everything.
     """
     mask = read_image(Path(path)).amax(0) > 0
     if float((~mask).double().mean()) < MIN_FREE:
-        raise ConfigError(path, "covers nearly everything with ego car", HINT)
+        raise ConfigError(path, "covers nearly everything with ego car", FREE_HINT)
     return mask
 
 
 @cached_per_image
 def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
-    """The ego car bool (H,W) in an image (3,H,W), by all that the settings say.
+    """Return the ego car that the settings describe, bool (H, W).
 
-    mask: what ``read_ego_mask`` gave of the settings' file, for those who see many images; it
-    is read where it is not given. Raises InputError when the mask has another size than the
-    image, or when too little is free.
+    Args:
+        image: shape (3, H, W); only its size counts.
+        ego: settings.
+        mask: result of ``read_ego_mask`` for the settings' file; None: the file is read.
+
+    Raises:
+        InputError: The mask differs in size from the image, or too little is free.
     """
     height, width = image.shape[-2:]
     rows = (torch.arange(height, device=image.device) + 0.5) / height
@@ -93,53 +98,52 @@ def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
         mask = read_ego_mask(ego.mask) if mask is None else mask
         if mask.shape != car.shape:
             size = f"{mask.shape[1]}×{mask.shape[0]}"
-            problem = f"is {width}×{height} pixels, the ego mask {ego.mask} {size}"
-            raise InputError("image", problem, "give a mask of the images' size")
+            message = f"is {width}×{height} pixels, but the ego mask {ego.mask} is {size}"
+            raise InputError("image", message, "give a mask of the images' size")
         car = car | mask.to(image.device)
     if float((~car).double().mean()) < MIN_FREE:
-        raise InputError("image", "is covered nearly everywhere by the ego car", HINT)
+        raise InputError("image", "is covered nearly everywhere by the ego car", FREE_HINT)
     return car
 
 
 def outline_rows(outline: tuple[float, ...], width: int) -> Tensor:
-    """Where the ego car begins in each of ``width`` columns: shares of the height (width,).
+    """Return the ego car's first row in each of ``width`` columns, as fractions of the height.
 
-    The outline's values hold in the middle of its equally wide columns; straight lines between.
+    The outline's values hold at the centres of its equally wide columns; linear in between.
     """
-    at = (np.arange(width) + 0.5) / width * len(outline) - 0.5
-    return torch.from_numpy(np.interp(at, np.arange(len(outline)), outline)).float()
+    positions = (np.arange(width) + 0.5) / width * len(outline) - 0.5
+    return torch.from_numpy(np.interp(positions, np.arange(len(outline)), outline)).float()
 
 
-def is_anywhere(ego: Tensor) -> bool:
-    """Whether an ego car bool (H,W) has a pixel; torch takes thirty times as long for it.
+def any_pixel(mask: Tensor) -> bool:
+    """Return whether a bool mask has a pixel; in an exported graph, which cannot branch, True.
 
-    An exported graph cannot branch on it, and reckons with one.
+    In NumPy, because ``Tensor.any`` takes thirty times as long.
     """
-    return torch.compiler.is_exporting() or bool(ego.cpu().numpy().any())
+    return torch.compiler.is_exporting() or bool(mask.cpu().numpy().any())
 
 
-# --- found in the image ---------------------------------------------------------------
+# --- from a network's map ---------------------------------------------------------------
 
 
 def ego_found(potential: Tensor) -> Tensor:
-    """The ego car bool (…,H,W) by its potential (…,H,W) in [0,1]: what goes to the lower edge.
+    """Return the ego car, bool (…, H, W), from a network's potential in [0, 1] of that shape.
 
-    In each column it begins at the first row from which on at least ``SOLID`` of all pixels
-    are likelier ego car than not: light on a bonnet leaves no hole in it, and a car ahead
-    is none. Nor is there one where next to nothing would be left free, or where it is
-    only half believed.
+    In each column it extends from the first row from which at least ``MIN_FILL`` of all pixels
+    down to the lower edge exceed 0.5: reflections on a bonnet leave no hole, and a car ahead does
+    not count. None where next to nothing would be left free, or where its mean potential is low.
     """
     height, width = potential.shape[-2:]
     ego = above(potential, 0.5)
-    if not is_anywhere(ego):
+    if not any_pixel(ego):
         return ego
     below = ego.flip(-2).cumsum(-2, dtype=torch.int32).flip(-2)
-    left = torch.arange(height, 0, -1, device=ego.device)[:, None]
-    car = (ego & (below >= SOLID * left)).cumsum(-2, dtype=torch.int32) > 0
+    rows_below = torch.arange(height, 0, -1, device=ego.device)[:, None]
+    car = (ego & (below >= MIN_FILL * rows_below)).cumsum(-2, dtype=torch.int32) > 0
     size = car.sum((-2, -1), keepdim=True)
-    share = size / (height * width)
+    fraction = size / (height * width)
     mean = (potential * car).sum((-2, -1), keepdim=True) / size.clamp(min=1)
-    return car & (share <= 1 - MIN_FREE) & (mean >= MIN_MEAN + PER_SHARE * share)
+    return car & (fraction <= 1 - MIN_FREE) & (mean >= MIN_MEAN + MEAN_PER_AREA * fraction)
 
 
 # --- ground in its place ----------------------------------------------------------------
@@ -147,30 +151,30 @@ def ego_found(potential: Tensor) -> Tensor:
 
 @cached_per_image
 def continued(maps: Tensor, ego: Tensor) -> Tensor:
-    """Maps (…,H,W) with the ego car bool (H,W) replaced by what lies above it; a new tensor.
+    """Replace the ego car, bool (H, W), in maps (…, H, W) by the ground above it; a new tensor.
 
-    Column by column, a strip just above the ego car is mirrored downwards, again and again.
-    What has nothing above (a mirror hung at the top) is continued from below, and columns
-    that are all ego car from beside. At least one pixel must be free.
+    Column by column, a strip just above the ego car is mirrored downwards repeatedly. Pixels with
+    nothing above them (a mirror at the top) are filled from below, and columns that are all ego
+    car from the side. At least one pixel must be free.
     """
     if torch.compiler.is_exporting():
-        return _mirrored_down(maps, ego)
-    ground, left = maps.reshape(-1, *ego.shape), ego
-    for flipped, turned in ((False, False), (True, False), (False, True), (True, True)):
-        if not is_anywhere(left):
+        return _mirror_down_in_graph(maps, ego)
+    ground, hidden = maps.reshape(-1, *ego.shape), ego
+    for flip, transpose in ((False, False), (True, False), (False, True), (True, True)):
+        if not any_pixel(hidden):
             break
-        ground, left = (part.mT if turned else part for part in (ground, left))
-        ground, left = (part.flip(-2) if flipped else part for part in (ground, left))
-        ground, left = _continued_down(ground, left)
-        ground, left = (part.flip(-2) if flipped else part for part in (ground, left))
-        ground, left = (part.mT if turned else part for part in (ground, left))
+        ground, hidden = (part.mT if transpose else part for part in (ground, hidden))
+        ground, hidden = (part.flip(-2) if flip else part for part in (ground, hidden))
+        ground, hidden = _mirror_down(ground, hidden)
+        ground, hidden = (part.flip(-2) if flip else part for part in (ground, hidden))
+        ground, hidden = (part.mT if transpose else part for part in (ground, hidden))
     return ground.reshape(maps.shape).contiguous()
 
 
-def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
-    """Maps (C,H,W) continued downwards over ego (H,W), and the ego that has nothing above it.
+def _mirror_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
+    """Mirror maps (C, H, W) down over the ego car (H, W); return them and the ego car that remains.
 
-    Only rows from the one above the highest ego car on are looked at.
+    Only rows from the one above the highest ego car on are read.
     """
     height, width = ego.shape
     car = ego.cpu().numpy()
@@ -180,22 +184,22 @@ def _continued_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
     last = np.maximum.accumulate(np.where(car, rows, -1), 0)
     above = np.maximum(free, first)
     run = above - np.take_along_axis(last, above - first, 0)
-    run = run.clip(1, max(1, round(STRIP * height)))
+    run = run.clip(1, max(1, round(MAX_STRIP * height)))
     step = (rows - above - 1).clip(0) % (2 * run)
     source = np.where(car & (free >= 0), above - np.minimum(step, 2 * run - 1 - step), rows)
-    place = torch.from_numpy((source * width + np.arange(width)).reshape(-1)).to(maps.device)
+    index = torch.from_numpy((source * width + np.arange(width)).reshape(-1)).to(maps.device)
     ground, hidden = maps.clone(), torch.zeros_like(ego)
-    ground[:, first:] = maps.flatten(1).index_select(1, place).view(len(maps), -1, width)
+    ground[:, first:] = maps.flatten(1).index_select(1, index).view(len(maps), -1, width)
     hidden[first:] = torch.from_numpy(car & (free < 0)).to(ego.device)
     return ground, hidden
 
 
-def _mirrored_down(maps: Tensor, ego: Tensor) -> Tensor:
-    """The same of maps (N,C,H,W) in a graph, for an ego car (N,H,W) down to the lower edge."""
+def _mirror_down_in_graph(maps: Tensor, ego: Tensor) -> Tensor:
+    """Mirror maps (N, C, H, W) down over an ego car (N, H, W) that reaches the lower edge."""
     height = maps.shape[-2]
     rows = torch.arange(height)[:, None]
     first = height - ego.to(torch.int64).sum(1, keepdim=True)
-    strip = (side(height) * STRIP).round().to(torch.int64).clamp(min=1)
+    strip = (side(height) * MAX_STRIP).round().to(torch.int64).clamp(min=1)
     run = first.minimum(strip).clamp(min=1)
     step = (rows - first).clamp(min=0) % (2 * run)
     source = (first - 1 - step.minimum(2 * run - 1 - step)).clamp(min=0)

@@ -1,11 +1,11 @@
-"""Naive Bayes: what was learned off line and what this image shows, in one probability.
+"""Naive Bayes fusion of learned cues and cues of the image, and location priors.
 
-``likelihood_product`` is P2's eq. 4: prior times likelihoods, no model of the background. The
-rest is ours, after it: every cue is a likelihood in [0,1], read as p(road | cue) under even
-odds, so that cues multiply as odds, L / (1-L): what speaks for the background speaks too. The
-two can rank pixels the other way round: 0.9 and 0.3 have the product 0.27 and the odds 3.9,
-0.6 and 0.6 the product 0.36 and the odds 2.3. Over segments one more cue is learned from the
-others: what the road of this very image looks like (ours).
+``likelihood_product`` is P2's eq. 4: prior times likelihoods, without a model of the background.
+The rest is ours: every cue is a likelihood in [0, 1], read as p(road | cue) at even prior odds, so
+that cues multiply as odds, L / (1 - L), and evidence for the background counts as well. The two
+can rank pixels differently: 0.9 and 0.3 have the product 0.27 and the odds 3.9, 0.6 and 0.6 the
+product 0.36 and the odds 2.3. Over segments one more cue is learned from the others: the
+appearance of the road in this image (ours).
 """
 
 from collections.abc import Callable, Sequence
@@ -17,19 +17,20 @@ from torch import Tensor
 from roadtorch.imaging.levels import otsu_threshold
 from roadtorch.imaging.segments import Bandwidths, Segments, class_log_density, likeness
 
-SUREST = 1e-4
-"""Likelihoods count as at least this far from 0 and 1: no cue alone can veto the others."""
+LIKELIHOOD_EPS = 1e-4
+"""Distance from 0 and 1 to which likelihoods are clamped: no single cue can veto the others."""
 
-STRONGEST_LOOK = 3.0
-"""The look says at most this much (log odds): paint on the road looks like nothing else on it,
-and what surrounds it must be able to say so."""
+MAX_APPEARANCE = 3.0
+"""Limit of the appearance's log odds: paint on the road resembles nothing else on it, and its
+neighbours must be able to outvote that."""
 
 
-class RoadPlace(NamedTuple):
-    """Where the road tends to be: a soft triangle. Shares of the image's height and width.
+class RoadPosition(NamedTuple):
+    """Prior of the road's position: a triangle with soft sides.
 
-    weight: of the prior; 0 is uniform. apex: row at which the half width is ``narrow``. spread:
-    half width gained per height below it. softness: widths over which the road fades.
+    Lengths are fractions of the image's height (rows) and width (columns).
+    weight: exponent of the prior; 0 is uniform. apex: row at which the half width is ``narrow``.
+    spread: half width gained per height below it. softness: width over which the road fades.
     """
 
     weight: float = 0.4
@@ -40,28 +41,28 @@ class RoadPlace(NamedTuple):
 
 
 class Exponents(NamedTuple):
-    """How much each cue is trusted: exponents of the odds L / (1-L); ours (see the module).
+    """Weights of the cues: exponents of the odds L / (1 - L); ours (see the module).
 
-    layout: the ground of the scene layout. distance: from the seed area. texture: the uniformity
-    of the fused plane. look: learned in this image. neighbours: what the segments beside are.
+    layout: ground of the scene layout. distance: from the seed area. texture: uniformity of the
+    fused plane. appearance: learned in this image. neighbours: adjacent segments.
     """
 
     layout: float = 0.44
     distance: float = 1.0
     texture: float = 2.0
-    look: float = 2.0
+    appearance: float = 2.0
     neighbours: float = 6.0
 
 
 class RoadRules(NamedTuple):
-    """How the cues of an image's segments become p(road).
+    """Constants by which the cues of an image's segments become p(road).
 
-    reach: faint borders on the way from the seed area that leave it open. bias: log odds of road
-    before any cue. temperature: divides the final log odds. rounds: of learning the look.
-    Half or twice a weight moves MaxF by less than .005.
+    reach: number of faint borders from the seed area at which the likelihood is 0.5. bias: log
+    odds of road before any cue. temperature: divisor of the final log odds. rounds: iterations of
+    learning the appearance. Halving or doubling a weight moves MaxF by less than .005.
     """
 
-    place: RoadPlace = RoadPlace()
+    position: RoadPosition = RoadPosition()
     exponents: Exponents = Exponents()
     reach: float = 1.7
     bandwidths: Bandwidths = Bandwidths(0.085, 0.01, 0.07, 0.9, 0.1, 3.0)
@@ -74,10 +75,10 @@ RULES = RoadRules()
 
 
 def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
-    """p(R | cues) up to a constant: p(R) · Π L, P2 eq. 4. All (H,W) in [0,1].
+    """Compute p(R | cues) up to a constant: p(R) · Π L, P2 eq. 4. All (H, W) in [0, 1].
 
-    "Only considerations about the road are taken into account" (P2, section 5): nothing is
-    said of the background, so the result is no probability, and is compared with a threshold.
+    "Only considerations about the road are taken into account" (P2, section 5): there is no model
+    of the background, so the result is not a probability; it is thresholded as it is.
     A prior counts relative to its largest value: a uniform one changes nothing.
     """
     product = prior / prior.max()
@@ -87,16 +88,16 @@ def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
 
 
 def log_odds(likelihood: Tensor) -> Tensor:
-    """log(L / (1-L)) of likelihoods in [0,1], kept finite (see ``SUREST``)."""
-    return torch.logit(likelihood, eps=SUREST)
+    """Return log(L / (1 - L)) of likelihoods in [0, 1], kept finite by ``LIKELIHOOD_EPS``."""
+    return torch.logit(likelihood, eps=LIKELIHOOD_EPS)
 
 
 def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
-    """Σ W · log(L / (1-L)) of likelihoods of one shape, in [0,1]; 0.5 says nothing.
+    """Return Σ W · log(L / (1 - L)) of likelihoods of one shape, in [0, 1]; 0.5 is neutral.
 
     Naive Bayes with a model of the background: its sigmoid is Π Lᵂ / (Π Lᵂ + Π (1-L)ᵂ). With
     weights 1 that is not P2's eq. 4, which leaves the background out (``likelihood_product``).
-    Summed as log odds: no product of small numbers underflows.
+    Summed as log odds, so that no product of small numbers underflows.
     """
     first, *further = zip(likelihoods, weights, strict=True)
     total = log_odds(first[0]).mul_(first[1])
@@ -105,16 +106,16 @@ def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> T
     return total
 
 
-def road_place(row: Tensor, column: Tensor, place: RoadPlace = RULES.place) -> Tensor:
-    """Prior p(road) at rows and columns from 0 to 1: a triangle with soft sides, ahead (ours)."""
-    half = place.narrow + place.spread * (row - place.apex).clamp_min(0)
-    return ((half - (column - 0.5).abs()) / place.softness).sigmoid()
+def position_prior(row: Tensor, column: Tensor, position: RoadPosition = RULES.position) -> Tensor:
+    """Return the prior p(road) at rows and columns in [0, 1]: a soft triangle ahead (ours)."""
+    half = position.narrow + position.spread * (row - position.apex).clamp_min(0)
+    return ((half - (column - 0.5).abs()) / position.softness).sigmoid()
 
 
 def seed_log_odds(segments: Segments, ground: Tensor) -> Tensor:
-    """Log odds (n,) that segments are road by place and by the layout's ground (n,) alone."""
-    place = road_place(segments.row, segments.column)
-    return fused_log_odds([ground, place], [RULES.exponents.layout, RULES.place.weight])
+    """Return the log odds (n,) of road of segments, by position and layout's ground (n,) alone."""
+    prior = position_prior(segments.row, segments.column)
+    return fused_log_odds([ground, prior], [RULES.exponents.layout, RULES.position.weight])
 
 
 def segment_road(
@@ -125,36 +126,44 @@ def segment_road(
     further: Tensor | float = 0.0,
     rules: RoadRules = RULES,
 ) -> Tensor:
-    """p(road) of each segment (n,) from its likelihoods (n,) by layout, distance and texture.
+    """Compute p(road) of each segment (n,) from its likelihoods (n,) by several cues.
 
-    further: log odds (n,) of whatever else is known, added as they are.
+    Naive Bayes over the cues gives a first belief. Then, in rounds, kernel densities of road and
+    background are learned from the belief and added as one more cue, as are the neighbours.
 
-    Naive Bayes over the cues gives a first belief; then, in rounds, kernel densities of road
-    and background are learned from the belief and join as one more cue, as do the neighbours.
+    Args:
+        segments: n superpixels of the image.
+        layout: likelihood by the layout's ground, shape (n,).
+        distance: likelihood by distance from the seed area, shape (n,).
+        texture: likelihood by uniformity, shape (n,).
+        further: log odds of further cues, shape (n,), added as they are.
+        rules: weights and constants.
     """
     exponents = rules.exponents
-    place = road_place(segments.row, segments.column, rules.place)
-    known = (
+    position = position_prior(segments.row, segments.column, rules.position)
+    fixed = (
         rules.bias
         + further
         + fused_log_odds(
-            [place, layout, distance, texture],
-            [rules.place.weight, exponents.layout, exponents.distance, exponents.texture],
+            [position, layout, distance, texture],
+            [rules.position.weight, exponents.layout, exponents.distance, exponents.texture],
         )
     )
-    around = exponents.neighbours * neighbour_mean(segments)
-    alike = likeness(segments, rules.bandwidths)
-    score = known
+    neighbours = exponents.neighbours * neighbour_mean(segments)
+    similarity = likeness(segments, rules.bandwidths)
+    score = fixed
     for _ in range(rules.rounds):
         belief = score.sigmoid()
-        density = class_log_density(alike, torch.stack([belief, 1 - belief], 1), segments.size)
-        look = (density[:, 0] - density[:, 1]).clamp(-STRONGEST_LOOK, STRONGEST_LOOK)
-        score = torch.addmv(known, around, 2 * belief - 1).add_(look, alpha=exponents.look)
+        weights = torch.stack([belief, 1 - belief], 1)
+        density = class_log_density(similarity, weights, segments.size)
+        appearance = (density[:, 0] - density[:, 1]).clamp(-MAX_APPEARANCE, MAX_APPEARANCE)
+        score = torch.addmv(fixed, neighbours, 2 * belief - 1)
+        score.add_(appearance, alpha=exponents.appearance)
     return (score / rules.temperature).sigmoid()
 
 
 def neighbour_mean(segments: Segments) -> Tensor:
-    """(n,n) matrix that averages a value over the segments that share a border with each."""
+    """Return the (n, n) matrix that averages a value over each segment's adjacent segments."""
     count = len(segments.size)
     first, second = segments.pairs
     touching = segments.size.new_zeros(count, count)
@@ -163,41 +172,41 @@ def neighbour_mean(segments: Segments) -> Tensor:
     return touching / touching.sum(1, keepdim=True).clamp_min(1)
 
 
-def centred_odds(odds: Tensor, centre: float, own: float) -> Tensor:
-    """Log odds (…) of one image less those that part road from background.
+def centred_odds(odds: Tensor, centre: float, weight: float) -> Tensor:
+    """Subtract from the log odds (…) of an image those that separate road from background.
 
-    These are between ``centre``, the same for all images, and the image's own (Otsu), by
-    the share ``own``. The best threshold differs from camera to camera and needs no label to
-    be seen; but Otsu's alone takes too much for a narrow road, so it is not trusted whole. Ours.
+    These are a weighted mean of ``centre``, the same for all images, and Otsu's threshold of the
+    image, with ``weight`` for the latter. The best threshold differs between cameras, and Otsu's
+    follows it without labels, but it is too low for a narrow road when used alone. Ours.
     """
-    if not own:
+    if not weight:
         return odds - centre
-    return odds - torch.lerp(odds.new_tensor(centre), otsu_threshold(odds), own)
+    return odds - torch.lerp(odds.new_tensor(centre), otsu_threshold(odds), weight)
 
 
 # --- location priors ------------------------------------------------------------------
 
 
 TRIANGLE_APEX = 0.45
-"""Where the triangle of ``prior_triangle`` begins, in heights from the top: a usual horizon."""
+"""Apex of ``prior_triangle``, as a fraction of the height from the top: a usual horizon."""
 
 TRIANGLE_BASE = 1.16
-"""Width of its base on the bottom edge, in widths: the road leaves the image at the sides."""
+"""Base of the triangle on the bottom edge, in image widths: the road exceeds it at the sides."""
 
 
 def prior_uniform(height: int, width: int) -> Tensor:
-    """0.5 everywhere, float32 (H,W): every pixel may be road (the uniform prior of P2)."""
+    """Return 0.5 everywhere, float32 (H, W): the uniform prior of P2."""
     return torch.full((height, width), 0.5)
 
 
 def prior_rows(height: int, width: int) -> Tensor:
-    """Row / height, float32 (H,W), pixel centres: the lower, the more likely road."""
+    """Return row / height at pixel centres, float32 (H, W): the lower, the more likely road."""
     rows = (torch.arange(height, dtype=torch.float32) + 0.5) / height
     return rows[:, None].expand(height, width).contiguous()
 
 
 def prior_triangle(height: int, width: int) -> Tensor:
-    """1 in a triangle with its base on the bottom edge, 0 elsewhere: float32 (H,W).
+    """Return 1 in a triangle with its base on the bottom edge, 0 elsewhere: float32 (H, W).
 
     A straight road ahead, ours: apex in the middle at ``TRIANGLE_APEX``, base ``TRIANGLE_BASE``.
     MaxF on the development drives 0001TP, 0006R0 and 0016E5 of CamVid: 0.750, 0.842, 0.863; IDD:
@@ -210,7 +219,7 @@ def prior_triangle(height: int, width: int) -> Tensor:
 
 
 Prior = Callable[[int, int], Tensor]
-"""A prior p(road) float32 (H,W) in [0,1] by height and width."""
+"""Function of height and width that returns a prior p(road), float32 (H, W) in [0, 1]."""
 
 PRIORS: dict[str, Prior] = {
     "uniform": prior_uniform,

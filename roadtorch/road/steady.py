@@ -1,18 +1,18 @@
-"""Likelihoods of footage steadied over time: log odds carried along the motion of the image.
+"""Temporal smoothing of likelihoods: log odds warped along optical flow and averaged.
 
-A detector looks at each frame by itself; its likelihood wavers with noise and light. What the
-frames before said about the same place of the street is carried there along dense flow and
-averaged with what this frame says, in log odds: recursive Bayes, with the past raised to a power
-so that all frames together count as one. A plain sum of log odds would take the same mistake of
-a detector, made frame by frame, for ever stronger evidence. (Ours; averaging carried estimates:
-Nilsson and Sminchisescu, Semantic Video Segmentation by Gated Recurrent Flow Propagation, CVPR
-2018; the weights: a Kalman filter of a constant whose memory fades.)
+A detector analyses each frame by itself, so its likelihood flickers with noise and light. The log
+odds of the frames before are warped along dense optical flow and averaged with those of this
+frame: recursive Bayes, the past raised to a power so that all frames together count as one. A
+plain sum of log odds would take a mistake repeated in every frame for ever stronger evidence.
+(Ours; averaging warped estimates: Nilsson and Sminchisescu, Semantic Video Segmentation by Gated
+Recurrent Flow Propagation, CVPR 2018; the weights: a Kalman filter of a constant with fading
+memory.)
 
-Where the flow there and back does not agree, or the image looks other than where it came from,
-the past is believed less, down to not at all: turns and the edges of cars stay sharp.
+Where forward and backward flow disagree, or the image changes along the flow, the past counts
+less, down to nothing: turns and the edges of cars stay sharp.
 
-An ego car stands still in the image. What a frame alone takes for one, a shadow close to the
-camera for instance, hides nothing: there what was known before is carried on.
+An ego car is static in the image. An area that only single frames call ego car, such as a shadow
+close to the camera, is not hidden: there the past's log odds are kept.
 """
 
 from collections.abc import Sequence
@@ -29,46 +29,40 @@ from roadtorch.imaging.motion import FAST, dense_flow, flow_image, forward_backw
 from roadtorch.imaging.resize import resized, size_of
 from roadtorch.road.fusion import log_odds
 
-AROUND = 5  # pixels at the flow's size over which differences of the image are averaged
+BLUR_SIDE = 5  # pixels at the flow's size over which differences of the image are averaged
 
 
 class SteadySettings(Settings):
-    """How much a frame is told by those before it."""
+    """Settings of temporal smoothing."""
 
     memory: float = Field(
-        default=8.0, ge=0, le=1000, description="frames that the past counts as at the most"
+        default=8.0, ge=0, le=1000, description="largest weight of the past, in frames"
     )
     width: int = Field(
-        default=320, ge=32, le=4096, description="pixels: how wide images are for the flow"
+        default=320, ge=32, le=4096, description="width in pixels at which optical flow is computed"
     )
-    miss: float = Field(
-        default=4.0, gt=0, le=100, description="pixels at that width by which a round trip may miss"
+    flow_error: float = Field(
+        default=4.0, gt=0, le=100, description="tolerated forward-backward error, in such pixels"
     )
-    slack: float = Field(
-        default=0.2, ge=0, le=10, description="share of the motion by which it may miss besides"
+    relative_flow_error: float = Field(
+        default=0.2, ge=0, le=10, description="further tolerated error, as a fraction of the motion"
     )
     contrast: float = Field(
-        default=0.2, gt=0, le=10, description="share of white by which a place may look different"
+        default=0.2, gt=0, le=10, description="tolerated change of brightness, a fraction of white"
     )
-    cut: float = Field(
-        default=0.25,
-        ge=0,
-        le=1,
-        description="share of the image to be found again, else the scene was cut",
+    min_confidence: float = Field(
+        default=0.25, ge=0, le=1, description="mean flow confidence below which a scene was cut"
     )
-    standing: float = Field(
-        default=30.0,
-        ge=1,
-        le=10_000,
-        description="frames, in half of which at the least an ego car is found at the same pixel",
+    ego_frames: float = Field(
+        default=30.0, ge=1, le=10_000, description="frames over which the ego car is averaged"
     )
 
 
-class Past(NamedTuple):
-    """What is known after a frame.
+class FilterState(NamedTuple):
+    """State of the filter after a frame.
 
-    grey: the frame, uint8 (h,w). odds: log odds of road, float32 (H,W). frames: how many frames
-    they rest on, float32 (h,w).
+    grey: the frame, uint8 (h, w). odds: smoothed log odds of road, float32 (H, W). frames: number
+    of frames they are based on, float32 (h, w).
     """
 
     grey: Tensor
@@ -76,123 +70,130 @@ class Past(NamedTuple):
     frames: Tensor
 
 
-class Standing(NamedTuple):
-    """In what share of the last frames a pixel of the image was hidden, (H,W), and their count.
+class EgoHistory(NamedTuple):
+    """Fraction of the last frames in which the ego car hid each pixel, (H, W), and their count."""
 
-    What moves with the street stands nowhere for long.
-    """
-
-    share: Tensor
+    fraction: Tensor
     frames: float
 
     @property
     def hidden(self) -> Tensor:
-        """What an ego car hides, bool (H,W)."""
-        return self.share >= 0.5
+        """Pixels hidden by the ego car, bool (H, W)."""
+        return self.fraction >= 0.5
 
 
 class Steady:
-    """The steadied likelihoods of one source, frame by frame, in their order."""
+    """Temporal filter of the likelihoods of one source, called frame by frame in order."""
 
     def __init__(self, settings: SteadySettings) -> None:
         self.settings = settings
-        self._past: Past | None = None
-        self._standing: Standing | None = None
+        self._state: FilterState | None = None
+        self._ego: EgoHistory | None = None
 
     @property
     def hidden(self) -> Tensor | None:
-        """What the ego car hides, as the frames so far agree: bool (H,W); None before the first."""
-        return None if self._standing is None else self._standing.hidden
+        """Ego car in half of the frames so far, bool (H, W); None before the first frame."""
+        return None if self._ego is None else self._ego.hidden
 
     def __call__(self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None) -> Tensor:
-        """The likelihood (H,W) of the next frame (3,H,W), both in [0,1], with what is known.
+        """Return the smoothed likelihood of the next frame, shape (H, W).
 
-        hidden: where the frame says nothing about the street, bool (H,W): the ego car as it was
-        found. Where the frames agree on it, the likelihood becomes 0. The first frame's stays as
-        it is; so does that of a frame of another size, which begins anew.
+        That of the first frame is unchanged; a frame of another size restarts the filter.
+
+        Args:
+            image: the frame, in [0, 1], shape (3, H, W).
+            likelihood: of this frame alone, in [0, 1], shape (H, W).
+            hidden: ego car in this frame, bool, shape (H, W). Where most frames agree on it, the
+                result is 0; elsewhere the past's log odds are kept.
         """
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
-        self._standing = stood(self._standing, hidden, self.settings.standing)
-        grey, unseen = flow_image(image, self.settings.width), hidden | self._standing.hidden
-        self._past = recalled(self._past, grey, log_odds(likelihood), unseen, self.settings)
-        return self._past.odds.sigmoid().masked_fill(self._standing.hidden, 0.0)
+        self._ego = update_ego(self._ego, hidden, self.settings.ego_frames)
+        grey, unseen = flow_image(image, self.settings.width), hidden | self._ego.hidden
+        self._state = update_state(self._state, grey, log_odds(likelihood), unseen, self.settings)
+        return self._state.odds.sigmoid().masked_fill(self._ego.hidden, 0.0)
 
 
-def stood(before: Standing | None, hidden: Tensor, most: float) -> Standing:
-    """What stands still in the image after one more frame hides bool (H,W)."""
-    now = hidden.to(torch.float32)
-    if before is None or before.share.shape != now.shape:
-        return Standing(now, 1.0)
-    frames = min(before.frames + 1, most)
-    return Standing(before.share + (now - before.share) / frames, frames)
+def update_ego(history: EgoHistory | None, hidden: Tensor, max_frames: float) -> EgoHistory:
+    """Update the running mean of the ego car by one more frame's, bool (H, W)."""
+    current = hidden.to(torch.float32)
+    if history is None or history.fraction.shape != current.shape:
+        return EgoHistory(current, 1.0)
+    frames = min(history.frames + 1, max_frames)
+    return EgoHistory(history.fraction + (current - history.fraction) / frames, frames)
 
 
-def recalled(
-    past: Past | None, grey: Tensor, odds: Tensor, hidden: Tensor, settings: SteadySettings
-) -> Past:
-    """What is known after a frame, from what was known before it.
+def update_state(
+    past: FilterState | None, grey: Tensor, odds: Tensor, hidden: Tensor, settings: SteadySettings
+) -> FilterState:
+    """Update the state of the filter by a frame.
 
-    grey: the frame, uint8 (h,w); odds: its log odds (H,W); hidden: what it hides, bool (H,W).
+    grey: the frame, uint8 (h, w). odds: its own log odds (H, W). hidden: pixels without evidence.
     """
     height, width = grey.shape
     covered = hidden.to(torch.float32).numpy()
     fresh = 1 - torch.from_numpy(cv2.resize(covered, (width, height), interpolation=cv2.INTER_AREA))
-    begun = Past(grey, odds, fresh)
+    initial = FilterState(grey, odds, fresh)
     if past is None or past.odds.shape != odds.shape or past.grey.shape != grey.shape:
-        return begun
+        return initial
     flow = dense_flow(grey, past.grey, FAST)
-    belief = flow_confidence(past.grey, grey, flow, settings)
-    if belief.mean() < settings.cut:
-        return begun
-    weight = warp(past.frames, flow).clamp_max(settings.memory) * belief
-    before = warp(past.odds, flow)
-    now = odds.where(~hidden, before)
-    # The mean of both, which count as so many frames.
-    share = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
-    larger = cv2.resize(share, now.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return Past(grey, now + torch.from_numpy(larger) * (before - now), weight + fresh)
+    confidence = flow_confidence(past.grey, grey, flow, settings)
+    if confidence.mean() < settings.min_confidence:
+        return initial
+    weight = warp(past.frames, flow).clamp_max(settings.memory) * confidence
+    warped = warp(past.odds, flow)
+    current = odds.where(~hidden, warped)
+    # Mean of both, weighted by their numbers of frames.
+    ratio = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
+    larger = cv2.resize(ratio, current.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    smooth = current + torch.from_numpy(larger) * (warped - current)
+    return FilterState(grey, smooth, weight + fresh)
 
 
 def smoothed(
     greys: Sequence[Tensor], odds: Sequence[Tensor], settings: SteadySettings
 ) -> list[Tensor]:
-    """Log odds (H,W) of road of each frame of footage by all frames, before and after it.
+    """Smooth the log odds (H, W) of frames, uint8 (h, w), by the frames before and after each.
 
-    greys: the frames in order, uint8 (h,w); odds: what each says by itself. Two filters, one from
-    either end, meet at every frame, whose own odds both hold and count once (Fraser and Potter,
-    The optimum linear smoother as a combination of two optimum linear filters, 1969).
+    Two filters, one from either end, meet at every frame, whose own odds are in both and count
+    once (Fraser and Potter, The optimum linear smoother as a combination of two optimum linear
+    filters, 1969).
     """
-    before = _filtered(greys, odds, settings)
-    after = _filtered(greys[::-1], odds[::-1], settings)[::-1]
+    forward = _filter_states(greys, odds, settings)
+    backward = _filter_states(greys[::-1], odds[::-1], settings)[::-1]
     return [
-        (past.frames * past.odds + future.frames * future.odds - own)
+        (past.frames * past.odds + future.frames * future.odds - frame)
         / (past.frames + future.frames - 1).clamp_min(1.0)
-        for past, future, own in zip(before, after, odds, strict=True)
+        for past, future, frame in zip(forward, backward, odds, strict=True)
     ]
 
 
-def _filtered(
+def _filter_states(
     greys: Sequence[Tensor], odds: Sequence[Tensor], settings: SteadySettings
-) -> list[Past]:
-    """What is known after each frame, its ``frames`` at the size of the odds."""
-    past, known = None, list[Past]()
-    for grey, own in zip(greys, odds, strict=True):
-        past = recalled(past, grey, own, torch.zeros_like(own, dtype=torch.bool), settings)
-        known.append(past._replace(frames=resized(past.frames[None], size_of(own))[0]))
-    return known
+) -> list[FilterState]:
+    """Return the filter's state after each frame, its ``frames`` at the size of the odds."""
+    state, states = None, list[FilterState]()
+    for grey, frame in zip(greys, odds, strict=True):
+        state = update_state(
+            state, grey, frame, torch.zeros_like(frame, dtype=torch.bool), settings
+        )
+        states.append(state._replace(frames=resized(state.frames[None], size_of(frame))[0]))
+    return states
 
 
-def flow_confidence(before: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings) -> Tensor:
-    """How far the past can be believed, float32 (h,w) in [0,1], for a flow from ``grey`` to it.
+def flow_confidence(
+    previous: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings
+) -> Tensor:
+    """Compute the confidence, float32 (h, w) in [0, 1], in a flow from a frame to the previous one.
 
-    before, grey: uint8 (h,w). 1 where the round trip closes and the place looks the same; outside
-    the image before 0. Round trips may miss by more where motion is fast (Sundaram et al., ECCV
-    2010, eq. 5). A change of light all over the image is no difference.
+    1 where forward and backward flow agree and the brightness is unchanged, 0 outside the previous
+    frame. Larger errors are tolerated where motion is fast (Sundaram et al., ECCV 2010, eq. 5). A
+    change of brightness all over the image does not count. Frames: uint8 (h, w).
     """
-    allowed = settings.miss + settings.slack * torch.hypot(flow[..., 0], flow[..., 1])
-    missed = forward_backward_error(flow, dense_flow(before, grey, FAST)) / allowed
-    change = grey.to(torch.float32) - warp(before.to(torch.float32), flow)
+    motion = torch.hypot(flow[..., 0], flow[..., 1])
+    tolerance = settings.flow_error + settings.relative_flow_error * motion
+    error = forward_backward_error(flow, dense_flow(previous, grey, FAST)) / tolerance
+    change = grey.to(torch.float32) - warp(previous.to(torch.float32), flow)
     change = np.abs((change - change.median()).numpy()) / 255
-    around = torch.from_numpy(cv2.blur(change, (AROUND, AROUND))) / settings.contrast
-    return (-(missed.square() + around.square())).exp()
+    blurred = torch.from_numpy(cv2.blur(change, (BLUR_SIDE, BLUR_SIDE))) / settings.contrast
+    return (-(error.square() + blurred.square())).exp()

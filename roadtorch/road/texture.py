@@ -1,4 +1,4 @@
-"""Texture of road: colour plane fusion and the uniformity of histograms.
+"""Road texture: colour plane fusion, uniformity of histograms, local binary patterns.
 
 P2: Álvarez et al., "Road Scene Segmentation from a Single Image", sections 4 and 6.2.
 """
@@ -19,24 +19,28 @@ from roadtorch.imaging.levels import above, at_least, order_statistic
 from roadtorch.imaging.segments import segment_histogram, segment_size
 
 VARIANCE_FLOOR = 1e-12
-"""Added to the diagonal of Σ, so that a constant area has weights too (equal ones)."""
+"""Added to the diagonal of Σ, so that a constant area has (equal) weights as well."""
 
-NARROWEST = 1e-4
-"""The least range that is cut into levels: below it there is only rounding, planes being of
-order 1, and a flat image would look rough."""
+MIN_RANGE = 1e-4
+"""Smallest range that is quantised: below it there is only rounding, as planes are of order 1, and
+a flat image would look rough."""
 
 
 def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
-    """Weights (N,), summing to 1, whose combination of planes varies least over samples (K,N).
+    """Compute the weights (N,), of sum 1, whose combination of planes has the least variance.
 
-    w = Σ⁻¹1 / (1ᵀΣ⁻¹1), P2 eq. 3. P2's nine planes are linear in one another (R - G - √2·O1 = 0,
+    w = Σ⁻¹1 / (1ᵀΣ⁻¹1), P2 eq. 3. P2's nine planes are linearly dependent (R - G - √2·O1 = 0,
     R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and (R - G - √2·O1) / -√2, whose weights sum
-    to 1, is 0 in every image: the least variance that there is, and no texture. So ``ridge`` ≥ 0
-    times the mean variance is added to the diagonal. 0 leaves ``VARIANCE_FLOOR`` alone, which is
-    P2's formula as far as numbers go, and collapses (docs/research/p2.md); large values give the
-    plain mean of the planes. Solved in float64, returned in the samples' dtype.
+    to 1, is 0 in every image: the least variance possible, and no texture. Hence the ridge.
+    Solved in float64, returned in the samples' dtype.
+
+    Args:
+        samples: K pixels of N planes, shape (K, N).
+        ridge: multiple ≥ 0 of the mean variance added to the diagonal of Σ. 0 leaves only
+            ``VARIANCE_FLOOR``: P2's formula up to rounding, which collapses
+            (docs/research/p2.md). Large values give the plain mean of the planes.
     """
-    # In NumPy: with matrices as small as these torch takes twice as long.
+    # In NumPy: torch takes twice as long for matrices this small.
     centred = samples.cpu().numpy().astype(np.float64)
     centred -= centred.mean(0)
     covariance = centred.T @ centred / max(1, len(samples))
@@ -47,7 +51,7 @@ def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
 
 
 def fused_plane(planes: Iterable[Tensor], weights: Tensor) -> Tensor:
-    """The weighted sum of N planes (H,W) by weights (N,): (H,W), P2 eq. 2."""
+    """Return the sum (H, W) of N planes (H, W) weighted by weights (N,), P2 eq. 2."""
     first, *further = zip(planes, weights.tolist(), strict=True)
     fused = first[0] * first[1]
     for plane, weight in further:
@@ -56,12 +60,12 @@ def fused_plane(planes: Iterable[Tensor], weights: Tensor) -> Tensor:
 
 
 def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, float]:
-    """The values of a plane (H,W) that leave a share ``tail`` of the usable pixels on each side.
+    """Return the quantiles ``tail`` and 1 - ``tail`` of the usable pixels of a plane (H, W).
 
-    The range that ``quantise`` cuts into levels. The fused plane has no natural bounds, so
-    they come from the image, as grey levels do from the camera's exposure (ours).
+    They are the range that is quantised. The fused plane has no natural bounds, so the image
+    determines them, as exposure does for grey levels (ours).
     """
-    values = plane.reshape(-1) if usable.all() else samples_of(plane[None], usable)[0]
+    values = plane.reshape(-1) if usable.all() else masked_pixels(plane[None], usable)[0]
     count = len(values)
     if not count:
         return 0.0, 1.0
@@ -70,49 +74,49 @@ def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, floa
 
 
 def quantise(plane: Tensor, bins: int, low: float, high: float) -> Tensor:
-    """Levels 0…bins-1 (int64) of a plane, equal steps from low to high.
+    """Quantise a plane to levels 0…bins-1 (int64) in equal steps from low to high, clamped.
 
-    What lies beyond gets the end levels. A range below ``NARROWEST`` is widened to it.
+    A range below ``MIN_RANGE`` is widened to it.
     """
-    scaled = (plane - low) * (bins / max(high - low, NARROWEST))
+    scaled = (plane - low) * (bins / max(high - low, MIN_RANGE))
     return scaled.clamp(0, bins - 1).to(torch.int64)
 
 
 def uniformity(histogram: Tensor) -> Tensor:
-    """U = Σ p², P2 eq. 1, of counts (…,L): (…), from 1/L (even) to 1 (a single level).
+    """Compute U = Σ p², P2 eq. 1, of counts (…, L): 1/L if even, 1 for a single level, 0 if empty.
 
-    0 for an empty histogram: nothing is known of it, and it must not pass for road.
+    An empty histogram must not count as road.
     """
-    return shares(histogram).square().sum(-1)
+    return relative_frequencies(histogram).square().sum(-1)
 
 
-def saturated(image: Tensor, dark: float, bright: float) -> Tensor:
-    """Where an image (3,H,W) is clipped, bool (H,W): CPFv2, P2 section 6.2.
+def saturation_mask(image: Tensor, dark: float, bright: float) -> Tensor:
+    """Return the saturated pixels, bool (H, W), of an image (3, H, W): CPFv2, P2 section 6.2.
 
-    The rule is ours, P2 names none: a pixel whose largest channel is at ``bright`` or above
-    has lost a channel to the sensor's upper end; one whose largest is at ``dark`` or below
-    has no colour left. In both the planes are flat for reasons other than the surface.
+    The rule is ours, P2 names none: a pixel whose largest channel is at ``bright`` or above has a
+    clipped channel; one whose largest is at ``dark`` or below has no colour. In both, the planes
+    are flat for reasons other than the surface.
     """
     highest = image.amax(-3)
     return at_least(highest, bright) | ~above(highest, dark)
 
 
 def uniformity_likelihood(values: Tensor, even: float) -> Tensor:
-    """Turn U into a likelihood in [0,1): U / (U + even), 0.5 at U = ``even``.
+    """Turn U into a likelihood in [0, 1): U / (U + even), 0.5 at U = ``even``.
 
-    Ours; P2 thresholds U itself. Monotone, so it leaves every ROC curve as it is, and it
-    spreads the small values where road and background part.
+    Ours; P2 thresholds U itself. Monotone, so every ROC curve is unchanged, and the small values
+    that separate road from background are spread.
     """
     return values / (values + even)
 
 
-def shares(histogram: Tensor) -> Tensor:
-    """Counts (…,L) as shares of their sum: (…,L), all 0 for an empty histogram."""
+def relative_frequencies(histogram: Tensor) -> Tensor:
+    """Divide counts (…, L) by their sum; all 0 for an empty histogram."""
     total = histogram.sum(-1, keepdim=True)
     return histogram / total.clamp_min(torch.finfo(histogram.dtype).tiny)
 
 
-def _known_plane(name: str) -> str:
+def _check_plane(name: str) -> str:
     if name not in PLANES:
         raise ValueError(unknown_name("plane", name, PLANES))
     return name
@@ -121,52 +125,62 @@ def _known_plane(name: str) -> str:
 class TextureSettings(Settings):
     """Colour plane fusion and the histograms of the fused plane."""
 
-    planes: tuple[Annotated[str, AfterValidator(_known_plane)], ...] = Field(
+    planes: tuple[Annotated[str, AfterValidator(_check_plane)], ...] = Field(
         default=("R", "G", "B", "nr", "ng", "O1", "O2", "S", "V"),
         min_length=1,
         strict=False,
-        description="the colour planes that are fused",
+        description="colour planes that are fused",
     )
     ridge: float = Field(
-        default=3e-3, ge=0, le=1e6, description="share of the mean variance added to the diagonal"
+        default=3e-3, ge=0, le=1e6, description="added to the covariance, in mean variances"
     )
-    bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
+    bins: int = Field(default=64, ge=2, le=4096, description="number of histogram bins")
     tail: float = Field(
-        default=0.005, ge=0, lt=0.5, description="share of pixels beyond the levels, on each side"
+        default=0.005,
+        ge=0,
+        lt=0.5,
+        description="fraction of pixels clipped at each end of a histogram",
     )
     even: float = Field(
-        default=0.35, gt=0, le=1, description="the uniformity U whose likelihood is 0.5"
+        default=0.35, gt=0, le=1, description="uniformity U whose likelihood is 0.5"
     )
 
 
 class Saturation(Settings):
-    """Which pixels CPFv2 leaves out."""
+    """Pixels that CPFv2 leaves out."""
 
     dark: float = Field(
-        default=0.02, ge=0, le=1, description="saturated if no channel is above this (0 to 1)"
+        default=0.02, ge=0, le=1, description="saturated if no channel is above this, 0 to 1"
     )
     bright: float = Field(
-        default=0.98, ge=0, le=1, description="saturated if a channel reaches this (0 to 1)"
+        default=0.98, ge=0, le=1, description="saturated if a channel is at least this, 0 to 1"
     )
     least: float = Field(
-        default=0.5, ge=0, le=1, description="share of unsaturated pixels a segment needs"
+        default=0.5, ge=0, le=1, description="fraction of unsaturated pixels that a segment needs"
     )
 
 
 def fused_uniformity(
     image: Tensor, labels: Tensor, usable: Tensor, seed: Tensor, settings: TextureSettings
 ) -> tuple[Tensor, Tensor]:
-    """P2 section 4 step by step: weights from the seed area, fused plane, U of each segment.
+    """Fuse the colour planes and compute U of each segment, P2 section 4.
 
-    image: (3,H,W); labels: int64 (H,W), n segments; seed: bool (H,W), the seed area; usable:
-    bool (H,W), the pixels that count, for the weights as for the histograms (where the seed
-    area has too few, all of its pixels give the weights). Returns the fused plane (H,W) and U (n,).
+    Args:
+        image: in [0, 1], shape (3, H, W).
+        labels: n segments, int64, shape (H, W).
+        usable: pixels that count for weights and histograms, bool, shape (H, W). Where the seed
+            area has too few, all of its pixels give the weights.
+        seed: seed area, bool, shape (H, W).
+        settings: of fusion and histograms.
+
+    Returns:
+        The fused plane, shape (H, W), and U, shape (n,).
     """
-    samples = samples_of(image, seed & usable)
+    samples = masked_pixels(image, seed & usable)
     if samples.shape[1] <= len(settings.planes):
-        samples = samples_of(image, seed)
-    of_planes = planes(samples[..., None], settings.planes)[..., 0]
-    weights = minimum_variance_weights(of_planes.T, settings.ridge)
+        samples = masked_pixels(image, seed)
+    seed_planes = planes(samples[..., None], settings.planes)[..., 0]
+    weights = minimum_variance_weights(seed_planes.T, settings.ridge)
     fused = fused_plane(each_plane(image, settings.planes), weights)
     low, high = value_range(fused, usable, settings.tail)
     levels = quantise(fused, settings.bins, low, high)
@@ -174,24 +188,24 @@ def fused_uniformity(
     return fused, uniformity(segment_histogram(levels, labels, count, settings.bins, usable))
 
 
-def samples_of(image: Tensor, area: Tensor) -> Tensor:
-    """The pixels (C,K) of an image (C,H,W) in an area bool (H,W)."""
+def masked_pixels(image: Tensor, area: Tensor) -> Tensor:
+    """Return the K pixels, shape (C, K), of an image (C, H, W) in an area, bool (H, W)."""
     return image.reshape(len(image), -1).index_select(1, area.reshape(-1).nonzero()[:, 0])
 
 
 def unsaturated_uniformity(
     image: Tensor, labels: Tensor, seed: Tensor, settings: TextureSettings, saturation: Saturation
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """CPFv2: the same without saturated pixels; U = 0 where a segment has few others.
+    """Compute ``fused_uniformity`` without saturated pixels (CPFv2); U = 0 with too few others.
 
-    Returns the fused plane (H,W), U (n,) and where the image is saturated, bool (H,W).
+    Returns the fused plane (H, W), U (n,) and the saturated pixels, bool (H, W).
     """
-    clipped = saturated(image, saturation.dark, saturation.bright)
+    clipped = saturation_mask(image, saturation.dark, saturation.bright)
     fused, values = fused_uniformity(image, labels, ~clipped, seed, settings)
     size = segment_size(labels, len(values))
     lost = segment_size(labels.reshape(-1)[clipped.reshape(-1).nonzero()[:, 0]], len(values))
-    kept = size - lost >= saturation.least * size
-    return fused, values * kept, clipped
+    enough = size - lost >= saturation.least * size
+    return fused, values * enough, clipped
 
 
 # --- local binary patterns ------------------------------------------------------------
@@ -199,24 +213,24 @@ def unsaturated_uniformity(
 
 CORNER = 0.5**0.5  # row and column of the diagonal neighbours on the circle of radius 1
 
-PATTERNS = 10  # different ones
+PATTERN_COUNT = 10
 
 
 def uniform_patterns(grey: Tensor) -> Tensor:
-    """Rotation-invariant uniform local binary patterns (8 neighbours, radius 1): int64 (H,W).
+    """Compute rotation-invariant uniform local binary patterns, int64 (H, W), of an image (H, W).
 
-    0…8: that many neighbours, in one run, are at least as bright as the centre; 9: several
-    runs. LBP^riu2 of Ojala et al., PAMI 2002; "uniform" in scikit-image. The image is
-    continued beyond its edge by its outermost pixels.
+    LBP^riu2 of Ojala et al., PAMI 2002, 8 neighbours at radius 1; "uniform" in scikit-image.
+    0…8: number of neighbours, in one run, at least as bright as the centre; 9: several runs. The
+    image is padded by its outermost pixels.
     """
     height, width = grey.shape
     padded = functional.pad(grey[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
     # From the right, anticlockwise; differences to the centre, so that flat areas give exactly 0.
     ring = [(0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1)]
-    around = torch.stack(
+    neighbours = torch.stack(
         [padded[1 + row :, 1 + column :][:height, :width] - grey for row, column in ring]
     )
-    straight, diagonal = around[0::2], around[1::2]
+    straight, diagonal = neighbours[0::2], neighbours[1::2]
     sides = straight + straight.roll(-1, 0)
     between = CORNER * CORNER * diagonal + CORNER * (1 - CORNER) * sides
     bits = torch.stack([straight, between], 1).flatten(0, 1) >= 0
@@ -225,14 +239,13 @@ def uniform_patterns(grey: Tensor) -> Tensor:
 
 
 def similarity(histogram: Tensor, reference: Tensor) -> Tensor:
-    """How alike counts (…,L) and a reference (L,) are: (…), 1 alike, 0 nothing in common.
+    """Compute the similarity (…) of histograms (…, L) to a reference (L,): 1 equal, 0 disjoint.
 
-    1 - χ²/2 with χ² = Σ (p-q)²/(p+q). Ojala et al. take a log-likelihood, which here also
-    rewards regions more even than the reference (AUC below one half); χ², the histogram
-    intersection and the Kullback-Leibler divergence came out within 0.01 of one another.
-    0 where a histogram is empty.
+    1 - χ²/2 with χ² = Σ (p-q)²/(p+q); 0 where a histogram is empty. Ojala et al. take a
+    log-likelihood, which here also rewards regions more even than the reference (AUC below one
+    half); χ², histogram intersection and Kullback-Leibler divergence are within 0.01 of each other.
     """
-    first, second = shares(histogram), shares(reference)
+    first, second = relative_frequencies(histogram), relative_frequencies(reference)
     total = first + second
     squares = (first - second).square() / total.clamp_min(torch.finfo(total.dtype).tiny)
     return ((total - squares).sum(-1) / 2).clamp(0, 1)

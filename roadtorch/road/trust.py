@@ -1,10 +1,10 @@
-"""How far a mask can be trusted: the F it is expected to have, from what the detector knows. Ours.
+"""Trust: the predicted F-score of a mask, without its truth. Ours.
 
-A good mask is the same at any threshold, has a good F if the likelihood is right, and begins at a
-seed area that is road to the network: a ridge regression of F on these signs over labelled
-images of many cameras. And there is a road at all where little of the image is in doubt: a
-logistic regression on rendered worlds with and without a road (``python -m train.calibrate
-trust``, which tells what both are worth on what had no part).
+A good mask hardly depends on the threshold, has a high F if the likelihood is right, and contains
+a seed area that the network calls road: a ridge regression of F on these features over labelled
+images of many cameras. It is multiplied by the probability that there is a road at all: a logistic
+regression on rendered worlds with and without a road. ``python -m train.calibrate trust`` fits and
+cross-validates both.
 """
 
 import math
@@ -21,119 +21,119 @@ from roadtorch.imaging.levels import above
 
 
 class Signs(NamedTuple):
-    """What tells a good mask from a bad one; each from 0 to 1."""
+    """Features from which the F-score of a mask is predicted, each in [0, 1]."""
 
-    steady: float
-    """Overlap (IoU) of what is road at a low and at a high threshold (``LOW_AND_HIGH``)."""
+    stability: float
+    """IoU of the masks at a low and at a high threshold (``LOW_AND_HIGH``)."""
     expected: float
-    """F of the mask if the likelihood is right: pixels are road as often as it says."""
+    """F-score of the mask if the likelihood is a calibrated probability."""
     seed: float
-    """Mean of the network's road in the seed area."""
-    vague: float
+    """Mean of the network's road likelihood in the seed area."""
+    entropy: float
     """Mean entropy of the likelihood, in bits."""
 
 
 LOW_AND_HIGH = (0.2, 0.8)
 
-WEIGHTS = Signs(0.12, 0.62, 0.11, 0.0)  # of the signs, in the expected F; ``CONSTANT`` is added
+FEATURE_WEIGHTS = Signs(0.12, 0.62, 0.11, 0.0)  # of the regression; ``INTERCEPT`` is added
 
-CONSTANT = 0.163
+INTERCEPT = 0.163
 
-USUAL = Signs(0.71, 0.9, 0.98, 0.2)
-"""The mean signs over the images on which the weights were chosen."""
+MEAN_FEATURES = Signs(0.71, 0.9, 0.98, 0.2)
+"""Means of the features over the images on which the weights were fitted."""
 
-ROAD_STEADY, ROAD_VAGUE, ROAD_THERE = 4.71, -6.17, 1.06
-"""Log odds that there is a road at all: weights of the signs ``steady`` and ``vague``, constant."""
+ROAD_STABILITY, ROAD_ENTROPY, ROAD_INTERCEPT = 4.71, -6.17, 1.06
+"""Logistic regression of whether there is a road: weights of ``stability`` and ``entropy``."""
 
 ENOUGH = 0.7
-"""Probability that there is a road from which on nothing is taken off the expected F."""
+"""Probability that there is a road above which the predicted F is not reduced."""
 
 NO_ROAD = "hardly anything in the image looks like road"
 
-REASONS = (
+DOUBT_REASONS = (
     "another threshold gives another mask",
     "much of the mask is not likely road",
     "the seed area looks like a vehicle, a wall or grass",
     "much of the image is neither road nor not",
 )
-"""What is said when a sign is worse than usual, in the order of the signs."""
+"""Messages for a feature below its mean, in the order of the features."""
 
 
 class TrustSettings(Settings):
-    """When a mask is called doubtful."""
+    """Limit below which a mask is called doubtful."""
 
     least: float = Field(
-        default=0.6, ge=0, le=1, description="expected F below which a mask is doubtful"
+        default=0.6, ge=0, le=1, description="predicted F-score below which a mask is doubtful"
     )
 
 
 class Judgement(NamedTuple):
-    """trust: the expected F of a mask, in [0,1]. doubt: why it is low, in words; else empty."""
+    """Predicted F-score of a mask in [0, 1], and in words why it is low; empty if it is not."""
 
     trust: float
     doubt: str
 
 
 def signs_of(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> Signs:
-    """The signs of a mask bool (H,W) made of a likelihood (H,W) in [0,1].
+    """Compute the features of a mask, bool (H, W); in an exported graph of a batch, tensors (N,).
 
-    cues: ``learned_road``, ``seed_area`` and ``ego``, all (H,W). In an exported graph all may have
-    a dimension more, and signs are tensors (N,).
+    likelihood: in [0, 1], shape (H, W). cues: ``learned_road``, ``seed_area``, ``ego``, (H, W).
     """
-    free = weights_of(~cues["ego"])
-    inside = free * weights_of(mask)
-    low, high = (total(weights_of(above(likelihood, level)), free) for level in LOW_AND_HIGH)
-    road, right = (total(likelihood, area) for area in (free, inside))
-    seed = weights_of(cues["seed_area"])
-    signs: list[Any] = [
+    free = float_mask(~cues["ego"])
+    inside = free * float_mask(mask)
+    low, high = (weighted_sum(float_mask(above(likelihood, level)), free) for level in LOW_AND_HIGH)
+    road, right = (weighted_sum(likelihood, area) for area in (free, inside))
+    seed = float_mask(cues["seed_area"])
+    features: list[Any] = [
         high / low.clamp(min=1),
-        2 * right / (total(inside, inside) + road).clamp(min=1),
-        total(cues["learned_road"], seed) / total(seed, seed).clamp(min=1),
-        total(entropy(likelihood), free) / total(free, free),
+        2 * right / (weighted_sum(inside, inside) + road).clamp(min=1),
+        weighted_sum(cues["learned_road"], seed) / weighted_sum(seed, seed).clamp(min=1),
+        weighted_sum(entropy(likelihood), free) / weighted_sum(free, free),
     ]
-    return Signs(*(signs if torch.compiler.is_exporting() else map(float, signs)))
+    return Signs(*(features if torch.compiler.is_exporting() else map(float, features)))
 
 
-def weights_of(area: Tensor) -> Tensor:
-    """An area bool (H,W) as weights float32 (H,W); by NumPy, which is five times as fast."""
+def float_mask(area: Tensor) -> Tensor:
+    """Convert a bool mask to float32; in NumPy, which is five times as fast."""
     if torch.compiler.is_exporting():
         return area.to(torch.float32)
     return torch.from_numpy(area.cpu().numpy().astype(np.float32)).to(area.device)
 
 
-def total(values: Tensor, weights: Tensor) -> Tensor:
-    """The sum of values (H,W) times weights (H,W), as a scalar float64."""
+def weighted_sum(values: Tensor, weights: Tensor) -> Tensor:
+    """Return the sum of values (H, W) times weights (H, W), as a float64 scalar."""
     if torch.compiler.is_exporting():
         return (values * weights).sum((-2, -1))
     return values.reshape(-1).dot(weights.reshape(-1)).double()
 
 
 def entropy(likelihood: Tensor) -> Tensor:
-    """Entropy of likelihoods in [0,1], in bits: 0 where all is clear, 1 at 0.5."""
-    other = 1 - likelihood
+    """Compute the entropy of likelihoods in [0, 1], in bits: 0 at 0 and 1, 1 at 0.5."""
+    complement = 1 - likelihood
     tiny = torch.finfo(likelihood.dtype).tiny  # 0 log 0 is 0
     information = likelihood * likelihood.clamp_min(tiny).log2_()
-    return information.add_(other * other.clamp_min(tiny).log2_()).neg_()
+    return information.add_(complement * complement.clamp_min(tiny).log2_()).neg_()
 
 
-def judgement(signs: Signs, road: bool | Tensor, settings: TrustSettings) -> Judgement:
-    """What signs say of a mask; road: whether there is any in it.
+def judgement(features: Signs, road: bool | Tensor, settings: TrustSettings) -> Judgement:
+    """Predict the F-score of a mask, and name the feature that lowers it most.
 
-    The reason is the sign that lowers the expectation most, against what it usually is. An exported
-    graph gives none, and the trust as a tensor (N,).
+    road: whether the mask has any. An exported graph gives the trust as a tensor (N,), no reason.
     """
-    expected: Any = CONSTANT + sum(w * sign for w, sign in zip(WEIGHTS, signs, strict=True))
-    odds: Any = ROAD_THERE + ROAD_STEADY * signs.steady + ROAD_VAGUE * signs.vague
+    expected: Any = INTERCEPT + sum(w * x for w, x in zip(FEATURE_WEIGHTS, features, strict=True))
+    odds: Any = ROAD_INTERCEPT + ROAD_STABILITY * features.stability
+    odds = odds + ROAD_ENTROPY * features.entropy
     if torch.compiler.is_exporting():
-        there = (odds.sigmoid() / ENOUGH).clamp(max=1)
-        return Judgement((there * expected.clamp(0, 1)).where(road, 0.0), "")
+        presence = (odds.sigmoid() / ENOUGH).clamp(max=1)
+        return Judgement((presence * expected.clamp(0, 1)).where(road, 0.0), "")
     if not road:
         return Judgement(0.0, "no road found")
-    there = min(1.0, 1 / (1 + math.exp(-odds)) / ENOUGH)
-    trust = there * min(1.0, max(0.0, expected))
+    presence = min(1.0, 1 / (1 + math.exp(-odds)) / ENOUGH)
+    trust = presence * min(1.0, max(0.0, expected))
     if trust >= settings.least:
         return Judgement(trust, "")
-    if there < 0.5:
+    if presence < 0.5:
         return Judgement(trust, NO_ROAD)
-    losses = [w * (sign - usual) for w, sign, usual in zip(WEIGHTS, signs, USUAL, strict=True)]
-    return Judgement(trust, REASONS[losses.index(min(losses))])
+    terms = zip(FEATURE_WEIGHTS, features, MEAN_FEATURES, strict=True)
+    losses = [weight * (value - mean) for weight, value, mean in terms]
+    return Judgement(trust, DOUBT_REASONS[losses.index(min(losses))])

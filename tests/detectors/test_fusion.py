@@ -10,7 +10,7 @@ from torch import Tensor
 from roadtorch.base.errors import WeightsError
 from roadtorch.detectors import fusion
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.fusion import RoadCalibration, calibrated
+from roadtorch.detectors.fusion import RoadCalibration, calibrated_likelihood
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
@@ -44,8 +44,8 @@ def test_saturated_segments_have_no_texture_the_seed_area_is_nearest_and_the_sky
 
 def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.MonkeyPatch) -> None:
     exponents = Exponents(layout=0.9, distance=1.3, texture=0.6)
-    place = RULES.place._replace(weight=0.3)
-    rules = RULES._replace(rounds=0, bias=0.5, temperature=2.0, place=place, exponents=exponents)
+    place = RULES.position._replace(weight=0.3)
+    rules = RULES._replace(rounds=0, bias=0.5, temperature=2.0, position=place, exponents=exponents)
     monkeypatch.setattr(fusion, "segment_road", partial(segment_road, rules=rules))
 
     found = load_detector("fusion:untrained").detect(street())
@@ -81,7 +81,7 @@ def test_the_likelihood_is_the_mean_of_the_looks_of_the_network_calibrated(cuts:
     for _ in cuts:
         upper = image.shape[-2] // 4
         mean[upper:] = (mean[upper:] + network.cues(image[:, upper:])["road"]) / 2
-    wanted = calibrated(log_odds(mean), RoadCalibration(**usual))
+    wanted = calibrated_likelihood(log_odds(mean), RoadCalibration(**usual))
     free = ~found.cues["ego"]
     np.testing.assert_allclose(found.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)
 
@@ -117,7 +117,7 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
 
 
 def test_weights_for_patches_are_refused() -> None:
-    with pytest.raises(WeightsError, match="a network for patches, not for images"):
+    with pytest.raises(WeightsError, match="holds a patch network"):
         load_detector("fusion", weights={"file": "cnn-7"})
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import write_mask
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.road.ego import MIN_FREE, SOLID, Ego, continued, ego_car, ego_found, outline_rows
+from roadtorch.road.ego import MIN_FILL, MIN_FREE, Ego, continued, ego_car, ego_found, outline_rows
 from tests.streets import bonnet, scene
 
 
@@ -70,7 +70,7 @@ def test_the_mask_is_read_once_for_all_images(tmp_path: Path) -> None:
             lambda folder: ego_car(
                 torch.zeros(3, 60, 80), Ego(mask=mask_file(folder, bonnet(30, 40)))
             ),
-            r"image: is 80×60 pixels, the ego mask .*ego.png 40×30",
+            r"image: is 80×60 pixels, but the ego mask .*ego.png is 40×30",
         ),
         (
             lambda folder: load_detector(
@@ -209,4 +209,4 @@ def test_each_column_is_free_above_and_solid_ego_car_below(seed: int, level: flo
     for column in car.any(0).nonzero()[:, 0].tolist():
         first = int(car[:, column].int().argmax())
         assert rough[first, column] > 0.5
-        assert (rough[first:, column] > 0.5).float().mean() >= SOLID
+        assert (rough[first:, column] > 0.5).float().mean() >= MIN_FILL

@@ -10,18 +10,18 @@ from roadtorch.evaluation.metrics import count_levels, count_mask, f_measure, ma
 from roadtorch.imaging.segments import likeness, measure_segments
 from roadtorch.imaging.slic import slic
 from roadtorch.road.fusion import (
+    MAX_APPEARANCE,
     PRIORS,
-    STRONGEST_LOOK,
     Exponents,
-    RoadPlace,
+    RoadPosition,
     RoadRules,
     fused_log_odds,
     likelihood_product,
+    position_prior,
     prior_rows,
-    road_place,
     segment_road,
 )
-from roadtorch.road.seed_area import FAINTEST, seed_area, seed_distance
+from roadtorch.road.seed_area import MIN_CONTRAST, seed_area, seed_distance
 from tests.draws import random
 from tests.reference import fusion as reference
 from tests.streets import scene
@@ -75,7 +75,7 @@ def test_extreme_cues_stay_finite_and_can_be_outvoted(dtype: torch.dtype, extrem
 def test_the_place_of_the_road_is_a_triangle_that_widens_downwards() -> None:
     row, column = torch.linspace(0, 1, 21)[:, None], torch.linspace(0, 1, 41)
 
-    prior = road_place(row, column, RoadPlace())
+    prior = position_prior(row, column, RoadPosition())
 
     assert torch.allclose(prior, prior.flip(1), atol=1e-5)
     assert (prior[:, 20:].diff(dim=1) <= 0).all()
@@ -83,8 +83,8 @@ def test_the_place_of_the_road_is_a_triangle_that_widens_downwards() -> None:
     assert prior[-1, 20] > 0.9
     assert prior[0, 0] < 0.05
     # It is even at the half width.
-    place = RoadPlace(apex=0.5, narrow=0.1, spread=0.4, softness=0.03)
-    even = road_place(torch.tensor([0.3, 0.5, 1.0]), torch.tensor([0.6, 0.4, 0.8]), place)
+    place = RoadPosition(apex=0.5, narrow=0.1, spread=0.4, softness=0.03)
+    even = position_prior(torch.tensor([0.3, 0.5, 1.0]), torch.tensor([0.6, 0.4, 0.8]), place)
     assert even.tolist() == pytest.approx([0.5] * 3, abs=1e-5)
 
 
@@ -95,7 +95,7 @@ def test_the_distance_adds_up_along_the_way_even_to_what_looks_the_same() -> Non
         image[:, :, labels[0] == stripe] = grey
     segments = measure_segments(image, labels)
     contrast = segments.contrast_between  # of the pairs (0, 1), (1, 2), (2, 3), (3, 4)
-    step = contrast / (contrast.quantile(0.25) + FAINTEST)  # in faint borders of this image
+    step = contrast / (contrast.quantile(0.25) + MIN_CONTRAST)  # in faint borders of this image
 
     distance = seed_distance(segments, torch.tensor([2]))
 
@@ -111,7 +111,7 @@ def test_the_distance_adds_up_along_the_way_even_to_what_looks_the_same() -> Non
 def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
     image = random(3, 48, 64, dtype=torch.float32) * 0.6
     segments = measure_segments(image, slic(image, 25))
-    trusted = Exponents(look=0.7, neighbours=1.3)
+    trusted = Exponents(appearance=0.7, neighbours=1.3)
     chosen = RoadRules(rounds=rounds, exponents=trusted, temperature=2.0)
     layout, distance, texture = random(3, len(segments.size), seed=1, dtype=torch.float32)
 
@@ -119,7 +119,7 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
 
     known = torch.full((len(road),), chosen.bias, dtype=torch.float64)  # before it learns
     for weight, cue in (
-        (chosen.place.weight, road_place(segments.row, segments.column, chosen.place)),
+        (chosen.position.weight, position_prior(segments.row, segments.column, chosen.position)),
         (trusted.layout, layout),
         (trusted.distance, distance),
         (trusted.texture, texture),
@@ -130,7 +130,7 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
         likeness(segments, chosen.bandwidths).tolist(),
         segments.size.tolist(),
         reference.neighbours([(one, two) for one, two in segments.pairs.T.tolist()], len(road)),
-        (trusted.look, STRONGEST_LOOK),
+        (trusted.appearance, MAX_APPEARANCE),
         trusted.neighbours,
         rounds,
     )

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
 from roadtorch.road.ego import continued
-from roadtorch.road.outlines import BARELY, filled, followed, outlined
+from roadtorch.road.outlines import HOLE_MARGIN, fill_thin_holes, followed, outlined
 from roadtorch.road.trust import (
-    CONSTANT,
+    DOUBT_REASONS,
+    FEATURE_WEIGHTS,
+    INTERCEPT,
+    MEAN_FEATURES,
     NO_ROAD,
-    REASONS,
-    USUAL,
-    WEIGHTS,
     Signs,
     TrustSettings,
     judgement,
@@ -97,9 +97,9 @@ def test_thin_holes_are_road_by_one_byte_level(hole: tuple[slice, slice], is_fil
     likelihood[40:] = ROAD_LEVEL
     likelihood[hole] = OTHER_LEVEL
     expected = likelihood.clone()
-    expected[hole] = 0.5 + BARELY if is_filled else OTHER_LEVEL
+    expected[hole] = 0.5 + HOLE_MARGIN if is_filled else OTHER_LEVEL
 
-    assert torch.equal(filled(likelihood, 0.5), expected)
+    assert torch.equal(fill_thin_holes(likelihood, 0.5), expected)
 
 
 # --- trust ------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ ROAD = torch.zeros(20, 20)
 ROAD[:, :10] = 1  # over the left half
 UNSURE_ABOVE, UNSURE_BELOW = ROAD.clone(), ROAD.clone()
 UNSURE_ABOVE[:5], UNSURE_BELOW[15:] = 0.5, 0.5
-BEST = Signs(steady=1, expected=1, seed=1, vague=0)
+BEST = Signs(stability=1, expected=1, seed=1, entropy=0)
 
 
 def signs(
@@ -128,7 +128,7 @@ def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
     assert signs() == pytest.approx(BEST, abs=1e-6)
     # A quarter of the image, a hundred pixels of it at the low threshold, is undecided: of the
     # 200 pixels of the mask 175 are road, and 50 beside it.
-    undecided = BEST._replace(steady=150 / 250, vague=0.25, expected=2 * 175 / (200 + 200))
+    undecided = BEST._replace(stability=150 / 250, entropy=0.25, expected=2 * 175 / (200 + 200))
     assert signs(likelihood=UNSURE_ABOVE) == pytest.approx(undecided, abs=1e-6)
     assert signs(mask=~NOWHERE).expected == pytest.approx(2 * 200 / (400 + 200))
     assert signs(learned=ROAD.flip(-1)).seed == 0
@@ -138,30 +138,34 @@ def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
 
 def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
     best = judgement(BEST, True, TrustSettings())
-    usual = judgement(USUAL, True, TrustSettings())
+    usual = judgement(MEAN_FEATURES, True, TrustSettings())
     worst = judgement(Signs(0, 0, 0, 0), True, TrustSettings())
 
     assert 0 <= worst.trust < usual.trust < best.trust <= 1  # better, and in its range
     assert usual.doubt == ""
-    assert worst.doubt in REASONS
-    linear = CONSTANT + sum(weight * sign for weight, sign in zip(WEIGHTS, USUAL, strict=True))
+    assert worst.doubt in DOUBT_REASONS
+    linear = INTERCEPT + sum(
+        weight * sign for weight, sign in zip(FEATURE_WEIGHTS, MEAN_FEATURES, strict=True)
+    )
     assert usual.trust == pytest.approx(linear)
     assert judgement(BEST, False, TrustSettings()) == (0.0, "no road found")
 
 
 def test_where_all_is_in_doubt_there_is_no_road() -> None:
-    judged = judgement(Signs(steady=0.1, expected=0.8, seed=0.9, vague=0.8), True, TrustSettings())
+    judged = judgement(
+        Signs(stability=0.1, expected=0.8, seed=0.9, entropy=0.8), True, TrustSettings()
+    )
 
     assert judged.trust < 0.3
     assert judged.doubt == NO_ROAD
 
 
-@pytest.mark.parametrize("number", [n for n, weight in enumerate(WEIGHTS) if weight])
+@pytest.mark.parametrize("number", [n for n, weight in enumerate(FEATURE_WEIGHTS) if weight])
 def test_the_reason_is_the_sign_that_is_worse_than_usual(number: int) -> None:
-    wrong = list(USUAL)
+    wrong = list(MEAN_FEATURES)
     wrong[number] = 0.0
 
     judged = judgement(Signs(*wrong), True, TrustSettings(least=1.0))
 
-    assert judged.doubt == REASONS[number]
-    assert judged.trust < judgement(USUAL, True, TrustSettings()).trust
+    assert judged.doubt == DOUBT_REASONS[number]
+    assert judged.trust < judgement(MEAN_FEATURES, True, TrustSettings()).trust

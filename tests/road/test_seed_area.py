@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from roadtorch.imaging.slic import squares
 from roadtorch.road.seed_area import (
     SeedArea,
-    distances,
     likely_seed,
     remove_isolated,
     seed_area,
     seed_rectangle,
-    seed_segments,
+    segments_inside,
+    shortest_paths,
 )
 
 SIDES = st.integers(16, 2000)
@@ -76,7 +76,7 @@ def test_only_regions_that_touch_the_seed_area_stay(mask, seed, left):
     ],
 )
 def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road(labels, segments):
-    found = seed_segments(labels, seed_rectangle(labels.shape))
+    found = segments_inside(labels, seed_rectangle(labels.shape))
 
     assert found.tolist() == segments
     assert found.dtype == torch.int64
@@ -89,7 +89,7 @@ SMALL = st.integers(16, 60)
 def test_there_is_a_seed_segment_and_each_is_in_the_seed_area(height, width, size, tall, wide):
     labels, seed = squares(height, width, size), SeedArea(height=tall, width=wide)
 
-    found = seed_segments(labels, seed_rectangle((height, width), seed))
+    found = segments_inside(labels, seed_rectangle((height, width), seed))
 
     assert len(found) >= 1
     assert set(found.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
@@ -134,7 +134,7 @@ def graphs(draw):
 def test_distances_are_those_of_bellman_and_ford(graph):
     pairs, steps, sources, count = graph
 
-    found = distances(pairs, steps, sources, count)
+    found = shortest_paths(pairs, steps, sources, count)
 
     wanted = [0.0 if node in sources.tolist() else float("inf") for node in range(count)]
     for _ in range(count):

@@ -13,7 +13,7 @@ from roadtorch.road.texture import (
     fused_plane,
     minimum_variance_weights,
     quantise,
-    saturated,
+    saturation_mask,
     similarity,
     uniform_patterns,
     uniformity,
@@ -117,7 +117,7 @@ def test_uniformity_follows_equation_1(levels):
 def test_a_pixel_is_saturated_when_one_channel_is_full_or_all_are_black(pixel, is_saturated):
     image = torch.tensor(pixel).view(3, 1, 1)
 
-    assert saturated(image, dark=0.02, bright=0.98).item() == is_saturated
+    assert saturation_mask(image, dark=0.02, bright=0.98).item() == is_saturated
 
 
 # --- local binary patterns --------------------------------------------------------------------

@@ -46,7 +46,7 @@ CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "looks"
 CALIBRATED = "calibrated.safetensors"
 """Weights of a half, with its bias calibrated to the teacher's."""
 
-LABEL_SMOOTHING = SteadySettings(miss=2.0, slack=0.1, contrast=0.1)
+LABEL_SMOOTHING = SteadySettings(flow_error=2.0, relative_flow_error=0.1, contrast=0.1)
 """Stricter than for video: frames are far apart in time, flow that closes is often chance, and
 places look alike."""
 
