@@ -32,10 +32,10 @@ Share = Annotated[
     float,
     Field(ge=0, le=1, description="weight of the network against the machine labels"),
 ]
-"""Setting: the ``share`` of ``pooled``, where the second prediction is a network's."""
+"""Setting: the ``weight`` of ``pooled``, where the second prediction is a network's."""
 
 
-def pooled(first: Tensor, second: Tensor, share: float) -> Tensor:
+def pooled(first: Tensor, second: Tensor, weight: float) -> Tensor:
     """Return the logarithmic opinion pool of two predictions (3, …); it sums to 1 over the classes.
 
     Source: Genest and Zidek, "Combining Probability Distributions", Statistical Science 1986.
@@ -43,7 +43,7 @@ def pooled(first: Tensor, second: Tensor, share: float) -> Tensor:
     Args:
         first: potentials in [0, 1], shape (3, …).
         second: potentials in [0, 1], shape (3, …).
-        share: weight of the second prediction, from 0 (first alone) to 1 (second alone).
+        weight: weight of the second prediction, from 0 (first alone) to 1 (second alone).
     """
     logs = [potentials.clamp_min(MIN_POTENTIAL).log() for potentials in (first, second)]
-    return ((1 - share) * logs[0] + share * logs[1]).softmax(0)
+    return ((1 - weight) * logs[0] + weight * logs[1]).softmax(0)

@@ -1,6 +1,6 @@
 """One-class classifiers that optimise a boundary (P3): SVDD, MPM, dLP.
 
-Fitted in double precision to the distinct samples with their counts: exact, and small where
+Fits are in double precision, on the distinct samples with their counts: exact, and small where
 thousands of pixels have a few hundred values.
 """
 

@@ -1,6 +1,6 @@
 """One-class classifiers by density: the Gaussian and the robust Gaussian (P3).
 
-Fitted in float64; pixels are scored in float32.
+Fits are in float64; pixels are scored in float32.
 """
 
 from functools import cache

@@ -114,7 +114,7 @@ def plane_values(image: Tensor, name: str) -> Palette:
 
 
 @cached_per_image
-def colour_plane(image: Tensor, name: str) -> Tensor:
+def palette_plane(image: Tensor, name: str) -> Tensor:
     """Return one plane of the distinct colours of an image (3, H, W): (k,)."""
     return plane(distinct_colours(image).values[:, None], name)[0]
 
@@ -124,7 +124,7 @@ def representation(image: Tensor, names: tuple[str, ...]) -> Palette:
     if len(names) == 1:
         return plane_values(image, names[0])
     return Palette(
-        torch.stack([colour_plane(image, name) for name in names]), distinct_colours(image).index
+        torch.stack([palette_plane(image, name) for name in names]), distinct_colours(image).index
     )
 
 
@@ -146,7 +146,7 @@ def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Te
 def area_values(image: Tensor, name: str, seed: SeedArea) -> Tensor:
     """Return one plane in the seed area of an image: (h, w)."""
     index = distinct_colours(image).index
-    return colour_plane(image, name)[index[sample_area(index.shape, seed)]]
+    return palette_plane(image, name)[index[sample_area(index.shape, seed)]]
 
 
 @cached_per_image

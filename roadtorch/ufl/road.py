@@ -93,7 +93,7 @@ def place_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"
     return ((row - half) / half)[:, None] + 1 - (column - middle).abs() / half
 
 
-def triangle_weights(rows: int, columns: int, apex: float, base: float) -> Tensor:
+def triangle_position_weights(rows: int, columns: int, apex: float, base: float) -> Tensor:
     """Return position weights of a triangle ahead, float64 (rows, columns) in [-1, 1]. Ours.
 
     1 on the triangle's axis, 0 on its sides, -1 beyond twice its width and above its apex. By eq. 6
@@ -178,7 +178,7 @@ def find_road(
     """
     rows, columns = mean_map.shape
     if settings.position == "ahead":
-        position = triangle_weights(rows, columns, settings.apex, settings.base)
+        position = triangle_position_weights(rows, columns, settings.apex, settings.base)
     else:
         position = place_weights(rows, columns, settings.position)
     covered = mean_map != 0 if settings.error_range == "covered" else torch.ones_like(mean_map) > 0

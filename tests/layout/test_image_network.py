@@ -1,4 +1,4 @@
-"""The networks for whole images, and files of weights."""
+"""The networks for whole images, and weight files."""
 
 import json
 import math
@@ -55,12 +55,12 @@ def test_the_same_weights_see_images_of_another_size() -> None:
     network = ImageNetwork(SMALL).eval()
     pixels = torch.rand(1, 3, 64, 88, generator=seeded(0))
 
-    other = network_at(network, 64, 88)
+    resized = network_at(network, 64, 88)
 
-    assert (other.settings.height, other.settings.width) == (64, 88)
-    assert other.settings.wide == SMALL.wide
-    assert not other.training
-    torch.testing.assert_close(other(pixels), network(pixels))
+    assert (resized.settings.height, resized.settings.width) == (64, 88)
+    assert resized.settings.wide == SMALL.wide
+    assert not resized.training
+    torch.testing.assert_close(resized(pixels), network(pixels))
     assert network.settings == SMALL
 
 
@@ -71,10 +71,10 @@ def test_the_same_weights_see_images_of_another_size() -> None:
 def test_stride_two_is_padded_as_in_tensorflow(kernel: int, pads: tuple[int, int]) -> None:
     layer, maps = SamePadded(1, 1, kernel, 2), torch.rand(1, 1, 8, 8)
 
-    wanted = F.conv2d(F.pad(maps, pads * 2), layer.weight, layer.bias, 2)
+    expected = F.conv2d(F.pad(maps, pads * 2), layer.weight, layer.bias, 2)
 
-    torch.testing.assert_close(layer(maps), wanted)
-    assert wanted.shape[-2:] == (4, 4)
+    torch.testing.assert_close(layer(maps), expected)
+    assert expected.shape[-2:] == (4, 4)
 
 
 def test_it_comes_back_from_half_precision(backbone: BackboneNetwork, tmp_path: Path) -> None:
@@ -85,8 +85,8 @@ def test_it_comes_back_from_half_precision(backbone: BackboneNetwork, tmp_path: 
     image = torch.rand(3, 64, 96, generator=seeded(0))
     loaded = load_network(path)
     assert isinstance(loaded, BackboneNetwork)
-    before, after = (network.cues(image)["road"] for network in (backbone, loaded))
-    torch.testing.assert_close(after, before, rtol=0, atol=0.01)
+    original, reloaded = (network.cues(image)["road"] for network in (backbone, loaded))
+    torch.testing.assert_close(reloaded, original, rtol=0, atol=0.01)
 
 
 def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
@@ -97,7 +97,7 @@ def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "scale", "seen"),
+    ("size", "scale", "expected"),
     [
         ((192, 256), 1.0, (192, 256)),
         ((192, 256), 4 / 3, (256, 352)),  # multiples of 32
@@ -105,8 +105,10 @@ def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
         ((32, 32), 0.5, (32, 32)),  # never nothing
     ],
 )
-def test_multiples_of_32_pixels(size: tuple[int, int], scale: float, seen: tuple[int, int]) -> None:
-    assert scaled(*size, scale) == seen
+def test_multiples_of_32_pixels(
+    size: tuple[int, int], scale: float, expected: tuple[int, int]
+) -> None:
+    assert scaled(*size, scale) == expected
 
 
 # --- weight files -----------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The layout labeller: place, order, decision, and what it makes of rendered streets."""
+"""The layout labeller: position, order, decision, and its labels of rendered streets."""
 
 from functools import cache
 
@@ -29,7 +29,7 @@ from tests.streets import scene
 
 
 def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the look of the sky, what is not like the top of the image becomes a wall."""
+    """Without the appearance of sky, whatever differs from the top of the image becomes a wall."""
     street = scene(0, dusk=0.0)
     sky = truth(street) == SKY
     top = (torch.arange(sky.shape[0])[:, None] < 0.2 * sky.shape[0])[None]
@@ -53,13 +53,13 @@ def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnChain) -> None:
-    found = smooth_columns(scores, column_samples(labels, order.step), order)
+    belief = smooth_columns(scores, column_samples(labels, order.step), order)
 
     move = reference.transitions(order.change, order.breach)
-    wanted = reference.smooth_columns(
+    expected = reference.smooth_columns(
         scores.double().numpy(), labels.numpy(), order.weight, order.step, move
     )
-    torch.testing.assert_close(found.double(), torch.from_numpy(wanted), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(belief.double(), torch.from_numpy(expected), atol=1e-5, rtol=0.0)
 
 
 @settings(max_examples=40)
@@ -104,9 +104,9 @@ def labelled(seed: int, dusk: float) -> LayoutLabels:
     return label_layout(scene(seed, dusk=dusk).image)
 
 
-def truth(shown: RenderedScene) -> Tensor:
-    """Layout labels with the unknown object as void."""
-    return torch.where(shown.void, UNLABELLED, shown.layout.long())
+def truth(street: RenderedScene) -> Tensor:
+    """Return layout labels with the unknown object as void."""
+    return torch.where(street.void, UNLABELLED, street.layout.long())
 
 
 @pytest.mark.parametrize(("seed", "dusk"), [(0, 0.0), (1, 0.0), (2, 0.8)])

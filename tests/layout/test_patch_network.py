@@ -31,10 +31,10 @@ SHAPES = [
 ]
 
 
-def network_of(topology: Topology, **others: object) -> PatchNetwork:
+def network_of(topology: Topology, **groups: object) -> PatchNetwork:
     with torch.random.fork_rng():
         torch.manual_seed(7)
-        values = {"topology": topology.model_dump(), **others}
+        values = {"topology": topology.model_dump(), **groups}
         return PatchNetwork(build_settings(PatchNetworkSettings, values)).eval()
 
 
@@ -82,13 +82,13 @@ def test_maps_without_connection_have_no_say_and_learn_nothing() -> None:
     patches = pixels(3, 3, 32, 32)
     away = network.get_buffer("table").expand_as(network.second.weight) == 0
 
-    before = network(patches)
-    before.square().sum().backward()
+    potentials = network(patches)
+    potentials.square().sum().backward()
     gradient = network.second.weight.grad
     with torch.no_grad():
         network.second.weight[away] = 100.0
 
-    assert torch.equal(network(patches), before)
+    assert torch.equal(network(patches), potentials)
     assert "table" not in network.state_dict()
     assert gradient is not None
     assert gradient[away].abs().max() == 0
@@ -114,8 +114,8 @@ def test_a_patch_gives_what_the_layers_say_one_by_one(topology: Topology) -> Non
     potentials = network(patch[None])[0]
 
     ends = (topology.subsamplings, topology.pooling, topology.potentials)
-    wanted = reference.potentials(patch.double().numpy(), weights, *ends)
-    np.testing.assert_allclose(potentials.detach().numpy(), wanted, atol=1e-5)
+    expected = reference.potentials(patch.double().numpy(), weights, *ends)
+    np.testing.assert_allclose(potentials.detach().numpy(), expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("topology", SHAPES, ids=str)
@@ -132,9 +132,9 @@ def test_dense_equals_the_network_patch_by_patch(topology: Topology) -> None:
     cut = reflected(image, topology.patch).unfold(1, topology.patch, 1)
     cut = cut.unfold(2, topology.patch, 1).permute(1, 2, 0, 3, 4).flatten(0, 1)
     torch.testing.assert_close(dense.flatten(1), network(cut).T, atol=1e-5, rtol=0)
-    some = network(torch.from_numpy(np.stack(around)).float())
+    cut_by_pixel = network(torch.from_numpy(np.stack(around)).float())
     rows, columns = zip(*places, strict=True)
-    torch.testing.assert_close(dense[:, rows, columns], some.T, atol=1e-5, rtol=0)
+    torch.testing.assert_close(dense[:, rows, columns], cut_by_pixel.T, atol=1e-5, rtol=0)
     # Of several images, and of one pixel.
     torch.testing.assert_close(network.dense(image.expand(2, -1, -1, -1))[1], dense)
     assert network.dense(image[:, :1, :1]).shape == (3, 1, 1)
@@ -147,8 +147,8 @@ def test_an_image_less_its_mean_over_its_deviation_forgets_light_and_cast() -> N
     image = scene(2).image * 0.6 + 0.1
     cast = image * 0.5 + torch.tensor([0.05, 0.1, 0.2])[:, None, None]
 
-    one, two = (normalise(image, Normalisation(kind="image")) for image in (image, cast))
+    first, second = (normalise(image, Normalisation(kind="image")) for image in (image, cast))
 
-    torch.testing.assert_close(one.pixels, two.pixels, atol=1e-4, rtol=0)
-    assert two.gain == pytest.approx(2 * one.gain, rel=1e-4)
-    assert float(one.pixels.square().mean()) == pytest.approx(1, abs=1e-3)
+    torch.testing.assert_close(first.pixels, second.pixels, atol=1e-4, rtol=0)
+    assert second.gain == pytest.approx(2 * first.gain, rel=1e-4)
+    assert float(first.pixels.square().mean()) == pytest.approx(1, abs=1e-3)

@@ -1,4 +1,4 @@
-"""What the tests of all classifiers have in common: classifiers, readings, samples."""
+"""Cases for the tests of all classifiers: classifiers, readings of the paper, samples."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -29,7 +29,7 @@ every_distance = pytest.mark.parametrize(
 
 
 def words_of(annotation: Any) -> Iterator[str]:
-    """The words that a setting may be, wherever in its type they stand."""
+    """Yield the strings that a setting allows, at any depth of its type."""
     for part in get_args(annotation):
         if isinstance(part, str):
             yield part
@@ -38,9 +38,9 @@ def words_of(annotation: Any) -> Iterator[str]:
 
 
 def readings(*left_out: str) -> list[Any]:
-    """Every classifier with every other reading of the paper that it can be told, one at a time.
+    """Return every classifier with each alternative reading of the paper, one setting at a time.
 
-    left_out: names of settings that do not matter. Defaults are what all other tests look at.
+    ``left_out`` names settings that do not matter. All other tests use the defaults.
     """
     return [
         pytest.param(classifier, {name: word}, id=f"{classifier.name}-{name}={word}")
@@ -53,20 +53,20 @@ def readings(*left_out: str) -> list[Any]:
 
 @cache
 def of_asphalt(classifier: Classifier) -> Fitted:
-    """A classifier as it comes, fitted to ``asphalt()`` once: not to be changed."""
+    """Return a classifier fitted to ``asphalt()`` with default settings, cached."""
     return fit(classifier, asphalt(), RGB)
 
 
 def fitted(
     classifier: Classifier, samples: Tensor, settings: ClassifierSettings | None = None
 ) -> Fitted:
-    """A classifier fitted to samples (m,d) of some d planes."""
+    """Return a classifier fitted to samples (m, d) of d planes."""
     return fit(classifier, samples, PLANES[samples.shape[1]], settings)
 
 
-def rank_correlation(left: Tensor, right: Tensor) -> float:
-    """Spearman's, of values that are all different."""
-    ranks = [values.argsort().argsort().double() for values in (left, right)]
+def rank_correlation(first: Tensor, second: Tensor) -> float:
+    """Return Spearman's rank correlation of values without ties."""
+    ranks = [values.argsort().argsort().double() for values in (first, second)]
     return float(torch.corrcoef(torch.stack(ranks))[0, 1])
 
 
@@ -75,12 +75,12 @@ def doubles(values: Tensor) -> np.ndarray:
 
 
 def some(number: int, dimensions: int, seed: int = 0, spread: float = 1.0) -> Tensor:
-    """Samples (number,dimensions), even in a box of that side around 0.4 (of side 1: 0 to 1)."""
+    """Return uniform samples (number, dimensions) in a box of side ``spread`` around 0.4."""
     return 0.4 + spread * (torch.rand(number, dimensions, generator=seeded(seed)) - 0.4)
 
 
 def road(number: int, dimensions: int, seed: int = 1, spread: float = 0.03) -> Tensor:
-    """Samples (number,dimensions) of a grey with some noise."""
+    """Return samples (number, dimensions) of a grey with some noise."""
     return 0.4 + spread * torch.randn(number, dimensions, generator=seeded(seed))
 
 
@@ -89,6 +89,6 @@ def asphalt(count: int = 90, seed: int = 0) -> Tensor:
 
 
 def around_red(count: int = 90) -> Tensor:
-    """Hue on both sides of red, where it begins and ends, and some saturation."""
+    """Return hues on both sides of red, where the circle begins and ends, with some saturation."""
     noise = road(count, 2, 0, 0.02)
     return torch.stack([(noise[:, 0] - 0.4).remainder(1), noise[:, 1]], 1)

@@ -29,7 +29,7 @@ def middle_of(
     threshold: float | None = None,
     rejected: float = 0.025,
 ) -> Fitted:
-    """The distance to the middle of samples of one plane."""
+    """Return a classifier by the distance to the mean of samples of one plane."""
 
     def fit_middle(road: RoadSamples, settings: ClassifierSettings) -> DistanceModel:
         middle = road.samples.mean(0).float()
@@ -62,9 +62,9 @@ FIVE = line(0.3, 0.4, 0.5, 0.6, 0.7)
     ],
 )
 def test_the_mean_hue_is_circular(hues: list[float], saturations: list[float], mean: float) -> None:
-    found = mean_hues(torch.tensor([hues, saturations]), axes_of(("H", "S"))).tolist()
+    means = mean_hues(torch.tensor([hues, saturations]), axes_of(("H", "S"))).tolist()
 
-    assert found == pytest.approx([mean, 0], abs=1e-7)
+    assert means == pytest.approx([mean, 0], abs=1e-7)
 
 
 def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> None:
@@ -97,9 +97,9 @@ def test_p3s_fraction_rejects_as_many_samples_as_the_toolbox(count: int, outside
 
 
 def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_distance() -> None:
-    found = middle_of(FIVE, rejected=0.4).likelihood(line(0.5, 0.65, 1.1)).tolist()
+    likelihood = middle_of(FIVE, rejected=0.4).likelihood(line(0.5, 0.65, 1.1)).tolist()
 
-    assert found == pytest.approx([1, 1 / 2, 1 / 3], rel=1e-3)
+    assert likelihood == pytest.approx([1, 1 / 2, 1 / 3], rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -132,8 +132,8 @@ def test_twins_count_as_often_as_they_occur():
     twice = points[[0, 1, 2, 3, 4, 5, 0, 0, 3]]
     single, many = (reference.distance_matrix(rows, rows) for rows in (points, twice))
     _, margin = boundary.least_margin(single, np.array([3, 1, 1, 2, 1, 1]), 0.3)
-    _, other = boundary.least_margin(many, np.ones(9), 0.3)
-    assert margin == pytest.approx(other)
+    _, repeated = boundary.least_margin(many, np.ones(9), 0.3)
+    assert margin == pytest.approx(repeated)
 
 
 DEFINITIONS = {

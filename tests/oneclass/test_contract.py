@@ -1,4 +1,4 @@
-"""What every one-class classifier keeps to, and distances against slow versions."""
+"""Properties of every one-class classifier, and distances compared with slow versions."""
 
 from collections.abc import Callable
 from functools import partial
@@ -59,9 +59,9 @@ def check_answers(fitted: Fitted, pixels: Tensor) -> None:
 def test_road_ranks_above_other_colours(classifier: Classifier) -> None:
     fitted = of_asphalt(classifier)
 
-    road, other = fitted.distance(asphalt(seed=5)), fitted.distance(colours())
+    road, colour = fitted.distance(asphalt(seed=5)), fitted.distance(colours())
 
-    above = (road[:, None] < other).double() + (road[:, None] == other).double() / 2
+    above = (road[:, None] < colour).double() + (road[:, None] == colour).double() / 2
     # A histogram of 90 samples has holes; PCA says little of colours along its components.
     assert above.mean() > (0.55 if classifier.name in HISTOGRAMS else 0.85)
 
@@ -84,8 +84,8 @@ def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> Non
     shares, samples = (0.0, 0.1, 0.5, 0.9), asphalt(150)
     by_share = [fit(classifier, samples, RGB, classifier.settings(rejected=s)) for s in shares]
 
-    for rejected, each in zip(shares, by_share, strict=True):
-        outside = int((each.distance(samples) > each.threshold).sum())
+    for rejected, model in zip(shares, by_share, strict=True):
+        outside = int((model.distance(samples) > model.threshold).sum())
         if classifier.name in {"nn", "mst"}:  # samples are at distance 0 of themselves
             assert outside == 0
         elif classifier.name in HISTOGRAMS:  # ties
@@ -94,7 +94,7 @@ def test_the_threshold_rejects_about_the_fraction(classifier: Classifier) -> Non
             assert outside == pytest.approx(150 * rejected, abs=7)
     # SVDD and dLP change with the share, so that their thresholds are of different distances.
     pixels = asphalt(1000, seed=7)
-    accepted = [int((each.distance(pixels) <= each.threshold).sum()) for each in by_share]
+    accepted = [int((model.distance(pixels) <= model.threshold).sum()) for model in by_share]
     assert accepted == sorted(accepted, reverse=True)
     assert accepted[0] > accepted[-1]
 
@@ -218,8 +218,8 @@ def test_hue_is_a_circle_in_every_reading_but_the_plain_number(classifier: Class
             hues = torch.tensor([[0.01, 0.4], [0.99, 0.4], [0.5, 0.4]])
             red, cyan = fitted.distance(hues).split([2, 1])
             assert red.max() < cyan
-            same = torch.tensor([[0.0, 0.4], [1.0, 0.4]])
-            np.testing.assert_allclose(*fitted.distance(same), rtol=1e-4, atol=1e-4)
+            twin_hues = torch.tensor([[0.0, 0.4], [1.0, 0.4]])
+            np.testing.assert_allclose(*fitted.distance(twin_hues), rtol=1e-4, atol=1e-4)
 
 
 # --- the same again -------------------------------------------------------------------------
@@ -261,8 +261,8 @@ ROUNDING = 1 / (12 * 255**2)
         ("hist64_s", {}, partial(oneclass_density.histogram_distance, bins=64)),
         ("hist100_s", {}, partial(oneclass_density.histogram_distance, bins=100)),
         ("hist64_s", {"planes": "product"}, oneclass_density.histograms_distance),
-        ("pca", {"variance": 0.0}, partial(oneclass_density.residual_distance, kept=0)),
-        ("pca", {"variance": 0.95}, partial(oneclass_density.residual_distance, kept=-1)),
+        ("pca", {"variance": 0.0}, partial(oneclass_density.residual_distance, count=0)),
+        ("pca", {"variance": 0.95}, partial(oneclass_density.residual_distance, count=-1)),
     ],
 )
 def test_the_distance_is_that_of_the_slow_version(
@@ -272,8 +272,8 @@ def test_the_distance_is_that_of_the_slow_version(
     for dimensions in (2, 3) if classifier.single_plane_error else (1, 2, 3):
         samples, pixels = road(40, dimensions), some(100, dimensions)
         # Twins change nothing where no variance is divided by m - 1.
-        for given in [samples] if name in {"gaussian", "pca"} else [samples, samples.repeat(2, 1)]:
-            learned = fitted(classifier, given, classifier.settings.model_validate(settings))
+        for rows in [samples] if name in {"gaussian", "pca"} else [samples, samples.repeat(2, 1)]:
+            learned = fitted(classifier, rows, classifier.settings.model_validate(settings))
 
-            expected = reference(doubles(given), doubles(pixels))
+            expected = reference(doubles(rows), doubles(pixels))
             np.testing.assert_allclose(learned.distance(pixels), expected, rtol=2e-5, atol=1e-6)

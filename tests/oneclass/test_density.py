@@ -34,7 +34,7 @@ GAUSSIAN, ROBUST = CLASSIFIERS["gaussian"], CLASSIFIERS["robust_gaussian"]
 
 
 def correlated(planes: int, count: int = 90, seed: int = 0) -> Tensor:
-    """Samples (count,planes) float64 about 0.4 that vary together."""
+    """Return correlated samples (count, planes), float64, around 0.4."""
     noise = torch.randn(count, planes, generator=seeded(seed), dtype=torch.float64)
     mixing = random(planes, planes, seed=seed + 1)
     return 0.4 + 0.02 * noise @ (mixing + torch.eye(planes))
@@ -57,8 +57,8 @@ def test_a_tenth_of_outliers_moves_the_robust_mean_five_times_less(dimensions: i
     spoilt[:9] = 0.9 + 0.02 * random(9, dimensions)  # white paint
 
     robust, plain = (
-        [reweighted(each, axes, RobustSettings(), power=1.5)[0] for each in (clean, spoilt)],
-        [moments(each)[0] for each in (clean, spoilt)],
+        [reweighted(rows, axes, RobustSettings(), power=1.5)[0] for rows in (clean, spoilt)],
+        [moments(rows)[0] for rows in (clean, spoilt)],
     )
 
     assert (robust[0] - robust[1]).norm() * 5 < (plain[0] - plain[1]).norm()
@@ -72,8 +72,8 @@ def test_clean_samples_give_nearly_the_gaussian(dimensions: int, method: str) ->
 
     plain, robust = fit(GAUSSIAN, samples, axes), fit(ROBUST, samples, axes, settings)
 
-    seen = random(300, dimensions, seed=9, dtype=torch.float32)
-    assert rank_correlation(plain.distance(seen), robust.distance(seen)) > 0.99
+    pixels = random(300, dimensions, seed=9, dtype=torch.float32)
+    assert rank_correlation(plain.distance(pixels), robust.distance(pixels)) > 0.99
 
 
 def test_weights_are_those_of_the_docstring_at_the_end() -> None:
@@ -97,9 +97,9 @@ def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -
     samples = torch.tensor([[0.1], [0.5], [0.5], [0.5], [0.9]])
     fitted = fit(SIMPLE, samples, axes_of(("S",)))
 
-    found = fitted.distance(torch.tensor([[0.5], [0.1], [0.3]]))
+    distance = fitted.distance(torch.tensor([[0.5], [0.1], [0.3]]))
 
-    assert found.tolist() == pytest.approx([0, (2 * np.log(3)) ** 0.5, np.inf])
+    assert distance.tolist() == pytest.approx([0, (2 * np.log(3)) ** 0.5, np.inf])
     assert fitted.likelihood(torch.tensor([[0.3]])) == 0
 
 
@@ -107,12 +107,12 @@ def test_the_noisy_copy_has_p3s_deviation_and_is_clipped_dropped_or_wrapped_at_t
     axes, samples = axes_of(("S", "O2")), torch.tensor([[0.5, 0.0]]).double().repeat(50_000, 1)
     edge = torch.full((1000, 1), 0.99, dtype=torch.float64)
 
-    both = add_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
+    clipped = add_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
     dropped = add_noisy_copy(edge, axes_of(("S",)), 0.1, "drop", seeded())
     wrapped = add_noisy_copy(edge, axes_of(("H",)), 0.1, "drop", seeded())
 
-    assert torch.equal(both[:50_000], samples)
-    deviation = both[50_000:].std(0) / axes.span
+    assert torch.equal(clipped[:50_000], samples)
+    deviation = clipped[50_000:].std(0) / axes.span
     assert deviation.tolist() == pytest.approx([30 / 256, 30 / 256], rel=0.02)
     assert 1400 < len(dropped) < 1600
     assert dropped.max() <= 1
@@ -135,7 +135,7 @@ POINTS = random(200, 2, seed=1, dtype=torch.float32) - 0.5
 
 
 def clusters(number: int, count: int = 120) -> Tensor:
-    """Samples (count,2) float64 in some round heaps on a circle, mean 0."""
+    """Return samples (count, 2), float64, in round clusters on a circle, mean 0."""
     angle = 2 * torch.pi * torch.arange(number, dtype=torch.float64) / number
     middles = 0.3 * torch.stack([angle.cos(), angle.sin()], 1)
     noise = torch.randn(count, 2, generator=seeded(), dtype=torch.float64)
@@ -148,7 +148,7 @@ def memberships(samples: Tensor, number: int) -> Tensor:
 
 
 def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Shares (N,), means (N,d) and covariances (N,d,d) of the only mixture."""
+    """Return weights (N,), means (N, d) and covariances (N, d, d) of the only mixture."""
     covariances = torch.linalg.inv(mixtures.whitening.mT @ mixtures.whitening)
     return mixtures.log_shares[0].exp().numpy(), mixtures.means[0].numpy(), covariances[0].numpy()
 
@@ -162,10 +162,10 @@ def test_the_density_is_the_sum_of_its_gaussians(dimensions: int) -> None:
     mixtures = m_step(samples, memberships(samples, 3), WIDENING[:1].expand(dimensions))
     points = torch.randn(40, dimensions, generator=seeded(1), dtype=torch.float64)
 
-    found = log_densities(_polynomial_features(points), mixtures).logsumexp(1)[0]
+    logs = log_densities(_polynomial_features(points), mixtures).logsumexp(1)[0]
 
     expected = reference.log_sum(reference.log_densities(points.numpy(), *parts_of(mixtures)))
-    np.testing.assert_allclose(found, expected, rtol=1e-8)
+    np.testing.assert_allclose(logs, expected, rtol=1e-8)
 
 
 @pytest.mark.parametrize("formula", ["density", "paper"])
@@ -173,7 +173,7 @@ def test_the_distance_is_that_of_the_density_or_of_the_papers_formula(formula: s
     samples = torch.cat([clusters(1), 0.2 * clusters(1) + 0.4])
     settings = MixtureSettings.model_validate({"formula": formula})
 
-    found = fit(TWO, samples, AXES, settings).distance(POINTS)
+    distance = fit(TWO, samples, AXES, settings).distance(POINTS)
 
     centred = samples - samples.mean(0)
     widening = torch.diag(0.01 * centred.square().mean() + AXES.quantum.square() / 12).numpy()
@@ -187,7 +187,7 @@ def test_the_distance_is_that_of_the_density_or_of_the_papers_formula(formula: s
         logs = -reference.squared_distances(POINTS.numpy(), means, spread)
         peaks = np.zeros(2)
     expected = reference.log_sum(logs) - reference.log_sum(peaks)
-    np.testing.assert_allclose(found, np.sqrt(-2 * expected), rtol=1e-3)
+    np.testing.assert_allclose(distance, np.sqrt(-2 * expected), rtol=1e-3)
 
 
 # --- fit --------------------------------------------------------------------------------
@@ -198,14 +198,14 @@ def test_every_round_is_the_textbooks() -> None:
     weights = samples.new_ones(1, len(samples))
 
     shares, _ = expectation_maximisation(samples, weights, start, WIDENING, rounds=4)
-    found = parts_of(m_step(samples, shares, WIDENING))
+    parts = parts_of(m_step(samples, shares, WIDENING))
 
     expected = reference.expectation_maximisation(
         samples.numpy(), start[0].numpy(), WIDENING.numpy(), rounds=5
     )
-    np.testing.assert_allclose(found[0], expected[0], rtol=1e-6)
-    np.testing.assert_allclose(found[1], expected[1], atol=1e-8)
-    np.testing.assert_allclose(found[2], expected[2], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(parts[0], expected[0], rtol=1e-6)
+    np.testing.assert_allclose(parts[1], expected[1], atol=1e-8)
+    np.testing.assert_allclose(parts[2], expected[2], rtol=1e-5, atol=1e-9)
 
 
 # --- how many ---------------------------------------------------------------------------

@@ -24,9 +24,9 @@ def test_where_all_components_are_needed(full: str, distance: float) -> None:
     samples = torch.tensor([[0.6, 0.5], [0.4, 0.5], [0.5, 0.55], [0.5, 0.45]])
     settings = ComponentSettings.model_validate({"full": full})
 
-    found = fitted(COMPONENTS, samples, settings).distance(torch.tensor([[0.8, 0.9]]))
+    actual = fitted(COMPONENTS, samples, settings).distance(torch.tensor([[0.8, 0.9]]))
 
-    assert float(found) == pytest.approx(distance, rel=1e-5)
+    assert float(actual) == pytest.approx(distance, rel=1e-5)
 
 
 # --- k-means ----------------------------------------------------------------------------
@@ -50,9 +50,9 @@ def test_the_best_of_the_restarts_is_as_good_as_the_best_of_many_starts() -> Non
     samples = random(90, 3)
     starts = [samples[torch.randperm(90, generator=seeded(seed))[:5]] for seed in range(50)]
 
-    found = fitted(MEANS, samples.float()).distance(samples.float()).square().sum()
+    inertia = fitted(MEANS, samples.float()).distance(samples.float()).square().sum()
 
-    assert float(found) < 1.02 * float(k_means(samples, torch.stack(starts))[1].min())
+    assert float(inertia) < 1.02 * float(k_means(samples, torch.stack(starts))[1].min())
 
 
 def test_a_centre_that_loses_its_samples_goes_where_it_is_needed() -> None:

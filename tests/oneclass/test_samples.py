@@ -1,4 +1,4 @@
-"""Where samples of road come from: the area, its superpixels, and the distinct colours."""
+"""Samples of road: the seed area, its superpixels, and the distinct colours."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ ALL = AllSampleSettings()
 
 
 def eight_bit(levels: int = 12) -> Tensor:
-    """An image of few colours, as read_image gives it."""
+    """Return an 8-bit image of few colours, as read_image does."""
     steps = torch.randint(levels, (3, 96, 128), generator=seeded(), dtype=torch.uint8)
     return (steps * (255 // levels)).to(torch.float32).div_(255)
 
@@ -54,20 +54,20 @@ def test_the_area_scales_with_the_image(size: tuple[int, int], shape: tuple[int,
 
 def test_distinct_colours_are_the_images_own_to_the_bit() -> None:
     for image in (eight_bit(), random(3, 20, 30, dtype=torch.float32)):
-        found = distinct_colours(image)
+        palette = distinct_colours(image)
 
-        assert torch.equal(found.values[:, found.index], image)
-        assert found.values.unique(dim=1).shape == found.values.shape
-        assert found.values.shape[1] <= 12**3
+        assert torch.equal(palette.values[:, palette.index], image)
+        assert palette.values.unique(dim=1).shape == palette.values.shape
+        assert palette.values.shape[1] <= 12**3
 
 
 @pytest.mark.parametrize("names", REPRESENTATIONS.values(), ids=REPRESENTATIONS.keys())
 def test_a_representation_is_its_planes(names: tuple[str, ...]) -> None:
     for image in (eight_bit(), eight_bit() * 0.99):  # with levels and without
-        found = representation(image, names)
+        palette = representation(image, names)
 
         expected = planes(image, names)
-        np.testing.assert_allclose(found.values[:, found.index], expected, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(palette.values[:, palette.index], expected, rtol=1e-6, atol=1e-6)
 
 
 # --- samples ------------------------------------------------------------------------------------
@@ -77,13 +77,13 @@ def test_a_sample_is_the_median_of_one_of_about_ninety_superpixels() -> None:
     image, settings = scene(3, 240, 320).image, SampleSettings()
     rows, columns = sample_area((240, 320))
 
-    found = road_samples(image, ("S", "O2"), settings)
+    samples = road_samples(image, ("S", "O2"), settings)
 
     labels = area_segments(image, settings, WideSeedArea())
     stack = planes(image, ("S", "O2"))[:, rows, columns]
     expected = segment_median(stack, labels, int(labels.max()) + 1)
-    assert 60 <= len(found) <= 130
-    np.testing.assert_allclose(found, expected.T, atol=1e-6)
+    assert 60 <= len(samples) <= 130
+    np.testing.assert_allclose(samples, expected.T, atol=1e-6)
 
 
 @pytest.mark.parametrize("settings", [GRID, SampleSettings(), ALL], ids=repr)

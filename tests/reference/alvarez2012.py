@@ -1,6 +1,6 @@
-"""P2's road likelihood of single pixels, slow and obvious: layout times texture (eqs. 1 to 4).
+"""P2's road likelihood of single pixels, slow and simple: layout times texture (eqs. 1 to 4).
 
-Superpixels and the normalised image are given; the constants that P2 leaves open (ridge, levels
+Superpixels and the normalised image are inputs; the constants that P2 does not state (ridge, levels
 and their range) are those of docs/research/papers.md.
 """
 
@@ -15,18 +15,18 @@ BINS, TAIL, RIDGE = 64, 0.005, 3e-3
 
 
 def ground(pixels: Array, weights: dict[str, Array], row: int, column: int) -> float:
-    """The potential of the horizontal class: CNN-7 on the patch around one pixel."""
+    """Return the potential of the horizontal class: CNN-7 on the patch around one pixel."""
     patch = network.patch_around(pixels, row, column, 32)
     return float(network.potentials(patch, weights, 1, "mean", "sigmoid")[2])
 
 
 def fused_levels(image: Array) -> Array:
-    """Eqs. 2 and 3, the fused plane (H,W) of an image (3,H,W) in levels from 0 to 63."""
+    """Return the fused plane (H, W) of an image (3, H, W) in levels from 0 to 63 (eqs. 2 and 3)."""
     _, height, width = image.shape
     planes = np.empty((len(PLANES), height, width))
     for row, column in np.ndindex(height, width):
-        found = planes_of_pixel(*image[:, row, column])
-        planes[:, row, column] = [found[name] for name in PLANES]
+        values = planes_of_pixel(*image[:, row, column])
+        planes[:, row, column] = [values[name] for name in PLANES]
     rows, columns = round(30 * height / 240), round(80 * width / 320)  # 30×80 of 240×320
     left = (width - columns) // 2
     area = planes[:, height - rows :, left : left + columns].reshape(len(PLANES), -1)
@@ -43,9 +43,9 @@ def fused_levels(image: Array) -> Array:
 def road(
     image: Array, pixels: Array, weights: dict[str, Array], segments: Array, places: Array
 ) -> list[float]:
-    """Eq. 4 with a uniform prior at places (n,2): the ground's potential times U of the segment.
+    """Return eq. 4 with a uniform prior at places (n, 2): ground potential times U of the segment.
 
-    image: (3,H,W) in [0,1]; pixels: the same, normalised for the network. segments: int (H,W).
+    ``image`` is (3, H, W) in [0, 1], ``pixels`` the same, normalised; ``segments`` are int (H, W).
     """
     levels = fused_levels(image)
     return [

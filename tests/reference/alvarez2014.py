@@ -1,9 +1,9 @@
-"""P3's distances of colours from a few samples of road, slow and obvious, as its text has them.
+"""P3's distances of colours from a few samples of road, slow and simple, as its text states them.
 
-Each gives the distances of pixels (n,), greater is less road, and the one of the boundary.
+Each function returns the distances of pixels (n,), greater is less road, and that of the boundary.
 
-What the text leaves open is that of docs/research/papers.md: Huber's weight, the ridge, the
-variance of rounding, starts of the mixture.
+Choices that the text leaves open are those of docs/research/papers.md: Huber's weight, the ridge,
+the variance of rounding, starts of the mixture.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ REJECTED, RIDGE, ROUNDING = 0.025, 1e-3, (1 / 255) ** 2 / 12
 
 
 def robust_gaussian(samples: Array, pixels: Array) -> tuple[Array, float]:
-    """Mahalanobis distances; samples (m,d) weigh less the farther from the mean they are."""
+    """Return Mahalanobis distances; samples (m, d) far from the mean have less weight."""
     dimensions = samples.shape[1]
     reach = np.sqrt(chi2.ppf(1 - REJECTED, dimensions))
     mean = np.median(samples, 0)
@@ -32,60 +32,60 @@ def robust_gaussian(samples: Array, pixels: Array) -> tuple[Array, float]:
         covariance = centred.T @ centred / (weights**2).sum()
         ridge = RIDGE * np.trace(covariance) / dimensions + ROUNDING
         covariance = (1 - RIDGE) * covariance + ridge * np.eye(dimensions)
-    own = mahalanobis(samples, mean, covariance)
-    return mahalanobis(pixels, mean, covariance), rejection_distance(own, REJECTED)
+    training = mahalanobis(samples, mean, covariance)
+    return mahalanobis(pixels, mean, covariance), rejection_distance(training, REJECTED)
 
 
 def mahalanobis(points: Array, mean: Array, covariance: Array) -> Array:
-    """√((x-μ)ᵀ Σ⁻¹ (x-μ)), point by point."""
+    """Return √((x-μ)ᵀ Σ⁻¹ (x-μ)), point by point."""
     inverse = np.linalg.inv(covariance)
     return np.array([np.sqrt((x - mean) @ inverse @ (x - mean)) for x in points])
 
 
 def mog2(samples: Array, pixels: Array) -> tuple[Array, float]:
-    """-ln Σ P_n exp(-(x-μ)ᵀ Σ⁻¹ (x-μ)) of pixels (n,d), two Gaussians: no ½ and no determinant."""
+    """Return -ln Σ P_n exp(-(x-μ)ᵀ Σ⁻¹ (x-μ)) of pixels (n, d), without ½ and determinants."""
     return formula(likeliest_mixture(samples, 2)[1], samples, pixels)
 
 
 def mog4(samples: Array, pixels: Array) -> tuple[Array, float]:
-    """The same with four Gaussians."""
+    """Return the distance of ``mog2`` with four Gaussians."""
     return formula(likeliest_mixture(samples, 4)[1], samples, pixels)
 
 
 def mog_opt(samples: Array, pixels: Array) -> tuple[Array, float]:
-    """The same with as many of one to six as Schwarz's criterion asks for, which P3 leaves open."""
+    """Return it with one to six Gaussians by Schwarz's criterion, which P3 leaves open."""
     count, dimensions = samples.shape
-    each = dimensions + dimensions * (dimensions + 1) // 2
-    found = []
+    size = dimensions + dimensions * (dimensions + 1) // 2
+    candidates = []
     for number in range(1, 7):
         likelihood, mixture = likeliest_mixture(samples, number)
-        found.append((np.log(count) * (number - 1 + number * each) - 2 * likelihood, mixture))
-    return formula(min(found, key=lambda pair: pair[0])[1], samples, pixels)
+        candidates.append((np.log(count) * (number - 1 + number * size) - 2 * likelihood, mixture))
+    return formula(min(candidates, key=lambda pair: pair[0])[1], samples, pixels)
 
 
 def likeliest_mixture(samples: Array, number: int) -> tuple[float, tuple[Array, Array, Array]]:
-    """Log-likelihood, and shares, means, covariances of so many Gaussians.
+    """Return the log-likelihood, and weights, means, covariances of that number of Gaussians.
 
-    Expectation maximisation from 20 times as many random samples, of which the likeliest stays.
+    Expectation maximisation from 20 random starts; the likeliest result is used.
     """
     random = np.random.default_rng(0)
     widening = 0.01 * ((samples - samples.mean(0)) ** 2).mean() + ROUNDING * np.ones(3)
-    found = []
+    candidates = []
     for _ in range(20 if number > 1 else 1):
         centres = samples[random.choice(len(samples), number, replace=False)]
         nearest = distance_matrix(centres, samples).argmin(0)
-        start = np.stack([nearest == one for one in range(number)]).astype(float)
+        start = np.stack([nearest == component for component in range(number)]).astype(float)
         if start.sum(1).min() > 0:
             mixture = density.expectation_maximisation(samples, start, widening, 100)
             likelihood = density.log_sum(density.log_densities(samples, *mixture)).sum()
-            found.append((float(likelihood), mixture))
-    return max(found, key=lambda pair: pair[0])
+            candidates.append((float(likelihood), mixture))
+    return max(candidates, key=lambda pair: pair[0])
 
 
 def formula(
     mixture: tuple[Array, Array, Array], samples: Array, pixels: Array
 ) -> tuple[Array, float]:
-    """P3's formula of a mixture, of pixels, and its boundary."""
+    """Return P3's formula of a mixture, of pixels, and its boundary."""
 
     def distance(points: Array) -> Array:
         parts = [
@@ -98,27 +98,27 @@ def formula(
 
 
 def pca(samples: Array, pixels: Array) -> tuple[Array, float]:
-    """|(x-μ) - PPᵀ(x-μ)|, P the eigenvectors with 95 % of the variance, all if it takes all."""
+    """Return |(x-μ) - PPᵀ(x-μ)|, P the eigenvectors with 95 % of the variance, possibly all."""
     mean = samples.mean(0)
     values, vectors = np.linalg.eigh(np.cov(samples.T))
     shares = np.cumsum(values[::-1]) / values.sum()
-    kept = vectors[:, ::-1][:, : int(np.argmax(shares >= 0.95)) + 1]
+    basis = vectors[:, ::-1][:, : int(np.argmax(shares >= 0.95)) + 1]
 
     def distance(points: Array) -> Array:
-        return np.linalg.norm((points - mean) - (points - mean) @ kept @ kept.T, axis=1)
+        return np.linalg.norm((points - mean) - (points - mean) @ basis @ basis.T, axis=1)
 
     return distance(pixels), rejection_distance(distance(samples), REJECTED)
 
 
 def dlp(samples: Array, pixels: Array) -> tuple[Array, float]:
-    """Σ_j w_j |x - y_j|: the weights with the least largest sum over the samples, but for a few."""
+    """Return Σ_j w_j |x - y_j|, with the least largest sum over most samples."""
     number = len(samples)
     among = distance_matrix(samples, samples)
-    found = linprog(  # w, ξ and ρ: min ρ + Σ ξ / (ν m) with Σ_j w_j d_ij ≤ ρ + ξ_i, Σ w = 1
+    solution = linprog(  # w, ξ and ρ: min ρ + Σ ξ / (ν m) with Σ_j w_j d_ij ≤ ρ + ξ_i, Σ w = 1
         np.r_[np.zeros(number), np.full(number, 1 / (REJECTED * number)), 1],
         A_ub=np.c_[among, -np.eye(number), -np.ones(number)],
         b_ub=np.zeros(number),
         A_eq=np.r_[np.ones(number), np.zeros(number + 1)][None],
         b_eq=[1],
     )
-    return distance_matrix(pixels, samples) @ found.x[:number], float(found.x[-1])
+    return distance_matrix(pixels, samples) @ solution.x[:number], float(solution.x[-1])

@@ -1,4 +1,4 @@
-"""Border pixels and their matches the slow, obvious way: pixel by pixel, pair by pair."""
+"""Border pixels and their matches, slow and simple: pixel by pixel, pair by pair."""
 
 import math
 
@@ -8,9 +8,9 @@ Place = tuple[int, int]
 
 
 def border(mask: np.ndarray, valid: np.ndarray) -> list[Place]:
-    """Valid pixels of the mask beside a valid pixel that is not of it."""
+    """Return the valid pixels of the mask next to a valid pixel outside it."""
     height, width = mask.shape
-    found = []
+    pixels = []
     for row in range(height):
         for column in range(width):
             if not (mask[row, column] and valid[row, column]):
@@ -18,18 +18,20 @@ def border(mask: np.ndarray, valid: np.ndarray) -> list[Place]:
             for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
                 y, x = row + down, column + right
                 if 0 <= y < height and 0 <= x < width and valid[y, x] and not mask[y, x]:
-                    found.append((row, column))
+                    pixels.append((row, column))
                     break
-    return found
+    return pixels
 
 
-def matched(pixels: list[Place], others: list[Place], reach: float) -> int:
-    """How many pixels have another within reach."""
-    return sum(any(math.dist(pixel, other) <= reach for other in others) for pixel in pixels)
+def matched(pixels: list[Place], candidates: list[Place], reach: float) -> int:
+    """Count the pixels that have one of the candidates within reach."""
+    return sum(
+        any(math.dist(pixel, candidate) <= reach for candidate in candidates) for pixel in pixels
+    )
 
 
 def count(mask: np.ndarray, road: np.ndarray, valid: np.ndarray, share: float) -> list[int]:
-    """Decided pixels matched, decided, true ones matched, true."""
+    """Count decided pixels matched, decided, true ones matched, true."""
     decided, true = border(mask, valid), border(road, valid)
     reach = share * math.hypot(*mask.shape)
     return [

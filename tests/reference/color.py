@@ -1,11 +1,11 @@
-"""The colour planes of one pixel, by their definitions, in Python's own floats."""
+"""Colour planes of one pixel, by their definitions, in Python's floats."""
 
 import colorsys
 import math
 
 
 def planes_of_pixel(red: float, green: float, blue: float) -> dict[str, float]:
-    """All planes but Lab."""
+    """Return all planes but Lab."""
     total = red + green + blue
     hue, saturation, value = colorsys.rgb_to_hsv(red, green, blue)
     return {

@@ -1,4 +1,4 @@
-"""ROC curves and their averages the slow, obvious way, from pixels, in NumPy."""
+"""ROC curves and their averages, slow and simple, from pixels, in NumPy."""
 
 from itertools import pairwise
 
@@ -16,24 +16,24 @@ def roc(scores: np.ndarray, road: np.ndarray) -> Points:
 
 
 def rates(scores: np.ndarray, road: np.ndarray, threshold: float) -> tuple[float, float]:
-    """False and true positive rate of "score ≥ threshold"."""
+    """Return the false and true positive rate of "score ≥ threshold"."""
     mask = scores >= threshold
     return float((mask & ~road).sum() / (~road).sum()), float((mask & road).sum() / road.sum())
 
 
 def height(points: Points, x: float) -> float:
-    """The curve above x: the last point not right of x, then along the next piece."""
+    """Return the curve above x: the last point not right of x, then along the next segment."""
     k = max(index for index, point in enumerate(points) if point[0] <= x)
     if points[k][0] == x:
         return points[k][1]
-    (left, low), (right, high) = points[k], points[k + 1]
-    return low + (high - low) * (x - left) / (right - left)
+    (start, low), (end, high) = points[k], points[k + 1]
+    return low + (high - low) * (x - start) / (end - start)
 
 
 def equal_error_rate(points: Points) -> float:
     """Walk along the curve until FPR is no longer below 1 - TPR; step back to the crossing."""
     for (f, t), (g, u) in pairwise(points):
-        before, after = 1 - t - f, 1 - u - g
-        if after <= 0:
-            return f + before / (before - after) * (g - f)
+        gap, next_gap = 1 - t - f, 1 - u - g
+        if next_gap <= 0:
+            return f + gap / (gap - next_gap) * (g - f)
     raise AssertionError("a ROC curve ends at (1,1)")

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 
 def kept(likelihood: float) -> float:
-    """A likelihood at least 10⁻⁴ from 0 and 1."""
+    """Return a likelihood clipped to 10⁻⁴ from 0 and 1."""
     return min(max(likelihood, 1e-4), 1 - 1e-4)
 
 
 def naive_bayes(prior: float, likelihoods: Sequence[float], weights: Sequence[float]) -> float:
-    """p(R)·ΠLᵂ over its sum with the same product for the background; P2 eq. 4 has no second."""
+    """Return p(R)·ΠLᵂ over its sum with the background's product; P2 eq. 4 lacks the second."""
     road, background = kept(prior), 1 - kept(prior)
     for likelihood, weight in zip(likelihoods, weights, strict=True):
         road *= kept(likelihood) ** weight
@@ -19,20 +19,21 @@ def naive_bayes(prior: float, likelihoods: Sequence[float], weights: Sequence[fl
 
 
 def log_odds(likelihood: float) -> float:
-    """log(L / (1-L)) of a likelihood that is kept off 0 and 1."""
+    """Return log(L / (1-L)) of a likelihood clipped off 0 and 1."""
     return math.log(kept(likelihood) / (1 - kept(likelihood)))
 
 
 def neighbours(pairs: list[tuple[int, int]], count: int) -> list[list[int]]:
-    """For each of ``count`` segments those that share a border with it."""
+    """Return the segments that share a border with each of ``count`` segments."""
     return [
-        [two for one, two in pairs if one == number] + [one for one, two in pairs if two == number]
+        [second for first, second in pairs if first == number]
+        + [first for first, second in pairs if second == number]
         for number in range(count)
     ]
 
 
 def learned_scores(
-    known: list[float],
+    prior: list[float],
     alike: list[list[float]],
     size: list[float],
     around: list[list[int]],
@@ -40,25 +41,25 @@ def learned_scores(
     neighbour: float,
     rounds: int,
 ) -> list[float]:
-    """Log odds of road after rounds of learning what road and background look like.
+    """Return log odds of road after rounds of learning the appearance of road and background.
 
-    look: its weight, and the most it may say before it is weighted.
+    ``look`` is its weight, and its largest log ratio before the weight.
     """
     weight, most = look
-    scores = known
+    scores = prior
     for _ in range(rounds):
         belief = [1 / (1 + math.exp(-score)) for score in scores]
         scores = [
-            known[number]
+            prior[number]
             + weight * min(max(_log_ratio(alike[number], belief, size), -most), most)
-            + neighbour * _mean([2 * belief[other] - 1 for other in around[number]])
-            for number in range(len(known))
+            + neighbour * _mean([2 * belief[near] - 1 for near in around[number]])
+            for number in range(len(prior))
         ]
     return scores
 
 
 def _log_ratio(alike: list[float], belief: list[float], size: list[float]) -> float:
-    """log p(segment | road) - log p(segment | background) by kernel density."""
+    """Return log p(segment | road) - log p(segment | background) by kernel density."""
     logs = []
     for members in (belief, [1 - value for value in belief]):
         support = [member * share for member, share in zip(members, size, strict=True)]

@@ -1,4 +1,4 @@
-"""Orderly columns by trying every path, one column and one segment at a time."""
+"""Ordered columns by trying every path, one column and one segment at a time."""
 
 from itertools import product
 
@@ -6,10 +6,9 @@ import numpy as np
 
 
 def chain_posterior(evidence: np.ndarray, move: np.ndarray) -> np.ndarray:
-    """Posterior (R,K) of a hidden Markov chain with evidence (R,K): the sum over all Kᴿ paths.
+    """Return the posterior of a Markov chain with evidence (R, K): the sum over all Kᴿ paths.
 
-    Every class is as likely at the top; ``move`` (K,K) holds the chances of going from row to
-    column.
+    All classes are equally likely at the top; ``move`` (K, K) has the transition probabilities.
     """
     rows, classes = evidence.shape
     posterior = np.zeros((rows, classes))
@@ -23,7 +22,7 @@ def chain_posterior(evidence: np.ndarray, move: np.ndarray) -> np.ndarray:
 
 
 def transitions(change: float, breach: float) -> np.ndarray:
-    """Chances (3,3) of a step down: stay, go on to the next class, or anything else."""
+    """Return probabilities (3, 3) of a step down: stay, next class, or anything else."""
     return np.array(
         [
             [1 - change - breach, change, breach],
@@ -36,7 +35,7 @@ def transitions(change: float, breach: float) -> np.ndarray:
 def smooth_columns(
     scores: np.ndarray, labels: np.ndarray, weight: float, step: int, move: np.ndarray
 ) -> np.ndarray:
-    """Beliefs (n,3): posteriors of the samples of each segment, averaged; scores where none."""
+    """Return beliefs (n, 3): mean posteriors of each segment's samples, or its scores."""
     local = np.exp(weight * (scores - scores.max(1, keepdims=True)))
     local = np.maximum(local / local.sum(1, keepdims=True), 1e-4)
     samples: list[list[np.ndarray]] = [[] for _ in scores]
@@ -46,7 +45,7 @@ def smooth_columns(
             samples[number].append(row)
     return np.stack(
         [
-            np.mean(found, axis=0) if found else own / own.sum()
-            for found, own in zip(samples, local, strict=True)
+            np.mean(rows, axis=0) if rows else score / score.sum()
+            for rows, score in zip(samples, local, strict=True)
         ]
     )

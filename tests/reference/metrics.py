@@ -1,4 +1,4 @@
-"""Measures computed the slow, obvious way, from pixels, in NumPy."""
+"""Measures computed slowly and simply, from pixels, in NumPy."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ import numpy as np
 def count_levels(
     scores: np.ndarray, road: np.ndarray, valid: np.ndarray, levels: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel by pixel: each goes to the level it lies nearest to, the upper one of two."""
+    """Count pixel by pixel: each belongs to the nearest level, the upper one of two."""
     counts = np.zeros((2, levels), np.int64)
     for score, true, counted in zip(scores.flat, road.flat, valid.flat, strict=True):
         if counted:
@@ -15,7 +15,7 @@ def count_levels(
 
 
 def max_f(scores: np.ndarray, road: np.ndarray, thresholds: np.ndarray) -> tuple[float, float]:
-    """Try every threshold, lowest first; keep the first best F."""
+    """Try every threshold, lowest first; return the first best F."""
     best, where = -1.0, float("nan")
     for threshold in thresholds:
         mask = scores >= threshold
@@ -29,7 +29,7 @@ def max_f(scores: np.ndarray, road: np.ndarray, thresholds: np.ndarray) -> tuple
 
 
 def average_precision(scores: np.ndarray, road: np.ndarray, thresholds: np.ndarray) -> float:
-    """For each of eleven recalls, the best precision of the thresholds that reach it."""
+    """Average the best precision at each of eleven recalls."""
     points = []
     for threshold in thresholds:
         mask = scores >= threshold

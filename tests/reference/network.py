@@ -1,4 +1,4 @@
-"""A patch network, one multiplication after the other, and patches cut pixel by pixel."""
+"""A patch network, one multiplication at a time, and patches cut pixel by pixel."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def convolve(maps: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """Maps (C,H,W) under kernels (K,C,s,s): (K,H-s+1,W-s+1)."""
+    """Convolve maps (C, H, W) with kernels (K, C, s, s): (K, H-s+1, W-s+1)."""
     kernels, _, size, _ = weight.shape
     height, width = maps.shape[1] - size + 1, maps.shape[2] - size + 1
     result = np.empty((kernels, height, width))
@@ -19,7 +19,7 @@ def convolve(maps: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarr
 
 
 def subsample(maps: np.ndarray, pooling: str) -> np.ndarray:
-    """2×2 subsampling of maps (C,H,W), H and W even."""
+    """Subsample maps (C, H, W), H and W even, by 2×2."""
     channels, height, width = maps.shape
     blocks = maps.reshape(channels, height // 2, 2, width // 2, 2)
     return blocks.mean((2, 4)) if pooling == "mean" else blocks.max((2, 4))
@@ -28,7 +28,7 @@ def subsample(maps: np.ndarray, pooling: str) -> np.ndarray:
 def potentials(
     patch: np.ndarray, weights: dict[str, np.ndarray], subsamplings: int, pooling: str, ends: str
 ) -> np.ndarray:
-    """Potentials (3,) of a normalised patch (3,P,P); weights as the network names them."""
+    """Return potentials (3,) of a normalised patch (3, P, P); weights as the network names them."""
     maps = np.tanh(convolve(patch, weights["first.weight"], weights["first.bias"]))
     maps = subsample(maps, pooling)
     maps = np.tanh(convolve(maps, weights["second.weight"], weights["second.bias"]))
@@ -41,7 +41,7 @@ def potentials(
 
 
 def bounce(place: float, length: int) -> float:
-    """A place on a line of ``length`` pixels, thrown back at the first and the last."""
+    """Reflect a position on a line of ``length`` pixels at the first and the last."""
     last = length - 1
     if last == 0:
         return 0.0
@@ -51,14 +51,14 @@ def bounce(place: float, length: int) -> float:
 
 
 def patch_around(pixels: np.ndarray, row: int, column: int, patch: int) -> np.ndarray:
-    """The patch (C,P,P) of pixels (C,H,W) that belongs to a pixel, reflected at the border."""
+    """Return the patch (C, P, P) of a pixel of (C, H, W), reflected at the border."""
     return jittered_patch(pixels, row, column, patch, 1.0, 0.0)
 
 
 def jittered_patch(
     pixels: np.ndarray, row: float, column: float, patch: int, scale: float, turn: float
 ) -> np.ndarray:
-    """A magnified and turned patch (C,P,P), bilinear, pixel by pixel."""
+    """Return a magnified and rotated patch (C, P, P), bilinear, pixel by pixel."""
     _, height, width = pixels.shape
     result = np.empty((pixels.shape[0], patch, patch))
     for i in range(patch):
@@ -71,7 +71,7 @@ def jittered_patch(
 
 
 def bilinear(pixels: np.ndarray, y: float, x: float) -> np.ndarray:
-    """The value between the four pixels around a place inside."""
+    """Interpolate between the four pixels around a position inside."""
     top, left = min(int(y), pixels.shape[1] - 1), min(int(x), pixels.shape[2] - 1)
     low, right = min(top + 1, pixels.shape[1] - 1), min(left + 1, pixels.shape[2] - 1)
     a, b = y - top, x - left

@@ -1,4 +1,4 @@
-"""The boundary classifiers of P3, slow and obvious, in NumPy's double precision."""
+"""Boundary classifiers of P3, slow and simple, in NumPy's double precision."""
 
 from itertools import combinations
 from typing import Any
@@ -10,9 +10,9 @@ from scipy.optimize import linprog
 Array = NDArray[np.floating[Any]]
 
 
-def distance_matrix(left: Array, right: Array) -> Array:
-    """|a - b| for rows a of left, b of right."""
-    return np.sqrt(((left[:, None] - right[None]) ** 2).sum(2))
+def distance_matrix(first: Array, second: Array) -> Array:
+    """Return |a - b| for rows a of ``first``, b of ``second``."""
+    return np.sqrt(((first[:, None] - second[None]) ** 2).sum(2))
 
 
 def nearest_distance(samples: Array, pixels: Array) -> Array:
@@ -20,7 +20,7 @@ def nearest_distance(samples: Array, pixels: Array) -> Array:
 
 
 def segment_distance(pixel: Array, start: Array, end: Array) -> float:
-    """To the foot of the perpendicular, or to the nearer end where it lies outside."""
+    """Return the distance to the foot of the perpendicular, or to the nearer end."""
     step = end - start
     length = float(step @ step)
     share = float((pixel - start) @ step) / length if length else 0.0
@@ -40,7 +40,7 @@ def tree_distance(samples: Array, pixels: Array) -> Array:
 
 
 def kruskal(samples: Array) -> list[tuple[int, int]]:
-    """The shortest edges that close no circle."""
+    """Return the shortest edges that close no cycle."""
     length = distance_matrix(samples, samples)
     group = list(range(len(samples)))
     edges = []
@@ -52,8 +52,8 @@ def kruskal(samples: Array) -> list[tuple[int, int]]:
     return edges
 
 
-def kernel(left: Array, right: Array, sigma: float) -> Array:
-    return np.exp(-(distance_matrix(left, right) ** 2) / sigma**2)
+def kernel(first: Array, second: Array, sigma: float) -> Array:
+    return np.exp(-(distance_matrix(first, second) ** 2) / sigma**2)
 
 
 def ball_distance(samples: Array, weights: Array, sigma: float, pixels: Array) -> Array:
@@ -62,7 +62,7 @@ def ball_distance(samples: Array, weights: Array, sigma: float, pixels: Array) -
 
 
 def minimax_score(samples: Array, pixels: Array, ridge: float, sigma: float) -> Array:
-    """The toolbox's steps over all samples, twins included; scaled so that their mean is 1."""
+    """Follow the toolbox's steps over all samples, duplicates included; scaled to mean 1."""
     gram = kernel(samples, samples, sigma)
     mean = gram.mean(0)
     rows = (gram - mean) / np.sqrt(len(samples))
@@ -71,9 +71,9 @@ def minimax_score(samples: Array, pixels: Array, ridge: float, sigma: float) -> 
 
 
 def game_value(dissimilarities: Array, cap: float) -> float:
-    """The dual of dLP: the worst mixture p of samples, p ≤ cap, against their best answer.
+    """Solve the dual of dLP: the worst mixture p of samples, p ≤ cap, against their best response.
 
-    However p was found, what it guarantees is a lower bound of dLP's value; checked by hand.
+    Any p guarantees a lower bound of dLP's value, which is checked here.
     """
     number = len(dissimilarities)
     solution = linprog(

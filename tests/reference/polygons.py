@@ -16,7 +16,7 @@ def is_on(x: int, y: int, edge: tuple[Point, Point]) -> bool:
 
 
 def contains(x: int, y: int, corners: list[Point]) -> bool:
-    """Inside by the even-odd rule, or on the border."""
+    """Return whether a point is inside by the even-odd rule, or on the border."""
     if any(is_on(x, y, edge) for edge in edges(corners)):
         return True
     inside = False
@@ -27,7 +27,7 @@ def contains(x: int, y: int, corners: list[Point]) -> bool:
 
 
 def is_on_drawn_border(x: int, y: int, corners: list[Point]) -> bool:
-    """At most half a pixel beside an edge, across its longer direction."""
+    """Return whether a pixel is within half a pixel of an edge, across its longer axis."""
     for (x1, y1), (x2, y2) in edges(corners):
         if abs(x2 - x1) >= abs(y2 - y1) and x1 != x2 and min(x1, x2) <= x <= max(x1, x2):
             aside = y - (y1 + Fraction((x - x1) * (y2 - y1), x2 - x1))

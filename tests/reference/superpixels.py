@@ -6,10 +6,10 @@ from tests.reference.ufl import components
 
 
 def connected(labels: np.ndarray, smallest: int) -> np.ndarray:
-    """Of each label of a map (H,W) the largest region stays, the first of several, if large enough.
+    """Keep the largest region of each label of a map (H, W), the first of equals, if large enough.
 
-    The largest of all stays anyway. Numbered as they are met; round by round the other pixels take
-    the highest number that they touch.
+    The largest of all is always kept. Numbered in row-major order; round by round the remaining
+    pixels take the highest number that they touch.
     """
     pieces = [region for label in np.unique(labels) for region in components(labels == label)]
     pieces.sort(key=min)  # in reading order
@@ -30,7 +30,7 @@ def connected(labels: np.ndarray, smallest: int) -> np.ndarray:
 def nine_distances(
     pixel: np.ndarray, cell: tuple[int, int], centres: np.ndarray
 ) -> dict[tuple[int, int], float]:
-    """Squared distance of a pixel (5,) to each centre (5,rows,columns) around its cell."""
+    """Return squared distances of a pixel (5,) to centres (5, rows, columns) around its cell."""
     return {
         (row, column): float(((pixel - centres[:, row, column]) ** 2).sum())
         for row in range(max(0, cell[0] - 1), min(cell[0] + 2, centres.shape[1]))
@@ -39,7 +39,7 @@ def nine_distances(
 
 
 def borders(labels: np.ndarray, plane: np.ndarray) -> dict[tuple[int, int], float]:
-    """For each pair of touching segments, the mean along the border of the larger value."""
+    """Return the mean of the larger value along the border of each pair of touching segments."""
     values: dict[tuple[int, int], list[float]] = {}
     for row, column in np.ndindex(*labels.shape):
         for near in ((row + 1, column), (row, column + 1)):

@@ -39,12 +39,12 @@ def lloyd(points: np.ndarray, bases: np.ndarray) -> tuple[np.ndarray, list[int]]
     members: list[list[np.ndarray]] = [[] for _ in bases]
     for point in points:
         members[int(np.argmin([np.sum((point - base) ** 2) for base in bases]))].append(point)
-    moved = [np.mean(own, axis=0) if own else np.zeros(points.shape[1]) for own in members]
-    return np.array(moved), [len(own) for own in members]
+    moved = [np.mean(group, axis=0) if group else np.zeros(points.shape[1]) for group in members]
+    return np.array(moved), [len(group) for group in members]
 
 
 def responses(points: np.ndarray, bases: np.ndarray, by: str) -> np.ndarray:
-    """Eq. 3 (``patch``) or eq. 4 (``base``): (k,n)."""
+    """Return eq. 3 (``patch``) or eq. 4 (``base``): (k, n)."""
     far = np.array([[np.linalg.norm(point - base) for point in points] for base in bases])
     usual = far.mean(axis=1, keepdims=True) if by == "base" else far.mean(axis=0)
     return np.maximum(0, usual - far)
@@ -62,21 +62,21 @@ def score(unit_map: np.ndarray) -> float:
 
 def components(mask: np.ndarray) -> Iterator[set[tuple[int, int]]]:
     """4-connected components by breadth-first search, in reading order."""
-    seen = np.zeros_like(mask)
+    visited = np.zeros_like(mask)
     for start in np.ndindex(*mask.shape):
-        if not mask[start] or seen[start]:
+        if not mask[start] or visited[start]:
             continue
-        queue, found = deque([start]), {start}
-        seen[start] = True
+        queue, regions = deque([start]), {start}
+        visited[start] = True
         while queue:
             row, column = queue.popleft()
             for near in (row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1):
                 inside = 0 <= near[0] < mask.shape[0] and 0 <= near[1] < mask.shape[1]
-                if inside and mask[near] and not seen[near]:
-                    seen[near] = True
-                    found.add(near)
+                if inside and mask[near] and not visited[near]:
+                    visited[near] = True
+                    regions.add(near)
                     queue.append(near)
-        yield found
+        yield regions
 
 
 @dataclass
@@ -88,7 +88,7 @@ class Node:
 
 
 def grow(node: Node, level: int, values: np.ndarray, steps: list[float], least: int) -> None:
-    """Follow a node through the levels, as section II.C tells it."""
+    """Follow a node through the levels, as section II.C describes."""
     if level == len(steps):
         return
     mask = np.zeros(values.shape, bool)
@@ -105,30 +105,37 @@ def grow(node: Node, level: int, values: np.ndarray, steps: list[float], least: 
 
 
 def tree(values: np.ndarray, steps: list[float], least: int) -> Node:
-    """The tree of a map (H,W); its root begins with the whole map."""
+    """Return the tree of a map (H, W); its root begins with the whole map."""
     root = Node([set(np.ndindex(*values.shape))])
     grow(root, 1, values, steps, least)
     return root
 
 
 def stability(node: Node, pixels: np.ndarray, is_root: bool = False) -> float:
-    """Eqs. 7 and 8, over the number of pixels; the root's first region does not count."""
+    """Return eqs. 7 and 8 over the number of pixels; the root's first region does not count."""
     regions = node.regions[1:] if is_root else node.regions
     return sum(pixels[pixel] for region in regions for pixel in region) / pixels.size
 
 
 def optimise(node: Node, pixels: np.ndarray) -> tuple[float, list[Node]]:
-    """The best sum of stabilities inside a node and the nodes that give it (eq. 9)."""
+    """Return the best sum of stabilities inside a node and the nodes that give it (eq. 9)."""
     parts = [optimise(child, pixels) for child in node.children]
-    inside, chosen = sum(value for value, _ in parts), [each for _, some in parts for each in some]
-    own = stability(node, pixels)
-    return (own, [node]) if own > 0 and own >= inside else (inside, chosen)
+    inside, chosen = (
+        sum(value for value, _ in parts),
+        [best for _, nodes in parts for best in nodes],
+    )
+    value_of_node = stability(node, pixels)
+    return (
+        (value_of_node, [node])
+        if value_of_node > 0 and value_of_node >= inside
+        else (inside, chosen)
+    )
 
 
 def road(root: Node, pixels: np.ndarray) -> np.ndarray:
-    """The first regions of the best nodes, bool (H,W); the root takes part only when alone."""
+    """Return the first regions of the best nodes, bool (H, W); the root only where it is alone."""
     if root.children:
-        chosen = [each for child in root.children for each in optimise(child, pixels)[1]]
+        chosen = [best for child in root.children for best in optimise(child, pixels)[1]]
     else:
         chosen = [root] if stability(root, pixels, is_root=True) > 0 else []
     mask = np.zeros(pixels.shape, bool)
@@ -138,13 +145,13 @@ def road(root: Node, pixels: np.ndarray) -> np.ndarray:
     return mask
 
 
-def errors(maps: np.ndarray, mask: np.ndarray, kept: float, is_centred: bool) -> np.ndarray:
+def errors(maps: np.ndarray, mask: np.ndarray, fraction: float, is_centred: bool) -> np.ndarray:
     """Eq. 10 pixel by pixel, P from a singular value decomposition; maps (m,H,W)."""
     samples = maps[:, mask].T
     mean = samples.mean(axis=0) if is_centred else np.zeros(len(maps))
     _, sizes, axes = np.linalg.svd(samples - mean, full_matrices=False)
     share = np.cumsum(sizes**2) / np.sum(sizes**2)
-    basis = axes[: int(np.argmax(share >= kept)) + 1].T
+    basis = axes[: int(np.argmax(share >= fraction)) + 1].T
     result = np.zeros(mask.shape)
     for pixel in np.ndindex(*mask.shape):
         z = maps[:, *pixel] - mean

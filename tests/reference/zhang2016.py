@@ -1,7 +1,7 @@
-"""P1's text from image to mask, slow and obvious, in NumPy's double precision.
+"""P1's text from image to mask, slow and simple, in NumPy's double precision.
 
-What the text leaves open is the program's, as docs/research/papers.md lists: the blur's windows,
-the constants of contrast and whitening, empty clusters, the dilation.
+Choices that the text leaves open are the program's, as docs/research/papers.md lists: the blur's
+windows, the constants of contrast and whitening, empty clusters, the dilation.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ LEVELS, LEAST, LAMBDA, SELECTED, ROUNDS = 16, 50, 2.0, 40, 10
 
 
 def features(image: Array, bases: Array) -> Array:
-    """The 40 best maps (40,H-5,W-5) of an image (3,H,W); K-means starts from bases (200,108)."""
+    """Return the 40 best maps (40, H-5, W-5) of an image (3, H, W), from bases (200, 108)."""
     smooth = np.stack([ufl.blurred(channel, 1.5, 3) for channel in image])  # eq. 1
     even = smooth / ufl.blurred(np.tensordot(GREY, smooth, 1), 0.5, 2)  # eq. 2
     patches = ufl.patches(even, 6)
@@ -27,36 +27,36 @@ def features(image: Array, bases: Array) -> Array:
     for _ in range(ROUNDS):
         nearest = distances(white, bases).argmin(0)
         members = [white[nearest == number] for number in range(len(bases))]
-        bases = np.array([own.mean(0) if len(own) else np.zeros(108) for own in members])
+        bases = np.array([group.mean(0) if len(group) else np.zeros(108) for group in members])
     far = distances(white, bases)
     maps = np.maximum(0, far.mean(1, keepdims=True) - far)  # eq. 4
     maps /= np.where(maps.max(1, keepdims=True) > 0, maps.max(1, keepdims=True), 1)
     maps = maps.reshape(-1, image.shape[1] - 5, image.shape[2] - 5)
-    scores = [ufl.score(one) for one in maps]  # eq. 5
+    scores = [ufl.score(unit_map) for unit_map in maps]  # eq. 5
     return maps[np.argsort(scores)[::-1][:SELECTED]]
 
 
 def distances(points: Array, bases: Array) -> Array:
-    """|x - D| for every base and point: (k,n)."""
+    """Return |x - D| for every base and point: (k, n)."""
     return np.array([np.sqrt(((points - base) ** 2).sum(1)) for base in bases])
 
 
 def place(rows: int, columns: int) -> Array:
-    """The first two terms of eq. 6, rows and columns counted from 1."""
+    """Return the first two terms of eq. 6, rows and columns counted from 1."""
     row, column = np.mgrid[1 : rows + 1, 1 : columns + 1]
     half = rows / 2
     return (row - half) / half + (half - np.abs(column - columns / 2)) / half
 
 
 def nodes_of(node: ufl.Node) -> Iterator[ufl.Node]:
-    """Every node inside, parents first."""
+    """Yield every node inside, parents first."""
     for child in node.children:
         yield child
         yield from nodes_of(child)
 
 
 def errors(maps: Array, road: Array) -> Array:
-    """Eq. 10 as it stands, P of the covariance of the road's features; scaled to [0,1]."""
+    """Return eq. 10 as stated, P of the covariance of the road's features; scaled to [0, 1]."""
     values, vectors = np.linalg.eigh(np.cov(maps[:, road]))
     shares = np.cumsum(values[::-1]) / values.sum()
     basis = vectors[:, ::-1][:, : int(np.sum(shares < 0.95)) + 1]
@@ -66,7 +66,7 @@ def errors(maps: Array, road: Array) -> Array:
 
 
 def road(image: Array, bases: Array) -> Array:
-    """The mask of an image (3,H,W), bool (H,W)."""
+    """Return the mask of an image (3, H, W), bool (H, W)."""
     maps = features(image, bases)
     mean = maps.mean(0)
     tree = ufl.tree(mean, [level / LEVELS for level in range(LEVELS)], LEAST)

@@ -17,18 +17,18 @@ from tests.reference import ufl as reference
 def test_patches_are_taken_everywhere_by_rows(side: int) -> None:
     image = random(3, 8, 9)
 
-    found = features.extract_patches(image, side)
+    patches = features.extract_patches(image, side)
 
-    np.testing.assert_array_equal(found.numpy(), reference.patches(image.numpy(), side))
+    np.testing.assert_array_equal(patches.numpy(), reference.patches(image.numpy(), side))
 
 
 def test_contrast_is_normalised_over_all_channels_together() -> None:
     patches = random(5, 12).numpy()
 
-    found = features.normalise_contrast(torch.from_numpy(patches), 0.01)
+    normalised = features.normalise_contrast(torch.from_numpy(patches), 0.01)
 
     spread = np.sqrt(patches.var(1, ddof=1, keepdims=True) + 0.01)
-    np.testing.assert_allclose(found, (patches - patches.mean(1, keepdims=True)) / spread)
+    np.testing.assert_allclose(normalised, (patches - patches.mean(1, keepdims=True)) / spread)
 
 
 def test_whitening_without_epsilon_leaves_unit_covariance() -> None:
@@ -57,8 +57,8 @@ def test_the_random_seed_settles_a_start_of_small_noise_or_of_patches() -> None:
     points = random(50, 4)
 
     def start(kind: str, random_seed: int) -> torch.Tensor:
-        told = {"init": kind, "random_seed": random_seed, "bases": 1000}
-        return features.start_dictionary(points, DictionarySettings.model_validate(told))
+        values = {"init": kind, "random_seed": random_seed, "bases": 1000}
+        return features.start_dictionary(points, DictionarySettings.model_validate(values))
 
     for kind in ("noise", "patches"):
         assert torch.equal(start(kind, 3), start(kind, 3))
@@ -81,10 +81,10 @@ def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) ->
     points, dictionary = random(35, 4, seed=seed), random(bases, 4, seed=seed + 1)
     settings = MapSettings.model_validate({"encoder": kind})
 
-    found = maps.make_encoder(points, dictionary, settings.encoder)(dictionary)
+    responses = maps.make_encoder(points, dictionary, settings.encoder)(dictionary)
 
     expected = reference.responses(points.numpy(), dictionary.numpy(), kind)
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
+    np.testing.assert_allclose(responses.numpy(), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["base", "patch"])
@@ -93,14 +93,14 @@ def test_the_best_maps_are_kept_best_first(kind: str, fraction: float, count: in
     points, dictionary = random(35, 4), random(41, 4, seed=1)
     settings = MapSettings.model_validate({"encoder": kind, "fraction": fraction})
 
-    found = maps.select_maps(points, dictionary, SIZE, settings)
+    selected = maps.select_maps(points, dictionary, SIZE, settings)
 
     responses = reference.responses(points.numpy(), dictionary.numpy(), kind)
     unit = responses / responses.max(axis=1, keepdims=True)
     weights = np.repeat(np.arange(7) - 3, 5)
     order = np.argsort(-(unit @ weights), kind="stable")
-    assert found.order.tolist() == order.tolist()
-    np.testing.assert_allclose(found.maps.flatten(1).numpy(), unit[order[:count]], atol=1e-6)
+    assert selected.order.tolist() == order.tolist()
+    np.testing.assert_allclose(selected.maps.flatten(1).numpy(), unit[order[:count]], atol=1e-6)
 
 
 # --- preprocessing ------------------------------------------------------------------------
@@ -124,11 +124,11 @@ def test_the_papers_sizes_follow_from_the_shape(height: int, width: int, size: t
 def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, reach: int) -> None:
     smoothing, image = preprocess.Smoothing(sigma=sigma), random(2, 9, 11)
 
-    found = preprocess.blur(image, smoothing.sigma, smoothing.reach)
+    blurred = preprocess.blur(image, smoothing.sigma, smoothing.reach)
 
     assert smoothing.reach == reach
     expected = np.stack([reference.blurred(plane, sigma, reach) for plane in image.numpy()])
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(blurred, expected, atol=1e-12)
 
 
 def test_equalisation_does_not_see_how_bright_a_image_is() -> None:
@@ -143,10 +143,10 @@ def test_black_stays_black_where_the_program_divides_0_by_0() -> None:
     image = 0.3 + 0.3 * random(3, 32, 32)
     image[:, 5:25, 5:25] = 0
 
-    found = preprocess.equalised(image, preprocess.Smoothing())
+    equalised = preprocess.equalised(image, preprocess.Smoothing())
 
-    assert found.isfinite().all()
-    assert (found[:, 12:18, 12:18] == 0).all()
+    assert equalised.isfinite().all()
+    assert (equalised[:, 12:18, 12:18] == 0).all()
 
 
 @pytest.mark.parametrize("size", [(10, 15), (37, 61), (20, 60)])
@@ -164,8 +164,8 @@ def test_bicubic_halves_with_the_stretched_cubic_kernel() -> None:
     taps = np.array([-3, -9, 29, 111, 111, 29, -9, -3]) / 256
     image = (random(1, 1, 16).expand(3, 16, 16) * 255).round() / 255
 
-    found = preprocess.bicubic(image, (8, 8))
+    halved = preprocess.bicubic(image, (8, 8))
 
     row = image[0, 0].numpy() * 255
     expected = np.floor(np.clip(row[3:11] @ taps, 0, 255) + 0.5)
-    assert found[0, 4, 3] * 255 == pytest.approx(expected)
+    assert halved[0, 4, 3] * 255 == pytest.approx(expected)

@@ -1,6 +1,6 @@
-"""Every stage against what the authors' program gave on two frames, in float64.
+"""Every stage against the results of the authors' program on two frames, in float64.
 
-Each from the stored input of that stage. The results lie beside the repository.
+Each stage starts from its stored input. The results are outside the repository.
 """
 
 from collections.abc import Mapping
@@ -34,13 +34,13 @@ class Golden:
         self.rows = torch.from_numpy(rows * MAP[1] + columns)
 
     def __getitem__(self, key: str) -> Tensor:
-        """A stored array as float64, int64 or bool."""
+        """Return a stored array as float64, int64 or bool."""
         values = self.arrays[key]
         kind = {"f": np.float64, "b": np.bool_}.get(values.dtype.kind, np.int64)
         return torch.from_numpy(values.astype(kind))
 
     def patches(self, key: str) -> Tensor:
-        """Stored patches or bases (…,108)."""
+        """Return stored patches or bases (…, 108)."""
         return self[key][..., self.order]
 
 
@@ -51,13 +51,13 @@ def golden(request: pytest.FixtureRequest) -> Golden:
     return Golden(request.param)
 
 
-def close(found: Tensor, stored: Tensor, atol: float = STORED) -> None:
-    np.testing.assert_allclose(found, stored, rtol=0, atol=atol)
+def close(values: Tensor, stored: Tensor, atol: float = STORED) -> None:
+    np.testing.assert_allclose(values, stored, rtol=0, atol=atol)
 
 
 @cache
 def equalised(golden: Golden, dtype: torch.dtype = torch.float64) -> Tensor:
-    """From the image: what is stored of this stage is rounded, and normalising magnifies that."""
+    """Equalise the image: the stored stage is rounded, and normalisation magnifies that."""
     return preprocess.equalised(golden.image.to(dtype), preprocess.Smoothing())
 
 
@@ -86,10 +86,10 @@ def test_from_the_image_to_white_patches(golden: Golden) -> None:
     close(preprocess.brightness(smooth, 0.5, 2), golden["brightness"], 1e-7)
     close(equalised(golden).permute(1, 2, 0), golden["equalised"], 1e-7)
 
-    found = features.extract_patches(equalised(golden), 6)
+    patches = features.extract_patches(equalised(golden), 6)
     stored = golden.patches("patches_raw")
-    close(found[golden.rows[: len(stored)]], stored, 1e-7)
-    normal = features.normalise_contrast(found, 10 / 255**2)
+    close(patches[golden.rows[: len(stored)]], stored, 1e-7)
+    normal = features.normalise_contrast(patches, 10 / 255**2)
     close(normal[golden.rows], golden.patches("patches_norm"))
     mean, matrix = features.zca_whitening(normal, 0.1)
     close(mean, golden.patches("white_mean"))
@@ -98,29 +98,29 @@ def test_from_the_image_to_white_patches(golden: Golden) -> None:
 
 
 def test_scores_order_selected_maps_and_their_mean(golden: Golden) -> None:
-    found, dictionary = selected(golden), golden.patches("centroids_final")
+    feature_maps, dictionary = selected(golden), golden.patches("centroids_final")
 
     # A score is a sum of 17,825 terms up to 57.
-    close(found.scores, golden["scores_program"], 0.1)
+    close(feature_maps.scores, golden["scores_program"], 0.1)
     weights = maps.row_weights(115, "from_one").repeat_interleave(155)
     responses = maps.make_encoder(white(golden), dictionary)(dictionary)
     close(maps.score_maps(responses, weights), golden["scores_text"], 2e-3)
-    assert torch.equal(found.order, golden["order0"])
-    assert torch.equal(found.order[: len(found.maps)], golden["selected0"])
-    close(found.maps.flatten(1).T[golden.rows], golden["selected_maps_rows"])
-    close(found.maps[0], golden["top_map"])
-    close(maps.mean_map(found.maps, "maximum"), golden["mean_map"])
+    assert torch.equal(feature_maps.order, golden["order0"])
+    assert torch.equal(feature_maps.order[: len(feature_maps.maps)], golden["selected0"])
+    close(feature_maps.maps.flatten(1).T[golden.rows], golden["selected_maps_rows"])
+    close(feature_maps.maps[0], golden["top_map"])
+    close(maps.mean_map(feature_maps.maps, "maximum"), golden["mean_map"])
 
 
 def test_the_regions_of_every_level_and_their_nodes(golden: Golden) -> None:
     tree = found_tree(golden)
-    found = tree.regions
+    regions = tree.regions
 
-    assert torch.equal(found.labels.long(), golden["labels_level"])
-    assert torch.equal(torch.bincount(found.level[1:]), golden["regions_per_level"])
-    assert torch.equal(found.level[1:] + 1, golden["region_level"])
-    assert torch.equal(found.parent[1:], golden["region_parent"])
-    assert torch.equal(found.area[1:], golden["region_area"])
+    assert torch.equal(regions.labels.long(), golden["labels_level"])
+    assert torch.equal(torch.bincount(regions.level[1:]), golden["regions_per_level"])
+    assert torch.equal(regions.level[1:] + 1, golden["region_level"])
+    assert torch.equal(regions.parent[1:], golden["region_parent"])
+    assert torch.equal(regions.area[1:], golden["region_area"])
     order = golden["node_id"].argsort()  # stored as they were made, which is not always rising
     assert torch.equal(tree.node, golden["node_id"][order])
     assert torch.equal(tree.node[tree.parent[1:]], golden["node_parent"][order][1:])
@@ -137,13 +137,13 @@ def test_both_rounds_from_the_stored_mean_map(golden: Golden) -> None:
     )
 
     assert tree.node[rounds[0].model] == int(golden["road_node_after_it1"])
-    for number, found in enumerate(rounds, 1):
-        close(found.choice.stability, golden[f"node_stability_it{number}"][order])
-        close(found.choice.best[1:], golden[f"node_stability_best_it{number}"][order][1:])
-        chosen = tree.node[found.choice.selected]
+    for number, step in enumerate(rounds, 1):
+        close(step.choice.stability, golden[f"node_stability_it{number}"][order])
+        close(step.choice.best[1:], golden[f"node_stability_best_it{number}"][order][1:])
+        chosen = tree.node[step.choice.selected]
         assert torch.equal(chosen, golden[f"selected_nodes_it{number}"])
-        assert torch.equal(found.road, golden[f"mask_map_it{number}"])
-        wide = road.widened(found.road, 3)
+        assert torch.equal(step.road, golden[f"mask_map_it{number}"])
+        wide = road.widened(step.road, 3)
         assert torch.equal(wide, golden[f"mask_map_dilated_it{number}"])
         assert torch.equal(road.mask_to_image(wide, 6), golden[f"mask_full_it{number}"])
 
@@ -158,11 +158,11 @@ def test_from_image_and_stored_start_to_the_mask(golden: Golden, dtype: torch.dt
         if dtype == torch.float64:
             close(dictionary, bases)
             assert torch.equal(counts, sizes)
-    found = maps.select_maps(patches, dictionary, MAP, maps.MapSettings())
-    mean = maps.mean_map(found.maps, "maximum")
+    selection = maps.select_maps(patches, dictionary, MAP, maps.MapSettings())
+    mean = maps.mean_map(selection.maps, "maximum")
     regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
     rounds = road.find_road(
-        found.maps, mean, hierarchy.build_tree(regions, 50), road.StabilitySettings()
+        selection.maps, mean, hierarchy.build_tree(regions, 50), road.StabilitySettings()
     )
     mask = road.mask_to_image(road.widened(rounds[-1].road, 3), 6)
 

@@ -1,4 +1,4 @@
-"""Clusters around peaks of density, regions, their bags of words, and the cut."""
+"""Clusters around density peaks, regions, their bags of words, and the graph cut."""
 
 from itertools import product
 
@@ -18,11 +18,11 @@ from tests.draws import random
 
 
 def test_pieces_of_one_cluster_are_regions_of_their_own() -> None:
-    found = connected_regions(torch.tensor([[0, 0, 1, 0], [2, 2, 1, 0], [2, 2, 1, 0]]))
+    regions = connected_regions(torch.tensor([[0, 0, 1, 0], [2, 2, 1, 0], [2, 2, 1, 0]]))
 
-    assert found[0, 0] == found[0, 1] != found[0, 3]
-    assert found[0, 3] == found[2, 3]
-    assert found.unique().tolist() == [0, 1, 2, 3]
+    assert regions[0, 0] == regions[0, 1] != regions[0, 3]
+    assert regions[0, 3] == regions[2, 3]
+    assert regions.unique().tolist() == [0, 1, 2, 3]
     assert connected_regions(torch.eye(2)).unique().tolist() == [0, 1, 2, 3]  # not by corners
 
 
@@ -33,14 +33,14 @@ def test_no_other_partition_is_cheaper(seed: int) -> None:
     between = random(7, seed=seed + 100)
 
     def cost(chosen: Tensor) -> float:
-        """What a partition cuts, by its definition."""
+        """Return the cost of a partition by its definition."""
         apart = chosen[edges[:, 0]] != chosen[edges[:, 1]]
         return float(torch.where(chosen, sink, source).sum() + between[apart].sum())
 
-    found = source_side(source, sink, edges, between)
+    side = source_side(source, sink, edges, between)
 
     least = min(cost(torch.tensor(chosen)) for chosen in product((False, True), repeat=6))
-    assert cost(found) == pytest.approx(least, abs=0.02)
+    assert cost(side) == pytest.approx(least, abs=0.02)
 
 
 def test_where_borders_are_dear_an_island_in_the_road_is_road() -> None:
@@ -56,10 +56,10 @@ def test_where_borders_are_dear_an_island_in_the_road_is_road() -> None:
         cut_road(regions, words, 3, seed, CutSettings(border_cost=b)) for b in (0.0, 50.0)
     )
 
-    for found, is_road in ((cheap, False), (dear, True)):
-        assert found[5, 2] == is_road
-        assert found[8, 0]
-        assert not found[0, 0]
+    for mask, is_road in ((cheap, False), (dear, True)):
+        assert mask[5, 2] == is_road
+        assert mask[8, 0]
+        assert not mask[0, 0]
 
 
 # --- clusters ---------------------------------------------------------------------------
@@ -69,8 +69,8 @@ def test_pixels_belong_to_the_nearest_peak() -> None:
     half = torch.cat([torch.zeros(6, 5), torch.ones(6, 5)], 1)
     noise = random(2, 6, 10, seed=1) * 0.1
 
-    found = cluster_pixels(torch.stack([half, 1 - half]) + noise, PeakSettings(clusters=2))
+    clusters = cluster_pixels(torch.stack([half, 1 - half]) + noise, PeakSettings(clusters=2))
 
-    assert found.shape == (6, 10)
-    assert len(found[:, :5].unique()) == len(found[:, 5:].unique()) == 1
-    assert int(found[0, 0]) != int(found[0, 9])
+    assert clusters.shape == (6, 10)
+    assert len(clusters[:, :5].unique()) == len(clusters[:, 5:].unique()) == 1
+    assert int(clusters[0, 0]) != int(clusters[0, 9])

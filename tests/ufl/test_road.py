@@ -1,4 +1,4 @@
-"""The tree of regions and the choice among its nodes; the road, and the way back to the image."""
+"""The tree of regions and the choice of its nodes; the road, and its conversion to image size."""
 
 from typing import Literal
 
@@ -24,14 +24,14 @@ def lower_half() -> torch.Tensor:
 
 
 def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
-    found = road.triangle_weights(100, 200, apex=0.5, base=0.8)
+    weights = road.triangle_position_weights(100, 200, apex=0.5, base=0.8)
 
-    assert (found[:50] == -1).all()
-    assert float(found[-1, 99]) > 0.98
-    inside = (found > 0).sum(1)
+    assert (weights[:50] == -1).all()
+    assert float(weights[-1, 99]) > 0.98
+    inside = (weights > 0).sum(1)
     assert abs(int(inside[-1]) - 0.8 * 200) <= 2
     assert abs(int(inside[74]) - 0.4 * 200) <= 4
-    np.testing.assert_allclose(found, found.flip(1))
+    np.testing.assert_allclose(weights, weights.flip(1))
 
 
 # Reconstruction error (eq. 10)
@@ -43,17 +43,17 @@ def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
 def test_the_error_is_equation_10(centring: road.Centring, seed: int, fraction: float) -> None:
     maps = random(5, 9, 12, seed=seed)
 
-    found = road.reconstruction_error(maps, lower_half(), centring, fraction)
+    error = road.reconstruction_error(maps, lower_half(), centring, fraction)
 
     expected = reference.errors(maps.numpy(), lower_half().numpy(), fraction, centring == "road")
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-7)
+    np.testing.assert_allclose(error.numpy(), expected, atol=1e-7)
 
 
 # The two loops
 
 
 def street() -> tuple[torch.Tensor, torch.Tensor]:
-    """Six maps (6,30,40) and their mean: a road that varies, and a wall with other features."""
+    """Return maps (6, 30, 40) and their mean: a road that varies, a wall with other features."""
     maps = torch.zeros(6, 30, 40, dtype=torch.float64)
     maps[:, 16:, 8:32] = torch.linspace(0.9, 1, 24, dtype=torch.float64)
     maps[:4, 6:16, 8:32] = 0.9
@@ -94,10 +94,12 @@ def test_a_round_that_finds_no_road_ends_it() -> None:
 def test_maps_come_back_at_the_size_of_the_image(side: int) -> None:
     values = random(9, 12)
 
-    found = road.map_to_image(values, side)
+    enlarged = road.map_to_image(values, side)
 
-    assert found.shape == road.mask_to_image(values > 0.5, side).shape == (8 + side, 11 + side)
-    assert float(values.min()) <= float(found.min()) <= float(found.max()) <= float(values.max())
+    assert enlarged.shape == road.mask_to_image(values > 0.5, side).shape == (8 + side, 11 + side)
+    assert (
+        float(values.min()) <= float(enlarged.min()) <= float(enlarged.max()) <= float(values.max())
+    )
     ramp = torch.arange(12.0).expand(9, 12)
     assert float(road.map_to_image(ramp, side)[4, 6]) == 6 - (side - 1) / 2
 
@@ -109,7 +111,7 @@ STEPS = hierarchy.thresholds(6, "included")
 
 
 def bumpy(seed: int) -> torch.Tensor:
-    """A map with hills, some values exactly on the thresholds, and a maximum of 1."""
+    """Return a map with hills, values exactly on the thresholds, and a maximum of 1."""
     smooth = torch.nn.functional.avg_pool2d(random(1, 9, 11, seed=seed), 3, 1, 1)[0]
     return ((smooth / smooth.max() * 12).round() / 12).clamp(0, 1)
 
@@ -123,18 +125,18 @@ def stable(seed: int) -> torch.Tensor:
 def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -> None:
     values = bumpy(seed)
 
-    found = hierarchy.threshold_regions(values, STEPS)
+    regions = hierarchy.threshold_regions(values, STEPS)
 
     number = 1
-    assert (found.labels[0] == 1).all()
+    assert (regions.labels[0] == 1).all()
     for level, step in enumerate(STEPS.tolist()[1:], 1):
         for pixels in reference.components(values.numpy() >= step):
             number += 1
             rows, columns = zip(*sorted(pixels), strict=True)
-            assert (found.labels[level][rows, columns] == number).all()
-            assert (found.level[number], found.area[number]) == (level, len(pixels))
-            assert found.parent[number] == found.labels[level - 1][rows[0], columns[0]]
-    assert len(found.area) == number + 1
+            assert (regions.labels[level][rows, columns] == number).all()
+            assert (regions.level[number], regions.area[number]) == (level, len(pixels))
+            assert regions.parent[number] == regions.labels[level - 1][rows[0], columns[0]]
+    assert len(regions.area) == number + 1
 
 
 @settings(max_examples=25)

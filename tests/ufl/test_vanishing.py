@@ -1,4 +1,4 @@
-"""Gabor filters, the vote for the vanishing point, and the borders that run from it."""
+"""Gabor filters, the vote for the vanishing point, and the borders from it."""
 
 import math
 
@@ -24,11 +24,11 @@ def test_stripes_run_the_way_they_run(angle: int) -> None:
     across = row * math.cos(math.radians(angle)) - column * math.sin(math.radians(angle))
     stripes = torch.from_numpy(0.5 + 0.5 * np.cos(2 * math.pi * across / 6)).float()
 
-    found, sure = vanishing.dominant_orientation(
+    orientation, sure = vanishing.dominant_orientation(
         vanishing.gabor_responses(stripes, vanishing.GaborBank())
     )
 
-    assert (vanishing.angle_between(found[16:32, 16:32], torch.tensor(angle)) <= 5).all()
+    assert (vanishing.angle_between(orientation[16:32, 16:32], torch.tensor(angle)) <= 5).all()
     assert sure.shape == (48, 48)
 
 
@@ -44,8 +44,8 @@ def test_the_spectrum_is_that_of_the_filter_as_it_is_written() -> None:
 
     expected = np.fft.fft2(np.fft.ifftshift(filtered))
 
-    found = vanishing.filter_spectrum((size, size), angle, frequency).numpy()
-    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+    spectrum = vanishing.filter_spectrum((size, size), angle, frequency).numpy()
+    np.testing.assert_allclose(spectrum, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None:
@@ -74,11 +74,11 @@ def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None
 def test_votes_fall_with_the_miss(place: tuple[float, float], angle: float, votes: float) -> None:
     voters = torch.tensor([place]), torch.tensor([angle])
 
-    found = vanishing.soft_votes(
+    actual = vanishing.soft_votes(
         torch.tensor([[20.0, 50.0]]), *voters, 200.0, vanishing.VotingSettings()
     )
 
-    assert found.tolist() == [pytest.approx(votes)]
+    assert actual.tolist() == [pytest.approx(votes)]
 
 
 @pytest.mark.parametrize("left_out", [0, 40])
@@ -89,17 +89,17 @@ def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
         :, :left_out
     ]
 
-    found = vanishing.vote_vanishing_point(orientation, sure, vanishing.VotingSettings())
+    point = vanishing.vote_vanishing_point(orientation, sure, vanishing.VotingSettings())
 
-    assert found is not None
-    assert math.dist(found.tolist(), POINT.tolist()) <= 2
+    assert point is not None
+    assert math.dist(point.tolist(), POINT.tolist()) <= 2
 
 
 # --- the borders ------------------------------------------------------------------------
 
 
 def wedge(first: float, second: float) -> Tensor:
-    """An image (3,H,W) of a grey road between two rays from the point, green elsewhere."""
+    """Return an image (3, H, W) of a grey road between two rays from the point, green elsewhere."""
     angle = vanishing.pixel_angles(POINT, SIZE)
     road = (angle > first) & (angle < second)
     grey, green = torch.full((3, 1, 1), 0.5), torch.tensor([0.2, 0.5, 0.2])[:, None, None]
@@ -108,23 +108,25 @@ def wedge(first: float, second: float) -> Tensor:
 
 @pytest.mark.parametrize(("first", "second"), [(45, 130), (70, 140)])
 def test_both_borders_of_a_road_are_found_and_it_lies_between(first: int, second: int) -> None:
-    found = vanishing.find_borders(wedge(first, second), AIMING, POINT, vanishing.BorderSettings())
+    borders = vanishing.find_borders(
+        wedge(first, second), AIMING, POINT, vanishing.BorderSettings()
+    )
 
-    assert sorted((found.first, found.second)) == [first, second]
-    assert torch.equal(found.point, POINT)
+    assert sorted((borders.first, borders.second)) == [first, second]
+    assert torch.equal(borders.point, POINT)
     angle, below = (
         vanishing.pixel_angles(POINT, SIZE),
         torch.arange(SIZE[0])[:, None] > POINT[0] + 1,
     )
     expected = (angle > first) & (angle < second) & below
-    assert (vanishing.road_between(found, SIZE) == expected).float().mean() > 0.98
+    assert (vanishing.road_between(borders, SIZE) == expected).float().mean() > 0.98
 
 
 def test_the_point_moves_along_the_first_border_to_where_texture_aims() -> None:
     angle = torch.tensor(130).deg2rad()
     high = POINT - 12 * torch.stack([angle.sin(), angle.cos()])
 
-    found = vanishing.find_borders(wedge(45, 130), AIMING, high, vanishing.BorderSettings())
+    borders = vanishing.find_borders(wedge(45, 130), AIMING, high, vanishing.BorderSettings())
 
-    assert found.first == 130
-    assert math.dist(found.point.tolist(), POINT.tolist()) < 3
+    assert borders.first == 130
+    assert math.dist(borders.point.tolist(), POINT.tolist()) < 3
