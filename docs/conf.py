@@ -1,4 +1,4 @@
-"""How Sphinx builds the site: ``bash scripts/site.sh`` calls it.
+"""Configuration of the site, which ``bash scripts/site.sh`` builds.
 
 Nothing is fetched, neither while building nor while reading: equations become MathML (see
 ``_extensions/native_math.py``), the search is Sphinx's own, fonts are those of the system.
@@ -31,13 +31,14 @@ highlight_language = "none"
 smartquotes = False  # --out is two hyphens
 nitpicky = True
 nitpick_ignore_regex = [
-    # What other packages define: their documentation is not at hand without a network.
+    # Other packages: their documentation is not available without a network.
     ("py:.*", r"(torch|np|numpy|pydantic|click|cv2|PIL|av|rosbags|safetensors|onnx)(\..*)?"),
     ("py:.*", r"(collections|typing|pathlib|os|enum|datetime|types|fractions|subprocess)(\..*)?"),
     ("py:.*", r"(AnyReader|Typestore|InputContainer|VideoFrame|VideoReformatter|VideoStream)"),
     ("py:class", r"(dict|list)\[.*"),  # halves of aliases
-    # Types in signatures may be inside of rooms whose inside is not in the reference.
+    # Types in signatures may be of modules that are not in the reference; errors of ``Raises:``.
     ("py:(class|data)", r"roadtorch\..*"),
+    ("py:exc", r".*"),
 ]
 
 myst_enable_extensions = ["deflist", "dollarmath"]
@@ -68,7 +69,7 @@ html_theme_options = {
     "show_prev_next": True,
     "collapse_navigation": True,
     "navigation_depth": 2,
-    "secondary_sidebar_items": {"**": ["page-toc"], "research/papers": []},
+    "secondary_sidebar_items": {"**": ["page-toc"], "research/tables": []},
     "footer_start": ["copyright"],
     "footer_end": [],
     "navigation_with_keys": False,

@@ -22,11 +22,11 @@ ADDRESSES = {"a": "href", "link": "href", "object": "data", "video": "poster"}
 """Where tags have their address; others, and a video as well, in ``src``."""
 
 BROWSER = "browser"
-"""Folder of the site that has the page for browsers; docs/try.md leads there."""
+"""Folder of the site that has the page for browsers; docs/export.md leads there."""
 
 WITHOUT_PAGE = """<!doctype html><html lang="en"><title>roadtorch</title>
 <p>This site was built without npm, which brings ONNX Runtime for browsers.
-<a href="../try.html">How to make the page</a>
+<a href="../export.html#in-a-browser">How to make the page</a>
 """
 
 

@@ -17,7 +17,7 @@
              full disk, which stays full; EIO; EINTR; a short write; KILL right behind the call)
     ros      the node of docs/ros.md: talkers that come and go for minutes, then nodes that do
 
-No run may end in a traceback, hang, or have an exit status that docs/reliability.md does not name,
+No run may end in a traceback, hang, or have an exit status that docs/performance.md does not name,
 and what the correction page acknowledged is in its logs. Once the trouble is over the same command
 has to end in 0 with the files of the undisturbed run, byte for byte but for times, and no others.
 Runs are forked behind the imports, so that trouble meets the work. What is wrong is a line, and the

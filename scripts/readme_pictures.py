@@ -1,6 +1,6 @@
 """Make the images of README: what `fusion` makes of free images and of a free drive.
 
-    python scripts/readme_pictures.py DATA    # docs/pictures: steps.jpg, drive.gif, made.json
+    python scripts/readme_pictures.py DATA    # docs/pictures: steps, failures, drive, made.json
 
 DATA holds unlabelled_free/ and clips/. docs/pictures/sources.csv says where they are from, and
 made.json has the hashes of the weights and settings that made them, to which a test holds them.
@@ -25,6 +25,9 @@ from roadtorch.layout.weights import FOR_IMAGES, shipped_weights
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
 
+FAILED = ("walkrobot_jp_005.jpg", "offroad_fr_13.jpg", "vineyard_it_013.jpg", "pothole8_004.jpg")
+"""A pavement, a verge, a vineyard without road, a road half in shadow."""
+
 DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 320
 
 EVERY, DURATION, COLOURS = 2, 133, 64  # of 15 frames a second; milliseconds; of the palette
@@ -34,7 +37,7 @@ OUT = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 
 
 def write_steps(folder: Path, path: Path) -> None:
-    """Write a row an image: input, layout, likelihood, mask."""
+    """Write a row for each image: input, layout, likelihood, mask."""
     detector, rows = load_detector("fusion"), []
     for name in CHOSEN:
         image = read_image(next(folder.rglob(name)))
@@ -49,6 +52,21 @@ def write_steps(folder: Path, path: Path) -> None:
         rows.append(np.hstack([captioned(tile, text, height) for text, tile in tiles.items()]))
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
     cv2.imwrite(str(path), np.ascontiguousarray(np.vstack(rows)[..., ::-1]), options)
+
+
+def write_failures(folder: Path, path: Path) -> None:
+    """Write images with a wrong mask side by side, inputs above."""
+    detector, columns = load_detector("fusion"), []
+    for name in FAILED:
+        image = read_image(next(folder.rglob(name)))
+        detection = detector.detect(image)
+        overlay = replace(detection, trust=None).overlay()
+        tiles = {"input": to_pixels(image), f"mask, {detection.caption}": overlay}
+        height = round(TILE_WIDTH * 3 / 5)
+        columns.append(np.vstack([captioned(tile, text, height) for text, tile in tiles.items()]))
+    sheet = cv2.resize(np.hstack(columns), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
 
 
 def write_drive(clip: Path, path: Path) -> None:
@@ -79,5 +97,6 @@ if __name__ == "__main__":
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
     write_steps(data / "unlabelled_free", OUT / "steps.jpg")
+    write_failures(data / "unlabelled_free", OUT / "failures.jpg")
     write_drive(data / "clips" / DRIVE, OUT / "drive.gif")
     (OUT / "made.json").write_text(f"{json.dumps(made_with(), indent=0)}\n", encoding="utf-8")

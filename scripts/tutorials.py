@@ -1,7 +1,9 @@
-"""Execute the tutorials: each page in an empty folder, block after block, as a reader would.
+"""Execute pages: each one in an empty folder, block after block, as a reader would.
 
-    python scripts/tutorials.py check docs/tutorials/*.md    # say where the output is another
-    python scripts/tutorials.py write docs/tutorials/*.md    # put the output there is
+    python scripts/tutorials.py check [PAGE…]    # report other output than that of the pages
+    python scripts/tutorials.py write [PAGE…]    # write the output into the pages
+
+Without PAGE: all pages of docs that have a block ``console``.
 
 A block ``console`` holds commands after ``$ `` with what they print, both streams. A block
 ``python`` is executed, in one namespace for the page; what it prints stands in a block ``text``
@@ -215,6 +217,13 @@ def run_page(page: str) -> str:
 # --- the command ---------------------------------------------------------------------------
 
 
+def executed_pages() -> Iterator[Path]:
+    """Yield the pages of docs that have commands with their output."""
+    for path in sorted((ROOT / "docs").rglob("*.md")):
+        if "```console\n$ " in path.read_text(encoding="utf-8"):
+            yield path
+
+
 def prepare() -> None:
     """Import what commands need, once for all of them, with one thread."""
     os.environ["OMP_NUM_THREADS"] = "1"
@@ -237,11 +246,11 @@ def main() -> int:
     """Check or write the given pages; return 1 where a page differs from what happens."""
     parser = argparse.ArgumentParser(description="Execute the tutorials.")
     parser.add_argument("act", choices=("check", "write"))
-    parser.add_argument("pages", nargs="+", type=Path)
+    parser.add_argument("pages", nargs="*", type=Path)
     options = parser.parse_args()
     prepare()
     wrong = 0
-    for path in options.pages:
+    for path in options.pages or executed_pages():
         before, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
         after = run_page(before)
         took = sum(os.times()[:4]) - begin  # of the processor, children's too

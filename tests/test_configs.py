@@ -15,7 +15,7 @@ THRESHOLDS = sorted((CONFIGS / "thresholds").glob("*.toml"))
 TRAINING = sorted(CONFIGS.glob("*.toml"))
 OWN = ("ufl", "ufl:original", "fusion", "fusion:untrained", "labeller")
 """Their default is not CamVid's: it is the mask that the method chooses (ufl), or serves seventeen
-cameras (docs/many.md)."""
+cameras (docs/results.md)."""
 
 
 @pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)

@@ -1,21 +1,21 @@
-"""Parts of pages that are made of the code and of other files, when a page is read.
+"""Generated parts of pages: reference, cards of weights, tables of contents.
 
-A line ``{{ KIND WORDS… }}`` alone in a page stands for Markdown that this module makes:
+A line ``{{ KIND WORDS… }}`` alone in a page is replaced by Markdown when the page is read:
 
-- ``{{ commands }}``: every command of the command line, with what ``--help`` says.
+- ``{{ commands }}``: every command of the command line, with its ``--help``.
 - ``{{ settings MODULE… }}``: every setting of the detectors of modules of roadtorch.detectors.
-- ``{{ classifiers }}``: of the one-class classifiers; ``{{ training }}``: of ``roadtorch train``.
-- ``{{ measures }}``: what evaluation measures.
-- ``{{ api MODULE… }}``: what the docstrings of modules say.
+- ``{{ classifiers }}``: settings of the one-class classifiers; ``{{ training }}``: of training.
+- ``{{ measures }}``: the measures of evaluation.
+- ``{{ api MODULE… }}``: the docstrings of modules.
 - ``{{ public }}``: the names of ``roadtorch.__all__``.
 - ``{{ file PATH }}``: a Markdown file of the repository, its heading included.
-- ``{{ contents NAME… }}``: a table of contents of pages right under docs/; a name that ends in
-  ``?`` is of a page that may be missing.
+- ``{{ cards NAME… }}``: the cards of shipped weights, a section each.
+- ``{{ contents NAME… }}``: a table of contents of pages under docs/.
 - ``{{ browser }}``: a link to the page that finds the road in a browser (scripts/build_site.py).
-- ``{{ unlisted }}``: a table of contents of the pages there that no other page lists.
+- ``{{ unlisted }}``: a table of contents of pages right under docs/ that no other page lists.
 
-Links to files of the repository are changed to lead to pages of the site; to files that are no
-pages they become plain names, for a site has no repository beside it.
+Links to files of the repository lead to pages of the site; links to other files become plain
+names, since a site has no repository beside it.
 """
 
 import importlib
@@ -43,18 +43,18 @@ FENCE = re.compile(r"^( *)(`{3,})[^`\n]*\n.*?^\1\2 *$", re.M | re.S)
 
 
 def commands(_: Sequence[str]) -> str:
-    """A section for each command, in the order of ``roadtorch --help``."""
+    """Return a section for each command, in the order of ``roadtorch --help``."""
     return "\n".join(line for name in sorted(COMMANDS) for line in command_section(name))
 
 
 def command_named(name: str) -> click.Command:
-    """The click command of a name in ``COMMANDS``."""
+    """Return the click command of a name in ``COMMANDS``."""
     module, attribute = COMMANDS[name][0].split(":")
     return getattr(importlib.import_module(module), attribute)
 
 
 def command_section(name: str) -> Iterator[str]:
-    """Heading, usage, help text and options of one command."""
+    """Yield heading, usage, help text and options of one command."""
     command = command_named(name)
     context = click.Context(command, info_name=f"roadtorch {name}")
     usage = " ".join(command.collect_usage_pieces(context))
@@ -68,7 +68,7 @@ def command_section(name: str) -> Iterator[str]:
 
 
 def help_text(command: click.Command) -> Iterator[str]:
-    """The paragraphs of a command's help; those that it marks as unwrapped stay as they are."""
+    """Yield the paragraphs of a command's help; those marked as unwrapped become code."""
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         if paragraph.startswith("\b"):
             yield from ("```text", paragraph.removeprefix("\b").strip("\n"), "```", "")
@@ -77,7 +77,7 @@ def help_text(command: click.Command) -> Iterator[str]:
 
 
 def escaped(text: str) -> str:
-    """Text of which Markdown makes nothing but that text, on one line."""
+    """Escape text for Markdown, on one line."""
     return re.sub(r"([\\*_<>|`\[\]{}$~#])", r"\\\1", " ".join(text.split()))
 
 
@@ -85,7 +85,7 @@ def escaped(text: str) -> str:
 
 
 def settings(modules: Sequence[str]) -> str:
-    """A section for each detector of the named modules of roadtorch.detectors."""
+    """Return a section for each detector of the named modules of roadtorch.detectors."""
     lines: list[str] = []
     for name in modules:
         for entry in importlib.import_module(f"roadtorch.detectors.{name}").ENTRIES:
@@ -95,39 +95,39 @@ def settings(modules: Sequence[str]) -> str:
 
 
 def classifiers(_: Sequence[str]) -> str:
-    """What all one-class detectors have, and a section for what each classifier has beside it."""
+    """Return the settings that one-class detectors share, and a section for each classifier."""
     from roadtorch.detectors.oneclass import ENTRIES
     from roadtorch.oneclass import CLASSIFIERS
 
-    lines = ["## All of them", "", *settings_list(ENTRIES[0].settings, leave_out="classifier.")]
+    lines = ["### All of them", "", *settings_list(ENTRIES[0].settings, leave_out="classifier.")]
     for name, classifier in CLASSIFIERS.items():
-        lines += [f"## `{name}`", "", escaped(classifier.summary) + ".", ""]
+        lines += [f"### `{name}`", "", escaped(classifier.summary) + ".", ""]
         lines += settings_list(classifier.settings, before="classifier.")
     return "\n".join(lines)
 
 
 def training(_: Sequence[str]) -> str:
-    """The settings of both kinds of training."""
+    """Return the settings of both kinds of training."""
     from roadtorch.train.config import ImageTraining, PatchTraining
 
     lines: list[str] = []
     for title, kind in (("images", ImageTraining), ("patches", PatchTraining)):
-        lines += [f'## `kind = "{title}"`', "", *settings_list(kind)]
+        lines += [f'### `kind = "{title}"`', "", *settings_list(kind)]
     return "\n".join(lines)
 
 
 def measures(_: Sequence[str]) -> str:
-    """A table of the measures: key and meaning."""
+    """Return a table of the measures: key and meaning."""
     from roadtorch.evaluation.measures import MEASURES
 
-    rows = [f"| {code(one.key)} | {escaped(one.meaning)} |" for one in MEASURES]
-    return "\n".join(["| key | what it is |", "|---|---|", *rows])
+    rows = [f"| {code(each.key)} | {escaped(each.meaning)} |" for each in MEASURES]
+    return "\n".join(["| key | meaning |", "|---|---|", *rows])
 
 
 def settings_list(kind: type[Settings], before: str = "", leave_out: str = "-") -> list[str]:
-    """A list of the settings of a kind: name, type, default, what is allowed; below it the meaning.
+    """Return a list of the settings of a kind: name, type, default, constraints, meaning.
 
-    before: what is put before their names. leave_out: names that begin so are left out.
+    before: prefix of the names. leave_out: prefix of names to leave out.
     """
     lines: list[str] = []
     for key, of_type, default, allowed, meaning in setting_rows(kind.model_json_schema()):
@@ -143,7 +143,7 @@ def settings_list(kind: type[Settings], before: str = "", leave_out: str = "-") 
 
 
 def code(text: str) -> str:
-    """Text as code."""
+    """Mark text up as code."""
     return f"`{text}`"
 
 
@@ -151,7 +151,7 @@ def code(text: str) -> str:
 
 
 def api(modules: Sequence[str]) -> str:
-    """What the docstrings of some modules say, a section for each."""
+    """Return the docstrings of modules, a section for each."""
     lines: list[str] = []
     for name in modules:
         lines += [f"## `{name}`", "", "```{eval-rst}", f".. automodule:: {name}", "```", ""]
@@ -159,10 +159,10 @@ def api(modules: Sequence[str]) -> str:
 
 
 def public(_: Sequence[str]) -> str:
-    """A table of the public names: what each is, with a link to where it is explained."""
+    """Return a table of the public names, linked to their documentation."""
     import roadtorch
 
-    lines = ["| name | what it is |", "|---|---|"]
+    lines = ["| name | |", "|---|---|"]
     for name in roadtorch.__all__:
         if not name.startswith("__"):
             member = getattr(roadtorch, name)
@@ -176,57 +176,57 @@ def public(_: Sequence[str]) -> str:
 
 
 def repository_file(words: Sequence[str]) -> str:
-    """A Markdown file of the repository, its links seen from the root of docs/."""
+    """Return a Markdown file of the repository with links as of the site."""
     path = ROOT / words[0]
     return linked(path.read_text(encoding="utf-8"), path.parent)
 
 
+def cards(names: Sequence[str]) -> str:
+    """Return the cards of weights, their headings one level lower."""
+    texts = {name: repository_file([f"roadtorch/weights/{name}.md"]) for name in names}
+    return "\n\n".join(
+        f"(weights-{name})=\n{re.sub('^#', '##', text, flags=re.M)}" for name, text in texts.items()
+    )
+
+
 def contents(names: Sequence[str]) -> str:
-    """A table of contents of pages right under docs/."""
-    pages = [name for name in names if not name.endswith("?")]
-    optional = [name.rstrip("?") for name in names if name.endswith("?")]
-    there = {*pages, *(name for name in optional if (DOCS / f"{name}.md").exists())}
-    shown = [name.rstrip("?") for name in names if name.rstrip("?") in there]
-    return "\n".join(["```{toctree}", ":maxdepth: 1", "", *(f"/{n}" for n in shown), "```"])
+    """Return a table of contents of pages under docs/."""
+    return "\n".join(["```{toctree}", ":maxdepth: 1", "", *(f"/{name}" for name in names), "```"])
 
 
 def unlisted(_: Sequence[str]) -> str:
-    """A table of contents of the pages right under docs/ that no page's text lists."""
-    listed = {
-        word.removeprefix("/").rstrip("?") for path in DOCS.rglob("*.md") for word in tocs(path)
-    }
+    """Return a table of contents of the pages right under docs/ that no page lists."""
+    listed = {word.removeprefix("/") for path in DOCS.rglob("*.md") for word in tocs(path)}
     missing = [path.stem for path in sorted(DOCS.glob("*.md")) if path.stem not in listed]
     missing.remove("index")
     return contents(missing) if missing else ""
 
 
 def browser(_: Sequence[str]) -> str:
-    """A link to what scripts/build_site.py adds to a site that is built."""
+    """Return a link to the page for browsers, which scripts/build_site.py adds to the site."""
     return '<a href="browser/index.html">Open the page</a>.'
 
 
 def tocs(path: Path) -> Iterator[str]:
-    """What a page's tables of contents list of docs/ itself."""
+    """Yield the pages of docs/ itself that a page's tables of contents list."""
     text = path.read_text(encoding="utf-8")
     yield from (w for names in re.findall(r"\{\{ contents (.*?) \}\}", text) for w in names.split())
     for table in re.findall(r"\{toctree\}(.*?)```", text, re.S):
         yield from (w for w in table.split() if path.parent == DOCS or w.startswith("/"))
 
 
+CARDS = ("layout-free", "backbone-free", "rendered-free", "cnn-7", "cnn-7-paper")
+
 PAGES = {
-    "CONTRIBUTING.md": "/contributing",
-    "CHANGELOG.md": "/changelog",
-    "train/README.md": "/studies",
-    "roadtorch/weights/layout-free.md": "/weights_layout-free",
-    "roadtorch/weights/backbone-free.md": "/weights_backbone-free",
-    "roadtorch/weights/rendered-free.md": "/weights_rendered-free",
-    "roadtorch/weights/cnn-7.md": "/weights_cnn-7",
+    "CONTRIBUTING.md": "/contributing.md",
+    "CHANGELOG.md": "/changelog.md",
+    **{f"roadtorch/weights/{name}.md": f"/weights.md#weights-{name}" for name in CARDS},
 }
-"""Files outside of docs/ that are pages of the site."""
+"""Files outside of docs/ that are pages, or sections of pages, of the site."""
 
 
 def linked(text: str, folder: Path) -> str:
-    """Text whose relative links, seen from a folder, lead to pages of the site."""
+    """Make the relative links of text in a folder lead to pages of the site."""
 
     def changed(match: re.Match[str]) -> str:
         image, words, target, anchor = match.groups(default="")
@@ -235,7 +235,7 @@ def linked(text: str, folder: Path) -> str:
         if words.endswith(".md") and target.endswith(words.rpartition("/")[2]):
             words = ""  # the title of the page, not its file
         if inside in PAGES:
-            return f"[{words}]({PAGES[inside]}.md{anchor})"
+            return f"[{words}]({PAGES[inside]}{anchor})"
         if inside.startswith("docs/"):
             return f"{image}[{words}](/{inside.removeprefix('docs/')}{anchor})"
         return f"{words} (`{inside}`)" if path.exists() and inside else match[0]
@@ -244,7 +244,7 @@ def linked(text: str, folder: Path) -> str:
 
 
 def outside_fences(text: str, change: Callable[[str], str]) -> str:
-    """Text changed everywhere but in blocks of code."""
+    """Change text everywhere but in blocks of code."""
     parts, end = [], 0
     for block in FENCE.finditer(text):
         parts += [change(text[end : block.start()]), block[0]]
@@ -263,6 +263,7 @@ KINDS: dict[str, Callable[[Sequence[str]], str]] = {
     "api": api,
     "public": public,
     "file": repository_file,
+    "cards": cards,
     "contents": contents,
     "unlisted": unlisted,
     "browser": browser,
@@ -270,17 +271,17 @@ KINDS: dict[str, Callable[[Sequence[str]], str]] = {
 
 
 def filled(text: str) -> str:
-    """A page's text with its placeholders replaced."""
+    """Replace the placeholders of a page."""
     return PLACEHOLDER.sub(lambda match: KINDS[match[1]](match[2].split()), text)
 
 
 def fill_page(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put the parts into a page before it is parsed."""
+    """Fill a page before it is parsed (event ``source-read``)."""
     path = Path(app.env.doc2path(docname))
     source[0] = filled(linked(source[0], path.parent))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Have every page filled as it is read."""
+    """Connect to the event."""
     app.connect("source-read", fill_page)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

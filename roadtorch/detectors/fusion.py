@@ -191,7 +191,7 @@ class Fusion(nn.Module):
 
     P2 fuses a network's layout with cues of the image. With a network of 192x256 pixels, texture,
     distance from the seed area, position and appearance no longer gain enough for their time
-    (docs/research/p2.md); ``fusion:scratch`` and ``fusion:untrained`` use them.
+    (docs/how/layout_texture.md); ``fusion:scratch`` and ``fusion:untrained`` use them.
     """
 
     def __init__(self, settings: FusionSettings) -> None:

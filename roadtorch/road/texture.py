@@ -38,7 +38,7 @@ def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
         samples: K pixels of N planes, shape (K, N).
         ridge: multiple ≥ 0 of the mean variance added to the diagonal of Σ. 0 leaves only
             ``VARIANCE_FLOOR``: P2's formula up to rounding, which collapses
-            (docs/research/p2.md). Large values give the plain mean of the planes.
+            (docs/how/layout_texture.md). Large values give the plain mean of the planes.
     """
     # In NumPy: torch takes twice as long for matrices this small.
     centred = samples.cpu().numpy().astype(np.float64)

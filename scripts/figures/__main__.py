@@ -5,7 +5,7 @@
 
 DATA holds camvid/, idd_lite/, kitti_road/ and many/. P1 is Zhang et al., ICPR 2016; P2 Álvarez et
 al., ECCV 2012; P3 Álvarez et al., arXiv 1412.3506. What each command shows, and how it compares
-with the paper: docs/research/papers.md. Figures that are drawings without a value, and studies, are
+with the paper: docs/how. Figures that are drawings without a value, and studies, are
 in the history: train/README.md.
 """
 

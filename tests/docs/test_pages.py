@@ -14,6 +14,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from docs._extensions import generated_parts as parts
+from docs._extensions.plain_docstrings import as_restructured
 from roadtorch.base.errors import RoadtorchError
 from roadtorch.base.settings import parse_assignments
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
@@ -21,7 +22,7 @@ from scripts.figures import FIGURES
 from scripts.readme_pictures import made_with
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("papers", "p2", "ufl", "oneclass")
+PAGES = ("features", "layout_texture", "one_class", "index")
 FAMILIES = ("ufl", "fusion", "cpf", "layout", "prior", "oneclass")
 SETTINGS_OF = (
     "ufl",
@@ -43,7 +44,7 @@ def is_setting(assignment: str) -> bool:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_what_a_page_of_the_papers_names_exists(page: str) -> None:
-    text = (ROOT / "docs/research" / f"{page}.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/how" / f"{page}.md").read_text(encoding="utf-8")
     named = re.findall(r"`([^`\s]+)`", text)
     known = [*list_detectors("*"), *list_detectors("oneclass:*:*"), "prior:mean"]
 
@@ -57,7 +58,7 @@ def test_what_a_page_of_the_papers_names_exists(page: str) -> None:
     ] == []
     assert [n for n in re.findall(r"scripts/figures (\S+)", text) if n not in FIGURES] == []
     for target in re.findall(r"\]\(([^)#]+)\)", text):
-        assert (ROOT / "docs/research" / target).exists(), target
+        assert target.startswith("https:") or (ROOT / "docs/how" / target).exists(), target
 
 
 def test_modules_that_the_page_of_the_architecture_names_exist() -> None:
@@ -140,7 +141,7 @@ def claims() -> Iterator[str]:
 
 
 def test_the_page_says_what_the_tables_say() -> None:
-    page = " ".join((RESEARCH / "oneclass.md").read_text(encoding="utf-8").split())
+    page = " ".join((ROOT / "docs/how/one_class.md").read_text(encoding="utf-8").split())
 
     assert [claim for claim in claims() if claim not in page] == []
 
@@ -152,8 +153,9 @@ def test_the_page_says_what_the_tables_say() -> None:
     ("text", "folder", "linked"),
     [
         ("[more](docs/many.md#x)", "", "[more](/many.md#x)"),
-        ("[why](../train/README.md)", "docs", "[why](/studies.md)"),
-        ("[docs/research/ufl.md](docs/research/ufl.md)", "", "[](/research/ufl.md)"),
+        ("[why](../train/README.md)", "docs", "why (`train/README.md`)"),
+        ("[card](roadtorch/weights/cnn-7.md)", "", "[card](/weights.md#weights-cnn-7)"),
+        ("[docs/how/features.md](docs/how/features.md)", "", "[](/how/features.md)"),
         ("[it](../pyproject.toml)", "docs", "it (`pyproject.toml`)"),
         ("[x](none.md)", "", "[x](none.md)"),  # left for the build to find
         ("```\n[x](docs/many.md)\n```\n", "", "```\n[x](docs/many.md)\n```\n"),
@@ -165,13 +167,37 @@ def test_links_lead_to_pages_of_the_site(text: str, folder: str, linked: str) ->
 
 def test_a_page_without_a_list_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parts, "DOCS", tmp_path)
-    for name in ("new", "known", "optional"):
+    for name in ("new", "known"):
         (tmp_path / f"{name}.md").write_text("# A page\n")
-    (tmp_path / "index.md").write_text("```{toctree}\nknown\n```\n{{ contents optional? none? }}\n")
+    (tmp_path / "index.md").write_text("```{toctree}\nknown\n```\n")
 
     assert "/new\n" in parts.unlisted([])
     assert "known" not in parts.unlisted([])
-    assert parts.contents(["optional?", "none?"]).splitlines()[3:] == ["/optional", "```"]
+
+
+def test_cards_are_sections_of_the_page_of_weights() -> None:
+    text = parts.cards(["cnn-7"])
+
+    assert text.startswith("(weights-cnn-7)=\n## cnn-7.safetensors\n")
+    assert set(parts.CARDS) == {path.stem for path in ROOT.glob("roadtorch/weights/*.md")}
+
+
+@pytest.mark.parametrize(
+    ("docstring", "shown"),
+    [
+        ("Return |x|.", ["Return \\|x\\|.", ""]),
+        ("One\nline.", ["One line.", ""]),
+        (">>> 1\n1", ["::", "", "    >>> 1", "    1", ""]),
+        (
+            "Args:\n    one: a *b*\n        and c.\n    two, three: d.",
+            [":param one: a \\*b\\* and c.", ":param two: d.", ":param three: d.", ""],
+        ),
+        ("Returns:\n    A mask,\n    shape (H, W).", [":returns: A mask, shape (H, W).", ""]),
+        ("Raises:\n    InputError: if wrong.", [":raises InputError: if wrong.", ""]),
+    ],
+)
+def test_docstrings_show_what_they_say(docstring: str, shown: list[str]) -> None:
+    assert as_restructured(docstring.split("\n")) == shown
 
 
 def test_the_images_were_made_with_the_weights_and_settings_that_ship() -> None:

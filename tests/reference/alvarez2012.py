@@ -1,7 +1,7 @@
 """P2's road likelihood of single pixels, slow and simple: layout times texture (eqs. 1 to 4).
 
 Superpixels and the normalised image are inputs; the constants that P2 does not state (ridge, levels
-and their range) are those of docs/research/papers.md.
+and their range) are those of docs/how/layout_texture.md.
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 Each function returns the distances of pixels (n,), greater is less road, and that of the boundary.
 
-Choices that the text leaves open are those of docs/research/papers.md: Huber's weight, the ridge,
+Choices that the text leaves open are those of docs/how/one_class.md: Huber's weight, the ridge,
 the variance of rounding, starts of the mixture.
 """
 

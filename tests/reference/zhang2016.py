@@ -1,6 +1,6 @@
 """P1's text from image to mask, slow and simple, in NumPy's double precision.
 
-Choices that the text leaves open are the program's, as docs/research/papers.md lists: the blur's
+Choices that the text leaves open are the program's, as docs/how/features.md lists: the blur's
 windows, the constants of contrast and whitening, empty clusters, the dilation.
 """
 
