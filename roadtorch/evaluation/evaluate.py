@@ -101,9 +101,9 @@ def tally_images(
     roads = [counts.road for tally in tallies.values() for counts in tally.road.values()]
     if not {group for tally in tallies.values() for group in tally.road} - dataset.left_out:
         first = failures[0].reason if failures else "all groups are left out"
-        message = f"none of its {len(dataset.items)} images could be scored; the first: {first}"
-        raise DatasetError(dataset.root, message, "mend that first")
+        message = f"none of the {len(dataset.items)} images could be scored; first failure: {first}"
+        raise DatasetError(dataset.root, message, "fix that first")
     if not any(bool(road.any()) for road in roads):
-        message = "there is no road in any label"
-        raise UnscorableError(dataset.root, message, "check which numbers mean road in this set")
+        message = "no label has any road"
+        raise UnscorableError(dataset.root, message, "check which label values mean road")
     return tallies, failures

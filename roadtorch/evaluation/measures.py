@@ -20,7 +20,7 @@ from roadtorch.evaluation.tally import ImageTable, Part
 from roadtorch.evaluation.trust import TRUST_MEASURES
 from roadtorch.layout.classes import CLASSES, NAMES
 
-# --- what formulas are made of ----------------------------------------------------------
+# --- formulas ----------------------------------------------------------
 
 
 def _from_road(function: Callable[[RoadCounts], Tensor]) -> Formula:
@@ -52,8 +52,8 @@ def _from_images(function: Callable[[ImageTable], float]) -> Formula:
 MAXF = Measure(
     "maxf",
     "MaxF",
-    "Highest F of all thresholds, on pooled pixels. F is the harmonic mean of precision and "
-    "recall. The threshold is picked on the labels that score it.",
+    "Highest F over all thresholds, on pooled pixels. F is the harmonic mean of precision and "
+    "recall. The threshold is chosen on the same labels.",
     lambda part: part.max_f[0],
     interval=True,
     tables=("headline", "parts", "pairs", "compared"),
@@ -71,7 +71,7 @@ AUC_MEAN = Measure(
 IOU = Measure(
     "iou",
     "IoU",
-    "Overlap of decided and true road, at the chosen threshold.",
+    "Intersection over union of predicted and true road, at the chosen threshold.",
     _at_chosen_threshold(metrics.iou),
     interval=True,
     tables=("scores", "pairs", "compared"),
@@ -88,7 +88,7 @@ F = Measure(
 F_MASK = Measure(
     "f_mask",
     "F of mask",
-    "F of the detector's own mask, at its default threshold: what a user gets.",
+    "F of the detector's mask at its default threshold, as a user gets it.",
     _from_mask(metrics.f_measure),
     interval=True,
     tables=("headline", "parts", "pairs", "compared"),
@@ -97,7 +97,7 @@ F_MASK = Measure(
 IOU_MASK = Measure(
     "iou_mask",
     "IoU of mask",
-    "Overlap of the detector's own mask, as it ships.",
+    "Intersection over union of the detector's mask, at its default threshold.",
     _from_mask(metrics.iou),
     interval=True,
     tables=("headline", "parts"),
@@ -107,7 +107,7 @@ SCORES = (
     Measure(
         "images",
         "images",
-        "Images that were scored.",
+        "Number of images scored.",
         _from_images(lambda images: len(images.names)),
         better=None,
         digits=0,
@@ -128,7 +128,8 @@ SCORES = (
     Measure(
         "auc_pooled",
         "AUC",
-        "Share of pairs (road pixel, other pixel) that the likelihood puts in the right order.",
+        "Fraction of pairs of a road and a background pixel in which the road has the higher "
+        "likelihood.",
         _from_road(metrics.auc),
         interval=True,
         tables=("scores", "pairs", "compared"),
@@ -137,7 +138,7 @@ SCORES = (
     Measure(
         "ap",
         "AP",
-        "Best precision at recall 0, 0.1, … 1 or above, averaged (KITTI).",
+        "Mean over the recalls 0, 0.1, … 1 of the best precision at that recall or above (KITTI).",
         _from_road(metrics.average_precision),
         interval=True,
         tables=("scores", "compared"),
@@ -146,7 +147,7 @@ SCORES = (
     Measure(
         "eer",
         "EER",
-        "Error rate where false positives and misses are as many.",
+        "Rate at which the false positive and the false negative rate are equal.",
         _from_road(lambda counts: curves.equal_error_rate(curves.operating_points(counts))),
         better="lower",
         interval=True,
@@ -155,7 +156,7 @@ SCORES = (
     Measure(
         "brier",
         "Brier",
-        "Mean squared distance of likelihood and truth.",
+        "Mean squared difference of likelihood and truth.",
         _from_road(curves.brier_score),
         better="lower",
         interval=True,
@@ -164,7 +165,7 @@ SCORES = (
     Measure(
         "ms_per_image",
         "ms/image",
-        "Median time of one image, detector alone.",
+        "Median time of the detector per image, in milliseconds.",
         _from_images(lambda images: 1000 * statistics.median(images.seconds.tolist())),
         better=None,
         digits=1,
@@ -174,20 +175,21 @@ SCORES = (
     Measure(
         "ece",
         "ECE",
-        "Mean distance of the likelihood and the share of road that really has it.",
+        "Expected calibration error: mean difference of the likelihood and the observed fraction "
+        "of road.",
         _from_road(curves.expected_calibration_error),
         better="lower",
         tables=("scores", "parts"),
     ),
 )
 
-# --- decisions --------------------------------------------------------------------------
+# --- masks --------------------------------------------------------------------------
 
 DECISION_MEASURES = (
     Measure(
         "threshold",
         "threshold",
-        "Likelihood from which a pixel is decided to be road.",
+        "Likelihood from which a pixel is road.",
         lambda part: part.threshold,
         better=None,
         aggregate="nothing",
@@ -196,14 +198,14 @@ DECISION_MEASURES = (
     Measure(
         "precision_mask",
         "precision of mask",
-        "Fraction of true road in what the detector's own mask calls road.",
+        "Fraction of the detector's mask that is road.",
         _from_mask(metrics.precision),
         tables=("parts",),
     ),
     Measure(
         "recall_mask",
         "recall of mask",
-        "Fraction of the true road that the detector's own mask finds.",
+        "Fraction of the true road that the detector's mask covers.",
         _from_mask(metrics.recall),
         tables=("parts",),
     ),
@@ -213,8 +215,8 @@ DECISION_MEASURES = (
 def _boundary_measure(index: int, tolerance: float) -> Measure:
     return Measure(
         f"boundary_f/{tolerance:g}",
-        f"border F {100 * tolerance:g} %",
-        "F of borders: decided and true ones count as met within this share of the diagonal.",
+        f"boundary F {100 * tolerance:g} %",
+        "F of the road boundary, matched within this fraction of the image diagonal.",
         lambda part: boundary.boundary_f(part.boundary[..., index, :]),
         tables=("parts",) if tolerance == boundary.TIGHT_TOLERANCE else (),
     )
@@ -223,7 +225,7 @@ def _boundary_measure(index: int, tolerance: float) -> Measure:
 BOUNDARY_MEASURES = tuple(_boundary_measure(*pair) for pair in enumerate(boundary.TOLERANCES))
 
 
-# --- the layout: of potentials, and of labels that may abstain ----------------------------
+# --- the layout: from potentials, or from labels that may abstain ----------------------------
 
 
 def _layout_measure(
@@ -242,7 +244,7 @@ def _recall_measure(index: int, name: str) -> Measure:
     return _layout_measure(
         name,
         name,
-        f"Share of {name} that is found.",
+        f"Fraction of {name} pixels labelled {name}.",
         lambda confusion: metrics.class_recalls(confusion)[..., index],
         tables=("layout",),
     )
@@ -253,7 +255,7 @@ def _confusion_measure(truth: int, decided: int) -> Measure:
     return _layout_measure(
         f"confusion/{true}/{confused}",
         f"{true} as {confused}",
-        f"Share of {true} that is decided to be {confused}.",
+        f"Fraction of {true} pixels labelled {confused}.",
         lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided],
         better=None,
     )
@@ -264,7 +266,7 @@ LAYOUT_MEASURES = (
     _layout_measure(
         "mean",
         "mean",
-        "Mean of the three.",
+        "Mean recall of the three classes.",
         metrics.mean_class_recall,
         interval=True,
         tables=("layout", "compared"),
@@ -272,7 +274,7 @@ LAYOUT_MEASURES = (
     _layout_measure(
         "accuracy",
         "accuracy",
-        "Share of all pixels that are right.",
+        "Fraction of labelled pixels with the right class.",
         metrics.layout_accuracy,
         tables=("layout",),
     ),
@@ -280,22 +282,22 @@ LAYOUT_MEASURES = (
     _layout_measure(
         "void_as_vertical/mean",
         "mean, void vertical",
-        "Mean of the three, void counted as vertical.",
+        "Mean recall of the three classes, void counted as vertical.",
         lambda confusion: metrics.mean_class_recall(metrics.void_as_vertical(confusion)),
         tables=("layout",),
     ),
     _layout_measure(
         "labelled/mean",
         "mean, labelled",
-        "Mean of the three, where the labeller does not abstain.",
+        "Mean recall of the three classes, on pixels with a label.",
         metrics.mean_class_recall,
         tables=("layout",),
     ),
     _layout_measure(
         "labelled_share",
-        "labelled share",
-        "Share of pixels with a label.",
-        metrics.labelled_share,
+        "labelled fraction",
+        "Fraction of pixels with a label.",
+        metrics.labelled_fraction,
         tables=("layout",),
     ),
 )

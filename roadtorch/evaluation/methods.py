@@ -87,7 +87,7 @@ def contenders(
         for entry in named:
             first = entries.setdefault(entry.name, entry)
             if (first.settings, first.threshold) != (entry.settings, entry.threshold):
-                raise ConfigError(entry.name, "is the name of two", "write NAME=PATH")
+                raise ConfigError(entry.name, "names two detectors", "write NAME=PATH")
     if with_baselines:
         for name in BASELINES:
             entries.setdefault(name, named_detector(name, {}))
@@ -106,7 +106,7 @@ def reference(text: str, settings: Mapping[str, Any], camera: Camera | None = No
     """Return the one contender that all others are compared with, as ``parse_contenders`` does."""
     matches = parse_contenders(text, settings, camera)
     if len(matches) != 1:
-        raise ConfigError(text, "is not one detector of this run", "name one")
+        raise ConfigError(text, "is not a single detector", "name one")
     return matches[0]
 
 
@@ -135,7 +135,7 @@ def parse_contenders(
     if not equals and is_detector(text):
         return [named_detector(text, settings, camera)]
     if not name.isprintable() or set(name) & set("/\\"):
-        raise ConfigError(text, f"the name {name!r} cannot be that of a file", "choose another")
+        raise ConfigError(text, f"{name!r} cannot be a file name", "choose another")
     if path.is_dir():
         return [contender_from_maps(name or printable(path.resolve().name), path)]
     if path.suffix == ".safetensors":
@@ -144,7 +144,7 @@ def parse_contenders(
         values = read_settings_file(config_file(file))
         detector = str(values.pop("detector", "fusion"))
     elif equals or "/" in text or path.suffix:
-        message = "is no weight file, config, folder of maps or detector"
+        message = "is not a weight file, config, folder of maps or detector"
         raise ConfigError(text, message, "check the name")
     else:
         detector, values = text, {}  # of none, which is refused
@@ -231,7 +231,7 @@ def mean_masks(dataset: Dataset, mean_from: Dataset | None = None) -> dict[str, 
     groups = sorted({item.group or "" for item in dataset.items})
     if mean_from is not None:
         if len(groups) > 1:
-            message = f"is not for {dataset.name}, whose groups teach each other"
+            message = f"is for sets without groups, and {dataset.name} has groups"
             raise ConfigError("--mean-from", message, "leave it out")
         return dict.fromkeys(groups, _mean(road_frequencies(mean_from).values()))
     if len(groups) - len(dataset.left_out) < 2:

@@ -109,7 +109,9 @@ def count_levels(
         )
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
-        raise InputError("likelihood", f"has values from {low:g} to {high:g}", "keep to [0, 1]")
+        raise InputError(
+            "likelihood", f"has values from {low:g} to {high:g}", "return values in [0, 1]"
+        )
     # One histogram: background, then road, then a last place for void.
     bins = quantise(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
     counts = torch.bincount(bins.flatten(), minlength=2 * levels + 1)
@@ -296,7 +298,7 @@ def layout_accuracy(confusion: Tensor) -> Tensor:
     return _ratio(right.sum(-1), labelled.sum((-2, -1)))
 
 
-def labelled_share(confusion: Tensor) -> Tensor:
+def labelled_fraction(confusion: Tensor) -> Tensor:
     """Compute the fraction of the pixels with truth that have a label, float64 (...)."""
     with_truth = confusion[..., :3, :]
     return _ratio(with_truth[..., :3].sum((-2, -1)), with_truth.sum((-2, -1)))

@@ -103,7 +103,7 @@ def aurc(curve: Curve) -> float:
     return float(curve.y.mean())
 
 
-# --- the measures: of single images, so that what stands above groups is of them all ------
+# --- measures over single images: the headline is that of all images ------------------------
 
 
 def _measure(
@@ -128,49 +128,49 @@ TRUST_MEASURES = (
     _measure(
         "rank_correlation",
         "rank corr. of trust",
-        "Spearman's correlation of trust with the image's F of the mask, over all images.",
+        "Spearman's rank correlation of trust with the F of the image's mask, over all images.",
         lambda images: rank_correlation(images.trust, images.f),
         tables=("trust", "parts"),
     ),
     _measure(
         "rank_correlation_within",
         "within groups",
-        f"Mean of the groups' own such correlations; those with {MIN_GROUP_IMAGES} images or more.",
+        f"Mean of the rank correlations of groups with {MIN_GROUP_IMAGES} images or more.",
         correlation_within,
     ),
     _measure(
         "auc",
         f"AUC for F < {BAD:g}",
-        f"Share of pairs (an image with F < {BAD:g}, another one) in which the first is "
-        "trusted less.",
+        f"Fraction of pairs (an image with F < {BAD:g}, another one) in which the first has the "
+        "lower trust.",
         lambda images: failure_auc(images.trust, images.f),
     ),
     _measure(
         "error",
         "mean error",
-        "Mean distance of trust and the image's F of the mask.",
+        "Mean difference of trust and the F of the image's mask.",
         lambda images: float((images.trust - images.f).abs().mean()),
         "lower",
     ),
     _measure(
         "aurc",
         "AURC",
-        "Mean of 1 - F over the images kept, averaged over all numbers of them, the most "
-        "trusted first.",
+        "Area under the risk-coverage curve: mean of 1 - F over the most trusted images, averaged "
+        "over all numbers of images.",
         lambda images: aurc(risk_coverage_curve(images.trust, images.f)),
         "lower",
     ),
     _measure(
         "aurc_ideal",
         "AURC, ideal",
-        "The same if trust had the order of F.",
+        "AURC of a trust that orders the images by F.",
         lambda images: aurc(risk_coverage_curve(images.f, images.f)),
         None,
     ),
     _measure(
         "aurc_random",
         "AURC, random",
-        "The same if trust had no order: the mean of 1 - F.",
+        "AURC of a random order, which is the mean of 1 - F.",
         lambda images: float((1 - images.f).mean()),
         None,
     ),

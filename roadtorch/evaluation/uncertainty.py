@@ -86,7 +86,9 @@ def _mean_over_groups(
         for measure in measures:
             values = measure.formula(part)
             if not isinstance(values, Tensor):
-                raise TypeError(f"the formula of {measure.key} needs what draws do not have")
+                raise TypeError(
+                    f"the formula of {measure.key} uses counts that bootstrap replicates lack"
+                )
             scores[measure.key].append(values)
     return {key: torch.stack(values).nanmean(0) for key, values in scores.items()}
 

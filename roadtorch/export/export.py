@@ -35,7 +35,7 @@ from roadtorch.testing.scenes import render_scene
 
 EXPORTABLE_DETECTORS = ("fusion", "layout:cnn-7")
 
-ISOLATED_ROAD_STEP = "dropping of isolated road"
+ISOLATED_ROAD_STEP = "removal of isolated road"
 
 UNKNOWN_TERMS = "those of whoever trained them"
 
@@ -43,11 +43,11 @@ MapFunction = Callable[[Tensor], Mapping[str, Tensor]]
 """An image (3, H, W) in [0, 1] → maps by name; can be traced."""
 
 OUTPUT_DESCRIPTIONS: Mapping[str, str] = {
-    "likelihood": "float32 (N, H, W): how road-like each pixel is, 0 to 1",
+    "likelihood": "float32 (N, H, W): likelihood of road, 0 to 1",
     "layout": "float32 (N, 3, H, W): sky, vertical, horizontal, 0 to 1",
-    "ego": "float32 (N, H, W): the vehicle that carries the camera, 0 to 1",
-    "seed_area": "float32 (N, H, W): where road surely is, 0 or 1; isolated road does not touch it",
-    "trust": "float32 (N): the F to expect of the mask, 0 to 1",
+    "ego": "float32 (N, H, W): vehicle that carries the camera, 0 to 1",
+    "seed_area": "float32 (N, H, W): road that isolated road does not touch, 0 or 1",
+    "trust": "float32 (N): predicted F-score of the mask, 0 to 1",
 }
 """Outputs of the files, by name."""
 
@@ -77,7 +77,7 @@ def exportable_part(detector: Detector) -> ExportPart:
     part, defaults = find_part(detector), detector_entry(detector.name).configured({}).model_dump()
     for key, value in detector.settings.model_dump().items():
         if key not in part.settings and value != defaults[key]:
-            raise ConfigError(key, "has no part in what is exported", "leave it out")
+            raise ConfigError(key, "has no effect on the exported file", "leave it out")
     return part
 
 
@@ -86,7 +86,7 @@ def find_part(detector: Detector) -> ExportPart:
     analysis, settings = detector.analysis, detector.settings
     if isinstance(analysis, Fusion) and isinstance(settings, FusionSettings):
         part = ExportPart(
-            "its road, layout, ego car and trust",
+            "likelihood, layout, ego car and trust",
             f"filling of thin holes, {ISOLATED_ROAD_STEP}",
             partial(fusion_maps, analysis, settings),
             tuple(OUTPUT_DESCRIPTIONS),
@@ -102,7 +102,7 @@ def find_part(detector: Detector) -> ExportPart:
         )
     elif isinstance(analysis, Cnn7) and isinstance(settings, Cnn7Settings):
         part = ExportPart(
-            "its likelihood and layout",
+            "likelihood and layout",
             ISOLATED_ROAD_STEP,
             partial(cnn7_maps, analysis, settings),
             ("likelihood", "layout"),
@@ -113,7 +113,7 @@ def find_part(detector: Detector) -> ExportPart:
         raise ConfigError(
             detector.name,
             "cannot be exported",
-            f"those that can: {', '.join(EXPORTABLE_DETECTORS)}",
+            f"can be exported: {', '.join(EXPORTABLE_DETECTORS)}",
         )
     return part
 
@@ -331,7 +331,7 @@ def export_detector(detector: Detector, out: Path) -> Exported:
     written), and when it cannot be written.
     """
     if out.suffix != ".onnx":
-        problem = "does not end as ONNX files do"
+        problem = "does not end in .onnx"
         raise ConfigError(out, problem, f"name it {out.stem or 'road'}.onnx")
     if missing := [name for name in REQUIRED_PACKAGES if find_spec(name) is None]:
         problem = f"needs {', '.join(missing)}: not installed"
@@ -345,8 +345,10 @@ def export_detector(detector: Detector, out: Path) -> Exported:
         run = open_onnx(path, torch.get_num_threads())
         parity = measure_parity(run, part.compute, render_batches())
         if not parity.most <= BOUND:
-            problem = f"would be {parity.most:.2g} off in its {parity.where}, more than {BOUND:g}"
-            raise InputError(out, problem, "nothing was written; try other versions of the extra")
+            problem = f"would differ by {parity.most:.2g} in {parity.where}, more than {BOUND:g}"
+            raise InputError(
+                out, problem, "nothing was written; try other versions of its packages"
+            )
         with atomic(out) as temporary:
             shutil.copyfile(path, temporary)
     return Exported((out,), notes, parity)

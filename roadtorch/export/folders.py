@@ -40,10 +40,10 @@ def export_page(detector: Detector, out: Path) -> Exported:
     ``export_detector`` does.
     """
     if not detector.name.startswith("fusion"):
-        raise ConfigError(detector.name, "has no page", "take fusion or fusion:large")
+        raise ConfigError(detector.name, "cannot run in a page", "use fusion or fusion:large")
     if any(not (RUNTIME_FOLDER / name).is_file() for name in RUNTIME_FILES):
-        hint = f"npm install onnxruntime-web@{RUNTIME_VERSION}, in the folder you are in"
-        raise ConfigError(RUNTIME_FOLDER, "is not there or incomplete", hint)
+        hint = f"run npm install onnxruntime-web@{RUNTIME_VERSION} in the current folder"
+        raise ConfigError(RUNTIME_FOLDER, "is missing or incomplete", hint)
     exported = export_detector(detector, out / "road.onnx")
     write_pixels(out / "street.jpg", to_pixels(render_scene(2, 360, 640).image))
     sources = [*sorted(STATIC.iterdir()), *(RUNTIME_FOLDER / name for name in RUNTIME_FILES)]

@@ -28,7 +28,7 @@ MISTAKES = {
     "infer x.jpg --set threshold=high": "threshold: 'high' was given (",
     "infer x.jpg --threshold 1.5": "threshold: 1.5 was given (",
     "infer x.jpg --set threshold": "threshold: is not a setting (",
-    "export lbp --out a.onnx": "lbp: cannot be exported (those that can: fusion, layout:cnn-7)",
+    "export lbp --out a.onnx": "lbp: cannot be exported (can be exported: fusion, layout:cnn-7)",
     # Inputs and outputs
     "infer bare": "bare: holds no images (",
     "infer none": "none: does not exist (",

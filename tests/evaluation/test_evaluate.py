@@ -142,8 +142,8 @@ def test_another_file_than_a_metrics_json_is_refused(camvid, tmp_path, text):
         (ORACLE, {"threshold_from": "metrics.json"}, "with other settings"),
         ("prior:uniform", {"threshold_from": "metrics.json"}, "no threshold for prior:uniform"),
         (ORACLE, {"settings": {"duobt": 1}}, r"duobt.*doubt"),
-        (ORACLE, {"mean_from": "camvid"}, "groups teach each other"),
-        ("prior:rows", {"against": "prior:*"}, "is not one detector of this run"),
+        (ORACLE, {"mean_from": "camvid"}, "for sets without groups"),
+        ("prior:rows", {"against": "prior:*"}, "is not a single detector"),
         ("nothing*", {}, "unknown detector"),
         ("test-oracel", {}, ORACLE),
     ],
@@ -167,7 +167,7 @@ def test_when_no_image_can_be_scored_there_is_one_error(camvid, tmp_path):
             path.write_bytes(b"x")
     first = leave_out(camvid, [GROUPS[0]])
 
-    with pytest.raises(DatasetError, match="none of its 6 images"):
+    with pytest.raises(DatasetError, match="none of the 6 images"):
         evaluate(open_dataset("camvid", root), ["prior:rows"])
     with pytest.raises(DatasetError, match="all groups are left out"):
         evaluate(first, ["prior:rows"], limit=1)
@@ -179,7 +179,7 @@ def test_labels_without_any_road_are_no_score_of_nought(tmp_path):
         image = next(iter(SCENES.values())).image
         write_colours(tmp_path / folder / "a.png", image if folder == "images" else 0 * image)
 
-    with pytest.raises(UnscorableError, match="there is no road in any label") as caught:
+    with pytest.raises(UnscorableError, match="no label has any road") as caught:
         evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
     assert caught.value.exit_code == 1
 

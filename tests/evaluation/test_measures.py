@@ -18,7 +18,9 @@ def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
     dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
     wrong = Measure("seen", "seen", "Images.", lambda part: part.images and 1.0, interval=True)
 
-    with pytest.raises(TypeError, match="the formula of seen needs what draws do not have"):
+    with pytest.raises(
+        TypeError, match="the formula of seen uses counts that bootstrap replicates lack"
+    ):
         evaluate(dataset, ["prior:rows"], measures=(MAXF, wrong))
 
 

@@ -64,9 +64,9 @@ def test_settings_reach_what_has_a_detector_and_go_before_those_of_a_file(files)
     [
         ("fusoin", ConfigError, "unknown detector .*fusion"),
         ("no/such.safetensors", WeightsError, "such.safetensors"),
-        *((text, ConfigError, "is no weight file") for text in ("a/b", "net=nothing", "x.txt")),
+        *((text, ConfigError, "is not a weight file") for text in ("a/b", "net=nothing", "x.txt")),
         *(
-            (f"{name}=theirs", ConfigError, "cannot be that of")
+            (f"{name}=theirs", ConfigError, "cannot be a file name")
             for name in ("a/../b", "a\\b", "\n")
         ),
         ("nothing*", ConfigError, "unknown detector"),
@@ -81,7 +81,7 @@ def test_each_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
     names = [one.name for one in contenders(dataset, ["prior:t*", "prior:rows", "prior:*"], {})]
 
     assert names == ["prior:triangle", "prior:rows", "prior:uniform", "prior:mean"]
-    with pytest.raises(ConfigError, match="is the name of two"):
+    with pytest.raises(ConfigError, match="names two detectors"):
         contenders(dataset, ["x=mine/a=b.toml", "x=mine/weights.safetensors"], {})
 
 

@@ -255,7 +255,7 @@ def test_figures_of_a_confusion_by_hand():
     assert float(metrics.layout_accuracy(CONFUSION)) == pytest.approx(23 / 30)
     assert metrics.class_recalls(CONFUSION).tolist() == pytest.approx([0.8, 0.6, 0.9])
     assert literal.tolist() == pytest.approx([0.8, 6 / 14, 0.9])
-    assert float(metrics.labelled_share(CONFUSION)) == pytest.approx(30 / 35)
+    assert float(metrics.labelled_fraction(CONFUSION)) == pytest.approx(30 / 35)
 
 
 def test_figures_of_several_confusions_are_those_of_each():
@@ -263,7 +263,7 @@ def test_figures_of_several_confusions_are_those_of_each():
 
     for formula in (
         *(metrics.class_recalls, metrics.normalised_confusion, metrics.void_as_vertical),
-        *(metrics.mean_class_recall, metrics.layout_accuracy, metrics.labelled_share),
+        *(metrics.mean_class_recall, metrics.layout_accuracy, metrics.labelled_fraction),
     ):
         alone = torch.stack([formula(CONFUSION), formula(2 * CONFUSION.T)])
         assert torch.equal(formula(stacked), alone)

@@ -148,7 +148,7 @@ def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Expor
     [
         ("lbp", {}, "a.onnx", "lbp: cannot be exported"),
         ("fusion:untrained", {}, "a.onnx", "cannot be exported"),
-        ("fusion", {"ego": {"bottom": 0.2}}, "a.onnx", "ego: has no part"),
+        ("fusion", {"ego": {"bottom": 0.2}}, "a.onnx", "ego: has no effect"),
         ("fusion", {}, "a.xml", r"a.xml: does not end .* \(name it a.onnx\)"),
     ],
 )
@@ -169,7 +169,7 @@ def test_a_file_that_says_something_else_is_not_written(
 
     monkeypatch.setattr(export_module, "write_onnx", write)
 
-    with pytest.raises(InputError, match=r"would be .* off in its .* \(nothing was written"):
+    with pytest.raises(InputError, match=r"would differ by .* in .* \(nothing was written"):
         export_detector(load_detector("fusion"), tmp_path / "a.onnx")
 
     assert not any(tmp_path.iterdir())

@@ -129,8 +129,8 @@ def test_the_camera_by_keyboard_and_what_cannot_be_looked_at(page: "Page", tmp_p
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
-        ("layout:cnn-7", "layout:cnn-7: has no page"),
-        ("fusion", r"is not there or incomplete \(npm install onnxruntime-web@"),
+        ("layout:cnn-7", "layout:cnn-7: cannot run in a page"),
+        ("fusion", r"is missing or incomplete \(run npm install onnxruntime-web@"),
     ],
 )
 def test_what_has_no_page_is_told_before_any_work(

@@ -54,7 +54,7 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     page = path.read_text()
     assert page.count("data:image/jpeg;base64") == 3
     for text in (
-        *("The same 3 images", "agrees with the teacher on layout", "detector labeller"),
+        *("Masks of 3 images", "agreement with the teacher on layout", "detector labeller"),
         *('alt="Mean loss of the epochs"', 'alt="Trust before and after"', "default-src 'none'"),
         "&lt;img src=x onerror=alert(1)&gt;",
     ):
@@ -66,7 +66,7 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
 
     path.unlink()  # it is written again by resuming
     run(*given)
-    assert path.read_text().split("How it was made")[0] == page.split("How it was made")[0]
+    assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
 
 
 def test_a_run_from_new_weights_has_no_before(streets: Path, kept: Path, tmp_path: Path) -> None:

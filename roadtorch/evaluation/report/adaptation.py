@@ -57,17 +57,20 @@ class Adaptation:
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
     """Write the page as one self-contained file."""
     items = [image.item for image in adaptation.shown]
-    caption = "only before blue, only after orange"
+    caption = "blue: only before, orange: only after"
     sheets = draw_sheets(adaptation.seen, items, caption)
     is_part = len(items) < len(adaptation.seen.images)
     loss_chart = svg_uri(WIDTH, 260, partial(draw_losses, rows=adaptation.rows))
-    differs = [image.difference for image in adaptation.seen.images]
+    differences = [image.difference for image in adaptation.seen.images]
     values = {
-        "one": adaptation,
-        "mean": statistics.fmean(differs),
-        "median": statistics.median(differs),
-        "most": max(differs),
-        "shown": list(zip(adaptation.shown, sheets, strict=True)),
+        "comparison": adaptation.seen,
+        "agreement": adaptation.taught,
+        "files": adaptation.files,
+        "verdict": adaptation.verdict,
+        "mean": statistics.fmean(differences),
+        "median": statistics.median(differences),
+        "maximum": max(differences),
+        "examples": list(zip(adaptation.shown, sheets, strict=True)),
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
         "charts": [loss_chart, trust_chart(adaptation)],
@@ -86,7 +89,9 @@ def draw_sheets(
     for item in items:
         image = read_image(item.image)
         with image_cache():
-            masks = {name: look(image, item).mask.numpy() for name, look in predictors.items()}
+            masks = {
+                name: predict(image, item).mask.numpy() for name, predict in predictors.items()
+            }
         pixels = to_pixels(image)
         tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
         tiles[caption] = difference_tile(pixels, *masks.values())
@@ -108,7 +113,7 @@ def summary_table(adaptation: Adaptation) -> Table:
     """Return means before and after that need no labels: road, trust, agreement."""
     images, rows = adaptation.seen.images, {}
     road = [(image.first_road, image.second_road) for image in images]
-    rows["share of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
+    rows["fraction of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
     if trusts := [(image.first_trust, image.second_trust) for image in images if image.has_trust]:
         start, end = map(statistics.fmean, zip(*trusts, strict=True))
         rose = sum(second > first for first, second in trusts)
@@ -117,11 +122,11 @@ def summary_table(adaptation: Adaptation) -> Table:
         rows["trust"] = (Cell(format_number(start)), Cell(format_number(end)), change)
     if adaptation.taught is not None:
         start, end = adaptation.taught.before, adaptation.taught.after
-        rows["agrees with the teacher on road"] = _row(start.road, end.road)
-        rows["agrees with the teacher on layout"] = _row(start.layout, end.layout)
+        rows["agreement with the teacher on road"] = _row(start.road, end.road)
+        rows["agreement with the teacher on layout"] = _row(start.layout, end.layout)
     table = Table("mean over the images", list(rows))
-    for place, header in enumerate(("before", "after", "change")):
-        table.add(header, [row[place] for row in rows.values()])
+    for index, header in enumerate(("before", "after", "change")):
+        table.add(header, [row[index] for row in rows.values()])
     return table
 
 
@@ -138,9 +143,9 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw the mean loss of the epochs, one line a round."""
     axes = figure.subplots()
     rounds = sorted({row["round"] for row in rows})
-    for place, number in enumerate(rounds):
+    for index, number in enumerate(rounds):
         epoch_rows = [row for row in rows if row["round"] == number]
-        line = place % len(COLOURS)
+        line = index % len(COLOURS)
         series = Series(f"round {number}", COLOURS[line], DASHES[line])
         epochs, losses = ([row[key] for row in epoch_rows] for key in ("epoch", "loss"))
         axes.plot(epochs, losses, marker=".", label=series.name, **series.line(1.5))
