@@ -196,10 +196,10 @@ def segment_layout(segments: Segments, rules: LabellerRules = LABELLER_RULES) ->
     prior[:, SKY] += sky_evidence(segments, rules.sky)
     prior = prior.log_softmax(1)
     samples = column_samples(segments.labels, rules.order.step)
-    alike = likeness(segments, rules.bandwidths)
+    affinity = likeness(segments, rules.bandwidths)
     belief = prior.exp()
     for _ in range(rules.rounds):
-        evidence = class_log_density(alike, belief, segments.size)
+        evidence = class_log_density(affinity, belief, segments.size)
         belief = smooth_columns(prior.add(evidence, alpha=rules.sharpness), samples, rules.order)
     return belief
 

@@ -96,7 +96,7 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     try:
         network = network_class(build_settings(settings_class, header.settings))
     except ConfigError as error:
-        message = f"has settings that this version does not know: {error.where} {error.problem}"
+        message = f"has settings that this version cannot use: {error.where} {error.problem}"
         raise WeightsError(path, message, "use the version of roadtorch that wrote it") from None
     fill(network, tensors, path)
     return network.eval()

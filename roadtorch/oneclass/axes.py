@@ -92,7 +92,7 @@ def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
         return planes.new_zeros(len(axes))
     weights = planes[axes.names.index("S")].clamp_min(0) if "S" in axes.names else None
     pairs = zip(planes, axes.circular, strict=True)
-    means = [circular_mean(row, weights) if round_ else row.new_zeros(()) for row, round_ in pairs]
+    means = [circular_mean(row, weights) if wraps else row.new_zeros(()) for row, wraps in pairs]
     return torch.stack(means)
 
 

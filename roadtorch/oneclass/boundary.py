@@ -59,10 +59,10 @@ def smallest_ball(gram: np.ndarray, caps: np.ndarray) -> np.ndarray:
         excess = np.where(weights > 0, slope - slope[rising], 0)
         if excess.max() <= allowed:
             break
-        bend = np.maximum(diagonal + diagonal[rising] - 2 * gram[rising], np.finfo(float).tiny)
-        falling = (np.maximum(excess, 0) ** 2 / bend).argmax()
-        room = min(caps[rising] - weights[rising], weights[falling])
-        step = min(excess[falling] / bend[falling], room)
+        curvature = np.maximum(diagonal + diagonal[rising] - 2 * gram[rising], np.finfo(float).tiny)
+        falling = (np.maximum(excess, 0) ** 2 / curvature).argmax()
+        limit = min(caps[rising] - weights[rising], weights[falling])
+        step = min(excess[falling] / curvature[falling], limit)
         slope += step * (gram[rising] - gram[falling])
         # Exactly the bound where it is reached, for the comparisons above.
         full = caps[rising] - weights[rising] <= step
@@ -211,8 +211,8 @@ def fit_minimax(road: RoadSamples, settings: MinimaxSettings) -> DistanceModel:
 
 def _sigmoid(distances: Tensor) -> Tensor:
     """Return the toolbox's 4/(1+exp(-d)) - 2, in place; exact near 0 and twice as fast as tanh."""
-    fallen = distances.neg_().expm1_()
-    return fallen.div_(fallen + 2).mul_(-2)
+    values = distances.neg_().expm1_()
+    return values.div_(values + 2).mul_(-2)
 
 
 DISSIMILARITIES: dict[str, PixelFunction] = {
@@ -260,7 +260,7 @@ def least_margin(
     number = len(counts)
     budget = rejected * counts.sum()
     slack = counts / budget if budget > 0 else np.full(number, np.inf)
-    # A price of 1 or more for a sample already excludes none.
+    # At a price of 1 or more no sample is excluded: 2 is as good as infinity.
     slack = np.minimum(slack, 2.0)
     bounds = hstack([dissimilarities, -np.ones((number, 1)), -eye_array(number)], format="csc")
     total = np.concatenate([np.ones(number), np.zeros(number + 1)])[None]

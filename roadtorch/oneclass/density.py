@@ -17,8 +17,7 @@ MAX_REWEIGHTINGS = 50
 """Most rounds of reweighting."""
 
 MEAN_TOLERANCE = 1e-5
-"""Change of the mean, as a fraction of a plane's span, at which reweighting ends: 1/400 of a level.
-"""
+"""Change of the mean, in spans of a plane, at which reweighting ends: 1/400 of a level."""
 
 
 class GaussianSettings(ClassifierSettings):
@@ -141,8 +140,8 @@ def reweighted(
     where a Gaussian has 2.5 % outside. D is the Mahalanobis distance, the covariance has weights
     w². Power 1 is Huber's, the simplest reading of both sentences (``huber``): distant samples
     never lose all of their influence on the covariance, and 10 % of them are too many in three
-    planes. Power 1.5 (``reweighted``, ours, the default) ignores them, and equals the plain
-    Gaussian on clean samples: its gain is not P3's. Starts at the median with median absolute
+    planes. Power 1.5 (``reweighted``, ours, the default) ignores them, and agrees with the
+    plain Gaussian on clean samples: its gain is not P3's. Starts at the median with median absolute
     deviations, which few outliers change.
     """
     reach = chi_quantile(1 - min(max(settings.rejected, 1e-6), 1 - 1e-6), len(axes))
@@ -171,7 +170,7 @@ GAUSSIANS = (
     Classifier("gaussian", "Mahalanobis distance", GaussianSettings, fit_gaussian),
     Classifier(
         "robust_gaussian",
-        "Mahalanobis distance, outliers weighed down by a power of ours",
+        "Mahalanobis distance, outliers down-weighted with an exponent of ours",
         RobustSettings,
         fit_robust,
         paper={"method": "huber"},

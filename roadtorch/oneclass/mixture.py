@@ -57,17 +57,17 @@ class LargerMixtureSettings(MixtureSettings):
 class BestMixtureSettings(MixtureSettings):
     """A mixture whose number of Gaussians is chosen by BIC; the paper does not say how."""
 
-    components: int = Field(default=6, ge=1, le=64, description="the largest number tried")
+    components: int = Field(default=6, ge=1, le=64, description="largest number of Gaussians tried")
 
 
 class Mixtures(NamedTuple):
     """A batch of mixtures, float64: R runs of N components each.
 
-    ``log_shares`` (R, N) are log mixture weights, minus infinity where a run has fewer components;
+    ``log_weights`` (R, N) are log mixture weights, minus infinity where a run has fewer components;
     ``means`` are (R, N, d), ``whitening`` (R, N, d, d) with Wᵀ W = Σ⁻¹.
     """
 
-    log_shares: Tensor
+    log_weights: Tensor
     means: Tensor
     whitening: Tensor
 
@@ -78,28 +78,28 @@ def _polynomial_features(samples: Tensor) -> Tensor:
     return torch.cat([samples.new_ones(len(samples), 1), samples, squares], 1)
 
 
-def log_densities(powers: Tensor, mixtures: Mixtures) -> Tensor:
+def log_densities(features: Tensor, mixtures: Mixtures) -> Tensor:
     """Return ln P_n N(x; μ_n, Σ_n) (R, N, m) of the polynomial features of centred samples."""
     dimensions = mixtures.means.shape[-1]
     inverse = mixtures.whitening.mT @ mixtures.whitening
     slope = (inverse @ mixtures.means[..., None])[..., 0]
     volume = mixtures.whitening.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    constant = mixtures.log_shares + volume - dimensions / 2 * math.log(2 * math.pi)
+    constant = mixtures.log_weights + volume - dimensions / 2 * math.log(2 * math.pi)
     constant = constant - (slope * mixtures.means).sum(-1) / 2
     factors = torch.cat([constant[..., None], slope, inverse.flatten(-2) / -2], -1)
-    return factors @ powers.T
+    return factors @ features.T
 
 
-def _m_step(powers: Tensor, shares: Tensor, widening: Tensor) -> Mixtures:
+def _m_step(features: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures:
     """Return the mixtures whose components have the weights (R, N, m) of the samples."""
     dimensions = len(widening)
-    sums = shares @ powers
+    sums = memberships @ features
     total = sums[..., :1].clamp_min(MIN_WEIGHT)
     means = sums[..., 1 : 1 + dimensions] / total
     second = (sums[..., 1 + dimensions :] / total).unflatten(-1, (dimensions, dimensions))
     covariance = second - means[..., :, None] * means[..., None, :] + torch.diag(widening)
-    log_shares = (sums[..., 0] / sums[..., 0].sum(1, keepdim=True)).log()
-    return Mixtures(log_shares, means, whitening_matrix(covariance))
+    log_weights = (sums[..., 0] / sums[..., 0].sum(1, keepdim=True)).log()
+    return Mixtures(log_weights, means, whitening_matrix(covariance))
 
 
 def expectation_maximisation(
@@ -120,24 +120,24 @@ def expectation_maximisation(
     Returns:
         Memberships (R, N, m) and log-likelihoods (R,).
     """
-    powers, shares = _polynomial_features(samples), start
+    features, memberships = _polynomial_features(samples), start
     likelihood = samples.new_full((len(weights),), -math.inf)
     limit = LIKELIHOOD_TOLERANCE * weights.sum(1)
     for _ in range(rounds):
-        parts = log_densities(powers, _m_step(powers, shares * weights[:, None], widening))
+        parts = log_densities(features, _m_step(features, memberships * weights[:, None], widening))
         top = parts.amax(1, keepdim=True)
-        shares = (parts - top).exp_()
-        total = shares.sum(1, keepdim=True)
-        shares = shares / total
+        memberships = (parts - top).exp_()
+        total = memberships.sum(1, keepdim=True)
+        memberships = memberships / total
         previous, likelihood = likelihood, ((top + total.log())[:, 0] * weights).sum(1)
         if bool(((likelihood - previous).abs() <= limit).all()):
             break
-    return shares, likelihood
+    return memberships, likelihood
 
 
-def m_step(samples: Tensor, shares: Tensor, widening: Tensor) -> Mixtures:
+def m_step(samples: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures:
     """Return the mixtures whose components have the memberships (R, N, m) of samples (m, d)."""
-    return _m_step(_polynomial_features(samples), shares, widening)
+    return _m_step(_polynomial_features(samples), memberships, widening)
 
 
 def k_means_plus_plus(
@@ -149,20 +149,20 @@ def k_means_plus_plus(
     ones (Arthur and Vassilvitskii 2007). Samples with weight 0 (R, m) are excluded; ``numbers``
     (R,) are the starts of each run, N the largest.
     """
-    most = int(numbers.max())
+    max_count = int(numbers.max())
     runs = torch.arange(len(weights))
-    chances, nearest = weights.clone(), samples.new_full(weights.shape, math.inf)
+    probabilities, nearest = weights.clone(), samples.new_full(weights.shape, math.inf)
     owner = torch.zeros(weights.shape, dtype=torch.int64)
-    for number in range(most):
-        chosen = torch.multinomial(chances, 1, generator=generator)[:, 0]
+    for number in range(max_count):
+        chosen = torch.multinomial(probabilities, 1, generator=generator)[:, 0]
         squared = (samples - samples[chosen][:, None]).square().sum(-1)
         closer = (squared < nearest) & (number < numbers)[runs, None]
         owner.masked_fill_(closer, number)
         nearest = torch.where(closer, squared, nearest)
-        chances = nearest * weights
+        probabilities = nearest * weights
         # Fewer distinct samples than starts: sample any; it stays without members.
-        chances = torch.where(chances.sum(1, keepdim=True) > 0, chances, weights)
-    return torch.nn.functional.one_hot(owner, most).mT.to(samples.dtype)
+        probabilities = torch.where(probabilities.sum(1, keepdim=True) > 0, probabilities, weights)
+    return torch.nn.functional.one_hot(owner, max_count).mT.to(samples.dtype)
 
 
 def count_parameters(components: Tensor, dimensions: int) -> Tensor:
@@ -183,12 +183,14 @@ def _best_runs(
     runs = torch.tensor([n for n in numbers for _ in range(restarts if n > 1 else 1)])
     weights = samples.new_ones(len(runs), len(samples))
     start = k_means_plus_plus(samples, weights, runs, generator)
-    shares, likelihoods = expectation_maximisation(
+    memberships, likelihoods = expectation_maximisation(
         samples, weights, start, widening, TRIAL_EM_ROUNDS
     )
     best = torch.stack([likelihoods.masked_fill(runs != n, -math.inf).argmax() for n in numbers])
-    shares, likelihoods = expectation_maximisation(samples, weights[best], shares[best], widening)
-    return m_step(samples, shares, widening), likelihoods
+    memberships, likelihoods = expectation_maximisation(
+        samples, weights[best], memberships[best], widening
+    )
+    return m_step(samples, memberships, widening), likelihoods
 
 
 def fit_mixture(road: RoadSamples, settings: MixtureSettings) -> DistanceModel:
@@ -201,19 +203,19 @@ def fit_mixture(road: RoadSamples, settings: MixtureSettings) -> DistanceModel:
     """
     centre, generator = road.samples.mean(0), road.generator
     samples = road.samples - centre
-    most = min(settings.components, len(samples.unique(dim=0)))
+    max_count = min(settings.components, len(samples.unique(dim=0)))
     widening = WIDENING * samples.square().mean() + floor_of(road.axes)
     if isinstance(settings, BestMixtureSettings):
-        numbers = list(range(1, most + 1))
+        numbers = list(range(1, max_count + 1))
         runs, likelihoods = _best_runs(samples, numbers, widening, settings.restarts, generator)
         penalty = math.log(len(samples)) * count_parameters(torch.tensor(numbers), samples.shape[1])
         run = int((penalty - 2 * likelihoods).argmin())
     else:
-        runs, _ = _best_runs(samples, [most], widening, settings.restarts, generator)
+        runs, _ = _best_runs(samples, [max_count], widening, settings.restarts, generator)
         run = 0
     # Without the components that the run does not have, the last in this order.
-    order = runs.log_shares[run].argsort(descending=True, stable=True)
-    order = order[: int(runs.log_shares[run].isfinite().sum())]
+    order = runs.log_weights[run].argsort(descending=True, stable=True)
+    order = order[: int(runs.log_weights[run].isfinite().sum())]
     log_weights, means, whiten = (part[run][order] for part in runs)
     if settings.formula == "density":
         log_weights = log_weights + whiten.diagonal(dim1=-2, dim2=-1).log().sum(-1)
@@ -246,7 +248,7 @@ MIXTURES = tuple(
     for name, summary, settings in (
         ("mog2", "mixture of 2 Gaussians", MixtureSettings),
         ("mog4", "mixture of 4 Gaussians", LargerMixtureSettings),
-        ("mog_opt", "mixture of as many Gaussians as the samples call for", BestMixtureSettings),
+        ("mog_opt", "mixture of Gaussians, their number chosen by BIC", BestMixtureSettings),
     )
 )
 """Mixtures of P3."""

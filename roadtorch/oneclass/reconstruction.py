@@ -61,11 +61,11 @@ def fit_components(road: RoadSamples, settings: ComponentSettings) -> DistanceMo
     if count == len(mean):
         count = {"cap": count - 1, "strict": count, "mean": 0}[settings.full]
     # The residual lies in the remaining directions.
-    centre, lost = mean.float(), directions[:, order[count:]].T.float().contiguous()
+    centre, basis = mean.float(), directions[:, order[count:]].T.float().contiguous()
 
     def distance(pixels: Tensor) -> Tensor:
         centred = pixels - centre[:, None]
-        return column_norms(lost @ centred) if len(lost) else torch.zeros_like(centred[0])
+        return column_norms(basis @ centred) if len(basis) else torch.zeros_like(centred[0])
 
     return DistanceModel(distance, 4 * len(mean))
 
@@ -190,7 +190,7 @@ PCA = Classifier(
 K_MEANS = Classifier("kmeans", "distance to the nearest of a few means", CentreSettings, fit_means)
 K_CENTRES = Classifier(
     "kcentres",
-    "distance to the nearest of a few samples that cover the others",
+    "distance to the nearest of a few samples that cover the rest",
     SampleCentreSettings,
     fit_centres,
 )

@@ -23,9 +23,9 @@ Nodes = Literal["runs", "regions"]
 class RegionTreeSettings(Settings):
     """Settings of the thresholds and regions."""
 
-    levels: int = Field(default=16, ge=1, le=1024, description="L, the number of thresholds")
+    levels: int = Field(default=16, ge=1, le=1024, description="L, the number of threshold steps")
     top: TopLevel = Field(
-        default="included", description="threshold 1, which only ends nodes (program), or none"
+        default="included", description="threshold 1, which only ends nodes (program), or not"
     )
     min_area: int = Field(
         default=50, ge=1, le=10**6, description="minPts, least area of a region, pixels of the map"

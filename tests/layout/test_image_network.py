@@ -183,7 +183,7 @@ def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
     [
         ({"format": 2}, "has format 2; this roadtorch reads up to 1"),
         ({"kind": "transformer"}, "has no roadtorch header"),
-        ({"settings": {"topology": {"k9": 1}}}, "has settings that this version does not know"),
+        ({"settings": {"topology": {"k9": 1}}}, "has settings that this version cannot use"),
         ({"settings": {"topology": {"k1": 4}}}, "holds another network: size mismatch for first"),
     ],
 )

@@ -150,7 +150,7 @@ def memberships(samples: Tensor, number: int) -> Tensor:
 def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return weights (N,), means (N, d) and covariances (N, d, d) of the only mixture."""
     covariances = torch.linalg.inv(mixtures.whitening.mT @ mixtures.whitening)
-    return mixtures.log_shares[0].exp().numpy(), mixtures.means[0].numpy(), covariances[0].numpy()
+    return mixtures.log_weights[0].exp().numpy(), mixtures.means[0].numpy(), covariances[0].numpy()
 
 
 # --- density ----------------------------------------------------------------------------
