@@ -200,7 +200,7 @@ TRAINING = """
 kind = "images"
 network = { height = 32, width = 40, narrow = 8, wide = 8 }
 teacher = { detector = "labeller", working = { pixels = 4800 } }
-recordings = { separator = "_", least = 2 }
+recordings = { separator = "_", min_frames = 2 }
 descent = { batch = 2, method = "adam", learning_rate = 0.01, ema = 0.7 }
 stopping = { rule = "epochs", epochs = 2 }
 """

@@ -53,90 +53,85 @@ Exponent = Annotated[float, Field(ge=0, le=3)]
 class LightAugmentation(Settings):
     """Random light of whole images."""
 
-    gamma: Exponent = Field(default=0.7, description="exponents from 1/e^gamma to e^gamma")
-    gain: Exponent = Field(default=0.4, description="brightness by e^-gain to e^gain")
-    tint: Exponent = Field(default=0.15, description="the same for each colour alone")
-    saturation: Fraction = Field(default=0.6, description="by which colour may fade or grow")
-    noise: GreyLevels = Field(
-        default=6.0, description="deviation of the noise at most, grey levels of 255"
-    )
+    gamma: Exponent = Field(default=0.7, description="gamma from e^-gamma to e^gamma")
+    gain: Exponent = Field(default=0.4, description="brightness factor from e^-gain to e^gain")
+    tint: Exponent = Field(default=0.15, description="channel factors from e^-tint to e^tint")
+    saturation: Fraction = Field(default=0.6, description="largest change of saturation, fraction")
+    noise: GreyLevels = Field(default=6.0, description="largest noise deviation, of 255 levels")
 
 
 class GeometryAugmentation(Settings):
     """Random geometry of whole images; every second one is mirrored."""
 
-    scale: float = Field(
-        default=0.25, ge=0, le=2, description="magnification by e^-scale to e^scale"
+    scale: float = Field(default=0.25, ge=0, le=2, description="zoom from e^-scale to e^scale")
+    stretch: float = Field(
+        default=0.1, ge=0, le=2, description="stretch of the width from e^-stretch to e^stretch"
     )
-    stretch: float = Field(default=0.1, ge=0, le=2, description="the same for the width alone")
-    rotation: float = Field(default=4.0, ge=0, le=90, description="degrees to either side")
-    move: Fraction = Field(default=0.1, description="by this share of the size to either side")
-    lower: Fraction = Field(
-        default=0.0,
-        description="share of the images of which only a lower part is seen: a road uphill",
+    rotation: float = Field(default=4.0, ge=0, le=90, description="largest rotation, degrees")
+    translation: Fraction = Field(default=0.1, description="largest shift, fraction of the size")
+    crop_probability: Fraction = Field(
+        default=0.0, description="fraction of training images cropped at the top, as if uphill"
     )
-    cut: float = Field(
-        default=0.5, ge=0, le=0.9, description="share of their height that is cut off at most"
+    max_crop: float = Field(
+        default=0.5, ge=0, le=0.9, description="largest fraction of the height cropped at the top"
     )
 
 
 class SurfaceAugmentation(Settings):
     """Random colour and grain, for road and other ground separately: asphalt, gravel, sand."""
 
-    share: Fraction = Field(default=0.0, description="of the images")
-    gain: Exponent = Field(default=0.45, description="brightness by e^-gain to e^gain")
-    tint: Exponent = Field(default=0.2, description="the same for each colour alone")
-    grain: Fraction = Field(
-        default=0.15, description="deviation of the grain at most, share of the level"
-    )
+    probability: Fraction = Field(default=0.0, description="fraction of images retextured")
+    gain: Exponent = Field(default=0.45, description="brightness factor from e^-gain to e^gain")
+    tint: Exponent = Field(default=0.2, description="channel factors from e^-tint to e^tint")
+    grain: Fraction = Field(default=0.15, description="largest grain, fraction of the brightness")
 
 
 class ShadowAugmentation(Settings):
     """Random hard shadows: bands with straight edges, below the horizon."""
 
-    share: Fraction = Field(default=0.0, description="of the images")
-    darkest: float = Field(
-        default=0.25, gt=0, le=0.7, description="levels in the shadow, of those in the light"
+    probability: Fraction = Field(default=0.0, description="fraction of images that get a shadow")
+    min_brightness: float = Field(
+        default=0.25, gt=0, le=0.7, description="brightness in the darkest shadow, 1 outside"
     )
-    widest: float = Field(
-        default=0.5, gt=0, le=2, description="half the width of a band, share of the image"
+    max_half_width: float = Field(
+        default=0.5, gt=0, le=2, description="largest half width of a band, fraction of the image"
     )
 
 
 class NightAugmentation(Settings):
     """Day turned into night: dark but for headlights and a few lamps, in warmer light."""
 
-    share: Fraction = Field(default=0.0, description="of the images")
-    darkest: float = Field(
-        default=0.03, gt=0, le=1, description="levels where no headlight reaches, of those by day"
+    probability: Fraction = Field(default=0.0, description="fraction of images turned into night")
+    min_brightness: float = Field(
+        default=0.03, gt=0, le=1, description="least brightness without headlights, 1 being day"
     )
-    lamps: int = Field(default=6, ge=0, le=100, description="lamps at most, above the road")
+    lamps: int = Field(default=6, ge=0, le=100, description="largest number of lamps")
 
 
 class WeatherAugmentation(Settings):
     """Weather: fog, snow beside the road, a wet road or rain, equally likely."""
 
-    share: Fraction = Field(default=0.0, description="of the images")
-    thickest: float = Field(
+    probability: Fraction = Field(default=0.0, description="fraction of images that get weather")
+    fog: float = Field(
         default=0.15,
         gt=0,
         le=1,
-        description="fog: ground at this depth below the horizon, as "
-        "share of the height, is seen by 37 % in the thickest",
+        description="densest fog: depth below the horizon, as a fraction of the height, at which "
+        "37 % of the ground's contrast is left",
     )
-    snow: Fraction = Field(default=0.9, description="share of snow's white, at most")
-    mirror: Fraction = Field(default=0.6, description="share of a wet road's mirror, at most")
-    streaks: Fraction = Field(default=0.02, description="of pixels where a streak begins, at most")
+    snow: Fraction = Field(default=0.9, description="largest opacity of snow")
+    reflection: Fraction = Field(default=0.6, description="largest reflectance of a wet road")
+    streaks: Fraction = Field(default=0.02, description="largest density of rain, streaks a pixel")
 
 
 class EgoCarAugmentation(Settings):
     """Ego cars cut out of footage and pasted over the lower edge of other images."""
 
-    share: Fraction = Field(default=0.0, description="of the images that get one")
-    tallest: Exponent = Field(default=0.7, description="grown in height by at most e to this")
-    flattest: Exponent = Field(default=0.3, description="or shrunk by e to this")
-    widest: Exponent = Field(default=0.25, description="grown in width likewise")
-    light: Exponent = Field(default=0.5, description="gamma and gain by e to this")
+    probability: Fraction = Field(default=0.0, description="fraction of images that get a car")
+    growth: Exponent = Field(default=0.7, description="height is scaled by up to e^growth")
+    shrinkage: Exponent = Field(default=0.3, description="height is scaled by down to e^-shrinkage")
+    widening: Exponent = Field(default=0.25, description="width is scaled by up to e^widening")
+    light: Exponent = Field(default=0.5, description="gamma and gain from e^-light to e^light")
 
 
 class Augmentation(Settings):
@@ -176,14 +171,16 @@ def sample_affine(
     zoom = torch.exp(uniform(at, count, -geometry.scale, geometry.scale))
     width = zoom * torch.exp(uniform(at, count, -geometry.stretch, geometry.stretch))
     angle = uniform(at, count, -geometry.rotation, geometry.rotation) * (math.pi / 180)
-    move = [uniform(at, count, -2 * geometry.move, 2 * geometry.move) for _ in range(2)]
+    move = [
+        uniform(at, count, -2 * geometry.translation, 2 * geometry.translation) for _ in range(2)
+    ]
     cos, sin, aspect = angle.cos(), angle.sin(), size[1] / size[0]
     across = torch.stack([mirror * cos / width, -sin / (zoom * aspect), move[0]], 1)
     down = torch.stack([mirror * sin * aspect / width, cos / zoom, move[1]], 1)
     whole = torch.stack([across, down], 1)
-    is_lower = torch.rand(count, generator=at) < geometry.lower
+    is_lower = torch.rand(count, generator=at) < geometry.crop_probability
     mirror = _sample_mirrors(count, at)
-    cut = uniform(at, count, 0, geometry.cut)
+    cut = uniform(at, count, 0, geometry.max_crop)
     width = 1 - cut * uniform(at, count, 0.3, 1)
     offset = (1 - width) * uniform(at, count, -1, 1)
     zero = torch.zeros(count)
@@ -253,11 +250,11 @@ def add_shadow(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
     along = torch.linspace(-0.5, 0.5, width)
-    angle, offset, half = sample(at, (0, math.pi), (-0.3, 0.3), (0.05, shadow.widest))
+    angle, offset, half = sample(at, (0, math.pi), (-0.3, 0.3), (0.05, shadow.max_half_width))
     edge, horizon = sample(at, (0.002, 0.03), (0.3, 0.6))
     distance = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - offset
     inside = ((half - distance.abs()) / edge).sigmoid() * ((down - horizon) / SHADOW_END).sigmoid()
-    (level,) = sample(at, (shadow.darkest, MAX_SHADOW_LEVEL))
+    (level,) = sample(at, (shadow.min_brightness, MAX_SHADOW_LEVEL))
     return image * (1 - (1 - level) * inside)
 
 
@@ -277,7 +274,7 @@ def darken_to_night(
     below = (down - horizon).clamp_min(0)
     beam = torch.exp(-(((across - offset) / (0.06 + evenly_spaced * below)) ** 2))
     reach = (below / nearest) * torch.exp(1 - below / nearest)
-    ambient = float(torch.exp(uniform(at, 1, math.log(night.darkest), math.log(0.3))))
+    ambient = float(torch.exp(uniform(at, 1, math.log(night.min_brightness), math.log(0.3))))
     light = ambient + (1 - ambient) * beam * reach * (1 - unlit)
     warmth = float(uniform(at, 1, 0, 0.3))
     tint = torch.tensor([1 + warmth, 1, 1 - warmth]).reshape(1, 3, 1, 1)
@@ -328,7 +325,7 @@ def add_fog(
     distance = distance.flip(-2).cummax(-2).values.flip(-2)
     reach = image.shape[-1] // 8  # air has no edges
     distance = F.avg_pool2d(distance, (1, 2 * reach + 1), 1, (0, reach), count_include_pad=False)
-    density, level = sample(at, (0.02, weather.thickest), (1, 2))
+    density, level = sample(at, (0.02, weather.fog), (1, 2))
     level = min(0.9, level * float(image.mean()))
     transmission = torch.exp(-density * distance) * (1 - scene.sky)
     tint = 1 + uniform(at, 3, -0.05, 0.05).reshape(1, 3, 1, 1)
@@ -353,7 +350,7 @@ def wet_road(
     height, horizon = image.shape[-2], ground_horizon(scene)
     rows = 2 * horizon * height - torch.arange(height)
     mirrored = image[..., rows.round().long().clamp(0, height - 1), :]
-    reflection, level = sample(at, (0.15, weather.mirror), (0.5, 1.0))
+    reflection, level = sample(at, (0.15, weather.reflection), (0.5, 1.0))
     puddles = (3 * sample_grain(image.shape[-2:], at) + float(uniform(at, 1, -2, 3))).sigmoid()
     wet = scene.road * puddles
     return torch.lerp(image * (1 - wet * (1 - level)), mirrored, reflection * wet)
@@ -410,8 +407,8 @@ def sample_ego_car(
 def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, at: torch.Generator) -> EgoCar:
     """Scale, mirror and relight an ego car; its lower edge stays at the bottom of the image."""
     adjust = import_torchvision().transforms.v2.functional
-    height_scale = float(torch.exp(uniform(at, 1, -settings.flattest, settings.tallest)))
-    width_scale = float(torch.exp(uniform(at, 1, 0, settings.widest)))  # no gap at the sides
+    height_scale = float(torch.exp(uniform(at, 1, -settings.shrinkage, settings.growth)))
+    width_scale = float(torch.exp(uniform(at, 1, 0, settings.widening)))  # no gap at the sides
     mirror = 1 - 2 * int(torch.randint(2, (), generator=at))
     offset = float(uniform(at, 1, -1, 1)) * (1 - 1 / width_scale)
     frame = torch.tensor(

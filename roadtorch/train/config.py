@@ -23,23 +23,23 @@ class Descent(Settings):
     method: Literal["sgd", "adam"] = Field(
         default="sgd", description="plain gradient descent as in Álvarez 2012, or Adam"
     )
-    learning_rate: float = Field(default=0.1, gt=0, le=100, description="at the start")
-    momentum: float = Field(default=0.0, ge=0, lt=1, description="of plain gradient descent")
-    weight_decay: Fraction = Field(default=0.0, description="of all weights")
+    learning_rate: float = Field(default=0.1, gt=0, le=100, description="initial learning rate")
+    momentum: float = Field(default=0.0, ge=0, lt=1, description="momentum of sgd")
+    weight_decay: Fraction = Field(default=0.0, description="weight decay of all weights")
     schedule: Literal["constant", "cosine"] = Field(
-        default="constant", description="of the learning rate: the same throughout, or down to 0"
+        default="constant", description="learning rate: constant, or cosine down to 0"
     )
-    batch: int = Field(default=128, ge=1, le=10**6, description="samples of one step, about")
+    batch: int = Field(default=128, ge=1, le=10**6, description="samples of a step, about")
     ema: float = Field(
         default=0.0,
         ge=0,
         lt=1,
-        description="the weights written are an exponential moving average that keeps this share "
-        "at each step; 0 writes the last ones",
+        description="decay of the exponential moving average of the weights that is written; "
+        "0 writes the last weights",
     )
     precision: Literal["float32", "bfloat16"] = Field(
         default="float32",
-        description="of convolutions while training; bfloat16 is faster on processors that have it",
+        description="number format of convolutions; bfloat16 is faster on CPUs that have it",
     )
 
     def learning_rate_at(self, progress: float) -> float:
@@ -52,13 +52,15 @@ class Descent(Settings):
 class Stopping(Settings):
     """End of training."""
 
-    epochs: int = Field(default=60, ge=1, le=10**5, description="epochs at most")
+    epochs: int = Field(default=60, ge=1, le=10**5, description="largest number of epochs")
     rule: Literal["plateau", "epochs"] = Field(
         default="plateau",
-        description="when an epoch's loss falls by no more than ``min_delta`` (Álvarez 2012), or "
-        "at the end",
+        description="stop when an epoch's loss falls by ``min_delta`` or less (Álvarez 2012), or "
+        "after the last epoch",
     )
-    min_delta: float = Field(default=0.001, ge=0, le=10, description="of the mean loss of an epoch")
+    min_delta: float = Field(
+        default=0.001, ge=0, le=10, description="fall of the mean loss for plateau"
+    )
 
 
 class PatchAugmentation(Settings):
@@ -82,9 +84,9 @@ class PatchAugmentation(Settings):
 class PatchCentres(Settings):
     """Centres of patches: at and around the centroids of superpixels. P2, section 3.1."""
 
-    around: int = Field(default=4, ge=0, le=64, description="further patches around each centroid")
-    distance: float = Field(
-        default=4.0, ge=0, le=100, description="pixels from the centroid, at working size"
+    extra: int = Field(default=4, ge=0, le=64, description="extra patches around each centroid")
+    radius: float = Field(
+        default=4.0, ge=0, le=100, description="distance from the centroid, pixels at working size"
     )
 
 
@@ -92,31 +94,30 @@ class CorrectionWeight(Settings):
     """Weight of human corrections against machine labels, where a run has some."""
 
     weight: float = Field(
-        default=1.0, gt=0, le=100, description="of a corrected pixel; a machine's counts 1 or less"
-    )
-    share: float = Field(
-        default=0.5,
+        default=1.0,
         gt=0,
-        le=1,
-        description="of the visits that go to corrected images, while there are others",
+        le=100,
+        description="loss weight of a corrected pixel; machine-labelled ones weigh at most 1",
     )
-    halfway: float = Field(
+    fraction: float = Field(
+        default=0.5, gt=0, le=1, description="fraction of training samples from corrected images"
+    )
+    half_rate_images: float = Field(
         default=0.0,
         ge=0,
         le=10**6,
-        description="corrected images that bring half of ``descent.learning_rate``; 0: the "
-        "whole of it, however few they are",
+        description="n corrected images scale the learning rate by n / (n + half_rate_images)",
     )
 
 
 class CommonTraining(Settings):
     """Settings that both kinds of training have."""
 
-    random_seed: int = Field(default=0, ge=0, le=2**31, description="of everything that is drawn")
+    random_seed: int = Field(default=0, ge=0, le=2**31, description="seed of all random numbers")
     initial_weights: str = Field(
         default="",
-        description="weight file of the same network to start from, or the name of one that is "
-        "shipped, such as layout-free; none: new weights",
+        description="weight file to start from, or the name of a shipped one such as layout-free; "
+        "empty for new weights",
     )
     corrections: CorrectionWeight = CorrectionWeight()
 
@@ -131,16 +132,16 @@ class PatchTraining(CommonTraining):
     centres: PatchCentres = PatchCentres()
     augmentation: PatchAugmentation = PatchAugmentation()
     balance: Literal["none", "classes"] = Field(
-        default="none", description="every patch counts the same (Álvarez 2012), or every class"
+        default="none", description="equal weight of all patches (Álvarez 2012), or of all classes"
     )
-    mix: int = Field(
+    shuffle_images: int = Field(
         default=16, ge=1, le=10**4, description="images whose patches are shuffled together"
     )
     passes: int = Field(
         default=4,
         ge=1,
         le=100,
-        description="visits to each image in an epoch, each with other patches of it",
+        description="visits to an image in an epoch, each with a different part of its patches",
     )
     descent: Descent = Descent()
     stopping: Stopping = Stopping()
@@ -150,31 +151,30 @@ class Teacher(Settings):
     """Source of the targets of whole images."""
 
     detector: str = Field(
-        default="fusion:untrained", description="gives the road, and the layout as its cue"
+        default="fusion:untrained", description="detector with a layout among its cues"
     )
     weights: str = Field(
-        default="", description="of the teacher's own network; empty: those shipped, if it has one"
+        default="", description="weights of the teacher's network; empty for the shipped ones"
     )
     views: Literal["one", "mirrored"] = Field(
-        default="one", description="the image alone, or the mean with its mirror image"
+        default="one", description="the image alone, or averaged with its mirror image"
     )
     working: WorkingSize = WorkingSize()
     margin: float = Field(
         default=0.5, ge=0, lt=1, description="lead of the best class from which a pixel counts"
     )
-    centre: Fraction = Field(
+    otsu_weight: Fraction = Field(
         default=0.0,
-        description="what means as likely road as not, in log odds: from ``road_threshold`` "
-        "everywhere (0) to what parts each image best by Otsu (1)",
+        description="weight of each image's Otsu threshold against ``road_threshold``, in log odds",
     )
     road_threshold: float = Field(
-        default=0.39, gt=0, lt=1, description="likelihood that means as likely road as not"
+        default=0.39, gt=0, lt=1, description="likelihood from which a pixel is road"
     )
     road_margin: float = Field(
-        default=0.0, ge=0, lt=1, description="|2p - 1| from which a pixel counts for the road"
+        default=0.0, ge=0, lt=1, description="|2p - 1| from which a pixel's road counts"
     )
     targets: Literal["hard", "soft"] = Field(
-        default="hard", description="the best class alone, or the potentials as they are"
+        default="hard", description="targets: the best class (hard), or the potentials (soft)"
     )
 
 
@@ -186,32 +186,33 @@ class Recordings(Settings):
     """
 
     separator: str = Field(
-        default="", description="before a frame's number in its name; empty: no recordings"
+        default="", description="text before the frame number in names; empty for no recordings"
     )
-    least: int = Field(default=8, ge=2, le=10**4, description="frames that show what never moves")
-    evenness: Fraction = Field(
-        default=0.0,
-        description="0 visits every image as often, 1 every recording; between, by a power",
+    min_frames: int = Field(
+        default=8, ge=2, le=10**4, description="frames needed to find a static ego car"
+    )
+    balance: Fraction = Field(
+        default=0.0, description="0 samples images uniformly, 1 recordings; a power between"
     )
 
 
 class HeadWeights(Settings):
     """Weights of the losses of road and ego car against that of the layout."""
 
-    road: float = Field(default=1.0, ge=0, le=100, description="of the road's loss")
-    ego: float = Field(default=0.5, ge=0, le=100, description="of the ego car's loss")
+    road: float = Field(default=1.0, ge=0, le=100, description="weight of the road's loss")
+    ego: float = Field(default=0.5, ge=0, le=100, description="weight of the ego car's loss")
 
 
 class Rounds(Settings):
     """Use of the initial weights beside the teacher."""
 
-    count: Literal[1] = Field(default=1, description="for more, start a run from the last weights")
+    count: Literal[1] = Field(default=1, description="only 1; for more start from the weights")
     combine: Literal["agreement", "teacher"] = Field(
         default="agreement",
-        description="pixels on which that network and the teacher agree, or the teacher alone",
+        description="pixels where initial network and teacher agree, or the teacher alone",
     )
     start: Literal["fresh", "continued"] = Field(
-        default="fresh", description="new weights, or those of that network"
+        default="fresh", description="train new weights, or the initial ones"
     )
 
 
@@ -226,14 +227,14 @@ class ImageTraining(CommonTraining):
     augmentation: Augmentation = Augmentation()
     heads: HeadWeights = HeadWeights()
     samples_per_epoch: int = Field(
-        default=0, ge=0, le=10**7, description="images of an epoch; 0: as many as there are"
+        default=0, ge=0, le=10**7, description="images of an epoch; 0 for all"
     )
     scales: tuple[NetworkScale, ...] = Field(
         strict=False,
         default=(1.0,),
         min_length=1,
         max_length=16,
-        description="sizes, against the network's, of which each batch has one",
+        description="sizes relative to the network's, one for each batch",
     )
     descent: Descent = Descent(method="adam", learning_rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
@@ -275,10 +276,12 @@ def build_training(values: dict[str, Any]) -> Training:
         message = "is empty, and a backbone does not learn from new weights"
         hint = "give weights of such a network, such as backbone-free"
         raise ConfigError("initial_weights", message, hint)
-    elif (share := settings.augmentation.ego_car.share) and not settings.recordings.separator:
-        message = f"is {share:g}, and without recordings no ego car is known"
+    elif (
+        probability := settings.augmentation.ego_car.probability
+    ) and not settings.recordings.separator:
+        message = f"is {probability:g}, but ego cars are only found in recordings"
         hint = 'set recordings.separator, such as "_"'
-        raise ConfigError("augmentation.ego_car.share", message, hint)
+        raise ConfigError("augmentation.ego_car.probability", message, hint)
     return settings
 
 

@@ -64,15 +64,15 @@ def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any]
     }
 
 
-def scale_learning_rate(descent: Descent, halfway: float, images: int) -> Descent:
-    """Scale the learning rate by n / (n + halfway) for n corrected images; 0 leaves it. Ours.
+def scale_learning_rate(descent: Descent, half_rate_images: float, images: int) -> Descent:
+    """Scale the learning rate by n / (n + half_rate_images) for n corrected images, if any. Ours.
 
     Few images that are unlike those to come then do less harm, and twenty are learned in as many
     steps.
     """
     if not images:
         return descent
-    rate = descent.learning_rate * images / (images + halfway)
+    rate = descent.learning_rate * images / (images + half_rate_images)
     return descent.model_copy(update={"learning_rate": rate})
 
 

@@ -62,14 +62,14 @@ class ImageSamples:
     """Prepared images in augmented batches; a chunk is one batch.
 
     files: image, teacher's maps and ego car of each. labels: maps of the initial network, in the
-    same order, if any. shares: sampling weights. ego_cars: files that show an ego car, by
+    same order, if any. sampling_weights: of the files. ego_cars: files that show an ego car, by
     recording. corrected: correction by file.
     """
 
     training: ImageTraining
     files: Sequence[Path]
     labels: Sequence[Path]
-    shares: Tensor
+    sampling_weights: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
     corrected: Mapping[Path, Path]
     read: Callable[..., Arrays] = field(default_factory=cached_arrays)
@@ -88,7 +88,7 @@ class ImageSamples:
         """Yield the one batch of a chunk; its targets are ``Targets`` stacked to eight planes."""
         training = self.training
         generator = make_generator(training.random_seed, IMAGE_ORDER, 0, epoch)
-        order = sample_members(self.shares, self.count, generator)
+        order = sample_members(self.sampling_weights, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         size = (training.network.height, training.network.width)
         generator = make_generator(training.random_seed, IMAGE_VARIATION, 0, epoch, chunk)
@@ -111,24 +111,24 @@ class ImageSamples:
         image = augmentation.warp(image, frame, "border")
         planes = augmentation.warp(torch.cat(targets, 1), frame, "zeros")
 
-        def chosen(share: float) -> bool:
-            return float(torch.rand((), generator=at)) < share
+        def is_chosen(probability: float) -> bool:
+            return float(torch.rand((), generator=at)) < probability
 
-        if chosen(settings.surface.share):
+        if is_chosen(settings.surface.probability):
             parts = Targets(*planes.split(TARGET_PLANES, 1))
             ground = parts.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - parts.road)
             image = augmentation.retexture_road(image, parts.road, ground, settings.surface, at)
-        if chosen(settings.shadow.share):
+        if is_chosen(settings.shadow.probability):
             image = augmentation.add_shadow(image, settings.shadow, at)
-        if self.ego_cars and chosen(settings.ego_car.share):
+        if self.ego_cars and is_chosen(settings.ego_car.probability):
             car = augmentation.sample_ego_car(self.ego_cars, settings.ego_car, at)
             image, planes = augmentation.paste_ego_car(image, planes, car)
-        if chosen(settings.weather.share):
+        if is_chosen(settings.weather.probability):
             parts = Targets(*planes.split(TARGET_PLANES, 1))
             sky, ground = (parts.layout[:, k : k + 1] for k in (SKY, HORIZONTAL))
             scene = augmentation.SceneMasks(sky, ground, parts.road, parts.ego * parts.ego_weight)
             image = augmentation.add_weather(image, scene, settings.weather, at)
-        if chosen(settings.night.share):
+        if is_chosen(settings.night.probability):
             parts = Targets(*planes.split(TARGET_PLANES, 1))
             unlit = (parts.layout[:, SKY : SKY + 1] + parts.ego).clamp_max(1)
             image = augmentation.darken_to_night(image, unlit, settings.night, at)
@@ -149,16 +149,16 @@ class ImageSamples:
         return image, targets
 
 
-def sample_members(shares: Tensor, count: int, at: torch.Generator) -> Tensor:
+def sample_members(weights: Tensor, count: int, at: torch.Generator) -> Tensor:
     """Sample ``count`` members in random order, each in proportion to its weight; int64 (count,).
 
     Systematic sampling: a member whose expected number is 1.6 is sampled once or twice, and with
     equal weights and n samples each is sampled once.
     """
-    expected = shares.to(torch.float64).cumsum(0)
+    expected = weights.to(torch.float64).cumsum(0)
     expected = expected / expected[-1] * count
     steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=at)) * 0.999
-    chosen = torch.searchsorted(expected, steps + 5e-4).clamp(max=len(shares) - 1)
+    chosen = torch.searchsorted(expected, steps + 5e-4).clamp(max=len(weights) - 1)
     return chosen[torch.randperm(count, generator=at)]
 
 
@@ -194,15 +194,15 @@ def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Target
     )
 
 
-def reweight_corrected(shares: Tensor, corrected: Tensor, share: float) -> Tensor:
-    """Scale sampling weights (n,) so that corrected images, bool (n,), get ``share`` of the sum.
+def reweight_corrected(weights: Tensor, corrected: Tensor, fraction: float) -> Tensor:
+    """Scale sampling weights (n,) so that corrected images, bool (n,), get ``fraction`` of the sum.
 
     Unchanged if all images are corrected, or none.
     """
     if not corrected.any() or corrected.all():
-        return shares
-    corrected_sum, rest_sum = shares[corrected].sum(), shares[~corrected].sum()
-    return shares * torch.where(corrected, share / corrected_sum, (1 - share) / rest_sum)
+        return weights
+    corrected_sum, rest_sum = weights[corrected].sum(), weights[~corrected].sum()
+    return weights * torch.where(corrected, fraction / corrected_sum, (1 - fraction) / rest_sum)
 
 
 # --- loss -------------------------------------------------------------------------------
@@ -253,7 +253,7 @@ class ImageRecipe:
             **(teacher := training.teacher.model_dump(include=TEACHER_KEYS)),
             "files": file_digests(teacher),
             "size": [training.network.height, training.network.width],
-            "recordings": training.recordings.model_dump(include={"separator", "least"}),
+            "recordings": training.recordings.model_dump(include={"separator", "min_frames"}),
         }
 
     def key(self, image: Item) -> str:
@@ -308,7 +308,7 @@ class ImageRecipe:
         for name, file in zip(names, files, strict=True):
             if shows_ego_car(file):
                 cars.setdefault(name, []).append(file)
-        shares = torch.tensor([sizes[name] ** -training.recordings.evenness for name in names])
+        weights = torch.tensor([sizes[name] ** -training.recordings.balance for name in names])
         corrected = torch.tensor([file in inputs.corrected for file in files])
-        shares = reweight_corrected(shares, corrected, training.corrections.share)
-        return ImageSamples(training, files, labels, shares, cars, inputs.corrected)
+        weights = reweight_corrected(weights, corrected, training.corrections.fraction)
+        return ImageSamples(training, files, labels, weights, cars, inputs.corrected)

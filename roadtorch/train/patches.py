@@ -51,8 +51,8 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
     coordinates = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     size = segment_size(segments, int(segments.max()) + 1)
     centroid = segment_mean(torch.stack(coordinates).to(torch.float32), segments, size).T
-    turns = torch.arange(settings.around) * (2 * math.pi / max(1, settings.around))
-    around = torch.stack([turns.cos(), turns.sin()], 1) * settings.distance
+    turns = torch.arange(settings.extra) * (2 * math.pi / max(1, settings.extra))
+    around = torch.stack([turns.cos(), turns.sin()], 1) * settings.radius
     moves = torch.cat([torch.zeros(1, 2), around])
     centres = (centroid[:, None] + moves).reshape(-1, 2).round().to(torch.int64)
     return centres.clamp_min(0).minimum(torch.tensor([height - 1, width - 1]))
@@ -113,13 +113,13 @@ def merge_corrections(
     )
 
 
-def oversample(files: Sequence[Path], corrected: Container[Path], share: float) -> list[Path]:
-    """Repeat corrected files until they are about ``share`` of all; keep each at least once."""
+def oversample(files: Sequence[Path], corrected: Container[Path], fraction: float) -> list[Path]:
+    """Repeat corrected files until they are about ``fraction`` of all; keep each at least once."""
     corrected_files = [file for file in files if file in corrected]
     machine_count = len(files) - len(corrected_files)
-    if not corrected_files or not machine_count or share == 1:
-        return corrected_files if corrected_files and share == 1 else list(files)
-    times = max(1, round(share * machine_count / ((1 - share) * len(corrected_files))))
+    if not corrected_files or not machine_count or fraction == 1:
+        return corrected_files if corrected_files and fraction == 1 else list(files)
+    times = max(1, round(fraction * machine_count / ((1 - fraction) * len(corrected_files))))
     return [file for file in files for _ in range(times if file in corrected else 1)]
 
 
@@ -210,10 +210,11 @@ PATCH_BLOCK = 128
 
 
 class PatchSamples:
-    """Patches of prepared images, shuffled over ``mix`` images at a time.
+    """Patches of prepared images, shuffled over ``shuffle_images`` of them at a time.
 
-    A chunk holds a part of the patches of ``mix`` images, another part at each visit. Memory is
-    that of about ``mix`` / ``passes`` images and of ``cached_arrays``, for any number of images.
+    A chunk holds a part of the patches of that many images, another part at each visit. Memory is
+    that of about ``shuffle_images`` / ``passes`` images and of ``cached_arrays``, however many
+    images there are.
     """
 
     def __init__(
@@ -226,7 +227,7 @@ class PatchSamples:
         self._training = training
         self._read = cached_arrays()
         self._weights = class_weights(files, training)
-        self._groups = -(-len(files) // training.mix)
+        self._groups = -(-len(files) // training.shuffle_images)
         patch = training.network.topology.patch
         self._buffer = torch.empty(0, 3, patch, patch)  # fresh memory is as slow as extraction
 
@@ -240,7 +241,7 @@ class PatchSamples:
         training = self._training
         visit, group = divmod(chunk, self._groups)
         order = self._shuffled(len(self._files), PATCH_ORDER, epoch, visit)
-        members = order[group * training.mix :][: training.mix].tolist()
+        members = order[group * training.shuffle_images :][: training.shuffle_images].tolist()
         labelled = [self._centres_of(member, epoch, visit) for member in members]
         generator = make_generator(training.random_seed, PATCH_VARIATION, epoch, chunk)
         centres, classes, counts = (torch.cat(parts) for parts in zip(*labelled, strict=True))
@@ -358,5 +359,6 @@ class PatchRecipe:
 
     def samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
         """Return the augmented patches of prepared images, corrected images oversampled."""
-        oversampled = oversample(inputs.files, inputs.corrected, self._training.corrections.share)
+        fraction = self._training.corrections.fraction
+        oversampled = oversample(inputs.files, inputs.corrected, fraction)
         return PatchSamples(oversampled, self._training, inputs.corrected)

@@ -50,27 +50,26 @@ def find_ego_cars(
     recordings: dict[str, list[Item]] = {}
     for image in images:
         recordings.setdefault(recording_name(image.name, settings.separator), []).append(image)
-    long = {name: group for name, group in recordings.items() if len(group) >= settings.least}
+    long = {name: group for name, group in recordings.items() if len(group) >= settings.min_frames}
     files = {name: folder / f"{name}.npz" for name in long}
     bar = Progress(files.items(), desc="ego cars", unit="image", quiet=quiet)
     for name, file in until_stopped(bar, stop):
         frames = evenly_spaced(long[name], MAX_FRAMES)
-        key = key_of(settings.least, *(image.path for image in frames))
+        key = key_of(settings.min_frames, *(image.path for image in frames))
         if kept(file, key) is None:
-            keep(file, key, detect_ego_cars(frames, settings.least))
+            keep(file, key, detect_ego_cars(frames, settings.min_frames))
     return {image.name: files[name] for name, group in long.items() for image in group}
 
 
-def detect_ego_cars(images: Sequence[Item], least: int) -> Arrays:
+def detect_ego_cars(images: Sequence[Item], min_frames: int) -> Arrays:
     """Detect the ego car bool (H, W) in images of one camera, for each aspect ratio."""
     shapes: dict[int, list[Tensor]] = {}
     for image in images:
         with suppress(InputError):  # reported when it is made ready
             frame = at_work(read_image(image.path), FRAME_SIZE)
             shapes.setdefault(aspect_bin(frame), []).append(frame)
-    cars = {
-        str(shape): still_ego(frames) for shape, frames in shapes.items() if len(frames) >= least
-    }
+    enough = {shape: frames for shape, frames in shapes.items() if len(frames) >= min_frames}
+    cars = {str(shape): still_ego(frames) for shape, frames in enough.items()}
     return {shape: ego for shape, ego in cars.items() if ego is not None and has_smooth_edge(ego)}
 
 

@@ -204,7 +204,7 @@ class TrainingRun:
         samples = self.recipe.samples(inputs, stop, quiet)
         network = self.recipe.network(self.initial)
         descent = scale_learning_rate(
-            training.descent, training.corrections.halfway, len(self.corrections)
+            training.descent, training.corrections.half_rate_images, len(self.corrections)
         )
         parts = (network, samples.chunks, samples.batches, self.recipe.loss)
         rules = (descent, training.stopping)

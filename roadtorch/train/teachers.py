@@ -100,7 +100,7 @@ def best_class(layout: Tensor) -> Tensor:
 def centre_likelihood(likelihood: Tensor, settings: Teacher) -> Tensor:
     """Shift likelihoods (B, 1, H, W) so that the threshold of road becomes 0.5."""
     centre = math.log(settings.road_threshold / (1 - settings.road_threshold))
-    centred = [centred_odds(odds, centre, settings.centre) for odds in log_odds(likelihood)]
+    centred = [centred_odds(odds, centre, settings.otsu_weight) for odds in log_odds(likelihood)]
     return torch.stack(centred).sigmoid()
 
 
@@ -221,5 +221,5 @@ def teacher_agreement(
         where = torch.stack([targets.layout_weight[:, 0], targets.road_weight[:, 0]]) > 0
         agreeing += (torch.stack([layout, road]) & where).flatten(1).sum(1)
         counted += where.flatten(1).sum(1)
-    shares = agreeing / counted
-    return Agreement(float(shares[0]), float(shares[1]), len(files))
+    ratios = agreeing / counted
+    return Agreement(float(ratios[0]), float(ratios[1]), len(files))

@@ -15,7 +15,7 @@ from tests.streets import scene
 
 PATCHES = """
 kind = "patches"
-mix = 2
+shuffle_images = 2
 passes = 2
 
 [network.topology]
@@ -50,10 +50,10 @@ working = { pixels = 4800 }
 
 [recordings]
 separator = "_"
-least = 5
+min_frames = 5
 
 [augmentation.ego_car]
-share = 0.5
+probability = 0.5
 
 [descent]
 batch = 2

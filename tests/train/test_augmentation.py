@@ -36,7 +36,7 @@ from roadtorch.train.teachers import TARGET_PLANES, Targets
 from tests.draws import seeded
 from tests.streets import scene
 
-STILL = GeometryAugmentation(scale=0, stretch=0, rotation=0, move=0)
+STILL = GeometryAugmentation(scale=0, stretch=0, rotation=0, translation=0)
 
 
 def sides(images: list[Tensor], wanted: Tensor, atol: float = 1e-5) -> list[int]:
@@ -60,7 +60,9 @@ def test_without_shift_a_frame_is_the_image_or_its_mirror_image() -> None:
 def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     rows = torch.linspace(0, 1, 80)[None, None, :, None].expand(8, 1, 80, 60)
 
-    frames = sample_affine(8, (80, 60), GeometryAugmentation(lower=1.0, cut=0.5), seeded(5))
+    frames = sample_affine(
+        8, (80, 60), GeometryAugmentation(crop_probability=1.0, max_crop=0.5), seeded(5)
+    )
     images = warp(rows, frames, "border")
 
     assert torch.allclose(images[:, 0, -1], torch.ones(8, 60), atol=0.02)
@@ -84,7 +86,7 @@ def test_light_changes_the_image_and_stays_in_range() -> None:
 def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
     day, unlit = torch.full((1, 3, 80, 60), 0.8), torch.zeros(1, 1, 80, 60)
     unlit[..., 70:, :] = 1
-    settings = NightAugmentation(darkest=0.05, lamps=0)
+    settings = NightAugmentation(min_brightness=0.05, lamps=0)
 
     nights = [darken_to_night(day, unlit, settings, seeded(seed)) for seed in range(12)]
 
@@ -149,7 +151,7 @@ def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
 
 
 def test_a_shadow_darkens_a_band_of_the_lower_part_and_nothing_else() -> None:
-    image, settings = torch.full((1, 3, 80, 60), 0.8), ShadowAugmentation(darkest=0.25)
+    image, settings = torch.full((1, 3, 80, 60), 0.8), ShadowAugmentation(min_brightness=0.25)
 
     images = [add_shadow(image, settings, seeded(seed)) for seed in range(20)]
 
@@ -161,7 +163,7 @@ def test_a_shadow_darkens_a_band_of_the_lower_part_and_nothing_else() -> None:
 
 # --- ego cars ------------------------------------------------------------------------------
 
-STILL_CAR = EgoCarAugmentation(tallest=0, flattest=0, widest=0, light=0)
+STILL_CAR = EgoCarAugmentation(growth=0, shrinkage=0, widening=0, light=0)
 
 
 def car_of(height: int, width: int, rows: int) -> EgoCar:
@@ -189,7 +191,7 @@ def test_on_the_ego_car_there_is_no_road_no_layout_and_the_rest_stays() -> None:
 
 
 def test_a_varied_car_covers_the_lower_edge_in_bounds_and_is_larger_or_brighter() -> None:
-    settings = EgoCarAugmentation(tallest=0.7, flattest=0.3, widest=0.25)
+    settings = EgoCarAugmentation(growth=0.7, shrinkage=0.3, widening=0.25)
     cars = [jitter_ego_car(car_of(80, 60, 20), settings, seeded(seed)) for seed in range(30)]
 
     for car in cars:

@@ -44,7 +44,10 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
 ) -> None:
     training, request = finished
     values = training.model_dump()
-    whole, other = build_training({"kind": "images"}), build_training({**values, "mix": 3})
+    whole, other = (
+        build_training({"kind": "images"}),
+        build_training({**values, "shuffle_images": 3}),
+    )
     images = str(write_streets(tmp_path / "other", 2))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "log.csv").write_text("mine")
@@ -98,26 +101,26 @@ def test_the_defaults_are_p2s() -> None:
     assert (training.augmentation.min_scale, training.augmentation.max_scale) == (0.6, 1.4)
     assert training.augmentation.rotation == 17
     assert (training.augmentation.min_noise, training.augmentation.max_noise) == (0.3, 1.2)
-    assert training.centres.around == 4
+    assert training.centres.extra == 4
     assert training.descent.method == "sgd"
     assert (training.stopping.rule, training.stopping.min_delta) == ("plateau", 0.001)
 
 
 BACKBONE = {"kind": "images", "network": {"heads": 1}}
-EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"share": 0.5}}}
+EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"probability": 0.5}}}
 
 
 @pytest.mark.parametrize(
     ("values", "told"),
     [
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
-        ({"kind": "images", "mix": 3}, "mix: unknown setting"),
+        ({"kind": "images", "shuffle_images": 3}, "shuffle_images: unknown setting"),
         ({"kind": "images", "rounds": {"count": 2}}, "rounds.count: 2 was given"),
         ({"augmentation": {"min_scale": 2.0}}, "min_scale: 2 was given, and .*max_scale is 1.4"),
-        ({"network": {"topology": {"size1": 9}}}, "topology: .* cannot halve"),
+        ({"network": {"topology": {"size1": 9}}}, "topology: leaves an empty or odd"),
         (BACKBONE | {"network": {"heads": 1, "width": 80}}, "network.width: .* multiple of 32"),
         (BACKBONE, "initial_weights: is empty, and a backbone"),
-        (EGO_CARS, r"augmentation.ego_car.share: is 0.5, .*recordings.separator"),
+        (EGO_CARS, r"augmentation.ego_car.probability: is 0.5, .*recordings.separator"),
     ],
 )
 def test_mistakes_are_told_with_their_key(values: dict[str, object], told: str) -> None:

@@ -86,14 +86,14 @@ def test_void_counts_for_nothing_and_nothing_said_changes_nothing() -> None:
 
 
 def test_corrected_images_get_their_share_of_the_visits() -> None:
-    shares, corrected = torch.tensor([1.0, 3.0, 2.0, 2.0]), torch.tensor([1, 0, 0, 1]).bool()
+    weights, corrected = torch.tensor([1.0, 3.0, 2.0, 2.0]), torch.tensor([1, 0, 0, 1]).bool()
 
-    moved = reweight_corrected(shares, corrected, 0.7)
+    moved = reweight_corrected(weights, corrected, 0.7)
 
     assert float(moved[corrected].sum() / moved.sum()) == pytest.approx(0.7)
     assert float(moved[3] / moved[0]) == pytest.approx(2)
-    assert torch.equal(reweight_corrected(shares, corrected | True, 0.7), shares)
-    assert torch.equal(reweight_corrected(shares, corrected & False, 0.7), shares)
+    assert torch.equal(reweight_corrected(weights, corrected | True, 0.7), weights)
+    assert torch.equal(reweight_corrected(weights, corrected & False, 0.7), weights)
 
 
 def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
@@ -141,7 +141,7 @@ def test_a_run_paces_its_steps_by_the_corrected_images(
     trained: Trained, runs: dict[str, Outcome], street: Correction
 ) -> None:
     """One corrected image and a huge half-rate count: next to no step is taken."""
-    slow = trained("images", "corrections.halfway=1e6", out="slow", corrections=[street])
+    slow = trained("images", "corrections.half_rate_images=1e6", out="slow", corrections=[street])
     slowly, fast = (load_network(run.weights or "") for run in (slow, runs["images"]))
     start = make_recipe(training_of("images")).network(None).state_dict()
     for name, weight in start.items():

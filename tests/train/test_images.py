@@ -22,7 +22,7 @@ from roadtorch.train.teachers import TARGET_PLANES, Targets
 from tests.draws import seeded
 
 SAME_LIGHT = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}
-SAME_FRAME = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "move": 0.0}
+SAME_FRAME = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "translation": 0.0}
 
 
 def training_of(**values: object) -> ImageTraining:
@@ -75,9 +75,9 @@ def test_epochs_draw_differently(files: list[Path]) -> None:
     assert not torch.equal(first, other)
 
 
-def targets_with(files: list[Path], share: float, shows_ego: bool = True) -> Targets:
+def targets_with(files: list[Path], probability: float, shows_ego: bool = True) -> Targets:
     """Return the targets of an epoch whose images keep their geometry."""
-    varied = {"geometry": SAME_FRAME, "ego_car": {"share": share}}
+    varied = {"geometry": SAME_FRAME, "ego_car": {"probability": probability}}
     training = training_of(augmentation=varied, descent={"batch": 5})
     (batch,) = samples_of(files, training, shows_ego=shows_ego).batches(0, 0)
     return Targets(*batch.targets.split(TARGET_PLANES, 1))
@@ -92,7 +92,7 @@ def test_every_image_can_get_an_ego_car(files: list[Path]) -> None:
 
     none = targets_with(files, 0.0)
     assert none.ego[:, 0, -1, 20].round().sort().values.tolist() == [0, 0, 0, 0, 1]  # its own
-    unseen = (targets_with(files, share, shows_ego=False) for share in (0.0, 1.0))
+    unseen = (targets_with(files, value, shows_ego=False) for value in (0.0, 1.0))
     assert all(map(torch.equal, *unseen))  # no footage shows one
 
 
@@ -101,20 +101,20 @@ def test_every_image_can_get_an_ego_car(files: list[Path]) -> None:
 
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=60), st.integers(0, 2**31))
 def test_visits_are_fair_to_less_than_a_whole_one(values: list[float], seed: int) -> None:
-    shares = torch.tensor(values)
+    weights = torch.tensor(values)
 
-    visits = sample_members(shares, len(shares), seeded(seed)).bincount(minlength=len(shares))
+    visits = sample_members(weights, len(weights), seeded(seed)).bincount(minlength=len(weights))
 
-    fair = shares.double() / shares.double().sum() * len(shares)
-    assert visits.sum() == len(shares)
+    fair = weights.double() / weights.double().sum() * len(weights)
+    assert visits.sum() == len(weights)
     assert ((visits - fair).abs() < 1 + 1e-3).all()
 
 
 NAMES = ("a_1", "a_2", "a_3", "b", "c")
 
 
-@pytest.mark.parametrize(("evenness", "share"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
-def test_recordings_follow_from_names(evenness: float, share: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("balance", "weight"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
+def test_recordings_follow_from_names(balance: float, weight: float, tmp_path: Path) -> None:
     """The kept folder's own name has the separator; the names of two images have none."""
     folder = tmp_path / "kept_here"
     folder.mkdir()
@@ -122,13 +122,13 @@ def test_recordings_follow_from_names(evenness: float, share: float, tmp_path: P
     for file in files:  # all but the first show an ego car
         level = 128 if file == files[0] else 255
         write_arrays(file, {"ego": torch.full((2, 2), level, dtype=torch.uint8)})
-    recordings = {"separator": "_", "evenness": evenness}
+    recordings = {"separator": "_", "balance": balance}
     recipe = ImageRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
     recipe.survey([], folder, Stop(), True)
     samples = recipe.samples(TrainingInputs(files, {}, None, tmp_path), Stop(), True)
 
-    assert samples.shares.tolist() == pytest.approx([share, share, share, 1, 1])
+    assert samples.sampling_weights.tolist() == pytest.approx([weight, weight, weight, 1, 1])
     assert samples.ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
 
 

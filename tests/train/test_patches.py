@@ -33,7 +33,7 @@ from tests.streets import scene
 
 
 def training_of(**values: object) -> PatchTraining:
-    training = build_training({"mix": 2, "passes": 2, **values})
+    training = build_training({"shuffle_images": 2, "passes": 2, **values})
     assert isinstance(training, PatchTraining)
     return training
 
@@ -45,11 +45,11 @@ def test_centres_are_centroids_and_places_around_them_inside_the_image() -> None
     segments = torch.zeros(9, 20, dtype=torch.int64)
     segments[:, 11:] = 1  # centroids (4, 5) and (4, 15)
 
-    centres = find_centres(segments, PatchCentres(around=4, distance=2))
+    centres = find_centres(segments, PatchCentres(extra=4, radius=2))
     wanted = [[4, 5], [6, 5], [4, 7], [2, 5], [4, 3], [4, 15], [6, 15], [4, 17], [2, 15], [4, 13]]
     assert centres.tolist() == wanted
 
-    far = find_centres(segments[:4, :6], PatchCentres(around=8, distance=50))
+    far = find_centres(segments[:4, :6], PatchCentres(extra=8, radius=50))
     assert (far.amin(0).tolist(), far.amax(0).tolist()) == ([0, 0], [3, 5])
 
 

@@ -129,8 +129,8 @@ def test_arrays_come_back_all_or_those_that_are_named(tmp_path: Path) -> None:
 # --- recordings -------------------------------------------------------------------------
 
 
-NUMBERED = Recordings(separator="_", least=8)
-FEW = Recordings(separator="_", least=3)
+NUMBERED = Recordings(separator="_", min_frames=8)
+FEW = Recordings(separator="_", min_frames=3)
 ALONE = (Stop(), True)
 
 

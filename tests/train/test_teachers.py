@@ -65,7 +65,7 @@ def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
     cameras = odds.sigmoid()
 
     fixed, own, half = (
-        centre_likelihood(cameras, Teacher(centre=share)) for share in (0.0, 1.0, 0.5)
+        centre_likelihood(cameras, Teacher(otsu_weight=weight)) for weight in (0.0, 1.0, 0.5)
     )
 
     for moved, image in zip(own, map(log_odds, cameras), strict=True):
