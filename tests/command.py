@@ -1,4 +1,4 @@
-"""The command line called in this process, on real images, and what it left."""
+"""Helpers that call the command line in this process, and read what it wrote."""
 
 import csv
 from collections.abc import Callable
@@ -19,7 +19,7 @@ ROWS = ("--detector", "prior:rows")
 
 @pytest.fixture
 def call() -> Call:
-    """``call("infer", path, "--out", out)``: the result has exit_code, stdout and stderr."""
+    """Return ``call("infer", path, "--out", out)``; results have exit_code, stdout and stderr."""
 
     def run(*arguments: object) -> Result:
         return CliRunner().invoke(main, [str(argument) for argument in arguments])
@@ -28,7 +28,7 @@ def call() -> Call:
 
 
 def invoked(command: Command, *arguments: object) -> Result:
-    """One command called by itself: what it raises, the test sees."""
+    """Call one command without its group, and raise its exceptions."""
     words = [str(argument) for argument in arguments]
     result = CliRunner().invoke(command, words, obj=[command.name, *words])
     if result.exception and not isinstance(result.exception, SystemExit):
@@ -37,7 +37,7 @@ def invoked(command: Command, *arguments: object) -> Result:
 
 
 def save_image(path: Path, seed: int = 0, size: tuple[int, int] = (64, 48)) -> Path:
-    """A noisy image; its suffix says the format."""
+    """Save a noisy image in the format of the suffix."""
     width, height = size
     pixels = np.random.default_rng(seed).integers(60, 200, (height, width, 3), np.uint8)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -47,7 +47,7 @@ def save_image(path: Path, seed: int = 0, size: tuple[int, int] = (64, 48)) -> P
 
 @pytest.fixture
 def footage(tmp_path: Path) -> Path:
-    """A folder with a.jpg, b.png and sub/c.png."""
+    """Make a folder with a.jpg, b.png and sub/c.png."""
     root = tmp_path / "footage"
     for seed, name in enumerate(("a.jpg", "b.png", "sub/c.png")):
         save_image(root / name, seed)
@@ -55,7 +55,7 @@ def footage(tmp_path: Path) -> Path:
 
 
 def rows_of(out: Path) -> dict[str, dict[str, str]]:
-    """The rows of index.csv by file."""
+    """Read the rows of index.csv by file."""
     with (out / "index.csv").open(newline="") as file:
         return {row["file"]: row for row in csv.DictReader(file)}
 
@@ -65,6 +65,6 @@ def files_in(folder: Path) -> set[str]:
 
 
 def bytes_in(folder: Path) -> dict[str, bytes]:
-    """What does not depend on when and how a run was made."""
-    kept = files_in(folder) - {"index.csv", "run.json"}
-    return {name: (folder / name).read_bytes() for name in kept}
+    """Read all files but those that depend on time and machine."""
+    names = files_in(folder) - {"index.csv", "run.json"}
+    return {name: (folder / name).read_bytes() for name in names}

@@ -1,4 +1,4 @@
-"""What holds for every test: no network, settled randomness, one thread of torch."""
+"""Fixtures and settings of all tests: no network, fixed seeds, one thread of torch."""
 
 import socket
 from pathlib import Path
@@ -49,7 +49,7 @@ def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def data_root() -> Path:
-    """The development data; tests that use it carry the marker ``data``."""
+    """Return the folder of the development data, for tests with the marker ``data``."""
     if not DATA.is_dir():
         pytest.skip("the development data is not beside the repository (../shared/data)")
     return DATA

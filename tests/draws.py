@@ -1,4 +1,4 @@
-"""Numbers that are drawn the same every time."""
+"""Seeded random numbers."""
 
 import torch
 from torch import Tensor
@@ -9,5 +9,5 @@ def seeded(seed: int = 0) -> torch.Generator:
 
 
 def random(*size: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Evenly in [0,1)."""
+    """Sample uniformly from [0, 1)."""
     return torch.rand(*size, generator=seeded(seed), dtype=dtype)

@@ -1,4 +1,4 @@
-"""Networks whose answers are known without training."""
+"""Small networks with known outputs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ SMALL = ImageNetworkSettings(height=48, width=64, narrow=8, wide=8)
 def write_random_network(
     path: Path, seed: int, make: Callable[[], LayoutNetwork] = lambda: ImageNetwork(SMALL)
 ) -> Path:
-    """Weights of a network that nobody trained."""
+    """Write the weights of an untrained network."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         save_network(path, make(), {})
@@ -27,10 +27,10 @@ def write_random_network(
 
 @torch.no_grad()
 def write_ego_network(path: Path, bottom: float) -> Path:
-    """Weights of a network that calls a share of the height, at the bottom, the ego car.
+    """Write a network for which a fraction ``bottom`` of the height is the ego car.
 
-    ``bottom`` is below 0.45; 0 is no ego car. It sees nothing else: every class of the layout is
-    as likely, and road as likely as not, whatever the image.
+    ``bottom`` is below 0.45; 0 is no ego car. All classes of the layout are equally likely, and
+    road has probability 0.5, whatever the image.
     """
     network = ImageNetwork(SMALL)
     for name, values in network.named_parameters():

@@ -1,4 +1,4 @@
-"""A detector that knows the answers of some rendered streets, and a set made of them."""
+"""A detector that knows the truth of some rendered streets, and a data set of them."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ DECISION = {
     "seed_area": {"height": 30.0, "width": 80.0},
     "ego": {"bottom": 0.0, "mask": "", "outline": []},
 }
-"""What every detector is told beside its threshold, if nobody says."""
+"""Default settings of every detector, apart from its threshold."""
 
 GROUPS = ("0001TP", "0006R0", "0016E5")
 SCENES = {f"{GROUPS[i % 3]}_{i}": render_scene(i, 48, 64) for i in range(6)}
@@ -25,13 +25,13 @@ TRUTH = {float(scene.image.double().sum()): scene for scene in SCENES.values()}
 
 
 class OracleSettings(DetectorSettings):
-    """Settings of a detector that knows the answers."""
+    """Settings of the oracle."""
 
     doubt: float = Field(default=0.0, ge=0, le=1)
 
 
 class Oracle(nn.Module):
-    """Looks the truth up by the sum of the image's pixels."""
+    """Detector that looks up the truth by the sum of the image's pixels."""
 
     def __init__(self, settings: OracleSettings) -> None:
         super().__init__()
@@ -45,13 +45,13 @@ class Oracle(nn.Module):
 
 
 def know_oracle() -> None:
-    """Put the oracle among the detectors, once."""
+    """Register the oracle as a detector, once."""
     if ORACLE not in list_detectors():
         register_detector(ORACLE, OracleSettings, summary="knows the truth")(Oracle)
 
 
 def write_set(root: Path) -> Path:
-    """The scenes as CamVid: two images of each of three groups."""
+    """Write the scenes as CamVid: two images of each of three groups."""
     write_camvid(root, "train", dict(list(SCENES.items())[:3]))
     write_camvid(root, "val", dict(list(SCENES.items())[3:]))
     return root

@@ -1,4 +1,4 @@
-"""A device that every machine has: tensors that say they are on ``meta`` and are on the CPU.
+"""A pretended device for tests without a GPU: tensors report ``meta`` and are on the CPU.
 
 As on a GPU, an operation on tensors of both devices is refused (but for scalars, and indices that
 are on the CPU), and so is NumPy's view of one. Results are those of the CPU, to the bit.
@@ -16,7 +16,7 @@ DEVICE = torch.device("meta")
 
 
 class Pretended(Tensor):
-    """A tensor of the pretended device; ``inner`` is what it is of the CPU."""
+    """A tensor of the pretended device; ``inner`` is the tensor on the CPU."""
 
     inner: Tensor
 
@@ -35,7 +35,7 @@ class Pretended(Tensor):
         self.inner = inner
 
     def new_tensor(self, data: Any, **options: Any) -> Tensor:
-        """Without torch's own shortcut, which makes a tensor of the real ``meta``."""
+        """Make a tensor without torch's shortcut, which makes one on the real ``meta``."""
         return Pretended(self.inner.new_tensor(data, **options))
 
     def tolist(self) -> Any:
@@ -48,20 +48,20 @@ class Pretended(Tensor):
     def __torch_dispatch__(
         cls, operation: Any, types: Any, values: Sequence[Any] = (), named: Any = None
     ) -> Any:
-        return _done(operation, values, named or {})
+        return _run(operation, values, named or {})
 
 
 class PretendedDevice(TorchDispatchMode):
-    """Within the block the pretended device is there."""
+    """Mode in which torch knows the pretended device."""
 
     def __torch_dispatch__(
         self, operation: Any, types: Any, values: Sequence[Any] = (), named: Any = None
     ) -> Any:
-        return _done(operation, values, named or {})
+        return _run(operation, values, named or {})
 
 
 def moved(module: nn.Module) -> nn.Module:
-    """A module with its parameters and buffers on the pretended device."""
+    """Move the parameters and buffers of a module to the pretended device."""
     for part in module.modules():
         for name, value in part._parameters.items():
             if value is not None:
@@ -72,23 +72,23 @@ def moved(module: nn.Module) -> nn.Module:
     return module
 
 
-def _done(operation: Any, values: Sequence[Any], named: Mapping[str, Any]) -> Any:
-    asked = named.get("device")
-    device = None if asked is None else torch.device(asked).type
-    given = [one for one in tree_leaves((values, named)) if isinstance(one, Tensor)]
-    there = any(isinstance(one, Pretended) for one in given)
-    own = {**named, "device": torch.device("cpu")} if device == DEVICE.type else named
-    found = operation(*tree_map(_inner, values), **tree_map(_inner, own))
-    scalar = not isinstance(found, Tensor | tuple | list)
-    if scalar or device == "cpu" or not (there or device == DEVICE.type):
-        return found
+def _run(operation: Any, values: Sequence[Any], named: Mapping[str, Any]) -> Any:
+    requested = named.get("device")
+    device = None if requested is None else torch.device(requested).type
+    inputs = [value for value in tree_leaves((values, named)) if isinstance(value, Tensor)]
+    has_pretended = any(isinstance(value, Pretended) for value in inputs)
+    options = {**named, "device": torch.device("cpu")} if device == DEVICE.type else named
+    result = operation(*tree_map(_inner, values), **tree_map(_inner, options))
+    scalar = not isinstance(result, Tensor | tuple | list)
+    if scalar or device == "cpu" or not (has_pretended or device == DEVICE.type):
+        return result
     indexing = "index" in operation._schema.name or "copy_" in operation._schema.name
-    mixed = any(one.ndim > 0 and not isinstance(one, Pretended) for one in given)
+    mixed = any(value.ndim > 0 and not isinstance(value, Pretended) for value in inputs)
     if device is None and mixed and not indexing:
         raise RuntimeError(f"{operation}: tensors on the pretended device and on the CPU")
     if operation._schema.name.endswith("_") and isinstance(values[0], Pretended):
         return values[0]
-    return tree_map(lambda one: Pretended(one) if isinstance(one, Tensor) else one, found)
+    return tree_map(lambda value: Pretended(value) if isinstance(value, Tensor) else value, result)
 
 
 def _inner(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Runs with made-up scores, as `evaluate` hands them to the report."""
+"""Evaluations with made-up scores, for tests of the report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,12 +23,12 @@ NAMES = ("fusion", "labeller", "prior:mean", "cpf:v2", "prior:rows")
 
 
 def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Evaluation:
-    """Make a run whose first detector is the best, each next one a little worse; without counts.
+    """Make an evaluation whose first detector is the best, each next one worse; without counts.
 
-    Names that begin with "prior:" are those of baselines. A group has a hundredth more than the one
-    before. The intervals of differences reach 0.03 to both sides.
+    Names that begin with "prior:" are baselines. Each group scores a hundredth more than the last.
+    The intervals of differences reach 0.03 to both sides.
     """
-    quality = {name: 0.95 - 0.3 * place / len(names) for place, name in enumerate(names)}
+    quality = {name: 0.95 - 0.3 * rank / len(names) for rank, name in enumerate(names)}
     items = [
         LabelledItem(f"{group}_{i}", Path("x.png"), Path("y.png"), group)
         for group in groups or [None]
@@ -38,9 +38,9 @@ def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Ev
     detectors = {
         name: DetectorScores(
             made_contender(name),
-            made_part(score),
-            {group: made_part(score + 0.01 * (i - 1)) for i, group in enumerate(groups)},
-            made_part(score) if groups else {},
+            make_scores(score),
+            {group: make_scores(score + 0.01 * (i - 1)) for i, group in enumerate(groups)},
+            make_scores(score) if groups else {},
             intervals={"maxf": Interval(score - 0.015, score + 0.0125)},
         )
         for name, score in quality.items()
@@ -56,7 +56,7 @@ def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Ev
 
 
 def scored(scores: Mapping[str, float | None]) -> Evaluation:
-    """A run of detectors with a MaxF each and nothing else; None: not even that."""
+    """Make an evaluation of detectors with a MaxF each, or with no scores for None."""
     dataset = Dataset("folder", Path("data"), "all", (), FolderLabels())
     detectors = {
         name: DetectorScores(made_contender(name), {} if score is None else {"maxf": score})
@@ -66,21 +66,21 @@ def scored(scores: Mapping[str, float | None]) -> Evaluation:
 
 
 def made_contender(name: str) -> Contender:
-    """One that nobody asks to look; a baseline by its name."""
+    """Make a contender that must not run; one called "prior:…" is a baseline."""
 
     def prepare(_: Dataset) -> Look:
-        raise AssertionError("nobody looks")
+        raise AssertionError("must not run")
 
     return Contender(name, prepare, is_baseline=name.startswith("prior:"))
 
 
-def made_part(score: float) -> Scores:
-    """A number for every measure."""
-    scores = {one.key: score - 0.001 * place for place, one in enumerate(MEASURES)}
+def make_scores(score: float) -> Scores:
+    """Make a value for every measure."""
+    scores = {measure.key: score - 0.001 * rank for rank, measure in enumerate(MEASURES)}
     return {**scores, "images": 10, "maxf": score, "ms_per_image": 12.34}
 
 
 def changed(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:
-    """The same run with other fields of one detector's scores."""
+    """Return an evaluation with other fields of one detector's scores."""
     scores = replace(evaluation.detectors[name], **fields)
     return replace(evaluation, detectors={**evaluation.detectors, name: scores})

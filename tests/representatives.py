@@ -1,4 +1,4 @@
-"""Detectors that stand for all: of a grid of hundreds, one for each way of working."""
+"""Representative detectors: of a grid of hundreds, one for each way of working."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from roadtorch.detectors.catalogue import detector_entry, detector_groups
 
 
 def representatives() -> list[str]:
-    """Names of detectors without those of grids that differ in their second option alone.
+    """Return the names of detectors, one of each grid's that differ in their second option alone.
 
     Of ``oneclass:nn:…`` the first stays, of the next classifier the second, and so on, so
     that few names see most of the options.
@@ -22,7 +22,7 @@ def representatives() -> list[str]:
 
 
 def ways_of_working() -> list[str]:
-    """The same without presets, which differ from an earlier name in values or weights alone."""
+    """Return ``representatives`` without presets, which differ only in values or weights."""
     ways: dict[object, str] = {}
     for name in representatives():
         entry = detector_entry(name)
@@ -35,10 +35,10 @@ LITTLE: dict[str, dict[str, Any]] = {
     "gabor": {"gabor": {"orientations": 16, "scales": 2}, "working": {"pixels": 3200}},
     "samples": {"working": {"pixels": 60 * 80}},
 }
-"""By a group of settings that they have: with what detectors that take their time have little."""
+"""Settings that make slow detectors quick, by a group of settings that they have."""
 
 
 def quick(name: str) -> dict[str, Any]:
-    """Settings by which a detector works as always, on less."""
+    """Return settings with which a detector works as usual, on less."""
     fields = detector_entry(name).settings.model_fields
     return next((little for group, little in LITTLE.items() if group in fields), {})

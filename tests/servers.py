@@ -1,4 +1,4 @@
-"""Servers of tests on the loopback."""
+"""HTTP servers on the loopback, for tests."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -38,7 +38,7 @@ def serving(answer: Answer) -> Iterator[str]:
 
 
 def send(data: bytes, kind: str, length: int | None = None) -> Answer:
-    """Answer with data of a content type; length: to declare, 0 for none, by default the true."""
+    """Return a handler that sends data; length: to declare, 0 for none, by default the true one."""
 
     def answer(handler: BaseHTTPRequestHandler) -> None:
         handler.send_response(200)

@@ -1,4 +1,4 @@
-"""The streets that the tests of all areas look at: rendered ones, made once each."""
+"""Rendered streets for all tests, each rendered once."""
 
 from functools import cache
 from pathlib import Path
@@ -17,12 +17,12 @@ The tensors are shared by all tests: clone what is to be changed.
 
 
 def as_bytes(image: Tensor) -> Tensor:
-    """An image with the 256 levels that a file would give it."""
+    """Round an image to the 256 levels of a file."""
     return (image * 255).round() / 255
 
 
 def lost_highlights(**options: float) -> Tensor:
-    """A small street (3,96,128), saturated on its road: in a patch, and in single pixels."""
+    """Return a street (3, 96, 128), saturated on the road in a patch and in single pixels."""
     image = scene(3, 96, 128, **options).image.clone()
     image[:, 60:72, 20:44] = 1.0
     image[:, 76:88, 70:100:3] = 1.0
@@ -38,7 +38,7 @@ def write_camvid(root: Path, split: str, scenes: dict[str, RenderedScene]) -> No
 
 
 def write_drives(root: Path) -> None:
-    """CamVid's three development drives, one small image each, into ``root/camvid``."""
+    """Write CamVid's three development drives, one small image each, into ``root/camvid``."""
     names = ("0001TP_0", "0006R0_1")
     scenes = {name: render_scene(seed, 48, 64) for seed, name in enumerate(names)}
     write_camvid(root / "camvid", "train", scenes)
@@ -46,7 +46,7 @@ def write_drives(root: Path) -> None:
 
 
 def bonnet(height: int, width: int, rise: float = 0.18) -> Tensor:
-    """An ego car bool (H,W): an arch at the bottom edge, as high as ``rise`` in its middle."""
+    """Return an ego car, bool (H, W): an arch at the bottom edge, ``rise`` high in its middle."""
     rows = (torch.arange(height) + 0.5) / height
     columns = (torch.arange(width) + 0.5) / width
     top = 1 - rise * (1 - ((columns - 0.5) / 0.42).square())
@@ -55,9 +55,9 @@ def bonnet(height: int, width: int, rise: float = 0.18) -> Tensor:
 
 @cache
 def drive(count: int = 12, rise: float = 0.18, height: int = 120, width: int = 160) -> list[Tensor]:
-    """Frames (3,H,W) of one camera that looks at different streets over its bonnet; 0 for none.
+    """Return frames (3, H, W) of different streets by one camera over its bonnet; 0 for none.
 
-    The bonnet is dark blue with a pale edge, and mirrors a little of each sky.
+    The bonnet is dark blue with a pale edge, and reflects a little of each sky.
     """
     frames = []
     for seed in range(count):

@@ -62,15 +62,15 @@ def package_files() -> dict[str, bytes]:
     """Return the files of the package in this checkout, links followed."""
     folder = ROOT / "roadtorch"
     paths = [*folder.rglob("*"), *(folder / "configs").rglob("*")]
-    kept = (path for path in paths if path.is_file() and "__pycache__" not in path.parts)
-    return {path.relative_to(ROOT).as_posix(): path.read_bytes() for path in kept}
+    files = (path for path in paths if path.is_file() and "__pycache__" not in path.parts)
+    return {path.relative_to(ROOT).as_posix(): path.read_bytes() for path in files}
 
 
 def test_wheel_and_sdist_hold_the_package_and_nothing_else(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built["wheel"]) as wheel:
         files = {name: wheel.read(name) for name in wheel.namelist()}
     with tarfile.open(built["sdist"]) as sdist:
-        members = {each.name.partition("/")[2]: sdist.extractfile(each) for each in sdist}
+        members = {entry.name.partition("/")[2]: sdist.extractfile(entry) for entry in sdist}
         sources = {name: file.read() for name, file in members.items() if file}
     for shipped in (files, sources):
         inside = {name: data for name, data in shipped.items() if name.startswith("roadtorch/")}
@@ -86,7 +86,7 @@ def test_wheel_and_sdist_hold_the_package_and_nothing_else(built: dict[str, Path
 
 
 def test_an_editable_install_is_found(built: dict[str, Path], checkout: Path) -> None:
-    """The folder ``roadtorch`` there, the clone itself, is a namespace package to Python."""
+    """Import from beside the clone: its folder ``roadtorch`` is a namespace package to Python."""
     site = checkout.parent / "editable-site"
     with zipfile.ZipFile(built["editable"]) as archive:
         archive.extractall(site)

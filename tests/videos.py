@@ -12,7 +12,7 @@ from tests.streets import scene
 
 
 def street_pixels(seed: int, height: int = 48, width: int = 64) -> np.ndarray:
-    """A rendered street as uint8 (H,W,3)."""
+    """Render a street as uint8 (H, W, 3)."""
     return to_pixels(scene(seed, height + height % 2, width + width % 2).image)[:height, :width]
 
 
@@ -26,10 +26,10 @@ def write_video(
     ticks: int = 1000,
     live: bool = False,
 ) -> Path:
-    """A video with a frame at each of the seconds; of rate 10 where it has no such stamps.
+    """Write a video with a frame at each of the times in seconds; rate 10 without stamps.
 
-    Frame n is a street whose brightness tells n apart from its neighbours. size: height and width.
-    ticks: of its clock, a second. live: of Matroska that says nothing of its length.
+    Neighbouring frames are streets of different brightness. size: height and width. ticks: of the
+    clock, a second. live: Matroska without a duration.
     """
     header = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
     header |= {"live": "1"} if live else {}
@@ -49,7 +49,7 @@ def write_video(
 
 
 def write_sound(path: Path) -> Path:
-    """A file with a second of silence and no images."""
+    """Write a file with a second of silence and no images."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("aac", rate=8000)
         frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.float32), "fltp", "mono")
@@ -60,12 +60,12 @@ def write_sound(path: Path) -> Path:
 
 
 def stamps_of(path: Path) -> list[float]:
-    """The seconds of a video's frames."""
+    """Read the times of a video's frames, in seconds."""
     with av.open(str(path)) as container:
         return [float(frame.time or 0) for frame in container.decode(video=0)]
 
 
 def pixels_of(path: Path) -> list[np.ndarray]:
-    """The frames of a video as uint8 (H,W,3)."""
+    """Read the frames of a video as uint8 (H, W, 3)."""
     with av.open(str(path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]

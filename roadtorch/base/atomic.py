@@ -51,8 +51,8 @@ def digest_of_folder(path: Path) -> str:
     """Return the SHA-256 of the names and digests of the files in a folder; "" without a file."""
     digest, result = hashlib.sha256(), ""
     for file in sorted(path.iterdir()):
-        if file_digest := digest_of(file):
-            digest.update(f"{file_digest} {file.name}\n".encode("utf-8", "surrogateescape"))
+        if checksum := digest_of(file):
+            digest.update(f"{checksum} {file.name}\n".encode("utf-8", "surrogateescape"))
             result = digest.hexdigest()
     return result
 

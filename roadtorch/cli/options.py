@@ -144,7 +144,7 @@ CAMERA_OPTION = click.option(
 JOBS_OPTION = click.option(
     "--jobs",
     type=click.IntRange(min=1),
-    help="Parallel processes; results do not depend on it. [one for each processor]",
+    help="Parallel processes; results do not depend on their number. [one for each processor]",
 )
 OVERWRITE_OPTION = click.option(
     "--overwrite", is_flag=True, help="Process images again that are done."

@@ -1,4 +1,4 @@
-"""Files that are never half-written, of bounded size, with names in any encoding."""
+"""Atomic writes, bounded reads, and names in any encoding."""
 
 import io
 import os
@@ -40,7 +40,7 @@ def test_a_full_disk_is_blamed_on_the_room(
     write: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = io.open
-    monkeypatch.setattr(io, "open", lambda _, *rest, **more: full("/dev/full", *rest, **more))
+    monkeypatch.setattr(io, "open", lambda _, *args, **kwargs: full("/dev/full", *args, **kwargs))
 
     with pytest.raises(InputError, match=r"x: cannot be written: No space left .* \(make room"):
         write(tmp_path / "x")
@@ -58,13 +58,13 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
     assert path.read_text() == "old"
 
 
-def test_who_shares_a_folder_removes_leftovers_when_alone(tmp_path: Path) -> None:
+def test_a_shared_folder_is_cleared_of_leftovers_by_its_first_run(tmp_path: Path) -> None:
     left = tmp_path / "made" / "below" / ".roadtorch.0123abcd.part"
 
     with shared(tmp_path / "made"):
         left.parent.mkdir()
         left.touch()
-        with shared(tmp_path / "made"):  # not alone: the first one may be writing it
+        with shared(tmp_path / "made"):  # the first run may be writing it
             assert left.exists()
     with locked(left.parent), shared(tmp_path / "made"):  # a run may be writing it
         assert left.exists()
@@ -74,7 +74,7 @@ def test_who_shares_a_folder_removes_leftovers_when_alone(tmp_path: Path) -> Non
 
 
 def test_no_library_writes_under_names_of_its_own() -> None:
-    """``save_file`` of safetensors makes .tmpXXXXXX, which stays where it is killed."""
+    """Forbid ``save_file`` of safetensors: its .tmpXXXXXX stays behind when it is killed."""
     package = Path(files.__file__).parents[1]
 
     modules = [path for path in package.rglob("*.py") if "save_file" in path.read_text()]
@@ -103,7 +103,7 @@ def test_a_file_is_read_up_to_its_bound(tmp_path: Path) -> None:
     path.write_bytes(b"12345")
 
     assert read_regular(path, max_bytes=5) == b"12345"
-    assert b"MemTotal" in read_regular("/proc/meminfo")  # whose size is told as 0
+    assert b"MemTotal" in read_regular("/proc/meminfo")  # whose stated size is 0
     with pytest.raises(OSError, match="more than 4 bytes"):
         read_regular(path, max_bytes=4)
 
@@ -116,6 +116,6 @@ def test_bytes_that_are_no_text_are_shown_and_ascii_systems_get_their_letters_ba
 
 @given(st.binary())
 def test_every_name_can_be_written(name: bytes) -> None:
-    shown = printable(os.fsdecode(name)).encode()
+    data = printable(os.fsdecode(name)).encode()
 
-    assert shown.decode("utf-8") == name.decode("utf-8", "backslashreplace")
+    assert data.decode("utf-8") == name.decode("utf-8", "backslashreplace")

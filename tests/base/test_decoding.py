@@ -1,4 +1,4 @@
-"""Images that are damaged, that lie about their size, or that make decoders warn."""
+"""Images that are damaged, declare a wrong size, or make decoders warn."""
 
 import io
 import re
@@ -26,15 +26,15 @@ def noise(height: int = 64, width: int = 64) -> Image.Image:
     return Image.fromarray(draw)
 
 
-def saved(image: Image.Image, form: str, **options: Any) -> bytes:
-    """The bytes of an image in a format of Pillow's."""
+def encode(image: Image.Image, form: str, **options: Any) -> bytes:
+    """Encode an image in a format of Pillow."""
     data = io.BytesIO()
     image.save(data, form, **options)
     return data.getvalue()
 
 
 def tiff(pixels: np.ndarray, **tags: int) -> bytes:
-    """The bytes of a TIFF of pixels (H,W,C), not compressed; tags by TIFF's numbers, as t262."""
+    """Encode pixels (H, W, C) as an uncompressed TIFF; tags by number, such as t262."""
     height, width, samples = pixels.shape
     size = {256: width, 257: height, 258: 8 * pixels.itemsize, 259: 1, 262: 1 if samples < 3 else 2}
     strips = {273: 8, 277: samples, 278: height, 279: pixels.nbytes}
@@ -45,7 +45,7 @@ def tiff(pixels: np.ndarray, **tags: int) -> bytes:
 
 
 def png(width: int, height: int, bits: int, colours: int, **chunks: bytes) -> bytes:
-    """A PNG of so many bits a sample, grey (0) or RGB (2), with chunks behind its header."""
+    """Make a PNG, grey (colours 0) or RGB (2), with these chunks after its header."""
     header = struct.pack(">IIBBBBB", width, height, bits, colours, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))
@@ -54,23 +54,23 @@ def png(width: int, height: int, bits: int, colours: int, **chunks: bytes) -> by
     )
 
 
-def declaring(width: int, height: int) -> bytes:
-    """A small JPEG that says it is large."""
-    data = bytearray(saved(Image.new("RGB", (64, 64)), "JPEG"))
+def jpeg_declaring(width: int, height: int) -> bytes:
+    """Make a small JPEG whose header declares another size."""
+    data = bytearray(encode(Image.new("RGB", (64, 64)), "JPEG"))
     at = data.index(b"\xff\xc0") + 5
     data[at : at + 4] = struct.pack(">HH", height, width)
     return bytes(data)
 
 
-def long_row() -> bytes:
-    """A small WebP whose canvas, of a VP8X, says it is long."""
+def long_webp() -> bytes:
+    """Make a small WebP whose VP8X header declares a long canvas."""
     frames = [Image.new("RGB", (90, 1), colour) for colour in ("red", "blue")]
-    data = bytearray(saved(frames[0], "WEBP", save_all=True, append_images=frames[1:]))
+    data = bytearray(encode(frames[0], "WEBP", save_all=True, append_images=frames[1:]))
     data[24:27] = (16_711_770 - 1).to_bytes(3, "little")
     return bytes(data)
 
 
-JPEG = saved(noise(), "JPEG")
+JPEG = encode(noise(), "JPEG")
 FORMS = {".jpg": "JPEG", ".png": "PNG", ".tif": "TIFF", ".webp": "WEBP", ".bmp": "BMP"}
 DEEP = np.full((16, 16, 3), 100, np.uint16)
 
@@ -84,14 +84,14 @@ REFUSED: Mapping[str, tuple[bytes, str]] = {
     **{
         f"{share}{suffix}": (whole[: int(len(whole) * share)], "cannot be decoded|is not an image")
         for suffix, form in FORMS.items()
-        for whole in [saved(noise(), form)]
+        for whole in [encode(noise(), form)]
         for share in (0.1, 0.99)
     },
-    "bomb.jpg": (declaring(13_000, 13_000), "has .*more than 100 megapixels"),
-    "larger bomb.jpg": (declaring(65_000, 65_000), "has .*more than 100 megapixels"),
-    "row.webp": (long_row(), "cannot be decoded: a side of 16711770 pixels"),
+    "bomb.jpg": (jpeg_declaring(13_000, 13_000), "has .*more than 100 megapixels"),
+    "larger bomb.jpg": (jpeg_declaring(65_000, 65_000), "has .*more than 100 megapixels"),
+    "row.webp": (long_webp(), "cannot be decoded: a side of 16711770 pixels"),
     "no deep pixels.png": (png(4, 4, 16, 2), "cannot be decoded"),
-    "short.tif": (saved(noise(), "TIFF", compression="tiff_deflate")[:-900], ".*"),
+    "short.tif": (encode(noise(), "TIFF", compression="tiff_deflate")[:-900], ".*"),
     **{
         f"{name}.tif": (data, "cannot be decoded: TIFF is read in one plane|is not an image")
         for name, data in {
@@ -99,11 +99,11 @@ REFUSED: Mapping[str, tuple[bytes, str]] = {
             "signed and deep": tiff(DEEP, t339=2),
             "ten bits": tiff(DEEP[..., :1], t258=10),
             "white is 0": tiff(DEEP[..., :1], t262=0),
-            "float": saved(Image.new("F", (16, 16)), "TIFF"),
+            "float": encode(Image.new("F", (16, 16)), "TIFF"),
         }.items()
     },
 }
-"""Files by name: their bytes, and what is said of them."""
+"""Files by name: their bytes, and the pattern of the error."""
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -120,7 +120,7 @@ def test_what_is_no_whole_image_is_refused_by_name(name: str, tmp_path: Path) ->
 
 
 def test_too_many_pixels_are_refused_before_decoding(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = declaring(13_000, 13_000)
+    data = jpeg_declaring(13_000, 13_000)
     monkeypatch.setattr(ImageFile.ImageFile, "load", None)
 
     with pytest.raises(InputError, match="more than 100 megapixels"):
@@ -128,7 +128,7 @@ def test_too_many_pixels_are_refused_before_decoding(monkeypatch: pytest.MonkeyP
 
 
 def test_the_bound_on_pixels_can_be_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    image = saved(Image.new("L", (200, 100)), "PNG")
+    image = encode(Image.new("L", (200, 100)), "PNG")
 
     check_pixels(10_000, 10_000)  # what is allowed otherwise
     monkeypatch.setenv(MEGAPIXELS_VARIABLE, "0.02")
@@ -177,8 +177,8 @@ def test_the_exif_of_a_png_counts_wherever_it_stands(bits: int) -> None:
 def test_warnings_about_images_are_no_failures(monkeypatch: pytest.MonkeyPatch) -> None:
     image = Image.new("RGB", (8, 8), (200, 100, 50))
     broken = b"Exif\0\0MM\0*\0\0\0\x08\0\x09" + bytes(20)
-    files = [saved(image, form, exif=broken) for form in ("JPEG", "PNG", "WEBP")]
-    large = saved(Image.new("L", (10, 9)), "PNG")
+    files = [encode(image, form, exif=broken) for form in ("JPEG", "PNG", "WEBP")]
+    large = encode(Image.new("L", (10, 9)), "PNG")
 
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 89)  # beyond which Pillow warns
     with warnings.catch_warnings(action="error"):

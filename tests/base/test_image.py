@@ -1,4 +1,4 @@
-"""Images in and out: what is read, and what is written."""
+"""Reading and writing of images."""
 
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ def save(path: Path, image: Image.Image, **options: Any) -> Path:
 
 
 EXACT = {".png": {}, ".bmp": {}, ".tif": {}, ".webp": {"lossless": True, "exact": True}}
-"""How formats keep every pixel as it is."""
+"""Options with which formats are lossless."""
 
 
 @pytest.mark.parametrize("suffix", EXACT)
@@ -53,13 +53,13 @@ def test_every_mode_looks_as_in_pillow_over_black(tmp_path: Path, suffix: str, m
     alpha = np.full((5, 7, 1), 255, np.uint8)
     alpha[0], alpha[1:, :3] = 51, 0
     stored = Image.fromarray(np.dstack([PIXELS, alpha]) if "A" in mode else PIXELS).convert(mode)
-    shown = as_tensor(np.asarray(stored.convert("RGBA")))
+    rgba = as_tensor(np.asarray(stored.convert("RGBA")))
 
     image = read_image(save(tmp_path / f"a{suffix}", stored, **EXACT[suffix]))
 
     assert image.dtype == torch.float32
     assert image.is_contiguous()
-    np.testing.assert_allclose(image, shown[:3] * shown[3:], rtol=1.3e-6, atol=1e-5)
+    np.testing.assert_allclose(image, rgba[:3] * rgba[3:], rtol=1.3e-6, atol=1e-5)
     assert torch.equal(as_image(image), image)
 
 
@@ -119,7 +119,7 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
     np.testing.assert_allclose(deep, expected, rtol=1.3e-6, atol=1e-5)
 
 
-# --- what programs have -------------------------------------------------------------------
+# --- conversion -----------------------------------------------------------------------------
 
 
 def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
         (PIXELS, "RGB", "RGB: unknown order of colours"),
     ],
 )
-def test_what_is_no_image_is_refused(image: Any, order: Any, problem: str) -> None:
+def test_other_values_are_refused(image: Any, order: Any, problem: str) -> None:
     with pytest.raises((InputError, ConfigError)) as caught:
         as_image(image, order)
 
@@ -208,9 +208,9 @@ def test_the_overlay_shows_on_any_grey_road(grey: int) -> None:
     mask = np.zeros((240, 320), bool)
     mask[100:, 80:240] = True
 
-    shown = tint_mask(pixels, mask).astype(int)
+    tinted = tint_mask(pixels, mask).astype(int)
 
-    assert (shown[~mask] == grey).all()  # the rest of the image is left alone
-    assert np.abs(shown[200, 160] - grey).max() > 20  # the tint
-    assert shown[100, 160].tolist() == list(ORANGE)  # the outline
-    assert shown[239, 160].tolist() == shown[200, 160].tolist()  # none at the image's rim
+    assert (tinted[~mask] == grey).all()  # the rest of the image is left alone
+    assert np.abs(tinted[200, 160] - grey).max() > 20  # the tint
+    assert tinted[100, 160].tolist() == list(ORANGE)  # the outline
+    assert tinted[239, 160].tolist() == tinted[200, 160].tolist()  # none at the image's rim

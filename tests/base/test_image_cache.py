@@ -1,4 +1,4 @@
-"""Work is shared inside a block, never outside it, and never between images or settings."""
+"""Results are cached inside a block only, and for one image and settings only."""
 
 import time
 
@@ -15,7 +15,7 @@ calls: list[tuple[int, int]] = []
 
 @cached_per_image
 def doubled(image: Tensor, times: int = 1) -> Tensor:
-    """The image times a power of two."""
+    """Multiply an image by a power of two."""
     calls.append((id(image), times))
     time.sleep(0.002)
     return image * 2**times
@@ -23,7 +23,7 @@ def doubled(image: Tensor, times: int = 1) -> Tensor:
 
 @cached_per_image
 def summed(image: Tensor) -> Tensor:
-    """Of the doubled image, which is shared itself."""
+    """Sum the doubled image, which is cached itself."""
     time.sleep(0.002)
     return doubled(image, 1).sum()
 
@@ -34,15 +34,15 @@ def _no_calls_yet() -> None:
 
 
 def test_inside_a_block_the_same_question_is_answered_once():
-    image, other = torch.ones(3, 4, 4), torch.ones(3, 4, 4)
+    image, equal = torch.ones(3, 4, 4), torch.ones(3, 4, 4)
 
     with image_cache():
         first = doubled(image, 1)
         assert doubled(image, 1) is first
         assert doubled(image, 2)[0, 0, 0] == 4
-        assert doubled(other, 1) is not first  # equal, but not the same image
+        assert doubled(equal, 1) is not first  # equal, but not the same image
 
-    assert calls == [(id(image), 1), (id(image), 2), (id(other), 1)]
+    assert calls == [(id(image), 1), (id(image), 2), (id(equal), 1)]
     assert doubled(image, 1) is not doubled(image, 1)  # outside a block every call computes
 
 
@@ -78,10 +78,10 @@ def test_shared_work_changes_no_result(name):
     alone = load_detector(name).detect(image)
 
     with image_cache():
-        for other in ("fusion", "cpf:v2", "labeller"):
-            load_detector(other).detect(image)
-        beside = load_detector(name).detect(image)
+        for neighbour in ("fusion", "cpf:v2", "labeller"):
+            load_detector(neighbour).detect(image)
+        cached = load_detector(name).detect(image)
 
-    assert torch.equal(alone.likelihood, beside.likelihood)
-    assert alone.cues.keys() == beside.cues.keys()
-    assert all(torch.equal(alone.cues[cue], beside.cues[cue]) for cue in alone.cues)
+    assert torch.equal(alone.likelihood, cached.likelihood)
+    assert alone.cues.keys() == cached.cues.keys()
+    assert all(torch.equal(alone.cues[cue], cached.cues[cue]) for cue in alone.cues)

@@ -68,10 +68,10 @@ def test_a_mistake_names_the_key_and_what_was_given(values: dict[str, Any], mess
 
 
 def test_assignments_become_nested_values_of_their_toml_type() -> None:
-    given = ["texture.bins=64", "a=0.5", "b=true", "c=drop", 'd="7"', "e=[1, 2]", "f=x=y"]
+    items = ["texture.bins=64", "a=0.5", "b=true", "c=drop", 'd="7"', "e=[1, 2]", "f=x=y"]
 
     values = {"a": 0.5, "b": True, "c": "drop", "d": "7", "e": [1, 2], "f": "x=y"}
-    assert parse_assignments(given) == {"texture": {"bins": 64}} | values
+    assert parse_assignments(items) == {"texture": {"bins": 64}} | values
 
 
 @pytest.mark.parametrize(
@@ -190,11 +190,11 @@ def test_a_pipe_gets_a_line_when_it_is_due(monkeypatch, capsys, items, options, 
     for _ in Progress(items, **options):
         Progress.write("a.jpg: is empty", file=sys.stderr)
 
-    told = capsys.readouterr().err
-    assert "\r" not in told
-    own = [line for line in told.splitlines() if line != "a.jpg: is empty"]
-    for line, wanted in zip(own, lines, strict=True):
-        assert line.startswith(f"roadtorch: {wanted}")
+    text = capsys.readouterr().err
+    assert "\r" not in text
+    printed = [line for line in text.splitlines() if line != "a.jpg: is empty"]
+    for line, expected in zip(printed, lines, strict=True):
+        assert line.startswith(f"roadtorch: {expected}")
 
 
 def test_a_short_run_says_nothing_to_a_pipe_and_draws_its_bar_on_a_terminal(monkeypatch, capsys):

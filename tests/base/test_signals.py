@@ -1,4 +1,4 @@
-"""Signals that meet foreign code: told as what they are, handled by whom they were before."""
+"""Signals inside foreign code are raised as signals, and handlers are restored."""
 
 import os
 import select
@@ -38,12 +38,12 @@ def test_an_interruption_stays_one(number: signal.Signals, raised: type[Keyboard
         read()
 
 
-def test_a_signal_that_is_only_asked_about_is_not_noted() -> None:
-    with stop_on_signals() as stop, record_signals() as noted:
+def test_a_signal_that_only_requests_a_stop_is_not_recorded() -> None:
+    with stop_on_signals() as stop, record_signals() as recorded:
         send(signal.SIGINT)
 
     assert stop.asked
-    assert not noted.asked
+    assert not recorded.asked
 
 
 PROCESSES = """
@@ -70,8 +70,8 @@ def test_processes_do_not_see_ctrl_c_and_end_with_their_parent(tmp_path: Path) -
 
     with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE) as first:
         assert first.stdout is not None
-        told = {int(first.stdout.readline()), int(first.stdout.readline())}
-        (started,) = told - {first.pid}
+        pids = {int(first.stdout.readline()), int(first.stdout.readline())}
+        (started,) = pids - {first.pid}
         os.kill(started, signal.SIGINT)
         assert not select.select([first.stdout], [], [], 0.5)[0]
         assert first.poll() is None
@@ -82,15 +82,15 @@ def test_processes_do_not_see_ctrl_c_and_end_with_their_parent(tmp_path: Path) -
 def test_handlers_come_back_but_for_those_that_the_block_set() -> None:
     def theirs(*_: object) -> None: ...
 
-    before: Callable[..., object] | int | None = signal.getsignal(signal.SIGINT)
+    handler: Callable[..., object] | int | None = signal.getsignal(signal.SIGINT)
     try:
         with record_signals():
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        assert signal.getsignal(signal.SIGINT) is before
+        assert signal.getsignal(signal.SIGINT) is handler
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
         with record_signals():
             signal.signal(signal.SIGINT, theirs)
         assert signal.getsignal(signal.SIGINT) is theirs
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)

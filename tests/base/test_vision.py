@@ -1,4 +1,4 @@
-"""torchvision beside a torch of another build; threads, memory, devices."""
+"""Import of torchvision beside another build of torch, and peak memory."""
 
 import subprocess
 import sys
@@ -30,33 +30,33 @@ def test_one_of_another_build_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(vision.RoadtorchError) as caught:
         vision.import_torchvision.__wrapped__()
 
-    told = str(caught.value)
-    assert told.startswith("torchvision: cannot be imported beside torch ")
-    assert "compiled with another CUDA (pip install" in told
-    assert "\n" not in told
+    message = str(caught.value)
+    assert message.startswith("torchvision: cannot be imported beside torch ")
+    assert "compiled with another CUDA (pip install" in message
+    assert "\n" not in message
 
 
 # --- compute ----------------------------------------------------------------------------
 
 
-HELD = """
+ALLOCATION = """
 from roadtorch.base.compute import reset_peak_memory, peak_memory_mib
 reset_peak_memory()
-before = peak_memory_mib()
-held = bytearray(64 * 2**20)
-for place in range(0, len(held), 4096):  # pages count when they are written
-    held[place] = 1
-del held
-print(before, peak_memory_mib())
+base = peak_memory_mib()
+block = bytearray(64 * 2**20)
+for position in range(0, len(block), 4096):  # pages count when they are written
+    block[position] = 1
+del block
+print(base, peak_memory_mib())
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a peak cannot be forgotten")
-def test_it_is_what_was_held_though_let_go_of_and_not_what_the_parent_held() -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux resets the peak")
+def test_peak_memory_includes_freed_memory_but_not_that_of_the_parent() -> None:
     parent = bytearray(b"1") * (256 * 2**20)
 
-    told = subprocess.check_output([sys.executable, "-c", HELD], text=True)
+    output = subprocess.check_output([sys.executable, "-c", ALLOCATION], text=True)
 
-    before, peak = map(float, told.split())
-    assert 1 < before < len(parent) / 2**20
-    assert before + 60 < peak < before + 90
+    base, peak = map(float, output.split())
+    assert 1 < base < len(parent) / 2**20
+    assert base + 60 < peak < base + 90

@@ -1,4 +1,4 @@
-"""The command line called in this process, on a folder of images."""
+"""Fixtures of the command line's tests."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from tests.streets import drive
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a drive over a bonnet, as images."""
+    """Write a drive over a bonnet as images, and return the folder."""
     folder = tmp_path_factory.mktemp("drive")
     for number, frame in enumerate(drive()):
         write_colours(folder / f"{number:02d}.png", frame)

@@ -1,4 +1,4 @@
-"""roadtorch adapt: real footage in; weights, a camera, a page and a sentence out."""
+"""roadtorch adapt: weights, camera, page and verdict from real footage."""
 
 from pathlib import Path
 from unittest.mock import Mock
@@ -26,7 +26,7 @@ def adapt(*words: object) -> Result:
 
 @pytest.fixture(scope="module")
 def adapted(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
-    """The folder of a run on the drive, and what the command printed."""
+    """Run on the drive; return the folder and the result."""
     out = tmp_path_factory.mktemp("adapted") / "mine"
     return out, adapt(street, "--out", out, *SHORT)
 
@@ -48,12 +48,12 @@ def test_halves_teach_and_their_mean_is_judged(street: Path, adapted: tuple[Path
     detector = load_detector("fusion", weights={"file": str(files[0])}, camera=camera)
     assert detector.detect(read_image(street / "00.png")).mask.any()
 
-    before = files[0].read_bytes()
+    weights = files[0].read_bytes()
     assert adapt(street, "--out", out, *SHORT).stdout == done.stdout
-    assert files[0].read_bytes() == before
-    other = adapt(street, "--out", out, "--frames", "4", *SHORT)
-    assert other.exit_code == 2
-    assert "holds frames of other footage" in other.stderr
+    assert files[0].read_bytes() == weights
+    refused = adapt(street, "--out", out, "--frames", "4", *SHORT)
+    assert refused.exit_code == 2
+    assert "holds frames of other footage" in refused.stderr
 
 
 def test_a_run_cut_short_before_its_first_checkpoint_goes_on(

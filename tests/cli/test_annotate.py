@@ -20,7 +20,7 @@ QUICK = ("--detector", "prior:triangle")
 
 @pytest.fixture
 def corrected(footage: Path) -> Path:
-    """The footage with one image said to be right."""
+    """Confirm the labels of one image of the footage."""
     out = footage / "corrections"
     out.mkdir()
     session = opened_session(footage, out, load_detector("prior:triangle"))
@@ -71,9 +71,9 @@ def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -
     for _ in range(2):  # the same labels a second time are no event
         result = call("annotate", corrected, *words)
         assert result.stdout == "1 images imported\n", result.stderr
-    (before,), (after,) = read_corrections(corrected / "corrections"), read_corrections(second)
-    assert (before.labels == after.labels).all()
-    assert after.image == before.image
+    (exported,), (imported,) = read_corrections(corrected / "corrections"), read_corrections(second)
+    assert (exported.labels == imported.labels).all()
+    assert imported.image == exported.image
     assert [len(log.events) for log in read_logs(second)] == [1]
 
 

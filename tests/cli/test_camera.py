@@ -1,4 +1,4 @@
-"""roadtorch camera, and the commands that take its file: real files in, real files out."""
+"""roadtorch camera, and the commands that take its file."""
 
 import json
 import tomllib
@@ -20,22 +20,22 @@ from tests.streets import drive, scene
 
 
 @pytest.fixture(scope="module")
-def made(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
-    """The camera's file for it, and what was printed of it."""
+def run(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """Run on the street; return the camera file and the result."""
     out = tmp_path_factory.mktemp("camera") / "camera.toml"
     return out, CliRunner().invoke(main, ["camera", str(street), "--out", str(out)])
 
 
 @pytest.fixture(scope="module")
-def known(made: tuple[Path, Result]) -> Path:
-    """The camera's file alone."""
-    return made[0]
+def camera_file(run: tuple[Path, Result]) -> Path:
+    """Return the camera file."""
+    return run[0]
 
 
 def test_a_file_and_an_image_are_written(
-    call: Call, street: Path, made: tuple[Path, Result]
+    call: Call, street: Path, run: tuple[Path, Result]
 ) -> None:
-    out, result = made
+    out, result = run
 
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
@@ -77,44 +77,48 @@ def test_frames_are_chosen_evenly_over_all_inputs(street: Path) -> None:
 
 @pytest.mark.parametrize("name", ["camera.toml", "camera.jpg"])
 def test_files_of_others_stay(name: str, call: Call, street: Path, tmp_path: Path) -> None:
-    other = tmp_path / name
-    other.write_text("x = 1")
+    path = tmp_path / name
+    path.write_text("x = 1")
 
     result = call("camera", street, "--out", tmp_path / "camera.toml")
 
     assert result.exit_code == 2
-    assert f"{other}: exists and" in result.output
-    assert other.read_text() == "x = 1"
+    assert f"{path}: exists and" in result.output
+    assert path.read_text() == "x = 1"
     assert len(list(tmp_path.iterdir())) == 1
 
 
-# --- what takes its file --------------------------------------------------------------------
+# --- commands with --camera ---------------------------------------------------------------
 
 
-def test_infer_leaves_the_car_out(call: Call, street: Path, known: Path, tmp_path: Path) -> None:
+def test_infer_leaves_the_car_out(
+    call: Call, street: Path, camera_file: Path, tmp_path: Path
+) -> None:
     foreign = tmp_path / "foreign.png"
     write_colours(foreign, scene(40, 120, 160).image)
     out = tmp_path / "out"
 
     result = call(
-        *("infer", street / "00.png", foreign, "--detector", "prior:rows", "--camera", known),
+        *("infer", street / "00.png", foreign, "--detector", "prior:rows", "--camera", camera_file),
         *("--out", out, "--save", "mask"),
     )
 
     assert result.exit_code == 1
     assert f"failed: {foreign}: does not show this camera's ego car" in result.stderr
     mask = read_image(out / "00.mask.png")[0] > 0
-    car = ego_car(torch.zeros(3, 120, 160), Camera.read(known).ego)
+    car = ego_car(torch.zeros(3, 120, 160), Camera.read(camera_file).ego)
     assert not mask[car].any()
     assert mask[60:][~car[60:]].all()
     assert "outline = [" in (out / "config.toml").read_text()
 
 
-def test_evaluate_takes_it_for_all(call: Call, street: Path, known: Path, tmp_path: Path) -> None:
+def test_evaluate_takes_it_for_all(
+    call: Call, street: Path, camera_file: Path, tmp_path: Path
+) -> None:
     root = tmp_path / "set"
     (root / "images").mkdir(parents=True)
     (root / "masks").mkdir()
-    car = ego_car(torch.zeros(3, 120, 160), Camera.read(known).ego)
+    car = ego_car(torch.zeros(3, 120, 160), Camera.read(camera_file).ego)
     for number in range(2):
         write_colours(root / "images" / f"{number}.png", read_image(street / f"{number:02d}.png"))
         road = scene(number, 120, 160, horizon=0.42, dusk=0.0).road & ~car
@@ -122,7 +126,7 @@ def test_evaluate_takes_it_for_all(call: Call, street: Path, known: Path, tmp_pa
 
     result = call(
         *("evaluate", "folder", root, "--detector", "prior:rows", "--detector", "cpf"),
-        *("--camera", known, "--out", tmp_path / "out"),
+        *("--camera", camera_file, "--out", tmp_path / "out"),
     )
 
     assert result.exit_code == 0, result.output
@@ -130,4 +134,4 @@ def test_evaluate_takes_it_for_all(call: Call, street: Path, known: Path, tmp_pa
     assert "--camera" in written["command"]
     for name in ("prior:rows", "cpf"):
         outline = written["detectors"][name]["settings"]["ego"]["outline"]
-        assert tuple(outline) == Camera.read(known).ego.outline
+        assert tuple(outline) == Camera.read(camera_file).ego.outline

@@ -1,4 +1,4 @@
-"""roadtorch evaluate, from files on disk to the table, metrics.json, rows and sheets."""
+"""roadtorch evaluate, from files on disk to the table, metrics.json, rows and sheets of images."""
 
 import json
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_se
 
 @pytest.fixture(scope="module", autouse=True)
 def _few_draws() -> Iterator[None]:
-    """Intervals of a tenth of the draws."""
+    """Compute intervals from a tenth of the bootstrap replicates."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(uncertainty, "REPLICATES", 100)
         yield
@@ -44,14 +44,14 @@ run = partial(invoked, evaluate_command)
 
 @pytest.fixture(scope="module")
 def whole(camvid, tmp_path_factory) -> tuple[Result, Path]:
-    """What one run said, and the folder that it wrote."""
+    """Run once; return the result and the output folder."""
     out = tmp_path_factory.mktemp("run") / "out"
     return run("camvid", camvid, "--detector", ORACLE, "--montage", 2, "--out", out), out
 
 
 @pytest.fixture
 def _no_page(monkeypatch):
-    """What is drawn takes longer than all that is scored here."""
+    """Skip the charts: they take longer than all scores here."""
     monkeypatch.setattr(files, "build_charts", lambda _: {})
 
 
@@ -71,12 +71,12 @@ def test_a_table_metrics_and_a_report_are_left_behind(whole):
     assert lines[1].split()[:5] == [ORACLE, "1.000", "1.000", "1.000", "1.000"]
     baselines = {"prior:rows", "prior:triangle", "prior:mean"}
     assert {line.split()[0] for line in lines[2:5]} == baselines
-    found = metrics(out)
-    assert (found["dataset"], found["split"], found["images"]) == ("camvid", "dev", 6)
-    assert (found["void"], found["command"].split()[:3]) == (
+    written = metrics(out)
+    assert (written["dataset"], written["split"], written["images"]) == ("camvid", "dev", 6)
+    assert (written["void"], written["command"].split()[:3]) == (
         "ignored", ["roadtorch", "evaluate", "camvid"]
     )  # fmt: skip
-    best = found["detectors"][ORACLE]
+    best = written["detectors"][ORACLE]
     assert [best["maxf"], best["groups"]["0001TP"]["maxf"]] == pytest.approx([1, 1])
     assert best["ms_per_image"] > 0
     assert f"| {ORACLE} | 1.000 |" in (out / "tables.md").read_text()
@@ -103,17 +103,17 @@ def test_options_reach_the_run(camvid, tmp_path):
 
     run("camvid", camvid, *chosen, *places, "--montage", 0, "--out", tmp_path)
 
-    found = metrics(tmp_path)
-    own = found["detectors"][ORACLE]
-    assert (found["images"], found["left_out"]) == (5, [GROUPS[0]])
-    assert own["settings"] == DECISION | {"doubt": 0.4}
-    assert own["maxf_threshold"] == pytest.approx(0.2, abs=1e-4)
-    assert set(own["groups"]) == set(GROUPS[1:])
-    assert set(own["conditions"]) == {"day", "rain"}
-    assert found["paired"]["against"] == "prior:rows"
-    gain = found["paired"]["detectors"][ORACLE]["maxf"]
+    written = metrics(tmp_path)
+    scores = written["detectors"][ORACLE]
+    assert (written["images"], written["left_out"]) == (5, [GROUPS[0]])
+    assert scores["settings"] == DECISION | {"doubt": 0.4}
+    assert scores["maxf_threshold"] == pytest.approx(0.2, abs=1e-4)
+    assert set(scores["groups"]) == set(GROUPS[1:])
+    assert set(scores["conditions"]) == {"day", "rain"}
+    assert written["paired"]["against"] == "prior:rows"
+    gain = written["paired"]["detectors"][ORACLE]["maxf"]
     assert 0 < gain["ci95"][0] <= gain["difference"] <= gain["ci95"][1]
-    assert "--set doubt=0.4 --against prior:rows --leave-out" in found["command"]
+    assert "--set doubt=0.4 --against prior:rows --leave-out" in written["command"]
     assert not list(tmp_path.glob("montage.*"))
 
 
@@ -164,10 +164,10 @@ def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(t
 
     assert done.exit_code == 0
     assert "mine-weights was trained on 7 images corrected by hand" in done.stderr
-    found = metrics(tmp_path)
-    assert (found["dataset"], found["images"]) == ("corrections", 3)
-    assert found["paired"]["against"] == "prior:uniform"
-    assert "maxf" in found["paired"]["detectors"]["mine-weights"]
+    written = metrics(tmp_path)
+    assert (written["dataset"], written["images"]) == ("corrections", 3)
+    assert written["paired"]["against"] == "prior:uniform"
+    assert "maxf" in written["paired"]["detectors"]["mine-weights"]
 
 
 # --- what goes wrong -----------------------------------------------------------------------------
@@ -182,9 +182,9 @@ def test_a_broken_image_is_listed_and_the_rest_is_scored(tmp_path):
 
     assert result.exit_code == 1
     assert "failed: 0001TP_0:" in result.stderr
-    found = metrics(out)
-    assert found["images"] == 5
-    assert [failure["image"] for failure in found["failed"]] == ["0001TP_0"]
+    written = metrics(out)
+    assert written["images"] == 5
+    assert [failure["image"] for failure in written["failed"]] == ["0001TP_0"]
 
 
 @pytest.mark.parametrize(
@@ -222,8 +222,8 @@ def test_maps_score_like_the_detector(camvid: Path, tmp_path: Path, call: Call, 
 
     run("camvid", camvid, "--detector", detector, "--detector", maps, "--montage", 0, "--out", out)
 
-    found = metrics(out)["detectors"]
-    its, own = found["maps:maps"], found[detector]
-    assert its["threshold_default"] == own["threshold_default"]
+    written = metrics(out)["detectors"]
+    from_maps, direct = written["maps:maps"], written[detector]
+    assert from_maps["threshold_default"] == direct["threshold_default"]
     for key in ("iou_mask", "f_mask"):
-        assert its[key] == own[key], key
+        assert from_maps[key] == direct[key], key

@@ -1,4 +1,4 @@
-"""The group of commands: help, faults, signals, and completion in shells."""
+"""The group of commands: help, errors, signals and shell completion."""
 
 import os
 import signal
@@ -36,7 +36,7 @@ def test_every_command_explains_itself(call: Call, name: str) -> None:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) -> None:
-    """Another command of ours, in a module of its own."""
+    """Add a command, in a module of its own."""
     module = ModuleType(f"{name}_command")
     setattr(module, name, command)
     monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -44,7 +44,7 @@ def install(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) 
 
 
 def failing(error: Exception) -> click.Command:
-    """A command that raises."""
+    """Return a command that raises."""
 
     @click.command()
     def fails() -> None:
@@ -69,7 +69,7 @@ def test_a_fault_is_one_line_or_a_traceback(call: Call, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("when", ["before the command", "in the command", "where it is mistaken"])
-def test_a_signal_is_told_as_a_signal(
+def test_a_signal_is_reported_as_a_signal(
     number: signal.Signals, status: int, when: str, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt() -> None:
@@ -106,8 +106,8 @@ def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) 
 # --- completion -------------------------------------------------------------------------
 
 
-def offered(line: str) -> list[str]:
-    """The values offered for the last word of a line, which may be empty."""
+def completions(line: str) -> list[str]:
+    """Return the completions of the last word of a line, which may be empty."""
     kind = get_completion_class("zsh")
     assert kind is not None
     *words, incomplete = line.split(" ")
@@ -128,9 +128,9 @@ def offered(line: str) -> list[str]:
     ],
 )
 def test_commands_detectors_data_sets_and_files_are_completed(line: str, values: list[str]) -> None:
-    assert offered(line) == values
+    assert completions(line) == values
 
 
 def test_all_detectors_are_offered_and_behind_a_misspelt_command_the_commands() -> None:
-    assert offered("infer --detector ") == list_detectors("*")
-    assert "infer" in offered("infr --set ")
+    assert completions("infer --detector ") == list_detectors("*")
+    assert "infer" in completions("infr --set ")

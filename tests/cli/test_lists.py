@@ -35,16 +35,18 @@ def test_the_one_class_grid_is_listed_by_its_options(call: Call) -> None:
 
 
 def test_wildcards_list_the_detectors_they_fit(call: Call) -> None:
-    every, some = (call("detectors", name).stdout.splitlines() for name in ("oneclass:*", "cpf*"))
+    all_planes, family = (
+        call("detectors", name).stdout.splitlines() for name in ("oneclass:*", "cpf*")
+    )
 
-    names = [line.split()[0] for line in every if line[0] != " "]
+    names = [line.split()[0] for line in all_planes if line[0] != " "]
     assert names == list_detectors("oneclass:*")
     assert len(names) == 310
-    assert [line.split()[0] for line in some] == ["cpf", "cpf:squares", "cpf:v2"]
+    assert [line.split()[0] for line in family] == ["cpf", "cpf:squares", "cpf:v2"]
 
 
-def test_a_detectors_own_defaults_of_shared_settings_are_told(call: Call) -> None:
-    """Both have the working size as a group, of which one has another default."""
+def test_a_detectors_own_defaults_of_shared_settings_are_printed(call: Call) -> None:
+    """Compare two detectors with the same group of settings, and different defaults for it."""
     for name, pixels in (("cpf", "76800"), ("oneclass:gaussian:HS", "307200")):
         lines = call("detectors", name).stdout.splitlines()
         assert [line.split()[2] for line in lines if line.startswith("working.pixels")] == [pixels]
@@ -80,8 +82,8 @@ def test_a_detectors_config_is_found_by_name(call: Call, footage: Path, tmp_path
     result = call("infer", footage / "a.jpg", "--config", "thresholds/cpf-v2", "--out", out)
 
     assert result.exit_code == 0, result.stderr
-    kept = (out / "config.toml").read_text()
-    assert kept.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
+    config = (out / "config.toml").read_text()
+    assert config.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
 
 
 # --- export -----------------------------------------------------------------------------

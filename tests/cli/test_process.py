@@ -18,9 +18,9 @@ UNUSED = (
     *("onnxruntime", "av", "rosbags", "starlette", "scipy.optimize", "scipy.stats"),
     *("torch._dynamo", "torch._inductor"),
 )
-"""What `infer` on images has no use for, and would wait for."""
+"""Slow imports that `infer` on images does not need."""
 
-TELLING = """
+LISTING = """
 import atexit, sys
 from roadtorch.cli import main
 atexit.register(lambda: open("loaded", "w").write(" ".join(sys.modules)))
@@ -37,7 +37,7 @@ def test_images_become_maps_and_a_broken_one_a_failed_row_even_in_ascii(tmp_path
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
     done = subprocess.run(
-        [sys.executable, "-c", TELLING, "infer", "images", "--out", "out", "--jobs", "1"],
+        [sys.executable, "-c", LISTING, "infer", "images", "--out", "out", "--jobs", "1"],
         cwd=tmp_path,
         env=os.environ | ascii_only,
         capture_output=True,
@@ -77,7 +77,9 @@ def test_threads_wait_briefly_unless_the_user_says_otherwise() -> None:
     code += "os.environ['OMP_WAIT_POLICY'], os.environ.get('GOMP_SPINCOUNT'))); main(['--version'])"
     words = [sys.executable, "-c", code]
 
-    for chosen, kept in ({}, "passive 20000"), ({"OMP_WAIT_POLICY": "active"}, "active None"):
-        rest = {k: v for k, v in os.environ.items() if k not in OPENMP_WAIT}
-        done = subprocess.run(words, capture_output=True, text=True, env=rest | chosen, timeout=60)
-        assert done.stdout.splitlines()[-1] == kept
+    for chosen, expected in ({}, "passive 20000"), ({"OMP_WAIT_POLICY": "active"}, "active None"):
+        environment = {k: v for k, v in os.environ.items() if k not in OPENMP_WAIT}
+        done = subprocess.run(
+            words, capture_output=True, text=True, env=environment | chosen, timeout=60
+        )
+        assert done.stdout.splitlines()[-1] == expected

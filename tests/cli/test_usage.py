@@ -72,7 +72,7 @@ def test_a_mistake_is_one_line_before_any_work(
         save_image(tmp_path / name)
     (tmp_path / "bare").mkdir()
     (tmp_path / "loop").symlink_to("loop")
-    before = bytes_in(tmp_path)
+    files = bytes_in(tmp_path)
 
     result = call(*line.split())
 
@@ -80,5 +80,5 @@ def test_a_mistake_is_one_line_before_any_work(
     assert result.stderr.startswith(f"roadtorch: error: {MISTAKES[line]}")
     assert result.stderr.endswith(")\n")
     assert result.stderr.count("\n") == 1
-    assert bytes_in(tmp_path) == before
+    assert bytes_in(tmp_path) == files
     assert not (tmp_path / "o").exists()

@@ -1,4 +1,4 @@
-"""Videos and bags: one of ours that was tampered with, and its reader."""
+"""Videos and bags to mutate, and their readers."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -11,7 +11,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.inputs.bags import bag_source
 from roadtorch.inputs.item import Selection, Source
 from roadtorch.inputs.video import video_source
-from tests.fuzz.tampered import Draw, one_of, scene, tampered, written
+from tests.fuzz.mutations import Draw, choose, mutate, scene, write_file
 from tests.inputs.bags import FIRST, ROS1, ROS2, STEP, raw_image, write_bag
 from tests.videos import write_video
 
@@ -22,10 +22,10 @@ CODECS = {
 SCENES = 3
 
 
-def makes_sense(source: Source, is_right: Callable[[np.ndarray], bool]) -> bool:
-    """Whether each frame is right that can be read, and the others are refused by their names.
+def is_plausible(source: Source, is_right: Callable[[np.ndarray], bool]) -> bool:
+    """Return whether each frame is right or is refused by its name.
 
-    is_right: of the pixels (H,W,3) of a frame, 0 to 255.
+    is_right: check of the pixels (H, W, 3) of a frame, 0 to 255.
     """
     for frame in source.items():
         try:
@@ -48,17 +48,17 @@ def video(suffix: str) -> bytes:
 
 
 def make_video(draw: Draw, folder: Path) -> Path:
-    suffix = one_of(draw, *CODECS)
-    return written(folder / f"drive{suffix}", tampered(draw, video(suffix)))
+    suffix = choose(draw, *CODECS)
+    return write_file(folder / f"drive{suffix}", mutate(draw, video(suffix)))
 
 
 def read_video(path: Path) -> bool:
-    return makes_sense(video_source(path, "drive", Selection()), lambda pixels: pixels.ndim == 3)
+    return is_plausible(video_source(path, "drive", Selection()), lambda pixels: pixels.ndim == 3)
 
 
 @cache
 def bag(form: str) -> Mapping[str, bytes]:
-    """The files of a bag by name."""
+    """Write a bag and return its files by name."""
     with tempfile.TemporaryDirectory() as folder:
         store = ROS1 if form == "bag" else ROS2
         images = [
@@ -72,35 +72,35 @@ def bag(form: str) -> Mapping[str, bytes]:
 
 
 def make_bag(draw: Draw, folder: Path) -> Path:
-    """A file, or a folder of files of which one is tampered with."""
-    form = one_of(draw, "bag", "sqlite3", "mcap")
+    """Write a bag of one file, or of a folder of files, one of them mutated."""
+    form = choose(draw, "bag", "sqlite3", "mcap")
     files = bag(form)
     path = folder if form == "bag" else folder / "drive"
     path.mkdir(exist_ok=True)
-    spoiled = one_of(draw, *files)
+    spoiled = choose(draw, *files)
     for name, data in files.items():
-        written(path / name, tampered(draw, data) if name == spoiled else data)
+        write_file(path / name, mutate(draw, data) if name == spoiled else data)
     return path / "drive.bag" if form == "bag" else path
 
 
 def read_bag(path: Path) -> bool:
-    """But for bytes that were changed or moved: without compression bags have no checksum."""
-    return makes_sense(bag_source(str(path)), has_the_values_of_a_scene)
+    """Read a bag; its pixels may be changed or moved: uncompressed bags have no checksum."""
+    return is_plausible(bag_source(str(path)), has_scene_histogram)
 
 
-def has_the_values_of_a_scene(pixels: np.ndarray) -> bool:
-    """Whether of a hundred values one at the most is not of a scene which was put in."""
+def has_scene_histogram(pixels: np.ndarray) -> bool:
+    """Return whether at most one pixel value in a hundred differs from those of a scene."""
     if pixels.shape != np.asarray(scene(0)).shape:
         return False
     counts = [
-        np.bincount(np.asarray(each, np.int64).ravel(), minlength=256)
-        for each in (pixels, *map(scene, range(SCENES)))
+        np.bincount(np.asarray(image, np.int64).ravel(), minlength=256)
+        for image in (pixels, *map(scene, range(SCENES)))
     ]
-    return any(np.abs(counts[0] - other).sum() <= 0.02 * pixels.size for other in counts[1:])
+    return any(np.abs(counts[0] - count).sum() <= 0.02 * pixels.size for count in counts[1:])
 
 
 FOOTAGE = {
     "videos": (make_video, read_video),
     "bags": (make_bag, read_bag),
 }
-"""Kinds whose names vary: what makes one, and what reads it."""
+"""Kinds whose file names vary: a writer and a reader each."""

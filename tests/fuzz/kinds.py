@@ -1,4 +1,4 @@
-"""Every kind of file that the package reads: one of ours that was tampered with, and its reader."""
+"""Every kind of file that the package reads: a mutated file, and its reader."""
 
 import io
 import json
@@ -39,19 +39,19 @@ from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining, as_values, build_training
 from roadtorch.train.folder import CHECKPOINT, FORMAT, RUN, RunFolder
 from tests.data.conftest import write
-from tests.fuzz.tampered import (
-    OF_BYTES,
-    OF_IMAGES,
-    OF_TEXT,
+from tests.fuzz.mutations import (
+    BYTE_MUTATIONS,
+    IMAGE_MUTATIONS,
     PIECES,
+    TEXT_MUTATIONS,
     Draw,
-    one_of,
+    choose,
+    encode_scene,
+    mutate,
+    mutate_json,
+    mutate_safetensors,
     reads_image,
-    tampered,
-    tampered_json,
-    tampered_safetensors,
-    whole_image,
-    written,
+    write_file,
 )
 
 Make = Callable[[Draw, Path], bytes]
@@ -63,9 +63,9 @@ DETECTOR = "prior:rows"
 
 
 class Kind(NamedTuple):
-    """name: of a file; make: gives its bytes, and writes what belongs to it into the folder.
+    """A kind of file. make: returns the bytes, and writes companion files into the folder.
 
-    read: whether what is read of it makes sense.
+    read: reads the file, and returns whether the result is plausible.
     """
 
     name: str
@@ -73,23 +73,23 @@ class Kind(NamedTuple):
     read: Callable[[Path], bool]
 
     def write(self, draw: Draw, folder: Path) -> Path:
-        return written(folder / self.name, self.make(draw, folder))
+        return write_file(folder / self.name, self.make(draw, folder))
 
 
-def of_text(text: str) -> Make:
-    return lambda draw, _: tampered(draw, text.encode(), OF_TEXT)
+def text_file(text: str) -> Make:
+    return lambda draw, _: mutate(draw, text.encode(), TEXT_MUTATIONS)
 
 
-def of_file(write: Callable[[Path], object], kinds: tuple[str, ...] = OF_BYTES) -> Make:
-    """What somebody writes as a file."""
+def mutated_file(write: Callable[[Path], object], kinds: tuple[str, ...] = BYTE_MUTATIONS) -> Make:
+    """Return a maker of mutated copies of a file that ``write`` writes."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder, "file"))
         data = Path(folder, "file").read_bytes()
-    return lambda draw, _: tampered(draw, data, kinds)
+    return lambda draw, _: mutate(draw, data, kinds)
 
 
-def told_of(path: Path, build: Callable[[], object]) -> bool:
-    """Build settings; a refusal that names their key names their file too, as a user knows it."""
+def build_from(path: Path, build: Callable[[], object]) -> bool:
+    """Build settings; add the name of the file to an error that names only their key."""
     try:
         build()
     except ConfigError as error:
@@ -107,8 +107,8 @@ NETWORKS = (
 
 def make_network(draw: Draw, folder: Path) -> bytes:
     path = folder / "whole.safetensors"
-    save_network(path, one_of(draw, *NETWORKS), {"config": {"seed": 3}})
-    return tampered_safetensors(draw, path.read_bytes())
+    save_network(path, choose(draw, *NETWORKS), {"config": {"seed": 3}})
+    return mutate_safetensors(draw, path.read_bytes())
 
 
 def read_network(path: Path) -> bool:
@@ -135,22 +135,22 @@ RECORD: dict[str, Any] = {
 
 
 def read_record(path: Path) -> bool:
-    """Begin a run where there is one; it is refused, as this one has other images."""
-    other = {**RECORD, "keys": {**RECORD["keys"], "images": "1" * 32}}
-    return not told_of(path, lambda: RunFolder(path.parent).check(other))
+    """Start a run in the folder of another run, which is refused: its images differ."""
+    record = {**RECORD, "keys": {**RECORD["keys"], "images": "1" * 32}}
+    return not build_from(path, lambda: RunFolder(path.parent).check(record))
 
 
 # --- settings -----------------------------------------------------------------------------
 
 
 def make_config(draw: Draw, _: Path) -> bytes:
-    """Of a detector or of a training."""
+    """Make a config of a detector or of a training."""
     if draw(st.booleans()):
-        data = one_of(draw, *sorted(CONFIGS.glob("*.toml"))).read_bytes()
+        data = choose(draw, *sorted(CONFIGS.glob("*.toml"))).read_bytes()
     else:
-        entry = detector_entry(one_of(draw, *list_detectors("*")))
+        entry = detector_entry(choose(draw, *list_detectors("*")))
         data = to_toml(entry.name, build_settings(entry.settings, {})).encode()
-    return tampered(draw, data, OF_TEXT)
+    return mutate(draw, data, TEXT_MUTATIONS)
 
 
 def read_config(path: Path) -> bool:
@@ -160,20 +160,22 @@ def read_config(path: Path) -> bool:
             return build_training(values)
         return build_settings(detector_entry(name).settings, values)
 
-    return told_of(path, build)
+    return build_from(path, build)
 
 
 def make_assignments(draw: Draw, _: Path) -> bytes:
-    """Texts of ``--set``, one a line."""
+    """Make texts of ``--set``, one a line."""
     keys = ("threshold", "texture.bins", "ego.bottom", "ego.outline", "seed_area.height", "x.y")
-    texts = [one_of(draw, *keys).encode() + b"=" + draw(PIECES) for _ in range(3)]
-    return tampered(draw, b"\n".join([*texts, b"threshold=0.5", b"ego.outline=[0.9, 1]"]), OF_TEXT)
+    texts = [choose(draw, *keys).encode() + b"=" + draw(PIECES) for _ in range(3)]
+    return mutate(
+        draw, b"\n".join([*texts, b"threshold=0.5", b"ego.outline=[0.9, 1]"]), TEXT_MUTATIONS
+    )
 
 
 def read_assignments(path: Path) -> bool:
     texts = path.read_bytes().decode("utf-8", "surrogateescape").split("\n")
     kind = detector_entry("cpf").settings
-    return told_of(path, lambda: build_settings(kind, parse_assignments(texts)))
+    return build_from(path, lambda: build_settings(kind, parse_assignments(texts)))
 
 
 ROWS = (0.9, 0.92, 0.95)
@@ -186,7 +188,7 @@ def read_camera(path: Path) -> bool:
     camera, image = Camera.read(path), torch.rand(3, 48, 64)
     try:
         camera.check(image)
-    except InputError:  # of the image: it is not of that camera
+    except InputError:  # the image is not of that camera
         return True
     return not bool(ego_car(image, camera.ego).all())
 
@@ -195,16 +197,16 @@ def read_camera(path: Path) -> bool:
 
 
 def make_outlines(draw: Draw, _: Path) -> bytes:
-    """Outlines of a mask as ``infer`` writes them."""
-    return tampered_json(draw, labelme_document(NUMBERS > 3, "a.png"))
+    """Make outlines of a mask as ``infer`` writes them."""
+    return mutate_json(draw, labelme_document(NUMBERS > 3, "a.png"))
 
 
 def make_labels(draw: Draw, _: Path) -> bytes:
-    """A label image of a set of one's own, or an image of the ego car."""
+    """Make a label image of a user's data set, or an image of the ego car."""
     values, data = np.array([0, 255, 127], np.uint8)[np.arange(HEIGHT * WIDTH) % 3], io.BytesIO()
-    mode = one_of(draw, "L", "P", "RGB", "I;16", "1")
+    mode = choose(draw, "L", "P", "RGB", "I;16", "1")
     Image.fromarray(values.reshape(HEIGHT, WIDTH)).convert(mode).save(data, "PNG")
-    return tampered(draw, data.getvalue(), OF_IMAGES)
+    return mutate(draw, data.getvalue(), IMAGE_MUTATIONS)
 
 
 def read_labels(path: Path) -> bool:
@@ -216,11 +218,11 @@ CAMVID32 = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), READINGS["c
 
 
 def make_colours(draw: Draw, _: Path) -> bytes:
-    """A label image of CamVid in 32 colours."""
+    """Make a label image of CamVid in 32 colours."""
     colours, data = np.array([colour for colour, _, _ in COLOURS32], np.uint8), io.BytesIO()
-    mode = one_of(draw, "RGB", "P", "RGBA")
+    mode = choose(draw, "RGB", "P", "RGBA")
     Image.fromarray(colours.reshape(4, 8, 3)).convert(mode).save(data, "PNG")
-    return tampered(draw, data.getvalue(), OF_IMAGES)
+    return mutate(draw, data.getvalue(), IMAGE_MUTATIONS)
 
 
 def read_colours(path: Path) -> bool:
@@ -229,18 +231,18 @@ def read_colours(path: Path) -> bool:
 
 
 NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
-SAID = Correction(Path("a.png"), "a.png", NUMBERS, False, 0, 0, Path("log"))
+CORRECTION = Correction(Path("a.png"), "a.png", NUMBERS, False, 0, 0, Path("log"))
 
 
-def imported(name: str, file: str) -> Kind:
-    """An export of ours for one of the programs."""
+def import_kind(name: str, file: str) -> Kind:
+    """Return the kind of a label file of another program, as we export it."""
 
     def make(draw: Draw, folder: Path) -> bytes:
-        IMPORTED[name].write([SAID], folder)
+        IMPORTED[name].write([CORRECTION], folder)
         data = (folder / file).read_bytes()
-        if file.endswith(".json") and one_of(draw, 0, 1, 2):
-            return tampered_json(draw, json.loads(data))
-        return tampered(draw, data, OF_TEXT)
+        if file.endswith(".json") and choose(draw, 0, 1, 2):
+            return mutate_json(draw, json.loads(data))
+        return mutate(draw, data, TEXT_MUTATIONS)
 
     def read(path: Path) -> bool:
         labels = IMPORTED[name].read(path.parent, {"a.png": (HEIGHT, WIDTH)})
@@ -261,10 +263,10 @@ EVENTS = (
 
 
 def make_journal(draw: Draw, _: Path) -> bytes:
-    """A log of corrections, an event tampered with, perhaps cut off."""
+    """Make a log of corrections with one mutated event, perhaps truncated."""
     at = draw(st.integers(0, len(EVENTS) - 1))
     lines = [json.dumps(event).encode() for event in EVENTS]
-    lines[at] = tampered_json(draw, EVENTS[at]).replace(b"\n", b" ")
+    lines[at] = mutate_json(draw, EVENTS[at]).replace(b"\n", b" ")
     data = b"".join(line + b"\n" for line in lines)
     return data[: draw(st.integers(0, 2 * len(data)))]
 
@@ -291,15 +293,15 @@ Tr_cam_to_road: 1 0 0 0 0 1 0.02 -1.6 0 -0.02 1 0"""
 
 
 def make_calibration(draw: Draw, _: Path) -> bytes:
-    """In KITTI's form."""
+    """Make a calibration in KITTI's format."""
     words = CALIBRATION.split(" ")
     if draw(st.booleans()):
-        value = one_of(draw, "1e308", "-1e308", "1e-320", "0", "1e40")
+        value = choose(draw, "1e308", "-1e308", "1e-320", "0", "1e40")
         words[draw(st.integers(0, len(words) - 1))] = value
-    return tampered(draw, " ".join(words).encode(), OF_TEXT)
+    return mutate(draw, " ".join(words).encode(), TEXT_MUTATIONS)
 
 
-def read_from_above(path: Path) -> bool:
+def read_birds_eye(path: Path) -> bool:
     return to_birds_eye(torch.rand(HEIGHT, WIDTH), read_calibration(path)).shape == (800, 400)
 
 
@@ -328,7 +330,7 @@ def read_rows(path: Path) -> bool:
 
 
 def read_results(path: Path) -> bool:
-    """How it decides; and that a run with other settings is kept out of it."""
+    """Read the deciding settings of results; a run with other settings must be refused."""
     write_index(path.with_name("index.csv"), [])
     threshold = deciding_settings(path.parent).threshold
     try:
@@ -339,11 +341,11 @@ def read_results(path: Path) -> bool:
 
 
 def make_map(draw: Draw, _: Path) -> bytes:
-    """A map made elsewhere, as NumPy file."""
+    """Make a map of another program, as NumPy file."""
     data = io.BytesIO()
     types = (np.float64, np.float32, np.float16, np.int32, np.complex64)
-    np.save(data, MAP.astype(one_of(draw, *types)))
-    return tampered(draw, data.getvalue(), OF_TEXT)
+    np.save(data, MAP.astype(choose(draw, *types)))
+    return mutate(draw, data.getvalue(), TEXT_MUTATIONS)
 
 
 def read_maps(path: Path) -> bool:
@@ -353,41 +355,41 @@ def read_maps(path: Path) -> bool:
     return mask.shape == likelihood.shape == SIZE and bool(likelihood.isfinite().all())
 
 
-def contenders() -> list[Contender]:
+def prior_contenders() -> list[Contender]:
     return [named_detector(DETECTOR, {})]
 
 
 def make_metrics(draw: Draw, _: Path) -> bytes:
-    settings = dict(contenders()[0].settings)
+    settings = dict(prior_contenders()[0].settings)
     document = {"detectors": {DETECTOR: {"maxf_threshold": 0.61, "settings": settings}}}
-    return tampered_json(draw, document)
+    return mutate_json(draw, document)
 
 
 def read_thresholds(path: Path) -> bool:
-    return all(0 <= (entry.chosen or 0) <= 1 for entry in with_thresholds(contenders(), path))
+    return all(0 <= (entry.chosen or 0) <= 1 for entry in with_thresholds(prior_contenders(), path))
 
 
 KINDS: Mapping[str, Kind] = {
     "images": Kind(
         "image.bin",
-        lambda draw, _: tampered(draw, whole_image(draw), OF_IMAGES),
+        lambda draw, _: mutate(draw, encode_scene(draw), IMAGE_MUTATIONS),
         reads_image,
     ),
     "weights": Kind("net.safetensors", make_network, read_network),
     "arrays": Kind(
         "prepared.npz",
-        of_file(lambda path: write_arrays(path, ARRAYS)),
+        mutated_file(lambda path: write_arrays(path, ARRAYS)),
         lambda path: bool(read_arrays(path)),
     ),
     "checkpoints": Kind(
         CHECKPOINT,
-        of_file(write_checkpoint),
+        mutated_file(write_checkpoint),
         lambda path: isinstance(RunFolder(path.parent).read_checkpoint(), dict),
     ),
-    "records": Kind(RUN, lambda draw, _: tampered_json(draw, RECORD), read_record),
+    "records": Kind(RUN, lambda draw, _: mutate_json(draw, RECORD), read_record),
     "configs": Kind("config.toml", make_config, read_config),
     "sets": Kind("sets.txt", make_assignments, read_assignments),
-    "camera": Kind("camera.toml", of_file(CAMERA.write, OF_TEXT), read_camera),
+    "camera": Kind("camera.toml", mutated_file(CAMERA.write, TEXT_MUTATIONS), read_camera),
     "outlines": Kind(
         "a.labelme.json",
         make_outlines,
@@ -396,21 +398,23 @@ KINDS: Mapping[str, Kind] = {
     "labels": Kind("label.png", make_labels, read_labels),
     "colours": Kind("a_L.png", make_colours, read_colours),
     "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),
-    "imported coco": imported("coco", "coco.json"),
+    "imported coco": import_kind("coco", "coco.json"),
     "journals": Kind("a.png.strokes.jsonl", make_journal, read_journal),
-    "conditions": Kind("conditions.csv", of_text(CONDITIONS), read_conditions),
-    "calibration": Kind("calib.txt", make_calibration, read_from_above),
+    "conditions": Kind("conditions.csv", text_file(CONDITIONS), read_conditions),
+    "calibration": Kind("calib.txt", make_calibration, read_birds_eye),
     "camera info": Kind(
-        "info.yaml", of_text(CAMERA_INFO), lambda path: read_camera_info(path).focal_x > 0
+        "info.yaml", text_file(CAMERA_INFO), lambda path: read_camera_info(path).focal_x > 0
     ),
-    "index": Kind("index.csv", of_file(lambda path: write_index(path, INDEX), OF_TEXT), read_rows),
-    "results": Kind(CONFIG, of_text(RESULTS), read_results),
+    "index": Kind(
+        "index.csv", mutated_file(lambda path: write_index(path, INDEX), TEXT_MUTATIONS), read_rows
+    ),
+    "results": Kind(CONFIG, text_file(RESULTS), read_results),
     "maps": Kind("a.npy", make_map, read_maps),
     "map images": Kind(
         "a.png",
-        of_file(
+        mutated_file(
             lambda path: Image.fromarray((MAP * 255).astype(np.uint8)).save(path, "PNG"),
-            OF_IMAGES,
+            IMAGE_MUTATIONS,
         ),
         read_maps,
     ),

@@ -1,4 +1,4 @@
-"""The contract of every reader: what it cannot use is refused in one line that helps.
+"""The contract of every reader: a file that it cannot use is refused in one line with a hint.
 
     python -m pytest tests/fuzz                              # some of each kind
     python -m pytest tests/fuzz --hypothesis-profile long    # thousands of each
@@ -24,7 +24,7 @@ from roadtorch.base.errors import InputError, RoadtorchError
 from tests.command import Call, files_in, save_image
 from tests.fuzz.footage import FOOTAGE
 from tests.fuzz.kinds import KINDS
-from tests.fuzz.tampered import Draw, scene, unhurried
+from tests.fuzz.mutations import Draw, fuzz_settings, scene
 from tests.streets import write_drives
 
 Read = Callable[[Path], bool]
@@ -65,24 +65,24 @@ def verdict(path: Path, read: Read) -> str:
     return "refused"
 
 
-# --- files that were tampered with ----------------------------------------------------------
+# --- mutated files --------------------------------------------------------------------------
 
 FILES = {name: (kind.write, kind.read) for name, kind in KINDS.items()} | FOOTAGE
 
 
 @pytest.mark.parametrize(("make", "read"), FILES.values(), ids=FILES)
-def test_tampered_files_are_read_or_refused(make: Callable[[Draw, Path], Path], read: Read) -> None:
-    seen: Counter[str] = Counter()
+def test_mutated_files_are_read_or_refused(make: Callable[[Draw, Path], Path], read: Read) -> None:
+    verdicts: Counter[str] = Counter()
 
-    @unhurried()
+    @fuzz_settings()
     @given(st.data())
     def check(data: st.DataObject) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            seen[verdict(make(data.draw, Path(folder)), read)] += 1
+            verdicts[verdict(make(data.draw, Path(folder)), read)] += 1
 
     check()
 
-    assert seen["refused"] > 0
+    assert verdicts["refused"] > 0
 
 
 # --- files of another kind ------------------------------------------------------------------
@@ -109,7 +109,7 @@ HARMLESS: Mapping[str, set[str]] = {
     **{kind: {"missing", "loop"} for kind in ("checkpoints", "records")},
     "results": {"missing", "empty", "loop", "settings"},
 }
-"""What is no mistake of a kind."""
+"""Files that a kind accepts."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -125,9 +125,9 @@ def test_files_of_another_kind_are_refused(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("refusal", "wrong"),
     [
-        (("", "bad", "mend it"), "the name is missing"),
+        (("", "bad", "fix it"), "the name is missing"),
         (("a.bin", "bad", ""), "what to do"),
-        (("a.bin", "bad\nworse", "mend it"), "several lines"),
+        (("a.bin", "bad\nworse", "fix it"), "several lines"),
         (("a.bin", "bad", "r" * 10_000), "without end"),
     ],
 )
@@ -165,12 +165,12 @@ COMMANDS: Mapping[str, set[str]] = {
     f"evaluate camvid CAMVID {PRIOR} --camera @camera.toml": set(),
     "annotate FOLDER --import coco --from @coco.json": set(),
 }
-"""Commands with the file that is wrong, and what is no mistake of theirs."""
+"""Commands with a wrong file, and the files that they accept."""
 
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
-    """What commands need beside the file that is wrong."""
+    """Write the inputs that commands need apart from the wrong file."""
     folder = tmp_path_factory.mktemp("inputs")
     image = save_image(folder / "folder" / "street.png")
     write_drives(folder)
