@@ -8,7 +8,7 @@ import numpy as np
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.camera.ground_grid import Grid
-from roadtorch.run.writers.bag import CLASSES
+from roadtorch.run.writers.bag import CLASS_NAMES
 
 HINT = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
 
@@ -50,7 +50,7 @@ def grid_message(header: Any, grid: Grid, frame_id: str) -> Any:
 def label_info_message(threshold: float) -> Any:
     """vision_msgs/LabelInfo with the names of the mask's numbers."""
     kinds = ros_module("vision_msgs.msg")
-    classes = [kinds.VisionClass(class_id=n, class_name=name) for n, name in CLASSES.items()]
+    classes = [kinds.VisionClass(class_id=n, class_name=name) for n, name in CLASS_NAMES.items()]
     return kinds.LabelInfo(class_map=classes, threshold=float(threshold))
 
 

@@ -33,7 +33,14 @@ from roadtorch.ros.messages import (
 )
 from roadtorch.run.loop import Inference, detect_frames
 from roadtorch.run.workers import Workers
-from roadtorch.run.writers.bag import CONFIDENCE, GRIDS, LABELS, MASK, OVERLAY, pixels_of
+from roadtorch.run.writers.bag import (
+    CONFIDENCE_TOPIC,
+    GRID_TOPIC,
+    LABELS_TOPIC,
+    MASK_TOPIC,
+    OVERLAY_TOPIC,
+    mask_and_confidence,
+)
 
 NAME = "roadtorch"
 
@@ -176,10 +183,10 @@ class RoadNode:
         node.create_subscription(kinds.CameraInfo, "camera_info", self._lens, newest)
         self.images = {
             topic: node.create_publisher(kinds.Image, topic, 1)
-            for topic in (MASK, CONFIDENCE, OVERLAY)
+            for topic in (MASK_TOPIC, CONFIDENCE_TOPIC, OVERLAY_TOPIC)
         }
         occupancy = ros_module("nav_msgs.msg").OccupancyGrid
-        self.grids = node.create_publisher(occupancy, GRIDS, latched)
+        self.grids = node.create_publisher(occupancy, GRID_TOPIC, latched)
         array = ros_module("diagnostic_msgs.msg").DiagnosticArray
         self.diagnostics = node.create_publisher(array, "/diagnostics", 1)
         self.labels = self._labels(latched)
@@ -203,11 +210,11 @@ class RoadNode:
     def _publish(self, detection: Detection) -> None:
         """Mask and confidence; overlay and grid where somebody listens."""
         header = self.inbox.header
-        mask, confidence = pixels_of(detection)
-        self.images[MASK].publish(image_message(header, mask))
-        self.images[CONFIDENCE].publish(image_message(header, confidence))
-        if self.images[OVERLAY].get_subscription_count():
-            self.images[OVERLAY].publish(image_message(header, detection.overlay()))
+        mask, confidence = mask_and_confidence(detection)
+        self.images[MASK_TOPIC].publish(image_message(header, mask))
+        self.images[CONFIDENCE_TOPIC].publish(image_message(header, confidence))
+        if self.images[OVERLAY_TOPIC].get_subscription_count():
+            self.images[OVERLAY_TOPIC].publish(image_message(header, detection.overlay()))
         if self.placing is not None and not self.placing.lacks_lens:
             self._publish_grid(header, detection)
         self.last = detection
@@ -267,9 +274,9 @@ class RoadNode:
         try:
             kind = ros_module("vision_msgs.msg").LabelInfo
         except ConfigError:
-            self._warn(f"vision_msgs is not installed, so that {LABELS} is not published")
+            self._warn(f"vision_msgs is not installed, so that {LABELS_TOPIC} is not published")
             return None
-        publisher = self.node.create_publisher(kind, LABELS, latched)
+        publisher = self.node.create_publisher(kind, LABELS_TOPIC, latched)
         publisher.publish(label_info_message(self.detector.settings.threshold))
         return publisher
 

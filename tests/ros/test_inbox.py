@@ -15,7 +15,7 @@ from roadtorch.base.signals import Stop
 from roadtorch.cli.ros import ros_command
 from roadtorch.detectors.detection import Detection
 from roadtorch.ros.node import Inbox
-from roadtorch.run.writers.bag import pixels_of
+from roadtorch.run.writers.bag import mask_and_confidence
 from tests.command import invoked
 
 
@@ -52,7 +52,7 @@ def test_frames_end_when_somebody_asks_to_stop() -> None:
 def test_confidence_is_of_each_pixels_own_class() -> None:
     likelihood = torch.tensor([[0.0, 0.2], [0.9, 1.0]])
 
-    mask, confidence = pixels_of(Detection(likelihood, likelihood > 0.5, {}))
+    mask, confidence = mask_and_confidence(Detection(likelihood, likelihood > 0.5, {}))
 
     assert mask.tolist() == [[0, 0], [1, 1]]
     assert confidence.tolist() == [[255, 204], [230, 255]]

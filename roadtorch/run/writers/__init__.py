@@ -1,1 +1,1 @@
-"""Where detections go: maps, videos, GIFs, bags, grids of the ground, labels, outlines."""
+"""Writers of detections: maps, videos, bags, ground grids, layout labels, polygons."""

@@ -1,4 +1,4 @@
-"""A bag of what was found in footage, as Nav2's semantic segmentation layer reads it.
+"""Bags of detections, in the format of Nav2's semantic segmentation layer.
 
 The masks are those of kiwicampus/semantic_segmentation_layer (README, "Required Topics and Message
 Types"): class numbers and confidences 0…255, both mono8, and vision_msgs/LabelInfo with the names
@@ -24,37 +24,43 @@ from roadtorch.inputs.item import Item
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-IMAGE, LABEL_INFO = "sensor_msgs/msg/Image", "vision_msgs/msg/LabelInfo"
-GRID = "nav_msgs/msg/OccupancyGrid"
-CLASSES: Mapping[int, str] = {0: "background", 1: "road"}
+IMAGE_TYPE, LABEL_INFO_TYPE = "sensor_msgs/msg/Image", "vision_msgs/msg/LabelInfo"
+GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
+CLASS_NAMES: Mapping[int, str] = {0: "background", 1: "road"}
 
 VISION_MESSAGES = {
     "vision_msgs/msg/VisionClass": "uint16 class_id\nstring class_name\n",
-    LABEL_INFO: (
+    LABEL_INFO_TYPE: (
         "std_msgs/Header header\nvision_msgs/VisionClass[] class_map\nfloat32 threshold\n"
     ),
 }
-"""Definitions (ros-perception/vision_msgs, branch ros2, without its comments)."""
+"""Message definitions of ros-perception/vision_msgs, branch ros2, without comments."""
 
-MASK, CONFIDENCE = "/segmentation/mask", "/segmentation/confidence"
-OVERLAY, LABELS = "/segmentation/overlay", "/segmentation/label_info"
-GRIDS = "/segmentation/grid"
+MASK_TOPIC, CONFIDENCE_TOPIC = "/segmentation/mask", "/segmentation/confidence"
+OVERLAY_TOPIC, LABELS_TOPIC = "/segmentation/overlay", "/segmentation/label_info"
+GRID_TOPIC = "/segmentation/grid"
 
 BAG_VERSION = 8
-"""Of the ROS 2 metadata: the newest whose quality-of-service profiles Humble reads too."""
+"""Version of the ROS 2 metadata: the newest whose QoS profiles Humble reads too."""
 
 
 class BagWriter:
-    """A bag that is written frame by frame, and has its name once it is closed.
+    """A bag written frame by frame, and renamed to its final path when it is closed.
 
-    path: ``NAME.bag`` becomes a bag of ROS 1, any other name the folder of one of ROS 2 (MCAP with
-    zstd). frame_id: of the camera, as in the input's headers. threshold: of the mask. draw: of the
-    overlay uint8 (H,W,3) RGB, where there is to be one.
+    It is written in a sibling folder ``NAME.….unfinished``. ``close`` finishes and renames it, also
+    after an error or Ctrl-C, and replaces an earlier bag written by this class. The first frame
+    removes such folders of killed runs.
 
-    While it is written it lies in a folder ``NAME.….unfinished`` beside; ``close`` ends it and
-    gives it its name, after an error or Ctrl-C too, with the frames that were written. An earlier
-    bag of ours is replaced by ``close``; such folders that killed runs left go with the first
-    frame. Raises InputError when ``path`` is anything else, ConfigError without rosbags.
+    Args:
+        path: ``NAME.bag`` becomes a ROS 1 bag, any other name the folder of a ROS 2 bag (MCAP with
+            zstd).
+        frame_id: frame of the camera, for the headers.
+        threshold: likelihood threshold of the mask, for the label info.
+        draw: returns the overlay of a detection, uint8 RGB, shape (H, W, 3); None for no overlay.
+
+    Raises:
+        InputError: for a path that exists and was not written by this class.
+        ConfigError: where rosbags is not installed.
     """
 
     def __init__(
@@ -66,34 +72,36 @@ class BagWriter:
     ) -> None:
         self._generation = 1 if path.suffix == ".bag" else 2
         try:
-            self.types = message_types(self._generation)
+            self.types = load_message_types(self._generation)
         except ImportError:
-            problem = "cannot be written without the package rosbags"
+            problem = "cannot be written, as rosbags is not installed"
             raise ConfigError(str(path), problem, "pip install 'roadtorch[bags]'") from None
-        if path.exists() and not is_result(path):
-            problem = "exists already, and is no bag of ours"
+        if path.exists() and not _is_own_bag(path):
+            problem = "exists and was not written by roadtorch"
             raise InputError(path, problem, "remove it, or give another name")
         make_folder(path.absolute().parent)
         self.path, self._frame_id, self._threshold, self._draw = path, frame_id, threshold, draw
         self._folder = path.with_name(f"{path.name}.{secrets.token_hex(4)}.unfinished")
         self._writer: Any = None
-        self._links: dict[str, Any] = {}
+        self._connections: dict[str, Any] = {}
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Add a frame: mask, confidence, overlay. InputError when it cannot be written."""
+        """Write mask, confidence and overlay of a frame; InputError when it cannot be written."""
         types: Any = self.types.types
         stamp = item.nanoseconds
-        if LABELS not in self._links:
+        if LABELS_TOPIC not in self._connections:
             kind = types["vision_msgs/msg/VisionClass"]
-            names = [kind(class_id=number, class_name=name) for number, name in CLASSES.items()]
-            info = types[LABEL_INFO](header(self.types, stamp, ""), names, self._threshold)
-            self._add(LABELS, LABEL_INFO, stamp, info)
-        mask, confidence = pixels_of(detection)
-        images = {MASK: mask, CONFIDENCE: confidence}
-        images |= {OVERLAY: self._draw(detection)} if self._draw else {}
+            names = [kind(class_id=number, class_name=name) for number, name in CLASS_NAMES.items()]
+            info = types[LABEL_INFO_TYPE](
+                _make_header(self.types, stamp, ""), names, self._threshold
+            )
+            self._add(LABELS_TOPIC, LABEL_INFO_TYPE, stamp, info)
+        mask, confidence = mask_and_confidence(detection)
+        images = {MASK_TOPIC: mask, CONFIDENCE_TOPIC: confidence}
+        images |= {OVERLAY_TOPIC: self._draw(detection)} if self._draw else {}
         for topic, pixels in images.items():
-            image = types[IMAGE](
-                header=header(self.types, stamp, self._frame_id),
+            image = types[IMAGE_TYPE](
+                header=_make_header(self.types, stamp, self._frame_id),
                 height=pixels.shape[0],
                 width=pixels.shape[1],
                 encoding="mono8" if pixels.ndim == 2 else "rgb8",
@@ -101,7 +109,7 @@ class BagWriter:
                 step=pixels[0].size,
                 data=np.ascontiguousarray(pixels).reshape(-1),
             )
-            self._add(topic, IMAGE, stamp, image)
+            self._add(topic, IMAGE_TYPE, stamp, image)
         return {}
 
     def write_grid(
@@ -112,14 +120,23 @@ class BagWriter:
         stamp: int,
         frame_id: str,
     ) -> None:
-        """Add a grid as ``occupancy_message`` has it; InputError when it cannot be written."""
+        """Write an occupancy grid.
+
+        Args:
+            grid: int8 cells, shape (H, W), see ``occupancy_message``.
+            resolution: metres per cell.
+            origin: (x, y) of the corner of cell (0, 0), metres.
+            stamp: time stamp, nanoseconds.
+            frame_id: frame of the grid.
+        """
         message = occupancy_message(self.types, grid, resolution, origin, stamp, frame_id)
-        self._add(GRIDS, GRID, stamp, message)
+        self._add(GRID_TOPIC, GRID_TYPE, stamp, message)
 
     def close(self) -> None:
-        """End the bag and give it its name; there is none where nothing was written.
+        """Finish the bag and rename it to its path; without a message there is none.
 
-        Raises InputError when it cannot be written; what there is of it stays.
+        Raises:
+            InputError: when it cannot be written; the unfinished folder is kept.
         """
         if self._writer is None:
             return
@@ -130,27 +147,25 @@ class BagWriter:
                 os.replace(self.path, self._folder / "earlier")
             os.replace(self._folder / self.path.name, self.path)
         except OSError as error:
-            raise self._unwritable(error) from None
+            raise self._write_error(error) from None
         shutil.rmtree(self._folder, ignore_errors=True)
-
-    # --- inside -------------------------------------------------------------------------
 
     def _add(self, topic: str, kind: str, stamp: int, message: Any) -> None:
         try:
-            writer = self._begin() if self._writer is None else self._writer
-            if topic not in self._links:
-                self._links[topic] = self._link(topic, kind)
+            writer = self._open() if self._writer is None else self._writer
+            if topic not in self._connections:
+                self._connections[topic] = self._connect(topic, kind)
             is_ros1 = self._generation == 1
             pack = self.types.serialize_ros1 if is_ros1 else self.types.serialize_cdr
-            writer.write(self._links[topic], stamp, pack(message, kind))
+            writer.write(self._connections[topic], stamp, pack(message, kind))
         except OSError as error:
-            raise self._unwritable(error) from None
+            raise self._write_error(error) from None
 
-    def _begin(self) -> Any:
+    def _open(self) -> Any:
         hexadecimal = "[0-9a-f]" * 8
         pattern = f"{glob.escape(self.path.name)}.{hexadecimal}.unfinished"
-        for left in self.path.absolute().parent.glob(pattern):
-            shutil.rmtree(left, ignore_errors=True)
+        for leftover in self.path.absolute().parent.glob(pattern):
+            shutil.rmtree(leftover, ignore_errors=True)
         make_folder(self._folder)
         inside = self._folder / self.path.name
         if self._generation == 1:
@@ -168,36 +183,43 @@ class BagWriter:
         self._writer = writer
         return writer
 
-    def _link(self, topic: str, kind: str) -> Any:
-        """The connection of a topic; labels are kept for those who come late (latched)."""
-        is_kept = topic == LABELS
+    def _connect(self, topic: str, kind: str) -> Any:
+        """Add the connection of a topic; the label info is latched for late subscribers."""
+        is_latched = topic == LABELS_TOPIC
         if self._generation == 1:
-            options: dict[str, Any] = {"callerid": "/roadtorch", "latching": int(is_kept)}
+            options: dict[str, Any] = {"callerid": "/roadtorch", "latching": int(is_latched)}
         else:
-            profile = _profile("TRANSIENT_LOCAL", 1) if is_kept else _profile("VOLATILE", 10)
+            durability, depth = ("TRANSIENT_LOCAL", 1) if is_latched else ("VOLATILE", 10)
+            profile = _qos_profile(durability, depth)
             options = {"offered_qos_profiles": [profile]}
         return self._writer.add_connection(topic, kind, typestore=self.types, **options)
 
-    def _unwritable(self, error: OSError) -> InputError:
+    def _write_error(self, error: OSError) -> InputError:
         failure = unwritable(self.path, error)
-        rest = f"; what there is lies in {self._folder}" if self._folder.exists() else ""
-        return InputError(self.path, failure.problem + rest, failure.hint)
+        saved = f"; finished frames are in {self._folder}" if self._folder.exists() else ""
+        return InputError(self.path, failure.problem + saved, failure.hint)
 
 
-def is_result(path: Path) -> bool:
-    """Whether a path is a bag with nothing but topics that ``BagWriter`` writes."""
+def _is_own_bag(path: Path) -> bool:
+    """Return whether a path is a bag that contains only topics of ``BagWriter``."""
     from rosbags.highlevel import AnyReader
 
     try:
         with AnyReader([path]) as reader:
             names = {link.topic for link in reader.connections}
-    except Exception:  # it is no bag
+    except Exception:  # not a bag
         return False
-    return bool(names) and names <= {MASK, CONFIDENCE, OVERLAY, LABELS, GRIDS}
+    return bool(names) and names <= {
+        MASK_TOPIC,
+        CONFIDENCE_TOPIC,
+        OVERLAY_TOPIC,
+        LABELS_TOPIC,
+        GRID_TOPIC,
+    }
 
 
-def _profile(durability: str, depth: int) -> Any:
-    """A reliable quality of service that keeps so many messages (QoS of DDS)."""
+def _qos_profile(durability: str, depth: int) -> Any:
+    """Return a reliable QoS profile (DDS) with a history of ``depth`` messages."""
     from rosbags.interfaces import (
         Qos,
         QosDurability,
@@ -207,7 +229,7 @@ def _profile(durability: str, depth: int) -> Any:
         QosTime,
     )
 
-    forever = QosTime(9223372036, 854775807)  # what rosbag2 records for no limit
+    forever = QosTime(9223372036, 854775807)  # rosbag2's value for no limit
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=depth,
@@ -224,21 +246,22 @@ def _profile(durability: str, depth: int) -> Any:
 # --- messages ---------------------------------------------------------------------------
 
 
-def pixels_of(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
-    """The numbers of ``CLASSES`` and how sure each pixel's is, both uint8 (H,W).
+def mask_and_confidence(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
+    """Return class numbers, see ``CLASS_NAMES``, and confidences 0…255, both uint8, (H, W).
 
-    As the tutorial's node has it (navigation2_tutorials, segmentation_node.py): of road the
-    likelihood, of the rest what is missing to 1.
+    The confidence is the likelihood on the road and 1 minus the likelihood elsewhere, as in
+    navigation2_tutorials, segmentation_node.py.
     """
     likely = detection.likelihood.where(detection.mask, 1 - detection.likelihood)
     confidence = likely.clamp(0, 1).mul(255).round().cpu().numpy().astype(np.uint8)
     return detection.mask.cpu().numpy().astype(np.uint8), confidence
 
 
-def message_types(generation: int) -> "Typestore":
-    """The message types of ROS 1 (Noetic) or 2 (Humble; the same in later ones), labels among them.
+def load_message_types(generation: int) -> "Typestore":
+    """Load the message types of ROS 1 (Noetic) or ROS 2 (Humble and later), with vision_msgs.
 
-    generation: 1 or 2. Raises ImportError without rosbags.
+    Args:
+        generation: 1 or 2.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -248,12 +271,12 @@ def message_types(generation: int) -> "Typestore":
     return types
 
 
-def header(types: "Typestore", stamp: int, frame_id: str) -> Any:
-    """std_msgs/Header; stamp in nanoseconds."""
+def _make_header(types: "Typestore", stamp: int, frame_id: str) -> Any:
+    """Return a std_msgs/Header; stamp in nanoseconds."""
     kind: Any = types.types["std_msgs/msg/Header"]
     time = types.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
-    numbered = {"seq": 0} if "seq" in kind.__dataclass_fields__ else {}  # ROS 1
-    return kind(**numbered, stamp=time, frame_id=frame_id)
+    sequence = {"seq": 0} if "seq" in kind.__dataclass_fields__ else {}  # ROS 1
+    return kind(**sequence, stamp=time, frame_id=frame_id)
 
 
 def occupancy_message(
@@ -264,21 +287,28 @@ def occupancy_message(
     stamp: int,
     frame_id: str,
 ) -> Any:
-    """A grid int8 (H,W) as nav_msgs/OccupancyGrid: 0 free, 100 not road, -1 unknown.
+    """Return a grid as nav_msgs/OccupancyGrid, columns along x, rows along y.
 
-    Row 0, column 0 is the cell whose corner is ``origin``, (x, y) in metres in ``frame_id``;
-    columns go along x, rows along y (REP 103: x ahead, y left). resolution: metres a cell. Raises
-    ValueError for a grid of another type or other values.
+    Args:
+        types: message types, see ``load_message_types``.
+        grid: int8 cells, 0 free, 100 not road, -1 unknown, shape (H, W).
+        resolution: metres per cell.
+        origin: (x, y) of the corner of cell (0, 0), metres (REP 103: x ahead, y left).
+        stamp: time stamp, nanoseconds.
+        frame_id: frame of the grid.
+
+    Raises:
+        ValueError: for a grid of another type, shape or range.
     """
     values = np.ascontiguousarray(grid)
     if values.ndim != 2 or values.dtype != np.int8 or values.min() < -1 or values.max() > 100:
-        raise ValueError(f"a grid is int8 (H,W) from -1 to 100, not {grid.dtype} {grid.shape}")
+        raise ValueError(f"a grid is int8 (H, W) from -1 to 100, not {grid.dtype} {grid.shape}")
     kinds = types.types
     pose = kinds["geometry_msgs/msg/Pose"](
         kinds["geometry_msgs/msg/Point"](*map(float, origin), 0.0),
         kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
     )
-    head = header(types, stamp, frame_id)
+    header = _make_header(types, stamp, frame_id)
     height, width = values.shape
-    about = kinds["nav_msgs/msg/MapMetaData"](head.stamp, resolution, width, height, pose)
-    return kinds[GRID](head, about, values.reshape(-1))
+    metadata = kinds["nav_msgs/msg/MapMetaData"](header.stamp, resolution, width, height, pose)
+    return kinds[GRID_TYPE](header, metadata, values.reshape(-1))

@@ -1,4 +1,4 @@
-"""Which writers ``infer`` and ``grid`` have for a source, and whether it is a bag."""
+"""The outputs of ``infer`` and ``grid`` for a source: which writers it gets, and their files."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -19,41 +19,41 @@ from roadtorch.run.plan import Output, Writer, Writers
 from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
 from roadtorch.run.writers.grid import Grids
-from roadtorch.run.writers.maps import CUE_SUFFIXES, SUFFIXES, Maps
+from roadtorch.run.writers.maps import CUE_SUFFIXES, MAP_SUFFIXES, Maps
 from roadtorch.run.writers.video import VideoWriter
 
-OF_IMAGES, OF_FOOTAGE, OF_BAGS = (
+OF_IMAGES, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
     ("likelihood", "mask", "overlay"),
     ("overlay",),
     ("overlay", "bag"),
 )
-"""What is written where nothing is asked for."""
+"""Kinds of results without ``--save``, for images, footage and bags."""
 
 CAMERA_FRAME = "camera"
-"""The frame of reference in bags of footage that tells none."""
+"""frame_id in bags written from footage, which has none."""
 
 MEDIAN_FRAMES = 9
-"""Frames whose median is the pitch of a source; ours: a few wrong ones do not move it."""
+"""Number of frames whose median is the pitch of a source; ours: robust to a few wrong ones."""
 
 
 def mask_pixels(detection: Detection) -> np.ndarray:
-    """The mask as grey, road 255."""
+    """Return the mask as grey values, road 255."""
     return detection.mask.numpy().astype(np.uint8) * 255
 
 
 def likelihood_pixels(detection: Detection) -> np.ndarray:
-    """The likelihood as grey, 1 being 255."""
+    """Return the likelihood as grey values, 0 to 255."""
     return detection.likelihood.mul(255).round().byte().numpy()
 
 
-class Overlay:
-    """The overlay of a detection, drawn once for all that show it."""
+class CachedOverlay:
+    """The overlay of the last detection, drawn once for all writers."""
 
     def __init__(self) -> None:
         self._last: tuple[Detection, np.ndarray] | None = None
 
     def __call__(self, detection: Detection) -> np.ndarray:
-        """Pixels uint8 (H,W,3) RGB."""
+        """Return the overlay of a detection, uint8 RGB, shape (H, W, 3)."""
         if self._last is None or self._last[0] is not detection:
             self._last = detection, detection.overlay()
         return self._last[1]
@@ -64,16 +64,16 @@ VIDEOS = {
     "mask-video": ".mask.mp4",
     "likelihood-video": ".likelihood.mp4",
 }
-"""The results that are videos: how their names end."""
+"""Suffixes of the kinds of results that are videos."""
 
 
 def is_from_bag(source: Source) -> bool:
-    """Whether the frames of a source are those of a bag."""
+    """Return whether a source is a bag."""
     return not source.live and is_bag(source.origin)
 
 
 def bag_suffix(source: Source, suffix: str) -> str:
-    """How the name of the bag ends: of ROS 1 where the source is such a bag, else of ROS 2."""
+    """Return the suffix of the bag to write: ROS 1 where the source is a ROS 1 bag, else ROS 2."""
     path = Path(source.origin)
     is_ros1 = is_from_bag(source) and path.suffix == ".bag" and path.is_file()
     return f"{suffix}.bag" if is_ros1 else suffix
@@ -81,44 +81,43 @@ def bag_suffix(source: Source, suffix: str) -> str:
 
 @dataclass(frozen=True)
 class MapOutput:
-    """What ``infer`` writes of a source: videos, bags, and files for each frame.
+    """The outputs of ``infer`` for a source: videos, bags, and files of each frame.
 
-    maps: of an image. asked: the kinds of ``--save``, None where it is not given: of a
-    source ``overlay`` is a video and ``overlay-frames`` are images. topic: of the images in
-    bags; None where they have one. view: what else gets the frames of sources.
+    maps: writer of single images. kinds: of ``--save``, None for the defaults; ``overlay`` of a
+    source is a video, ``overlay-frames`` are images. topic: image topic in bags, None for the only
+    one. view: a further writer of the frames.
     """
 
     maps: Maps
-    asked: tuple[str, ...] | None
+    kinds: tuple[str, ...] | None
     topic: str | None = None
     view: Writer | None = None
 
     def __call__(self, source: Source) -> Output:
-        """What is written of that source."""
-        usual = OF_BAGS if is_from_bag(source) else OF_FOOTAGE
-        kinds = usual if self.asked is None else self.asked
-        of_frames = set(kinds)
+        """Return the outputs for a source."""
+        defaults = DEFAULT_BAG_KINDS if is_from_bag(source) else DEFAULT_FOOTAGE_KINDS
+        kinds = defaults if self.kinds is None else self.kinds
         suffixes = {**VIDEOS, "bag": bag_suffix(source, ".road")}
-        own = {kind: suffixes[kind] for kind in kinds if kind in suffixes}
-        of_frames -= suffixes.keys()
+        streams = {kind: suffixes[kind] for kind in kinds if kind in suffixes}
+        frame_kinds = set(kinds) - suffixes.keys()
         if "overlay-frames" in kinds:
-            of_frames = of_frames - {"overlay-frames"} | {"overlay"}
-        maps = replace(self.maps, kinds=frozenset(of_frames))
-        suffixes_of_frames = [SUFFIXES.get(kind, f".{kind}") for kind in of_frames]
-        cues = not of_frames.isdisjoint(CUE_SUFFIXES)
-        opened = partial(self._open, source, maps, own)
-        return Output(kinds, [*own.values()], suffixes_of_frames, opened, cues)
+            frame_kinds = frame_kinds - {"overlay-frames"} | {"overlay"}
+        maps = replace(self.maps, kinds=frozenset(frame_kinds))
+        frame_suffixes = [MAP_SUFFIXES.get(kind, f".{kind}") for kind in frame_kinds]
+        cues = not frame_kinds.isdisjoint(CUE_SUFFIXES)
+        open_writers = partial(self._open, source, maps, streams)
+        return Output(kinds, [*streams.values()], frame_suffixes, open_writers, cues)
 
     @contextmanager
-    def _open(self, source: Source, maps: Maps, own: dict[str, str]) -> Iterator[Writers]:
-        """However the block ends, videos and bags are finished with the frames that they have."""
-        stem, overlay = maps.folder / source.name, Overlay()
+    def _open(self, source: Source, maps: Maps, suffixes: dict[str, str]) -> Iterator[Writers]:
+        """Open the writers; videos and bags are finished however the block ends."""
+        stem, overlay = maps.folder / source.name, CachedOverlay()
         draws: dict[str, Callable[[Detection], np.ndarray]] = {"overlay": overlay}
         draws |= {"mask-video": mask_pixels, "likelihood-video": likelihood_pixels}
         with ExitStack() as stack:
             streams = [self.view] if self.view else []
-            for kind in sorted(own, key=[*VIDEOS, "bag"].index):
-                path = stem.with_name(stem.name + own[kind])
+            for kind in sorted(suffixes, key=[*VIDEOS, "bag"].index):
+                path = stem.with_name(stem.name + suffixes[kind])
                 if kind == "bag":
                     frame_id = CAMERA_FRAME
                     if is_from_bag(source):
@@ -132,9 +131,9 @@ class MapOutput:
 
 @dataclass(frozen=True)
 class GridOutput:
-    """What ``grid`` writes of a source: a grid a frame, in bags also as messages; one pitch.
+    """The outputs of ``grid`` for a source: a grid for each frame, and a bag for a bag.
 
-    grids: of an image. infer: what finds the road. topic: of bags.
+    grids: writer of single images. infer: detector and camera. topic: image topic in bags.
     """
 
     grids: Grids
@@ -142,24 +141,25 @@ class GridOutput:
     topic: str | None = None
 
     def __call__(self, source: Source) -> Output:
-        """What is written of that source."""
+        """Return the outputs for a source."""
         kinds, suffixes = tuple(self.grids.kinds), list[str]()
         if is_from_bag(source):
             kinds, suffixes = (*kinds, "bag"), [bag_suffix(source, ".grid")]
-        opened = partial(self._open, source, suffixes)
-        return Output(kinds, suffixes, self.grids.suffixes, opened)
+        open_writers = partial(self._open, source, suffixes)
+        return Output(kinds, suffixes, self.grids.suffixes, open_writers)
 
     @contextmanager
     def _open(self, source: Source, suffixes: list[str]) -> Iterator[Writers]:
-        """The pitch is found first. However the block ends, the bag has the frames until then."""
+        """Fix the pitch of the source, and open the writers; the bag is finished in any case."""
         placing, bag = self.grids.placing, None
         if placing.lacks_lens:
             info = camera_info(source.origin, self.topic)
-            matrix, bent = info.matrix.ravel().tolist(), info.distortion.tolist()
-            size = (info.width, info.height)
-            placing = placing.through(lens_of_info(source.origin, size, matrix, bent, info.model))
+            matrix, distortion = info.matrix.ravel().tolist(), info.distortion.tolist()
+            size, model = (info.width, info.height), info.model
+            lens = lens_of_info(source.origin, size, matrix, distortion, model)
+            placing = placing.through(lens)
         if placing.asks_images:
-            placing = steadied(placing, self.infer, source)
+            placing = fix_pitch(placing, self.infer, source)
         if suffixes:
             stem = self.grids.folder / source.name
             path, threshold = stem.with_name(stem.name + suffixes[0]), self.grids.settings.threshold
@@ -168,10 +168,10 @@ class GridOutput:
             yield Writers(grids)
 
 
-def steadied(placing: Placing, infer: Inference, source: Source) -> Placing:
-    """The placing with one pitch for a whole source: the median of what some frames tell.
+def fix_pitch(placing: Placing, infer: Inference, source: Source) -> Placing:
+    """Set one pitch for a whole source: the median of the estimates of some frames.
 
-    InputError when no frame tells it.
+    Raises InputError where no frame yields an estimate.
     """
     pitches: list[Pitch] = []
     error: RoadtorchError | None = None

@@ -1,4 +1,4 @@
-"""coco.json: the masks of all images whose outlines are kept, as one COCO file."""
+"""coco.json: the masks of all images with saved polygons, as one COCO file."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -12,23 +12,22 @@ from roadtorch.data.polygons import coco_region, read_outlined_mask
 from roadtorch.run.folder import COCO_FILE
 from roadtorch.run.ledger import INDEX, has_result, read_index
 
-POLYGONS = ".labelme.json"
-"""How the name of the annotation file of an image ends."""
+LABELME_SUFFIX = ".labelme.json"
+"""Suffix of the labelme annotation of an image."""
 
 
 def write_coco(folder: Path) -> None:
-    """Write the images whose polygons are kept, sorted by file, as one COCO file.
+    """Write all images with saved polygons, sorted by file, as one COCO file.
 
-    A second run makes it anew of all that is there, so that it is whole whatever was
-    interrupted. Raises InputError when it cannot be written, DatasetError for an annotation
-    that cannot be read.
+    It is rebuilt from the files of the folder, so that it is complete after interrupted runs.
+    Raises InputError when it cannot be written, DatasetError for an unreadable annotation.
     """
     rows = read_index(folder / INDEX).values()
     saved = [row for row in rows if not row.failed and "polygons" in row.saved.split()]
     ready = {
         row.file: row
         for row in sorted(saved, key=lambda row: row.file)
-        if has_result(folder, _annotation(folder, row.file))
+        if has_result(folder, _annotation_name(folder, row.file))
     }
     images = [
         CocoImage(
@@ -40,22 +39,22 @@ def write_coco(folder: Path) -> None:
     ]
 
     def mask_of(file: str) -> np.ndarray:
-        """bool (H,W), as the annotation of an image draws it."""
+        """Fill the polygons of an image's annotation, bool (H, W)."""
         size = int(ready[file].height), int(ready[file].width)
-        return read_outlined_mask(folder / _annotation(folder, file), size)
+        return read_outlined_mask(folder / _annotation_name(folder, file), size)
 
     with atomic(folder / COCO_FILE) as temporary, temporary.open("w", encoding="utf-8") as text:
         text.writelines(coco_text(images, mask_of))
 
 
-def _annotation(folder: Path, file: str) -> str:
-    """The outline of what index.csv calls ``file``: a frame, without suffix, or an image."""
-    of_image = PurePath(file).with_suffix("").as_posix() + POLYGONS
-    return file + POLYGONS if has_result(folder, file + POLYGONS) else of_image
+def _annotation_name(folder: Path, file: str) -> str:
+    """Return the annotation's name for a file in index.csv: a frame has no suffix, an image one."""
+    of_image = PurePath(file).with_suffix("").as_posix() + LABELME_SUFFIX
+    return file + LABELME_SUFFIX if has_result(folder, file + LABELME_SUFFIX) else of_image
 
 
 class CocoImage(NamedTuple):
-    """An image in a COCO file: its name, (width, height) and trust, where there is one."""
+    """An image in a COCO file: name, (width, height) and trust, if any."""
 
     file: str
     size: tuple[int, int]
@@ -63,11 +62,10 @@ class CocoImage(NamedTuple):
 
 
 def coco_text(images: Iterable[CocoImage], mask_of: Callable[[str], np.ndarray]) -> Iterator[str]:
-    """A COCO file, in pieces: one annotation of category 1, road, for each image with road.
+    """Yield the text of a COCO file with one annotation of category 1, road, per image with road.
 
-    mask_of: gives the mask bool (H,W) of a file; each is asked for once, in order. Images and
-    their annotations are numbered from 1 in the order given. ``score`` is the trust, as in COCO's
-    results.
+    mask_of: returns the mask of a file, bool (H, W); called once each, in order. Images and
+    annotations are numbered from 1 in their order. ``score`` is the trust, as in COCO results.
     """
     images = list(images)
     yield '{"info": {"description": "roads found by roadtorch"}, "licenses": [],\n'

@@ -1,8 +1,8 @@
-"""Grids of the ground as robots load them: PGM and YAML for map_server, NumPy, and in bags.
+"""Files of ground grids: PGM and YAML for map_server, NumPy arrays, and messages in bags.
 
-Values and keys are those that nav2_map_server's map_saver writes (map_io.cpp): 254 free, 0
-occupied, 205 unknown, and occupied from .65 of (255 - value) / 255. Its default free_thresh of
-.25 would read 205, which is .196, as free; .196 keeps unknown unknown, in ROS 1 as well.
+Values and keys are those of nav2_map_server's map_saver (map_io.cpp): 254 free, 0 occupied, 205
+unknown, and occupied from .65 of (255 - value) / 255. Its default free_thresh of .25 would read
+205, which is .196, as free; .196 keeps unknown cells unknown, in ROS 1 as well.
 """
 
 import json
@@ -26,7 +26,7 @@ from roadtorch.inputs.item import Item
 from roadtorch.run.ledger import DONE, DOUBTFUL
 from roadtorch.run.writers.bag import BagWriter
 
-SUFFIXES = {
+GRID_SUFFIXES = {
     "pgm": ".grid.pgm",
     "yaml": ".grid.yaml",
     "npy": ".grid.npy",
@@ -34,16 +34,16 @@ SUFFIXES = {
     "image": ".grid.jpg",
 }
 
-UNSURE = 2.0
-"""Degrees of spread of a pitch from which a grid is called doubtful."""
+DOUBTFUL_SPREAD = 2.0
+"""Standard deviation of a pitch, in degrees, above which a grid is doubtful."""
 
 FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 
-OCCUPIED_FROM, FREE_UP_TO = 0.65, 0.196
+OCCUPIED_THRESHOLD, FREE_UP_TO = 0.65, 0.196
 
 
-def map_image(grid: Grid) -> np.ndarray:
-    """A grid as map_server's image, uint8: x to the right, y upwards, the first row on top."""
+def _draw_grid(grid: Grid) -> np.ndarray:
+    """Draw a grid for map_server: grey values, uint8 (H, W), x to the right, y upwards."""
     cells = grid.cells.cpu().numpy()
     grey = np.full(cells.shape, UNKNOWN_GREY, np.uint8)
     grey[cells == FREE] = FREE_GREY
@@ -52,12 +52,18 @@ def map_image(grid: Grid) -> np.ndarray:
 
 
 def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> None:
-    """Write STEM.grid.pgm, STEM.grid.yaml and STEM.grid.npy (int8, y by x); folders must exist.
+    """Write STEM.grid.pgm, STEM.grid.yaml and STEM.grid.npy.
 
-    comment: one line for the YAML. Raises InputError when one cannot be written.
+    Args:
+        stem: path without suffixes; its folder must exist.
+        grid: ground grid; its cells are saved as int8, rows along y, columns along x.
+        comment: one line for the YAML.
+
+    Raises:
+        InputError: when a file cannot be written.
     """
     stem = Path(stem)
-    grey, image = map_image(grid), stem.with_name(stem.name + ".grid.pgm")
+    grey, image = _draw_grid(grid), stem.with_name(stem.name + ".grid.pgm")
     with atomic(image) as temporary:
         head = f"P5\n{grey.shape[1]} {grey.shape[0]}\n255\n"
         temporary.write_bytes(head.encode() + grey.tobytes())
@@ -69,7 +75,7 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
         f"resolution: {grid.resolution:g}",
         f"origin: [{grid.origin[0]:g}, {grid.origin[1]:g}, 0]",
         "negate: 0",
-        f"occupied_thresh: {OCCUPIED_FROM}",
+        f"occupied_thresh: {OCCUPIED_THRESHOLD}",
         f"free_thresh: {FREE_UP_TO}",
         "",
     ]
@@ -78,9 +84,15 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
 
 @dataclass(frozen=True)
 class Grids:
-    """The grid of each image, and the same in a bag where there is one.
+    """A writer of a ground grid for each image, and optionally into a bag.
 
-    placing: where the camera is. kinds: of files, see ``SUFFIXES``. frame_id: of the robot.
+    Args:
+        folder: output folder.
+        placing: pose and lens of the camera.
+        settings: of the grid.
+        kinds: kinds of files, see ``GRID_SUFFIXES``.
+        bag: also receives each grid; None for files only.
+        frame_id: frame of the robot, in which grids are written.
     """
 
     folder: Path
@@ -92,58 +104,63 @@ class Grids:
 
     @property
     def suffixes(self) -> Sequence[str]:
-        """How the names of its files end."""
-        return [SUFFIXES[kind] for kind in self.kinds]
+        """Suffixes of its files."""
+        return [GRID_SUFFIXES[kind] for kind in self.kinds]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the grid of an image; its road share is that of free cells.
+        """Write the grid of an image; its road share in index.csv is the fraction of free cells.
 
-        Raises what ``placing`` and ``ground_grid`` raise.
+        Raises:
+            InputError: where the pitch is unknown, or a file cannot be written.
         """
         try:
-            grid, doubt = self._written(item, detection)
+            grid, doubt = self._write_files(item, detection)
         except RoadtorchError as error:
             raise fault(item.origin, error) from None
         if self.bag is not None:
             cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
             self.bag.write_grid(cells, grid.resolution, (x, y), item.nanoseconds, self.frame_id)
         doubts = ", ".join(filter(None, (detection.doubt, doubt)))
-        share = float((grid.cells == FREE).double().mean())
+        fraction = float((grid.cells == FREE).double().mean())
         return {
-            "road_share": f"{share:.4f}",
+            "road_share": f"{fraction:.4f}",
             "status": f"{DOUBTFUL}: {doubts}" if doubts else DONE,
         }
 
     def close(self) -> None:
-        """End the bag."""
+        """Close the bag."""
         if self.bag is not None:
             self.bag.close()
 
-    def _written(self, item: Item, detection: Detection) -> tuple[Grid, str]:
-        """The grid, its files written, and why it should not be trusted."""
+    def _write_files(self, item: Item, detection: Detection) -> tuple[Grid, str]:
+        """Compute a grid and write its files; return it with a reason for doubt, or ""."""
         image = detection.image
         assert image is not None
         camera, pitch = self.placing(image, detection.cues.get("layout"))
-        # Regions that the mask dropped are none; the threshold parts what is between pixels, too.
+        # Zeroed where the mask excludes likely road, but kept below the threshold, so that cells
+        # between pixels interpolate it.
         likelihood, threshold = detection.likelihood, self.settings.threshold
         road = likelihood * (detection.mask | (likelihood < threshold))
         grid = ground_grid(road, camera, self.settings, detection.cues.get("ego"))
         stem = self.folder / item.name
         write_grid(stem, grid, f"pitch {pitch.degrees:.2f} degrees, {pitch.reason}")
         if "likelihood" in self.kinds:
-            write_npy(stem.with_name(stem.name + SUFFIXES["likelihood"]), grid.likelihood)
+            write_npy(stem.with_name(stem.name + GRID_SUFFIXES["likelihood"]), grid.likelihood)
         if "image" in self.kinds:
-            both = beside(image, detection.mask, grid)
-            write_jpeg(stem.with_name(stem.name + SUFFIXES["image"]), both)
-        return grid, f"pitch unsure by {pitch.spread:.1f} degrees" if pitch.spread > UNSURE else ""
+            drawing = _draw_beside(image, detection.mask, grid)
+            write_jpeg(stem.with_name(stem.name + GRID_SUFFIXES["image"]), drawing)
+        return (
+            grid,
+            f"pitch unsure by {pitch.spread:.1f} degrees" if pitch.spread > DOUBTFUL_SPREAD else "",
+        )
 
 
-def beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:
-    """The image with its road tinted and the grid, x upwards, at its right: (3,h,w) in [0,1]."""
+def _draw_beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:
+    """Draw an image (3, H, W) with its road tinted, and the grid to its right, x upwards."""
     tinted = tint_mask(to_pixels(image), mask.cpu().numpy())
-    upright = cv2.rotate(map_image(grid), cv2.ROTATE_90_COUNTERCLOCKWISE)
+    upright = cv2.rotate(_draw_grid(grid), cv2.ROTATE_90_COUNTERCLOCKWISE)
     height = tinted.shape[0]
     width = max(1, round(upright.shape[1] * height / upright.shape[0]))
     upright = cv2.resize(upright, (width, height), interpolation=cv2.INTER_AREA)
-    both = np.hstack([tinted, np.repeat(upright[..., None], 3, 2)])
-    return torch.from_numpy(both).permute(2, 0, 1) / 255
+    drawing = np.hstack([tinted, np.repeat(upright[..., None], 3, 2)])
+    return torch.from_numpy(drawing).permute(2, 0, 1) / 255

@@ -1,4 +1,4 @@
-"""What the server of the KITTI road benchmark wants: maps from above, and their archive."""
+"""Submissions to the KITTI road benchmark: maps in bird's-eye view and their archive."""
 
 import hashlib
 import zipfile
@@ -18,15 +18,15 @@ from roadtorch.inputs.item import Item
 from roadtorch.run.ledger import DONE
 
 ARCHIVE = "submission.zip"
-SUFFIX = ".png"
-READABLE_BY_ALL = 0o644 << 16  # where zip keeps the Unix permissions
+MAP_SUFFIX = ".png"
+WORLD_READABLE = 0o644 << 16  # zip's field for Unix permissions
 
 
 def images_to_submit(images: Path, calib: Path, out: Path) -> list[Item]:
-    """The images of a folder of KITTI road, named as the server wants their results.
+    """Find the images of a KITTI road folder, named as the server expects their results.
 
-    The calibration file of each, in ``calib``, is part of its bytes. Raises what ``find_images``
-    raises, and DatasetError for an image that is not named CATEGORY_NUMBER.
+    The digest of each covers its calibration file in ``calib``. Raises as ``find_images``, and
+    DatasetError for an image that is not named CATEGORY_NUMBER.
     """
     return [
         replace(
@@ -39,37 +39,39 @@ def images_to_submit(images: Path, calib: Path, out: Path) -> list[Item]:
 
 
 def _digest(*files: Path) -> str:
-    """SHA-256 of the files together; empty where one cannot be read."""
+    """Return the SHA-256 of several files; empty where one cannot be read."""
     digests = [digest_of(file) for file in files]
     return hashlib.sha256("".join(digests).encode()).hexdigest() if all(digests) else ""
 
 
 @dataclass(frozen=True)
 class BirdsEyeMaps:
-    """Maps of 8 bits, 800 rows, 400 columns, round(255 p); calib: the folder of calibrations."""
+    """A writer of 8-bit maps, 800 rows by 400 columns, round(255 p); calib: calibration folder."""
 
     folder: Path
     calib: Path
 
     @property
     def suffixes(self) -> Sequence[str]:
-        """How the names of its files end."""
-        return [SUFFIX]
+        """Suffixes of its files."""
+        return [MAP_SUFFIX]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the map of one image."""
+        """Warp the likelihood of an image to bird's-eye view and write it."""
         calibration = read_calibration(self.calib / f"{item.path.stem}.txt")
         birds_eye = to_birds_eye(detection.likelihood, calibration)
-        write_map(self.folder / f"{item.name}{SUFFIX}", birds_eye)
+        write_map(self.folder / f"{item.name}{MAP_SUFFIX}", birds_eye)
         return {"trust": "", "status": DONE}
 
 
 def pack(items: Iterable[Item], folder: Path) -> Path:
-    """Write the maps of all items as a zip archive, files at its root; same maps, same bytes."""
+    """Write the maps of all items to a reproducible zip archive, without folders."""
     path = folder / ARCHIVE
     with atomic(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for item in items:
-            entry = zipfile.ZipInfo(f"{item.name}{SUFFIX}")  # dated 1980, not now
-            entry.external_attr = READABLE_BY_ALL
+            entry = zipfile.ZipInfo(
+                f"{item.name}{MAP_SUFFIX}"
+            )  # dated 1980, so that bytes are reproducible
+            entry.external_attr = WORLD_READABLE
             archive.writestr(entry, (folder / entry.filename).read_bytes())
     return path

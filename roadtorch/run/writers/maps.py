@@ -1,4 +1,4 @@
-"""What is written of one image: likelihood, mask, overlay, cues, outlines, figures."""
+"""Files of one image: likelihood, mask, overlay, cues, polygons, JSON."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,29 +16,29 @@ from roadtorch.data.polygons import labelme_document
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
-from roadtorch.run.writers.coco import POLYGONS
+from roadtorch.run.writers.coco import LABELME_SUFFIX
 
-SUFFIXES = {
+MAP_SUFFIXES = {
     "likelihood": ".likelihood.png",
     "mask": MASK,
     "overlay": ".overlay.jpg",
     "npy": ".likelihood.npy",
-    "polygons": POLYGONS,
+    "polygons": LABELME_SUFFIX,
     "json": ".json",
 }
 
 CUE_SUFFIXES = {"cues": ".cue.{}.png", "npy": ".{}.npy"}
-"""Of the kinds that write a file a cue."""
+"""Suffixes of the kinds that write a file for each cue."""
 
-GOLDEN = 0.6180339887  # the fractional step that spreads neighbouring labels over the colours
+GOLDEN_RATIO = 0.6180339887  # its multiples modulo 1 spread neighbouring labels over the colours
 
 
 @dataclass(frozen=True)
 class Maps:
-    """The files of an image.
+    """A writer of the files of an image.
 
-    kinds: see ``SUFFIXES`` and ``CUE_SUFFIXES``. detector, threshold: what made them. depth: bits
-    of likelihoods.
+    kinds: see ``MAP_SUFFIXES`` and ``CUE_SUFFIXES``. detector, threshold: for the JSON. depth: bits
+    of likelihood maps.
     """
 
     folder: Path
@@ -49,28 +49,28 @@ class Maps:
 
     @property
     def suffixes(self) -> Sequence[str]:
-        """How the names of its files end, ``{}`` standing for those of the cues."""
-        tables = (SUFFIXES, CUE_SUFFIXES)
+        """Suffixes of its files; ``{}`` stands for the name of a cue."""
+        tables = (MAP_SUFFIXES, CUE_SUFFIXES)
         return [table[kind] for table in tables for kind in table if kind in self.kinds]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the files; the names of the cues of an image that stands alone."""
+        """Write the files; return the names of cues, for single images."""
         kinds, stem = self.kinds, self.folder / item.name
 
         def path(suffix: str) -> Path:
             return stem.with_name(stem.name + suffix)
 
         if "likelihood" in kinds:
-            write_map(path(SUFFIXES["likelihood"]), detection.likelihood, self.depth)
+            write_map(path(MAP_SUFFIXES["likelihood"]), detection.likelihood, self.depth)
         if "mask" in kinds:
-            write_mask(path(SUFFIXES["mask"]), detection.mask)
+            write_mask(path(MAP_SUFFIXES["mask"]), detection.mask)
         if "overlay" in kinds:
             assert detection.image is not None
             image, ego = detection.image, detection.cues.get("ego")
-            overlay = path(SUFFIXES["overlay"])
+            overlay = path(MAP_SUFFIXES["overlay"])
             write_overlay(overlay, image, detection.mask, ego, detection.caption)
         if "npy" in kinds:
-            write_npy(path(SUFFIXES["npy"]), detection.likelihood)
+            write_npy(path(MAP_SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items() if kinds & CUE_SUFFIXES.keys() else ():
             if "cues" in kinds:
                 write_colours(path(CUE_SUFFIXES["cues"].format(name)), cue_image(name, cue.cpu()))
@@ -78,13 +78,13 @@ class Maps:
                 write_npy(path(CUE_SUFFIXES["npy"].format(name)), cue)
         if "polygons" in kinds:
             outline = labelme_document(detection.mask.cpu().numpy(), PurePath(item.row_name).name)
-            write_json(path(SUFFIXES["polygons"]), outline)
+            write_json(path(MAP_SUFFIXES["polygons"]), outline)
         if "json" in kinds:
-            write_json(path(SUFFIXES["json"]), self._figures(item.row_name, detection))
+            write_json(path(MAP_SUFFIXES["json"]), self._figures(item.row_name, detection))
         return {} if item.digest is None else {"cues": "/".join(detection.cues)}
 
     def _figures(self, file: str, detection: Detection) -> dict[str, object]:
-        """The figures of an image alone; nothing in them depends on the run."""
+        """Return the values for NAME.json, which depend on the image and the detector alone."""
         height, width = detection.mask.shape
         return {
             "file": file,
@@ -100,20 +100,19 @@ class Maps:
 
 
 def cue_image(name: str, cue: Tensor) -> Tensor:
-    """A cue (H,W), (C,H,W) or labels int (H,W) as an image (3,H,W) to look at.
+    """Draw a cue, float (H, W) or (C, H, W) or integer labels (H, W), as an image (3, H, W).
 
-    ``layout_labels`` and three potentials named ``layout…`` get the colours of sky, vertical
-    and horizontal, other labels unlike colours where they are neighbours. Of the rest, three
-    channels are red, green and blue, and of any other number the mean is shown; values are
-    stretched from the least (black) to the greatest (white), those that are not finite black.
+    ``layout_labels`` and three-channel cues named ``layout…`` get the class colours; other labels
+    get different colours for neighbouring numbers. Of other cues, three channels become red, green
+    and blue, any other number is averaged; values are stretched to [0, 1], NaN and inf black.
     """
     if name == "layout_labels":
         return layout_colours(cue)
     is_label = not cue.is_floating_point() and cue.dtype != torch.bool
     if cue.ndim == 2 and is_label:  # each channel a different irrational stride
-        strides = torch.tensor([GOLDEN, GOLDEN**2, GOLDEN**3]).view(3, 1, 1)
+        strides = torch.tensor([GOLDEN_RATIO, GOLDEN_RATIO**2, GOLDEN_RATIO**3]).view(3, 1, 1)
         return ((cue.float() + 1) * strides).frac()
-    if cue.ndim == 3 and len(cue) == 3 and name.startswith("layout"):  # a mixture of their colours
+    if cue.ndim == 3 and len(cue) == 3 and name.startswith("layout"):  # mix the class colours
         colours = torch.tensor(LAYOUT_COLOURS) / 255
         return torch.einsum("chw,cd->dhw", cue.clamp(0, 1).float(), colours).clamp(0, 1)
     if cue.ndim == 3 and len(cue) != 3:

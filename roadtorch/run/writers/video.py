@@ -1,4 +1,4 @@
-"""Videos as results: H.264 in MP4 where the encoder is there, with the frames' time stamps."""
+"""Videos of detections: MP4 with the frames' time stamps, H.264 where the encoder is available."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -15,47 +15,48 @@ from roadtorch.inputs.item import Item
 from roadtorch.inputs.video import import_av
 
 TICKS = 60_000
-"""Time stamps a second: a multiple of 24, 25, 30 and 30000/1001; MPEG-4 part 2 has up to 65,535."""
+"""Ticks per second of time stamps: a multiple of 24, 25, 30 and 30000/1001, and within MPEG-4 part
+2's limit of 65,535."""
 
-USUAL_RATE = 10.0  # frames a second where neither a clock nor a rate is known
+DEFAULT_RATE = 10.0  # frames per second of a source without time stamps or rate
 
 ENCODERS = {
     "libx264": {"preset": "veryfast", "crf": "20", "x264-params": "mbtree=0"},
     "mpeg4": {"qscale": "3"},
 }
-"""By preference, with options; ours: the outline stays sharp. With its macroblock tree x264 gives
-other bytes from run to run, as memory happens to lie."""
+"""Encoders by preference, with options; ours: outlines stay sharp. With its macroblock tree, the
+bytes of x264 depend on the memory layout of the process."""
 
-Draw = Callable[[Detection], np.ndarray]
-"""What is shown of a detection: pixels uint8 (H,W,3) RGB, or (H,W) grey."""
+Renderer = Callable[[Detection], np.ndarray]
+"""Draws a detection: uint8 RGB, shape (H, W, 3), or grey, shape (H, W)."""
 
 
 class VideoWriter:
-    """A video that is written frame by frame, and has its name once it is closed.
+    """A video that is written frame by frame, and renamed to its path when it is closed.
 
-    path: of the MP4 file; rate: frames a second, where they have no time stamps. The first frame
-    is at 0 seconds, the others as far behind it as they were; all have the size of the first,
-    padded to even sides by repeating the last row or column. One thread encodes: the bytes do not
-    depend on the machine's number of cores.
+    path: of the MP4 file. draw: returns the pixels of a detection. rate: frames per second of
+    frames without time stamps. Time stamps start at 0. Frames get the size of the first one, with
+    odd sides padded by repeating the last row or column. One thread encodes, so that the bytes do
+    not depend on the number of cores.
     """
 
-    def __init__(self, path: Path, draw: Draw, rate: float | None = None) -> None:
+    def __init__(self, path: Path, draw: Renderer, rate: float | None = None) -> None:
         self.path = path
-        self._draw, self._rate = draw, rate or USUAL_RATE
+        self._draw, self._rate = draw, rate or DEFAULT_RATE
         self._size: tuple[int, int] | None = None
         self._first, self._last = 0.0, -1
         self._open = ExitStack()
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Add a frame; one without a clock follows at the rate. InputError on a full disk."""
+        """Encode a frame; InputError when the file cannot be written."""
         pixels, seconds = self._draw(detection), item.seconds
         if seconds is None:
-            behind = self._last / TICKS + 1 / self._rate
-            seconds = 0.0 if self._size is None else self._first + behind
+            elapsed = self._last / TICKS + 1 / self._rate
+            seconds = 0.0 if self._size is None else self._first + elapsed
         try:
             if self._size is None:
-                self._begin(pixels, seconds)
-            pixels = self._fitted(pixels)
+                self._open_stream(pixels, seconds)
+            pixels = self._fit(pixels)
             kind = "gray" if pixels.ndim == 2 else "rgb24"
             frame = self._av.VideoFrame.from_ndarray(pixels, kind)
             frame = self._reformatter.reformat(frame, format="yuv420p")
@@ -67,7 +68,7 @@ class VideoWriter:
         return {}
 
     def close(self) -> None:
-        """Finish the video; there is none where no frame was written. InputError on a full disk."""
+        """Finish the video; no file is created without a frame. Raises as ``write``."""
         with self._open:
             if self._size is not None:
                 self._size = None
@@ -76,9 +77,11 @@ class VideoWriter:
                 finally:
                     self._container.close()
 
-    def _begin(self, pixels: np.ndarray, seconds: float) -> None:
+    def _open_stream(self, pixels: np.ndarray, seconds: float) -> None:
         self._av = import_av()
-        self._reformatter = self._av.video.reformatter.VideoReformatter()  # makes its tables once
+        self._reformatter = (
+            self._av.video.reformatter.VideoReformatter()
+        )  # reused: it caches its tables
         with ExitStack() as stack:
             temporary = stack.enter_context(atomic(self.path))
             self._container = self._av.open(str(temporary), "w", format="mp4")
@@ -89,8 +92,8 @@ class VideoWriter:
     def _encoder(self, width: int, height: int):
         name = next(name for name in ENCODERS if name in self._av.codecs_available)
         if name != "libx264":
-            problem = f"{self.path.name}: PyAV has no libx264 here; written as {name}"
-            warnings.warn(problem, stacklevel=2)
+            message = f"{self.path.name}: PyAV has no libx264 here; written as {name}"
+            warnings.warn(message, stacklevel=2)
         rate = Fraction(self._rate).limit_denominator(1001)
         stream = self._container.add_stream(name, rate=rate, options=ENCODERS[name])
         stream.width, stream.height = width + width % 2, height + height % 2
@@ -99,8 +102,8 @@ class VideoWriter:
         stream.codec_context.thread_count = 1
         return stream
 
-    def _fitted(self, pixels: np.ndarray) -> np.ndarray:
-        """Pixels at the size of the first frame, with even sides."""
+    def _fit(self, pixels: np.ndarray) -> np.ndarray:
+        """Resize pixels to the first frame's size, and pad odd sides."""
         size = self._size
         if size is not None and (pixels.shape[1], pixels.shape[0]) != size:
             pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)

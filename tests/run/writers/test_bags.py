@@ -16,7 +16,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.bags import image_topic
 from roadtorch.inputs.item import Item
-from roadtorch.run.writers.bag import BagWriter, message_types
+from roadtorch.run.writers.bag import BagWriter, load_message_types
 from tests.inputs.bags import ROS2, raw_image, write_bag
 
 STAMP = 1_700_000_000_123_456_789
@@ -130,11 +130,11 @@ def test_what_a_killed_run_left_goes_and_all_else_stays(path: Path):
 
 def test_anything_else_of_that_name_is_refused(path: Path, tmp_path: Path):
     path.mkdir(parents=True)
-    with pytest.raises(InputError, match="exists already, and is no bag of ours"):
+    with pytest.raises(InputError, match="exists and was not written by roadtorch"):
         BagWriter(path, "camera", 0.5)
     images = {"/camera/image": [raw_image(ROS2, overlay(detection(0)), "rgb8", STAMP)]}
     recording = write_bag(tmp_path / "recording", images)
-    with pytest.raises(InputError, match="exists already, and is no bag of ours"):
+    with pytest.raises(InputError, match="exists and was not written by roadtorch"):
         BagWriter(recording, "camera", 0.5)
 
 
@@ -146,7 +146,9 @@ def test_a_failing_disk_is_one_line(path: Path, monkeypatch: pytest.MonkeyPatch)
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(bag._writer, "write", fail)
-    with pytest.raises(InputError, match=r"No space left on device; what there is lies in .*unfin"):
+    with pytest.raises(
+        InputError, match=r"No space left on device; finished frames are in .*unfin"
+    ):
         bag.write(item(STAMP), detection(1))
     bag.close()
 
@@ -154,7 +156,7 @@ def test_a_failing_disk_is_one_line(path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_the_label_list_is_the_type_that_ros_knows():
     # ROS 2's own hash of vision_msgs/msg/LabelInfo (REP 2016), as rosidl_generator_c writes it.
     known = "RIHS01_3d37df4015cdf660cc851c51897f2acd957e1ca6205ba0a99aebffb9406b0783"
-    assert message_types(2).hash_rihs01("vision_msgs/msg/LabelInfo") == known
+    assert load_message_types(2).hash_rihs01("vision_msgs/msg/LabelInfo") == known
 
 
 # --- grids ------------------------------------------------------------------------------
