@@ -96,7 +96,7 @@ class FusionSettings(WorkingSettings):
     working: WorkingSize = WorkingSize(pixels=256 * 192)
     outlines: Outlines = "guided"
     weights: WeightsFile = WeightsFile()
-    cuts: tuple[Annotated[float, Field(gt=0, le=0.9)], ...] = Field(
+    crops: tuple[Annotated[float, Field(gt=0, le=0.9)], ...] = Field(
         strict=False,
         default=(),
         max_length=8,
@@ -223,10 +223,10 @@ class Fusion(nn.Module):
 
     def predict(self, image: Tensor) -> Mapping[str, Tensor]:
         """Compute the networks' ``layout``, ``road`` and ``ego`` of an image (3, H, W)."""
-        maps = average_views(self.network, image, self.settings.cuts)
+        maps = average_views(self.network, image, self.settings.crops)
         if self.second is None:
             return maps
-        second = average_views(self.second, image, self.settings.cuts)
+        second = average_views(self.second, image, self.settings.crops)
         weight = self.settings.second.share
         mean = {name: torch.lerp(maps[name], second[name], weight) for name in ("layout", "road")}
         return {**maps, **mean}
@@ -375,7 +375,7 @@ ENTRIES = (
         FusionSettings,
         Fusion,
         values={
-            "cuts": (0.3,),
+            "crops": (0.3,),
             "second": {"file": "rendered-free"},
             "working": {"pixels": 352 * 256},
         },

@@ -92,7 +92,7 @@ def find_part(detector: Detector) -> ExportPart:
             tuple(OUTPUT_DESCRIPTIONS),
             (
                 *("weights", "second", "threshold", "calibration"),
-                *("cuts", "working", "seed_area"),
+                *("crops", "working", "seed_area"),
             ),
             tuple(
                 weights_path(file)

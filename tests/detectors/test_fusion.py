@@ -68,17 +68,17 @@ def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> 
     np.testing.assert_allclose(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
 
 
-@pytest.mark.parametrize("cuts", [(), (0.25,)])
-def test_the_likelihood_is_the_mean_of_the_looks_of_the_network_calibrated(cuts: tuple) -> None:
+@pytest.mark.parametrize("crops", [(), (0.25,)])
+def test_the_likelihood_is_the_mean_of_the_looks_of_the_network_calibrated(crops: tuple) -> None:
     usual = {"centre": 0.5, "temperature": 2.0}
     plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
     image, network = street(), load_network(shipped_weights(FOR_IMAGES))
     assert isinstance(network, BackboneNetwork)
 
-    found = load_detector("fusion", cuts=cuts, **plain).detect(image)
+    found = load_detector("fusion", crops=crops, **plain).detect(image)
 
     mean = network.cues(image)["road"].clone()
-    for _ in cuts:
+    for _ in crops:
         upper = image.shape[-2] // 4
         mean[upper:] = (mean[upper:] + network.cues(image[:, upper:])["road"]) / 2
     wanted = calibrated_likelihood(log_odds(mean), RoadCalibration(**usual))

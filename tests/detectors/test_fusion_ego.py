@@ -69,7 +69,7 @@ def test_an_ego_car_that_is_told_counts_beside_the_one_found(weights: Path) -> N
 def test_the_ego_car_is_the_mean_of_all_looks(tmp_path: Path) -> None:
     bottom, cut = 0.4, 0.3  # of what a look sees, so of a closer one the lowest 28 % of the image
     weights = {"file": str(write_ego_network(tmp_path / "seeing.safetensors", bottom))}
-    detector = load_detector("fusion", weights=weights, cuts=(cut, cut))  # two against one
+    detector = load_detector("fusion", weights=weights, crops=(cut, cut))  # two against one
 
     free = ~detector.detect(scene(3, 200, 200, shadows=0).image).cues["ego"]
 
@@ -119,8 +119,8 @@ def test_it_holds_at_any_size(name: str, size: tuple[int, int], weights: Path) -
 
     detection = seeing.detect(resized(street(), size).clamp(0, 1))
 
-    ego, cuts = detection.cues["ego"], getattr(seeing.settings, "cuts", ())
-    least = BOTTOM * (1 - max(cuts, default=0))  # the lowest quarter of what each look sees
+    ego, crops = detection.cues["ego"], getattr(seeing.settings, "crops", ())
+    least = BOTTOM * (1 - max(crops, default=0))  # the lowest quarter of what each look sees
     assert least - 0.02 <= ego.double().mean() <= BOTTOM + 0.02
     assert not ego[: int((1 - BOTTOM - 0.02) * size[0])].any()
     assert not (detection.cues["seed_area"] & ego).any()

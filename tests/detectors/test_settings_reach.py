@@ -69,7 +69,7 @@ WITHOUT = {"vanishing-point": ("isolated", "seed_area", "outlines")}
 KNOWN: dict[tuple[str, ...], Any] = {
     ("ego", "outline"): [0.5, 0.8],
     ("working", "pixels"): 2000,
-    ("cuts",): [0.3],
+    ("crops",): [0.3],
     ("second", "file"): "rendered-free",
 }
 """Values that no type or bound tells."""
