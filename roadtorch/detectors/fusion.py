@@ -84,7 +84,7 @@ class SecondNetwork(Settings):
         description="weights of a second network: a file or a shipped name, such as rendered-free; "
         "empty: none",
     )
-    share: float = Field(
+    weight: float = Field(
         default=0.4, gt=0, lt=1, description="weight of the second network in the average, 0 to 1"
     )
 
@@ -227,7 +227,7 @@ class Fusion(nn.Module):
         if self.second is None:
             return maps
         second = average_views(self.second, image, self.settings.crops)
-        weight = self.settings.second.share
+        weight = self.settings.second.weight
         mean = {name: torch.lerp(maps[name], second[name], weight) for name in ("layout", "road")}
         return {**maps, **mean}
 

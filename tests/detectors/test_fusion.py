@@ -92,7 +92,7 @@ def test_a_second_network_has_its_share_of_the_mean() -> None:
 
     alone = load_detector("fusion", **plain).detect(image).cues
     other = load_detector("fusion", weights={"file": "layout-free"}, **plain).detect(image).cues
-    second = {"file": "layout-free", "share": 0.25}
+    second = {"file": "layout-free", "weight": 0.25}
     both = load_detector("fusion", second=second, **plain).detect(image).cues
 
     assert torch.equal(both["ego"], alone["ego"])

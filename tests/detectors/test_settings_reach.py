@@ -56,7 +56,7 @@ NEEDS: dict[str, dict] = {
     "road.base": {"road": {"position": "ahead"}},
     "road.whole": {"tree": {"nodes": "runs", "min_area": 1000}},
     "saturation": {"descriptor": "cpf:v2"},
-    "second.share": {"second": {"file": "rendered-free"}},
+    "second.weight": {"second": {"file": "rendered-free"}},
     "classifier.threshold": {"classifier": {"rejected": 0.3}},
 }
 """What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
