@@ -89,7 +89,10 @@ def odds_of(
     segments = measure_segments(image, settings.superpixels.cut(image))
     own = segment_layout(segments, settings.labeller.rules)
     taught = segment_mean([*layout, road[0]], segments.labels, segments.pixels)
-    ground, odds = pooled(own.T, taught[:CLASSES], settings.share)[HORIZONTAL], log_odds(taught[-1])
+    ground, odds = (
+        pooled(own.T, taught[:CLASSES], settings.layout_weight)[HORIZONTAL],
+        log_odds(taught[-1]),
+    )
     share = settings.seed_area.share
     evidence = odds + seed_log_odds(segments, ground)
     sources = likely_seed(evidence, segments.row, segments.size, share)

@@ -139,7 +139,7 @@ class ScratchFusionSettings(UntrainedFusionSettings):
     outlines: Outlines = "guided"
     superpixels: Superpixels = Superpixels(pixels=144)
     weights: WeightsFile = WeightsFile()
-    share: Share = 0.8
+    layout_weight: Share = 0.8
     learned: LearnedRoad = LearnedRoad()
     calibration: RoadCalibration = RoadCalibration(centre=-0.75)
     trust: TrustSettings = TrustSettings()
@@ -283,7 +283,7 @@ class ScratchFusion(nn.Module):
         segments = measure_segments(image, settings.superpixels.cut(image))
         labels, labelled = segments.labels, segment_layout(segments, settings.labeller.rules)
         means = segment_mean([*maps["layout"], maps["road"]], labels, segments.pixels)
-        layout = pooled(labelled.T, means[:CLASSES], settings.share)
+        layout = pooled(labelled.T, means[:CLASSES], settings.layout_weight)
         network_odds = log_odds(means[CLASSES])
         evidence = network_odds + seed_log_odds(segments, layout[HORIZONTAL])
         share = settings.seed_area.share
@@ -295,7 +295,7 @@ class ScratchFusion(nn.Module):
         odds = fused_log_odds([paint(road, labels), maps["road"]], [1, settings.learned.detail])
         return {
             "likelihood": calibrated_likelihood(odds, settings.calibration),
-            "layout": pooled(paint(labelled.T, labels), maps["layout"], settings.share),
+            "layout": pooled(paint(labelled.T, labels), maps["layout"], settings.layout_weight),
             "layout_labels": paint(decide_layout(layout.T), labels),
             "learned_road": maps["road"],
             "seed_area": seed,
