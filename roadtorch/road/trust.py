@@ -62,7 +62,7 @@ DOUBT_REASONS = (
 class TrustSettings(Settings):
     """Limit below which a mask is called doubtful."""
 
-    least: float = Field(
+    threshold: float = Field(
         default=0.6, ge=0, le=1, description="predicted F-score below which a mask is doubtful"
     )
 
@@ -130,7 +130,7 @@ def judgement(features: Signs, road: bool | Tensor, settings: TrustSettings) -> 
         return Judgement(0.0, "no road found")
     presence = min(1.0, 1 / (1 + math.exp(-odds)) / ENOUGH)
     trust = presence * min(1.0, max(0.0, expected))
-    if trust >= settings.least:
+    if trust >= settings.threshold:
         return Judgement(trust, "")
     if presence < 0.5:
         return Judgement(trust, NO_ROAD)

@@ -165,7 +165,7 @@ def test_the_reason_is_the_sign_that_is_worse_than_usual(number: int) -> None:
     wrong = list(MEAN_FEATURES)
     wrong[number] = 0.0
 
-    judged = judgement(Signs(*wrong), True, TrustSettings(least=1.0))
+    judged = judgement(Signs(*wrong), True, TrustSettings(threshold=1.0))
 
     assert judged.doubt == DOUBT_REASONS[number]
     assert judged.trust < judgement(MEAN_FEATURES, True, TrustSettings()).trust
