@@ -155,7 +155,7 @@ class Saturation(Settings):
     bright: float = Field(
         default=0.98, ge=0, le=1, description="saturated if a channel is at least this, 0 to 1"
     )
-    least: float = Field(
+    min_fraction: float = Field(
         default=0.5, ge=0, le=1, description="fraction of unsaturated pixels that a segment needs"
     )
 
@@ -204,7 +204,7 @@ def unsaturated_uniformity(
     fused, values = fused_uniformity(image, labels, ~clipped, seed, settings)
     size = segment_size(labels, len(values))
     lost = segment_size(labels.reshape(-1)[clipped.reshape(-1).nonzero()[:, 0]], len(values))
-    enough = size - lost >= saturation.least * size
+    enough = size - lost >= saturation.min_fraction * size
     return fused, values * enough, clipped
 
 
