@@ -315,7 +315,7 @@ def seen_from(
     """
     labels, settings = segments.labels, TextureSettings()
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
-    even = uniformity_likelihood(uniformity, settings.even)
+    even = uniformity_likelihood(uniformity, settings.midpoint)
     near = distance_likelihood(seed_distance(segments, sources), RULES.reach)
     cues = {
         "texture": paint(even, labels),
@@ -355,7 +355,7 @@ class PaperFusion(nn.Module):
             # The paper thresholds the product as it is.
             "likelihood": likelihood_product(prior, [layout[HORIZONTAL], uniformity]),
             "layout": layout,
-            "texture": uniformity_likelihood(uniformity, texture.even),
+            "texture": uniformity_likelihood(uniformity, texture.midpoint),
             "uniformity": uniformity,
             "fused_plane": fused,
             "segments": labels,

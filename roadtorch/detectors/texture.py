@@ -63,7 +63,7 @@ class GreyUniformitySettings(WorkingSettings):
     threshold: Threshold = Field(default=0.58, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
-    even: float = Field(
+    midpoint: float = Field(
         default=0.15, gt=0, le=1, description="the uniformity U whose likelihood is 0.5"
     )
 
@@ -95,7 +95,7 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
     else:
         fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
     return {
-        "likelihood": paint(uniformity_likelihood(values, settings.texture.even), labels),
+        "likelihood": paint(uniformity_likelihood(values, settings.texture.midpoint), labels),
         "uniformity": paint(values, labels),
         "fused_plane": fused,
         "segments": labels,
@@ -110,7 +110,7 @@ def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str
     levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
     counts = segment_histogram(levels, labels, int(labels.max()) + 1, settings.bins)
     painted = paint(uniformity(counts), labels)
-    likelihood = uniformity_likelihood(painted, settings.even)
+    likelihood = uniformity_likelihood(painted, settings.midpoint)
     return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
 
 

@@ -101,13 +101,13 @@ def saturation_mask(image: Tensor, dark: float, bright: float) -> Tensor:
     return at_least(highest, bright) | ~above(highest, dark)
 
 
-def uniformity_likelihood(values: Tensor, even: float) -> Tensor:
-    """Turn U into a likelihood in [0, 1): U / (U + even), 0.5 at U = ``even``.
+def uniformity_likelihood(values: Tensor, midpoint: float) -> Tensor:
+    """Turn U into a likelihood in [0, 1): U / (U + m), 0.5 at the midpoint m.
 
     Ours; P2 thresholds U itself. Monotone, so every ROC curve is unchanged, and the small values
     that separate road from background are spread.
     """
-    return values / (values + even)
+    return values / (values + midpoint)
 
 
 def relative_frequencies(histogram: Tensor) -> Tensor:
@@ -141,7 +141,7 @@ class TextureSettings(Settings):
         lt=0.5,
         description="fraction of pixels clipped at each end of a histogram",
     )
-    even: float = Field(
+    midpoint: float = Field(
         default=0.35, gt=0, le=1, description="uniformity U whose likelihood is 0.5"
     )
 

@@ -45,10 +45,10 @@ CUES = {
 }
 
 
-@pytest.mark.parametrize("even", [0.1, 0.6])
+@pytest.mark.parametrize("midpoint", [0.1, 0.6])
 @pytest.mark.parametrize("name", CUES)
-def test_the_likelihood_is_one_per_segment_by_its_uniformity(name: str, even: float) -> None:
-    settings: dict[str, Any] = {"texture": {"even": even}}
+def test_the_likelihood_is_one_per_segment_by_its_uniformity(name: str, midpoint: float) -> None:
+    settings: dict[str, Any] = {"texture": {"midpoint": midpoint}}
     settings = {"grey-uniformity": settings["texture"], "lbp": {}}.get(name, settings)
 
     detection = load_detector(name, **settings).detect(street())
@@ -57,7 +57,7 @@ def test_the_likelihood_is_one_per_segment_by_its_uniformity(name: str, even: fl
     per_segment(detection.likelihood, detection.cues["segments"])
     if name != "lbp":
         uniformity = detection.cues["uniformity"]
-        assert torch.allclose(detection.likelihood, uniformity / (uniformity + even))
+        assert torch.allclose(detection.likelihood, uniformity / (uniformity + midpoint))
 
 
 def test_grey_uniformity_is_that_of_the_grey_levels_of_each_segment() -> None:
