@@ -1,4 +1,4 @@
-"""Baselines: the two detectors with which P1 compares its own, and priors that never look."""
+"""Baselines: the two detectors that P1 compares itself with, and priors that ignore the image."""
 
 from functools import partial
 
@@ -39,11 +39,11 @@ from roadtorch.ufl.vanishing import (
 )
 
 KONG_PIXELS = 240 * 180
-"""Kong et al. look at images of 240x180 pixels."""
+"""Size of the images of Kong et al., 240x180."""
 
 
 class VanishingPointSettings(WorkingSettings):
-    """Kong et al.'s road between two borders that meet in the vanishing point."""
+    """Settings of Kong et al.'s road between two borders that meet in the vanishing point."""
 
     isolated: Isolated = "keep"
     working: WorkingSize = WorkingSize(pixels=KONG_PIXELS)
@@ -53,7 +53,7 @@ class VanishingPointSettings(WorkingSettings):
 
 
 def vanishing_point_road(image: Tensor, settings: VanishingPointSettings) -> dict[str, Tensor]:
-    """Gabor filters vote for a vanishing point, from which two borders run (Kong et al. 2010).
+    """Detect the road between two borders from a vanishing point voted by texture (Kong 2010).
 
     ``likelihood`` is 1 between the borders and 0 elsewhere; no road where no texture votes.
     """
@@ -68,7 +68,7 @@ def vanishing_point_road(image: Tensor, settings: VanishingPointSettings) -> dic
 
 
 class KmeansRoadSettings(DetectorSettings):
-    """Xia et al.'s features, clusters and graph cut."""
+    """Settings of Xia et al.'s features, clusters and graph cut."""
 
     working: WorkingShape = WorkingShape()
     smoothing: Smoothing = Smoothing()
@@ -78,11 +78,11 @@ class KmeansRoadSettings(DetectorSettings):
 
 
 ALL_MAPS = MapSettings(encoder="patch", fraction=1.0)
-"""Eq. 3 of P1, and every map: what Xia et al. did before P1's eqs. 4 and 5."""
+"""Eq. 3 of P1 on every map: Xia et al., without P1's eqs. 4 and 5."""
 
 
 def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor]:
-    """Features of K-means, clusters of pixels, regions parted by a graph cut (Xia et al. 2015).
+    """Detect the road by K-means features, clusters of pixels and a graph cut (Xia et al. 2015).
 
     ``likelihood`` is 1 on the road, else 0.
     """
@@ -94,13 +94,13 @@ def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor
     regions, words = connected_regions(clusters), assign(learned.patches, bases).view(size).cpu()
     seed = seed_rectangle(size, settings.seed_area)
     road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
-    shown = clusters / max(1, settings.peaks.clusters - 1)
+    levels = clusters / max(1, settings.peaks.clusters - 1)
     likelihood = at_image_size(road, (height, width)).to(image)
-    return {"likelihood": likelihood, "clusters": map_to_image(shown.to(image), side)}
+    return {"likelihood": likelihood, "clusters": map_to_image(levels.to(image), side)}
 
 
-def located(image: Tensor, settings: DetectorSettings, prior: Prior) -> dict[str, Tensor]:
-    """A location prior as an answer: ``prior(height, width)``, whatever the image (3,H,W) shows."""
+def location_prior(image: Tensor, settings: DetectorSettings, prior: Prior) -> dict[str, Tensor]:
+    """Return a location prior as likelihood, whatever the image (3, H, W) shows."""
     return {"likelihood": prior(*image.shape[-2:]).to(image)}
 
 
@@ -126,6 +126,6 @@ ENTRIES = (
     *(
         Entry(f"prior:{name}", summary, DetectorSettings, build, baseline=True)
         for (name, prior), summary in zip(PRIORS.items(), PRIOR_SUMMARIES, strict=True)
-        for build in [partial(Analysis, partial(located, prior=prior))]
+        for build in [partial(Analysis, partial(location_prior, prior=prior))]
     ),
 )

@@ -176,9 +176,11 @@ def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mappin
     segments = measure_segments(image, settings.superpixels.cut(image))
     labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    near, even, cues = seen_from(image, segments, seed, segments_inside(labels, seed))
+    distance, texture, cues = seen_from(image, segments, seed, segments_inside(labels, seed))
     return {
-        "likelihood": paint(segment_road(segments, layout[:, HORIZONTAL], near, even), labels),
+        "likelihood": paint(
+            segment_road(segments, layout[:, HORIZONTAL], distance, texture), labels
+        ),
         "layout": paint(layout.T, labels),
         "layout_labels": paint(decide_layout(layout), labels),
         "seed_area": seed,
@@ -289,9 +291,9 @@ class ScratchFusion(nn.Module):
         share = settings.seed_area.share
         sources = likely_seed(evidence, segments.row, segments.size, share)
         seed = sources[labels]
-        near, even, cues = seen_from(image, segments, seed, sources.nonzero()[:, 0])
+        distance, texture, cues = seen_from(image, segments, seed, sources.nonzero()[:, 0])
         further = settings.learned.weight * network_odds
-        road = segment_road(segments, layout[HORIZONTAL], near, even, further)
+        road = segment_road(segments, layout[HORIZONTAL], distance, texture, further)
         odds = fused_log_odds([paint(road, labels), maps["road"]], [1, settings.learned.detail])
         return {
             "likelihood": calibrated_likelihood(odds, settings.calibration),
@@ -315,18 +317,18 @@ def seen_from(
     """
     labels, settings = segments.labels, TextureSettings()
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
-    even = uniformity_likelihood(uniformity, settings.midpoint)
-    near = distance_likelihood(seed_distance(segments, sources), RULES.reach)
+    texture = uniformity_likelihood(uniformity, settings.midpoint)
+    distance = distance_likelihood(seed_distance(segments, sources), RULES.reach)
     cues = {
-        "texture": paint(even, labels),
+        "texture": paint(texture, labels),
         "uniformity": paint(uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
-        "distance": paint(near, labels),
+        "distance": paint(distance, labels),
         "place": paint(position_prior(segments.row, segments.column), labels),
         "segments": labels,
     }
-    return near, even, cues
+    return distance, texture, cues
 
 
 class PaperFusion(nn.Module):

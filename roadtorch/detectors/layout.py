@@ -21,7 +21,7 @@ from roadtorch.layout.weights import WeightsFile, network_of
 
 
 class LabellerDetectorSettings(WorkingSettings):
-    """The layout labeller as a road detector."""
+    """Settings of the layout labeller as a road detector."""
 
     threshold: Threshold = Field(default=0.92, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
@@ -29,15 +29,15 @@ class LabellerDetectorSettings(WorkingSettings):
 
 
 class Cnn7Settings(WorkingSettings):
-    """CNN-7 as a road detector."""
+    """Settings of CNN-7 as a road detector."""
 
     threshold: Threshold = Field(default=0.425, description=TUNED_THRESHOLD)
     weights: WeightsFile = WeightsFile()
 
 
 @use_inference_mode
-def labeller(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
-    """The ground that the labeller finds in the image itself; no weights."""
+def labeller_road(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
+    """Return the ground of the layout that the labeller computes from the image alone."""
     layout = label_whole(image, settings.labeller, settings.superpixels)
     return {
         "likelihood": layout.potentials[HORIZONTAL],
@@ -47,14 +47,14 @@ def labeller(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Ten
 
 
 class Cnn7(nn.Module):
-    """The ground that a patch network sees, pixel by pixel (P2, section 3)."""
+    """Ground of the layout of a patch network, pixel by pixel (P2, section 3)."""
 
     def __init__(self, settings: Cnn7Settings) -> None:
         super().__init__()
         self.network = network_of(settings.weights, "cnn-7", PatchNetwork)
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
-        """The cues of an image (3,H,W) in [0,1]."""
+        """Compute the cues of an image (3, H, W) in [0, 1]."""
         potentials = self.network.potentials(image)
         return {"likelihood": potentials[HORIZONTAL], "layout": potentials}
 
@@ -77,6 +77,6 @@ ENTRIES = (
         "labeller",
         "ground of the machine-made scene layout, without training",
         LabellerDetectorSettings,
-        partial(Analysis, labeller),
+        partial(Analysis, labeller_road),
     ),
 )

@@ -1,4 +1,4 @@
-"""One-class colour classification of pixels: every classifier on every representation (P3)."""
+"""One-class colour classification of pixels: all classifiers on all representations (P3)."""
 
 from collections.abc import Iterator
 from functools import cache, partial
@@ -37,7 +37,7 @@ def _name(classifier: Classifier, planes: str) -> str:
     return f"oneclass:{classifier.name}:{planes}"
 
 
-GRID = DetectorGrid(
+ONECLASS_GRID = DetectorGrid(
     "oneclass:<classifier>:<planes>",
     "colours like those ahead of the car, learned from the image (Álvarez 2014)",
     {
@@ -48,7 +48,7 @@ GRID = DetectorGrid(
     },
 )
 
-PAPER = DetectorGrid(
+PAPER_GRID = DetectorGrid(
     "oneclass:<classifier>:<planes>:paper",
     "faithful reimplementations where the default differs from the paper",
     {
@@ -59,84 +59,85 @@ PAPER = DetectorGrid(
     },
 )
 
-PIXELS = 640 * 480  # of P3's images, as far as is known
+P3_PIXELS = 640 * 480  # of P3's images, as far as is known
 
-MAX_DISTANCE = 1000.0
-"""Thresholds beyond which the cue ``distance`` is cut off: empty bins are infinitely far."""
+MAX_SCALED_DISTANCE = 1000.0
+"""Limit of the cue ``distance`` in multiples of the threshold: empty bins are infinitely far."""
 
 
 class OneClassSettings(WorkingSettings):
-    """Where samples come from, and what the classifier is told.
+    """Settings of samples and classifier.
 
-    P3 thresholds the likelihood and nothing else, so isolated regions are kept. Its images
-    are taken to be of 640×480 pixels, and larger ones are reduced to as many.
+    P3 only thresholds the likelihood, so isolated regions are kept. Its images are assumed to have
+    640×480 pixels, and larger ones are reduced to as many.
     """
 
     threshold: Threshold = Field(
         default=0.5,
-        description="road from this likelihood on; at 0.5, samples but for the rejected fraction",
+        description="likelihood from which a pixel is road; at 0.5, all but the rejected samples",
     )
     isolated: Isolated = "keep"
-    working: WorkingSize = WorkingSize(pixels=PIXELS)
+    working: WorkingSize = WorkingSize(pixels=P3_PIXELS)
     seed_area: WideSeedArea = WideSeedArea()
     samples: SampleSettings = SampleSettings()
     classifier: ClassifierSettings = ClassifierSettings()
-    random_seed: int = Field(default=0, ge=0, le=2**63 - 1, description="of restarts and of noise")
+    random_seed: int = Field(
+        default=0, ge=0, le=2**63 - 1, description="seed of random restarts and noise"
+    )
 
 
 @cache
-def settings_of(classifier: Classifier) -> type[OneClassSettings]:
-    """The settings of a detector with that classifier: the group ``classifier`` is its own.
+def classifier_settings(classifier: Classifier) -> type[OneClassSettings]:
+    """Create the settings class of a detector with that classifier.
 
-    The histograms take every pixel of the seed area, the others one per superpixel
+    Histograms are learned from every pixel of the seed area, the others from one per superpixel
     (P3, section V).
     """
-    own = classifier.settings
-    every = issubclass(own, HistogramSettings)
+    group = classifier.settings
+    every = issubclass(group, HistogramSettings)
     samples = AllSampleSettings if every else SampleSettings
-    fields: dict[str, Any] = {"classifier": (own, own()), "samples": (samples, samples())}
-    name, doc = f"{classifier.name}_settings", own.__doc__
-    made = create_model(name, __base__=OneClassSettings, __doc__=doc, __module__=__name__, **fields)
-    globals()[name] = made  # where pickle looks for it
-    return made
+    fields: dict[str, Any] = {"classifier": (group, group()), "samples": (samples, samples())}
+    name, doc = f"{classifier.name}_settings", group.__doc__
+    model = create_model(
+        name, __base__=OneClassSettings, __doc__=doc, __module__=__name__, **fields
+    )
+    globals()[name] = model  # where pickle looks for it
+    return model
 
 
-def judged(
+def classify_pixels(
     image: Tensor, settings: OneClassSettings, classifier: Classifier, planes: str
 ) -> dict[str, Tensor]:
-    """All pixels of an image (3,H,W) judged by a classifier of the colours of its seed area.
-
-    Found on the CPU, with NumPy's help.
-    """
-    here, names = image.cpu(), REPRESENTATIONS[planes]
+    """Classify all pixels of an image (3, H, W) by the colours of its seed area; on the CPU."""
+    pixels, names = image.cpu(), REPRESENTATIONS[planes]
     generator = torch.Generator().manual_seed(settings.random_seed)
-    samples = road_samples(here, names, settings.samples, settings.seed_area)
+    samples = road_samples(pixels, names, settings.samples, settings.seed_area)
     fitted = fit(classifier, samples, axes_of(names), settings.classifier, generator)
-    palette = representation(here, names)
+    palette = representation(pixels, names)
     distance = fitted.distance(palette.values.T)
-    used = torch.zeros_like(palette.index, dtype=torch.bool)
-    used[sample_area(palette.index.shape, settings.seed_area)] = True
-    near = distance.clamp_max(MAX_DISTANCE * fitted.threshold)
+    seed = torch.zeros_like(palette.index, dtype=torch.bool)
+    seed[sample_area(palette.index.shape, settings.seed_area)] = True
+    clipped = distance.clamp_max(MAX_SCALED_DISTANCE * fitted.threshold)
     cues = {
         "likelihood": fitted.squashed(distance)[palette.index],
-        "distance": near[palette.index],
-        "seed_area": used,
+        "distance": clipped[palette.index],
+        "seed_area": seed,
     }
     return {name: cue.to(image.device) for name, cue in cues.items()}
 
 
 def _entries() -> Iterator[Entry]:
     for classifier, planes in product(CLASSIFIERS.values(), REPRESENTATIONS):
-        name, kind = _name(classifier, planes), settings_of(classifier)
+        name, settings = _name(classifier, planes), classifier_settings(classifier)
         summary = f"{classifier.summary}, in {planes} (Álvarez 2014)"
-        build = partial(Analysis, partial(judged, classifier=classifier, planes=planes))
-        if name not in GRID.invalid:
-            yield Entry(name, summary, kind, build, GRID)
-        if f"{name}:paper" not in PAPER.invalid:
-            letter, values = f"{summary}, as in the paper", {"classifier": classifier.paper}
-            yield Entry(f"{name}:paper", letter, kind, build, PAPER, values=values)
+        build = partial(Analysis, partial(classify_pixels, classifier=classifier, planes=planes))
+        if name not in ONECLASS_GRID.invalid:
+            yield Entry(name, summary, settings, build, ONECLASS_GRID)
+        if f"{name}:paper" not in PAPER_GRID.invalid:
+            summary, values = f"{summary}, as in the paper", {"classifier": classifier.paper}
+            yield Entry(f"{name}:paper", summary, settings, build, PAPER_GRID, values=values)
 
 
 ENTRIES = tuple(_entries())
-"""17 classifiers on 19 representations, but PCA on a single plane: 310. And of the six whose
-defaults are ours P3's own."""
+"""17 classifiers on 19 representations, except PCA on a single plane: 310; and the six whose
+defaults are ours as in the paper."""

@@ -1,4 +1,4 @@
-"""Detectors that rest on texture alone: colour plane fusion, grey uniformity, LBP (P2)."""
+"""Detectors by texture alone: colour plane fusion, grey uniformity, LBP (P2)."""
 
 from functools import partial
 
@@ -33,7 +33,7 @@ from roadtorch.road.texture import (
 
 
 class CpfSettings(WorkingSettings):
-    """Colour plane fusion over superpixels."""
+    """Settings of colour plane fusion over superpixels."""
 
     threshold: Threshold = Field(default=0.54, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
@@ -41,35 +41,35 @@ class CpfSettings(WorkingSettings):
 
 
 class CpfV2Settings(CpfSettings):
-    """Colour plane fusion over superpixels, without saturated pixels."""
+    """Settings of colour plane fusion over superpixels, without saturated pixels."""
 
     threshold: Threshold = Field(default=0.52, description=TUNED_THRESHOLD)
     saturation: Saturation = Saturation()
 
 
 class CpfSquaresSettings(WorkingSettings):
-    """Colour plane fusion over squares."""
+    """Settings of colour plane fusion over squares."""
 
     threshold: Threshold = Field(default=0.52, description=TUNED_THRESHOLD)
     square: int = Field(
-        default=16, ge=2, le=4096, description="side of the squares in pixels at working size"
+        default=16, ge=2, le=4096, description="side of the squares, in pixels at the working size"
     )
     texture: TextureSettings = TextureSettings()
 
 
 class GreyUniformitySettings(WorkingSettings):
-    """Uniformity of the grey image over superpixels."""
+    """Settings of the uniformity of the grey image over superpixels."""
 
     threshold: Threshold = Field(default=0.58, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
-    bins: int = Field(default=64, ge=2, le=4096, description="levels of the histograms")
+    bins: int = Field(default=64, ge=2, le=4096, description="number of histogram bins")
     midpoint: float = Field(
-        default=0.15, gt=0, le=1, description="the uniformity U whose likelihood is 0.5"
+        default=0.15, gt=0, le=1, description="uniformity U whose likelihood is 0.5"
     )
 
 
 class LbpSettings(WorkingSettings):
-    """Local binary patterns over superpixels."""
+    """Settings of local binary patterns over superpixels."""
 
     threshold: Threshold = Field(default=0.97, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
@@ -77,10 +77,10 @@ class LbpSettings(WorkingSettings):
 
 @use_inference_mode
 def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, Tensor]:
-    """Colour plane fusion: U of the fused plane over segments (P2, section 4).
+    """Compute the uniformity of the fused plane over segments (P2, section 4).
 
-    Over superpixels or over squares, which P2 compares them with, and without saturated pixels
-    (section 6.2) where the settings have them.
+    Over superpixels or, for comparison as in P2, squares; without saturated pixels (section 6.2)
+    for ``CpfV2Settings``.
     """
     if isinstance(settings, CpfSquaresSettings):
         labels = squares(image.shape[-2], image.shape[-1], settings.square).to(image.device)
@@ -105,7 +105,7 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
 
 @use_inference_mode
 def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str, Tensor]:
-    """U of the grey image over superpixels, P2's baseline without fusion."""
+    """Compute the uniformity of the grey image over superpixels, P2's baseline without fusion."""
     labels = settings.superpixels.cut(image)
     levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
     counts = segment_histogram(levels, labels, int(labels.max()) + 1, settings.bins)
@@ -116,7 +116,7 @@ def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str
 
 @use_inference_mode
 def lbp(image: Tensor, settings: LbpSettings) -> dict[str, Tensor]:
-    """Local binary patterns like those of the seed area, P2's texture baseline."""
+    """Compare local binary patterns with those of the seed area, P2's texture baseline."""
     labels = settings.superpixels.cut(image)
     patterns = uniform_patterns(plane(image, "grey"))
     counts = segment_histogram(patterns, labels, int(labels.max()) + 1, PATTERN_COUNT)

@@ -1,4 +1,4 @@
-"""Detectors that learn their features in the image itself (P1)."""
+"""Detectors with features learned from the image itself (P1)."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -25,13 +25,13 @@ from roadtorch.ufl.road import (
     widened,
 )
 
-THRESHOLD = "road from this likelihood on; at 0.5 the mask is exactly the regions chosen"
+THRESHOLD_DESCRIPTION = "likelihood from which a pixel is road; at 0.5, exactly the regions chosen"
 
 
 class UflSettings(DetectorSettings):
-    """P1 as its authors' program has it."""
+    """Settings of P1, with the defaults of its authors' program."""
 
-    threshold: Threshold = Field(default=0.5, description=THRESHOLD)
+    threshold: Threshold = Field(default=0.5, description=THRESHOLD_DESCRIPTION)
     working: WorkingShape = WorkingShape()
     smoothing: Smoothing = Smoothing()
     dictionary: DictionarySettings = DictionarySettings()
@@ -41,15 +41,15 @@ class UflSettings(DetectorSettings):
 
 
 def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
-    """Features learned in one image, regions chosen from a tree of thresholds (P1).
+    """Detect the road by features learned in the image and regions of a threshold tree (P1).
 
-    Found at P1's size, brought back to the image's own.
+    Computed at P1's size, then resized to the image's.
     """
     height, width = image.shape[-2:]
     small = bicubic(image, settings.working.size(height, width))
     learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
     features, side = learned.maps, settings.dictionary.side
-    # The road among them: P1, section II.C.
+    # P1, section II.C.
     mean = mean_map(features.maps, settings.maps.scale)
     regions = threshold_regions(mean, thresholds(settings.tree.levels, settings.tree.top))
     tree = build_tree(regions, settings.tree.min_area, settings.tree.nodes)
@@ -72,7 +72,7 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     }
 
 
-TEXT = {
+PAPER_VALUES = {
     "smoothing": {"target": 1.0},
     "maps": {"row_weights": "from_one", "scale": "none"},
     "tree": {"top": "left_out"},
@@ -84,7 +84,7 @@ TEXT = {
         "whole": "never",
     },
 }
-"""Where the text of P1 differs from its authors' program, all of it together."""
+"""All settings in which the text of P1 differs from its authors' program."""
 
 UFL = partial(Analysis, ufl)
 
@@ -94,7 +94,7 @@ ENTRIES = (
         "features learned from the image, regions of a threshold tree (Zhang 2016)",
         UflSettings,
         UFL,
-        # The best readings and settings we know.
+        # Chosen among the readings of the paper: docs/research/ufl.md.
         values={
             "isolated": "drop",
             "smoothing": {"target": 0.25},
@@ -102,6 +102,6 @@ ENTRIES = (
             "road": {"weight": 1.5, "position": "ahead", "dilation": 2},
         },
     ),
-    Entry("ufl:paper", "ufl as in the text of the paper", UflSettings, UFL, values=TEXT),
+    Entry("ufl:paper", "ufl as in the text of the paper", UflSettings, UFL, values=PAPER_VALUES),
     Entry("ufl:original", "ufl as in the authors' program", UflSettings, UFL),
 )
