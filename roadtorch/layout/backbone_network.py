@@ -132,10 +132,7 @@ class Backbone(nn.Module):
         self.blocks = nn.ModuleList(Bottleneck(block) for block in BLOCKS)
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Return the feature maps of images (B, 3, H, W) in [0, 1].
-
-        Shapes: (B, 24, H/4, W/4), (B, 40, H/8, W/8), (B, 112, H/16, W/16), (B, 192, H/32, W/32).
-        """
+        """Return features of images (B, 3, H, W) in [0, 1] at 1/4, 1/8, 1/16, 1/32 size."""
         mean, std = (images.new_tensor(row)[:, None, None] for row in (IMAGENET_MEAN, IMAGENET_STD))
         maps, features = F.relu6(self.stem((images - mean) / std)), []
         for number, block in enumerate(self.blocks):
@@ -196,15 +193,11 @@ class BackboneNetwork(nn.Module):
         self.heads = nn.ModuleList(Head(wide, narrow) for _ in range(self.settings.heads))
 
     def train(self, mode: bool = True) -> "BackboneNetwork":
-        """Set the training mode, but keep batch statistics frozen and dropout off.
-
-        Statistics of small batches of streets are unreliable, and dropout would draw random numbers
-        that no seed controls.
-        """
+        """Set the training mode; batch statistics stay fixed (small batches), dropout off."""
         super().train(mode)
         for head in self.heads:
             head.get_submodule("levels").eval()
-            head.get_submodule("drop").eval()
+            head.get_submodule("drop").eval()  # its random numbers would have no seed
         return self
 
     def last_layers(self) -> list[nn.Conv2d]:

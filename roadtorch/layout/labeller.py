@@ -109,10 +109,7 @@ class HorizonSettings(Settings):
     """Settings of the layout labeller that depend on the camera."""
 
     horizon: float = Field(
-        default=LABELLER_RULES.position.horizon,
-        ge=0,
-        le=1,
-        description="row of the horizon, fraction of the height",
+        default=LABELLER_RULES.position.horizon, ge=0, le=1, description="row, fraction of height"
     )
 
     @property

@@ -236,15 +236,9 @@ class WeightsFile(Settings):
 
 
 def network_of(weights: WeightsFile, shipped: str, *kinds: type[NetworkT]) -> NetworkT:
-    """Load the network that settings choose, or the shipped one.
+    """Load the weights that settings choose, or else the shipped ones of a name.
 
-    Args:
-        weights: choice of the weights.
-        shipped: name of the shipped weights to use where the settings name none.
-        kinds: accepted classes of networks.
-
-    Raises:
-        WeightsError: for a file that cannot be used, or that holds another kind of network.
+    Raises WeightsError for a file that cannot be used, or that holds no network of these kinds.
     """
     path = weights_path(weights.file or shipped)
     network = load_network(path)

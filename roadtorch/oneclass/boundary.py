@@ -244,16 +244,9 @@ def least_margin(
 ) -> tuple[np.ndarray, float]:
     """Solve min ρ + Σ ξ_i / (ν m), Σ_j w_j d_ij ≤ ρ + ξ_i, Σ w = 1, w, ξ ≥ 0 (Pekalska et al.).
 
-    Equivalent to a game: a mixture w of samples against a worst mixture p of samples, none of which
-    has more than 1/(ν m).
-
-    Args:
-        dissimilarities: between distinct samples, shape (k, k).
-        counts: how often they occur, shape (k,); m in all.
-        rejected: ν; 0 for no ξ.
-
-    Returns:
-        w (k,) and ρ.
+    Returns w (k,) and ρ for dissimilarities (k, k) between distinct samples with counts (k,), m in
+    all; ν = ``rejected``, 0 for no ξ. Equivalent to a game: a mixture w of samples against a worst
+    mixture p of samples, none of which has more than 1/(ν m).
     """
     from scipy.optimize import linprog  # slow to import
 

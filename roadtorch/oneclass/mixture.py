@@ -105,10 +105,10 @@ def _m_step(features: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures
 def expectation_maximisation(
     samples: Tensor, weights: Tensor, start: Tensor, widening: Tensor, rounds: int = MAX_EM_ROUNDS
 ) -> tuple[Tensor, Tensor]:
-    """Run expectation maximisation of R mixtures at once.
+    """Run expectation maximisation of R mixtures: memberships (R, N, m), log-likelihoods (R,).
 
-    Ends when no run's mean log-likelihood changes by more than ``LIKELIHOOD_TOLERANCE``. The result
-    belongs to the last mixtures of the loop; ``m_step`` makes the next ones.
+    Ends when no run's mean log-likelihood changes by more than ``LIKELIHOOD_TOLERANCE``. ``m_step``
+    makes the mixtures of the result.
 
     Args:
         samples: float64, roughly centred, shape (m, d).
@@ -116,9 +116,6 @@ def expectation_maximisation(
         start: initial memberships, shape (R, N, m); a component without any stays empty.
         widening: variances added in each round, shape (d,).
         rounds: most rounds.
-
-    Returns:
-        Memberships (R, N, m) and log-likelihoods (R,).
     """
     features, memberships = _polynomial_features(samples), start
     likelihood = samples.new_full((len(weights),), -math.inf)

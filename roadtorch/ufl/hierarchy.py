@@ -59,7 +59,6 @@ class RegionTree:
     """Reduced tree: nodes made of regions of consecutive levels; M nodes, the root first.
 
     Attributes:
-        regions: the regions.
         node: int64 (M,), first region of each node, rising, so that parents come first.
         parent: int64 (M,), index of the parent node; -1 for the root.
         node_of: int64 (N+1,), index of each region's node; -1 where it was too small.

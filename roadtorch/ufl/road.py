@@ -25,7 +25,7 @@ from roadtorch.ufl.maps import FeatureMaps
 Centring = Literal["road", "none", "basis"]
 
 SHARPNESS = 2.0
-"""Slope of the likelihood over the stability of a pixel, at 0."""
+"""Factor of a pixel's stability in the sigmoid of its likelihood."""
 
 AS_CHOSEN = 0.5
 """Threshold at which a likelihood is exactly the mask."""

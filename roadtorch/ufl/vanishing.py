@@ -156,7 +156,7 @@ def angle_between(first: Tensor, second: Tensor) -> Tensor:
 def vote_vanishing_point(
     orientation: Tensor, confidence: Tensor, settings: VotingSettings
 ) -> Tensor | None:
-    """Return the point with the most votes; None without votes.
+    """Return row and column (2,) of the point with the most votes, in pixels; None without votes.
 
     Kong et al. try every pixel; ours tries each ``step``-th and then all around the best, a
     fiftieth of the work. See ``camera.gradients`` for footage.
@@ -165,9 +165,6 @@ def vote_vanishing_point(
         orientation: texture orientations in degrees, shape (H, W).
         confidence: their confidence in [0, 1], shape (H, W).
         settings: settings of the vote.
-
-    Returns:
-        Row and column in pixels, shape (2,).
     """
     height, width = orientation.shape
     sure = confidence > settings.confidence
