@@ -14,34 +14,34 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from roadtorch.camera.calibration import Calibration, road_to_image
+from roadtorch.camera.calibration import Calibration, road_homography
 
-ROWS, COLUMNS = 800, 400
+BEV_ROWS, BEV_COLUMNS = 800, 400
 
-CELL = 0.05  # metres
+CELL_SIZE = 0.05  # metres
 
-LEFT, FAR = -10.0, 46.0  # metres; the right end is at 10, the near one at 6
+LEFT_EDGE, FAR_EDGE = -10.0, 46.0  # metres; the right edge is at 10, the near one at 6
 
-Pair = tuple[Tensor, Tensor]
+_Pair = tuple[Tensor, Tensor]
 
 # --- points -----------------------------------------------------------------------------
 
 
-def project(homography: Tensor, x: Tensor, y: Tensor) -> Pair:
+def transform_points(homography: Tensor, x: Tensor, y: Tensor) -> _Pair:
     """Transform points by a homography (3, 3); float64, of the common shape of x and y.
 
     A point at infinity becomes infinite or NaN. Points behind the camera are projected like any
     other: the kit does not test for them, and its cells are all in front.
     """
-    # Not a matrix product: its rounding differs between machines, and cells hang on it.
-    across, down, scale = (a * x + b * y + c for a, b, c in homography.tolist())
-    return across / scale, down / scale
+    # Not a matrix product, whose rounding differs between machines and would move cells.
+    u, v, scale = (a * x + b * y + c for a, b, c in homography.tolist())
+    return u / scale, v / scale
 
 
-def cell_to_road(row: Tensor, column: Tensor) -> Pair:
+def cell_centres(row: Tensor, column: Tensor) -> _Pair:
     """Return the centres (x, z) of cells, float64, rounded to float32 as in the kit."""
-    x = LEFT + (column.double() + 0.5) * CELL
-    z = FAR - (row.double() + 0.5) * CELL
+    x = LEFT_EDGE + (column.double() + 0.5) * CELL_SIZE
+    z = FAR_EDGE - (row.double() + 0.5) * CELL_SIZE
     return x.float().double(), z.float().double()
 
 
@@ -49,23 +49,23 @@ def cell_to_road(row: Tensor, column: Tensor) -> Pair:
 
 
 @lru_cache(maxsize=4)  # 3 MB each; the maps of one image come one after the other
-def cell_pixels(calibration: Calibration, height: int, width: int) -> Pair:
+def cell_pixels(calibration: Calibration, height: int, width: int) -> _Pair:
     """Return each cell's pixel, flat index int64 (800, 400), and bool of the cells that have one.
 
     These are the submitted and scored cells. A cell has a pixel where 1 ≤ u ≤ width and
     1 ≤ v ≤ height: the nearest lower one, counted from one by the kit. Sampling takes single
     pixels, so thresholds and rounding may come before or after it. Cached: do not change it.
     """
-    cells = torch.arange(ROWS)[:, None], torch.arange(COLUMNS)[None]
-    u, v = project(road_to_image(calibration), *cell_to_road(*cells))
+    cells = torch.arange(BEV_ROWS)[:, None], torch.arange(BEV_COLUMNS)[None]
+    u, v = transform_points(road_homography(calibration), *cell_centres(*cells))
     inside = (u >= 1) & (u <= width) & (v >= 1) & (v <= height)
-    flat = torch.where(inside, (v.floor() - 1) * width + u.floor() - 1, 0)  # first: NaN is no int
-    return flat.long(), inside
+    index = torch.where(inside, (v.floor() - 1) * width + u.floor() - 1, 0)  # NaN is no integer
+    return index.long(), inside
 
 
 def to_birds_eye(values: Tensor, calibration: Calibration) -> Tensor:
     """Warp values (..., H, W) to (..., 800, 400), same dtype; 0 where no pixel shows the cell."""
     height, width = values.shape[-2:]
     index, inside = (part.to(values.device) for part in cell_pixels(calibration, height, width))
-    taken = values.flatten(-2).index_select(-1, index.flatten())
-    return taken.unflatten(-1, index.shape).masked_fill(~inside, 0)
+    cells = values.flatten(-2).index_select(-1, index.flatten())
+    return cells.unflatten(-1, index.shape).masked_fill(~inside, 0)

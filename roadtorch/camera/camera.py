@@ -16,84 +16,91 @@ from roadtorch.base.atomic import write_text
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
 from roadtorch.base.settings import Settings, build_settings, group_at, read_settings_file
-from roadtorch.camera.gradients import Stillness, gradient_of, small_grey, small_size, softened
+from roadtorch.camera.gradients import (
+    GradientStatistics,
+    small_grey,
+    small_size,
+    sobel_gradient,
+    soft_normalize,
+)
 from roadtorch.imaging.resize import resized
 from roadtorch.road.ego import Ego, ego_car, is_given
 
-# --- the look of the ego car ----------------------------------------------------------
+# --- template of the ego car ----------------------------------------------------------
 
+TEMPLATE_POINTS = 160  # enough for a reliable match, few enough for a file that people read
+EDGE_ROWS = 2  # rows above the ego car over which its edge is blurred, at a width of 320 pixels
+MAX_SHIFT = 1  # pixels by which scaling may displace an image, through rounding
+MAX_SIMILARITY, MIN_SIMILARITY = 0.5, 0.2  # bounds of the threshold; other cameras reach about .1
 
-POINTS = 160  # points of a look: enough for a sure answer, few enough for a file that people read
-EDGE_ROWS = 2  # rows above the ego car that its edge is spread over, of an image 320 pixels wide
-SHIFT = 1  # pixels by which an image may be displaced, as rounding does when images are scaled
-
-MAX_LIKENESS, MIN_LIKENESS = 0.5, 0.2
-"""Bounds of the required similarity: other cameras reach about .1, and hardly ever .5."""
-
-Shares = tuple[Annotated[float, Field(ge=0, le=1)], ...]
-Parts = tuple[Annotated[float, Field(ge=-1, le=1)], ...]
+_Fractions = tuple[Annotated[float, Field(ge=0, le=1)], ...]
+_Components = tuple[Annotated[float, Field(ge=-1, le=1)], ...]
 
 
 class EgoLook(Settings):
     """Gradient template of the ego car at some points; empty without an ego car."""
 
     least: float = Field(
-        default=MIN_LIKENESS, ge=-1, le=1, description="likeness of its own images"
+        default=MIN_SIMILARITY, ge=-1, le=1, description="least cosine similarity of its images"
     )
-    rows: Shares = Field(default=(), strict=False, description="points, shares of the height")
-    columns: Shares = Field(default=(), strict=False, description="shares of the width")
-    across: Parts = Field(default=(), strict=False, description="mean gradient to the right")
-    down: Parts = Field(default=(), strict=False, description="mean gradient downwards")
+    rows: _Fractions = Field(
+        default=(), strict=False, description="rows of the points, fractions of the height"
+    )
+    columns: _Fractions = Field(
+        default=(), strict=False, description="columns of the points, fractions of the width"
+    )
+    across: _Components = Field(default=(), strict=False, description="mean gradients to the right")
+    down: _Components = Field(default=(), strict=False, description="mean gradients downwards")
 
     @model_validator(mode="after")
-    def _has_all_of_each_point(self) -> "EgoLook":
+    def _check_lengths(self) -> "EgoLook":
         if len({len(self.rows), len(self.columns), len(self.across), len(self.down)}) > 1:
             raise ValueError("Give as many rows, columns, across and down")
         return self
 
 
-def ego_look(still: Stillness, rows: Tensor) -> EgoLook:
+def build_ego_template(statistics: GradientStatistics, rows: Tensor) -> EgoLook:
     """Return the template of the ego car below rows (w,) int64, at the most reliable points.
 
     Points lie apart (each is the best of 3×3 pixels), so that one long edge does not dominate.
     """
-    height, width = still.length.shape
-    row = torch.arange(height)[:, None]
-    sure = still.common * still.coherence * ((row >= rows - EDGE_ROWS) & (rows < height))
-    is_peak = sure == F.max_pool2d(sure[None, None], 3, 1, 1)[0, 0]
-    peaks = torch.where(is_peak, sure, 0).reshape(-1)
-    best = peaks.sort(descending=True, stable=True).indices[:POINTS]
+    height, width = statistics.mean_length.shape
+    is_ego = (torch.arange(height)[:, None] >= rows - EDGE_ROWS) & (rows < height)
+    reliability = statistics.agreement * statistics.coherence * is_ego
+    is_peak = reliability == F.max_pool2d(reliability[None, None], 3, 1, 1)[0, 0]
+    peaks = torch.where(is_peak, reliability, 0).reshape(-1)
+    best = peaks.sort(descending=True, stable=True).indices[:TEMPLATE_POINTS]
     best = best[peaks[best] > 0].sort().values
-    across, down = still.mean.flatten(1)[:, best]
+    across, down = statistics.mean.flatten(1)[:, best]
     return EgoLook(
-        rows=rounded((best // width + 0.5) / height, 4),
-        columns=rounded((best % width + 0.5) / width, 4),
-        across=rounded(across, 3),
-        down=rounded(down, 3),
+        rows=to_floats((best // width + 0.5) / height, 4),
+        columns=to_floats((best % width + 0.5) / width, 4),
+        across=to_floats(across, 3),
+        down=to_floats(down, 3),
     )
 
 
-def rounded(values: Tensor, digits: int) -> tuple[float, ...]:
-    """Return values (n,) as floats with so many decimals, for a file."""
-    return tuple(round(value, digits) for value in values.tolist())
+def to_floats(values: Tensor, decimals: int) -> tuple[float, ...]:
+    """Return values (n,) as floats rounded to a number of decimals, for a file."""
+    return tuple(round(value, decimals) for value in values.tolist())
 
 
-def likenesses(look: EgoLook, gradients: Sequence[Tensor]) -> Tensor:
+def template_similarities(template: EgoLook, gradients: Sequence[Tensor]) -> Tensor:
     """Return the similarity (n,) of a template to each of n gradients (2, h, w) of small images."""
-    return torch.tensor([gradient_likeness(look, gradient) for gradient in gradients])
+    return torch.tensor([template_similarity(template, gradient) for gradient in gradients])
 
 
-def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
+def template_similarity(template: EgoLook, gradient: Tensor) -> float:
     """Return the similarity of a template to the gradient (2, h, w) of a small image, from -1 to 1.
 
     The cosine similarity, maximised over small shifts; about .1 for other cameras.
     """
     height, width = gradient.shape[1:]
-    rows = (torch.tensor(look.rows) * height).long()
-    columns = (torch.tensor(look.columns) * width).long()
-    expected = torch.tensor([look.across, look.down]).reshape(-1)
-    unit, best = softened(gradient), -1.0
-    for down, right in product(range(-SHIFT, SHIFT + 1), repeat=2):
+    rows = (torch.tensor(template.rows) * height).long()
+    columns = (torch.tensor(template.columns) * width).long()
+    expected = torch.tensor([template.across, template.down]).reshape(-1)
+    unit, best = soft_normalize(gradient), -1.0
+    for down, right in product(range(-MAX_SHIFT, MAX_SHIFT + 1), repeat=2):
         shifted = (rows + down).clamp(0, height - 1), (columns + right).clamp(0, width - 1)
         points = unit[:, *shifted].reshape(-1)
         best = max(best, float(F.cosine_similarity(points, expected, 0)))
@@ -102,10 +109,8 @@ def gradient_likeness(look: EgoLook, gradient: Tensor) -> float:
 
 # --- the camera ------------------------------------------------------------------------
 
-SAME_SHAPE = 1.06
-"""Ratio of two aspect ratios up to which images may be of one camera: crops, rounding."""
-
-HINT = "give images of the camera that the file was made for, or make one for theirs"
+MAX_ASPECT_CHANGE = 1.06  # ratio of aspect ratios of one camera's images: crops, rounding
+WRONG_CAMERA_HINT = "give images of this file's camera, or make a file for theirs"
 
 
 class Camera(Settings):
@@ -118,15 +123,19 @@ class Camera(Settings):
     True
     """
 
-    width: int = Field(ge=1, description="of the footage, in pixels")
-    height: int = Field(ge=1, description="likewise; images may be scaled")
-    frames: int = Field(ge=1, description="how many were seen")
-    horizon: float = Field(ge=0, le=1, description="row of the vanishing point")
+    width: int = Field(ge=1, description="width of the footage in pixels")
+    height: int = Field(ge=1, description="height of the footage in pixels; images may be scaled")
+    frames: int = Field(ge=1, description="number of frames that it was estimated from")
+    horizon: float = Field(
+        ge=0, le=1, description="row of the vanishing point, fraction of the height"
+    )
     seed_row: float = Field(
-        ge=0, le=1, description="the lowest ground in the middle: where the ego car begins, or 1"
+        ge=0, le=1, description="lowest ground in the middle: top of the ego car, or 1"
     )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
-    look: EgoLook = Field(default=EgoLook(), description="how images of another camera are told")
+    look: EgoLook = Field(
+        default=EgoLook(), description="gradients of the ego car, to detect another camera"
+    )
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Camera":
@@ -139,7 +148,7 @@ class Camera(Settings):
         try:
             return build_settings(cls, values)
         except ConfigError as error:
-            problem = f"is no file of a camera: {error.where}: {error.problem}"
+            problem = f"is not a camera file: {error.where}: {error.problem}"
             raise ConfigError(path, problem, "make one with roadtorch camera") from None
 
     def write(self, path: str | os.PathLike[str]) -> None:
@@ -157,13 +166,13 @@ class Camera(Settings):
         """
         height, width = image.shape[-2:]
         ratio = width / height / (self.width / self.height)
-        if not 1 / SAME_SHAPE <= ratio <= SAME_SHAPE:
+        if not 1 / MAX_ASPECT_CHANGE <= ratio <= MAX_ASPECT_CHANGE:
             problem = f"is {width}×{height} pixels, the camera's footage {self.width}×{self.height}"
-            raise InputError("image", problem, HINT)
+            raise InputError("image", problem, WRONG_CAMERA_HINT)
         if self.look.rows:
-            gradient = gradient_of(small_grey(image, small_size([image])))
-            if gradient_likeness(self.look, gradient) < self.look.least:
-                raise InputError("image", "does not show this camera's ego car", HINT)
+            gradient = sobel_gradient(small_grey(image, small_size([image])))
+            if template_similarity(self.look, gradient) < self.look.least:
+                raise InputError("image", "does not show this camera's ego car", WRONG_CAMERA_HINT)
 
     def settings_for(self, kind: type[Settings]) -> dict[str, Any]:
         """Return the values, nested, that a detector's settings of a class take from this camera.
@@ -179,11 +188,10 @@ class Camera(Settings):
         return values
 
 
-# --- the image beside the file ------------------------------------------------------
-
+# --- image to check the file ----------------------------------------------------------
 
 CHECK_WIDTH = 640  # pixels of each half
-SEED_SIDES = (3 / 8, 5 / 8)  # shares of the width between which the seed row is drawn
+SEED_SIDES = (3 / 8, 5 / 8)  # fractions of the width between which the seed row is drawn
 
 
 def check_image(camera: Camera, frames: Sequence[Tensor]) -> Tensor:

@@ -10,67 +10,54 @@ from torch.nn import functional as F
 
 from roadtorch.base.errors import InputError
 from roadtorch.camera.camera import (
-    MAX_LIKENESS,
-    MIN_LIKENESS,
-    SAME_SHAPE,
+    MAX_ASPECT_CHANGE,
+    MAX_SIMILARITY,
+    MIN_SIMILARITY,
     Camera,
     EgoLook,
-    ego_look,
-    likenesses,
-    rounded,
+    build_ego_template,
+    template_similarities,
+    to_floats,
 )
 from roadtorch.camera.gradients import (
-    Stillness,
+    GradientStatistics,
     VanishingPoint,
-    crossing,
-    gradient_of,
+    gradient_statistics,
+    line_deviation,
     road_lines,
     small_grey,
     small_size,
-    softened,
-    stillness,
+    sobel_gradient,
+    soft_normalize,
     vanishing_point,
 )
 from roadtorch.imaging.resize import at_image_size, size_of
 from roadtorch.road.ego import Ego
 
-# --- the ego car below an edge that never moves ---------------------------------------
-
+# --- the ego car below a static edge --------------------------------------------------
 
 NEUTRAL_EVIDENCE = 0.35  # evidence of an edge at which a column neither gains nor loses
+MIN_EVIDENCE = 0.08  # mean evidence above NEUTRAL_EVIDENCE from which there is an ego car
+MAX_CLIMB, CLIMB_COST = 3, 0.15  # rows by which a path may climb per column, and cost of each
+NEXT_EDGE_RATIO = 0.6  # evidence of the ego car's next edge above, relative to the best path
+MAX_EDGE_DISTANCE = 0.15  # from the best path to an edge above, fraction of the height
+MIN_EDGE_GAP = 3  # rows between two edges; closer ones are one blurred edge
+MIN_EGO_ROW = 0.6  # fraction of the height above which no ego car begins
+MIN_BELOW_HORIZON = 0.12  # from the vanishing point to an ego car, fraction of the height
+MIN_EGO_HEIGHT = 0.02  # fraction of the height; a lower strip is the image's border, or noise
 
-MIN_EVIDENCE = 0.08
-"""Evidence above NEUTRAL_EVIDENCE, averaged over all columns, from which there is an ego car."""
-
-MAX_CLIMB, CLIMB_COST = 3, 0.15  # rows by which a path may climb in a column, and what each costs
-
-NEXT_EDGE = 0.6
-"""Fraction of the best path's evidence that an edge above needs to be the ego car's as well."""
-
-MAX_EDGE_DISTANCE = 0.15  # share of the height within which an edge above belongs to the same car
-MIN_APART = 3  # rows between two edges: less is the same edge, blurred
-
-MIN_EGO_ROW, BELOW_HORIZON = 0.6, 0.12
-"""Fractions of the height: an ego car begins below the first, and at least the second below the
-vanishing point.
-"""
-
-MIN_EGO_HEIGHT = 0.02
-"""Fraction of the height; a strip that is nowhere higher is a border of the image, or noise."""
-
-MAX_ROAD_LINES = 0.45
-"""Fraction of slanting edges that aim at the vanishing point, from which a region is road. About
-.1 to .3 on bonnets, .4 to .9 on roads with lanes; chance is .16.
-"""
+# Fraction of slanting edges that aim at the vanishing point, from which a region is road: about
+# .1 to .3 on bonnets, .4 to .9 on roads with lanes; chance is .16.
+MAX_ROAD_LINE_FRACTION = 0.45
 
 
-class Footage(NamedTuple):
-    """Gradient statistics of frames of one camera, at the reduced size (h, w).
+class FootageStatistics(NamedTuple):
+    """Statistics of frames of one camera, at the reduced size (h, w).
 
     lines: (2, h, w), strength of edges that aim at the vanishing point, and of all.
     """
 
-    still: Stillness
+    gradients: GradientStatistics
     point: VanishingPoint
     lines: Tensor
 
@@ -91,65 +78,67 @@ def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
     if len(frames) < 2:
         raise InputError("footage", f"is {len(frames)} frame(s)", "give 10 or more of one camera")
     size = small_size(frames)
-    rows = ego_rows(look_through([gradient_of(small_grey(frame, size)) for frame in frames]))
+    rows = _find_ego_rows(
+        _footage_statistics([sobel_gradient(small_grey(frame, size)) for frame in frames])
+    )
     if rows is None:
         return None
     below = torch.arange(size[0])[:, None] >= rows
     return at_image_size(below, size_of(frames[0]))
 
 
-def look_through(gradients: Sequence[Tensor]) -> Footage:
+def _footage_statistics(gradients: Sequence[Tensor]) -> FootageStatistics:
     """Return the statistics of the gradients (2, h, w) of two or more frames."""
     point = vanishing_point(gradients)
-    return Footage(stillness(gradients), point, road_lines(gradients, point))
+    return FootageStatistics(gradient_statistics(gradients), point, road_lines(gradients, point))
 
 
-def ego_rows(footage: Footage) -> Tensor | None:
+def _find_ego_rows(footage: FootageStatistics) -> Tensor | None:
     """Return the row (w,) int64 where the ego car begins in each column (h: none), or None.
 
     The best path of a static edge that has no road below; then the next nearly as good one close
     above, as long as there is one: a bonnet has several edges, and wipers before it.
     """
-    evidence = edge_evidence(footage.still, footage.point)
+    evidence = _edge_evidence(footage.gradients, footage.point)
     height, row = len(evidence), torch.arange(len(evidence))[:, None]
-    rows, gained = best_path(evidence)
-    while gained >= MIN_EVIDENCE and _is_road(footage.lines, row >= rows + MIN_APART):
-        # A reflection in the windscreen, or the road's own texture: look further down.
-        rows, gained = best_path(evidence * (row > rows + MIN_APART))
-    if gained < MIN_EVIDENCE:
+    rows, gain = _best_path(evidence)
+    while gain >= MIN_EVIDENCE and _is_road(footage.lines, row >= rows + MIN_EDGE_GAP):
+        # A reflection in the windscreen, or texture of the road: search further down.
+        rows, gain = _best_path(evidence * (row > rows + MIN_EDGE_GAP))
+    if gain < MIN_EVIDENCE:
         return None
-    while (above := _edge_above(footage.lines, evidence, rows, gained)) is not None:
+    while (above := _find_edge_above(footage.lines, evidence, rows, gain)) is not None:
         rows = above
     return rows if height - int(rows.min()) >= MIN_EGO_HEIGHT * height else None
 
 
-def _edge_above(lines: Tensor, evidence: Tensor, rows: Tensor, enough: float) -> Tensor | None:
+def _find_edge_above(lines: Tensor, evidence: Tensor, rows: Tensor, gain: float) -> Tensor | None:
     """Return the rows (w,) of an edge close above that belongs to the ego car; None without one."""
     height, row = len(evidence), torch.arange(len(evidence))[:, None]
-    close = (row < rows - MIN_APART) & (row >= rows - MAX_EDGE_DISTANCE * height)
-    above, gained = best_path(evidence * close)
+    close = (row < rows - MIN_EDGE_GAP) & (row >= rows - MAX_EDGE_DISTANCE * height)
+    above, gain_above = _best_path(evidence * close)
     higher = torch.minimum(rows, above)
-    between = (row >= higher + MIN_APART) & (row < rows - MIN_APART)
-    is_edge = gained >= max(MIN_EVIDENCE, NEXT_EDGE * enough) and not _is_road(lines, between)
-    return higher if is_edge else None
+    between = (row >= higher + MIN_EDGE_GAP) & (row < rows - MIN_EDGE_GAP)
+    is_edge = gain_above >= max(MIN_EVIDENCE, NEXT_EDGE_RATIO * gain)
+    return higher if is_edge and not _is_road(lines, between) else None
 
 
-def _is_road(lines: Tensor, where: Tensor) -> bool:
+def _is_road(lines: Tensor, region: Tensor) -> bool:
     """Return whether the edges in a region bool (h, w) aim at the vanishing point."""
-    aiming, every = (float(strength[where].sum()) for strength in lines)
-    return aiming > MAX_ROAD_LINES * every
+    aiming, total = (float(strength[region].sum()) for strength in lines)
+    return aiming > MAX_ROAD_LINE_FRACTION * total
 
 
-def edge_evidence(still: Stillness, point: VanishingPoint) -> Tensor:
+def _edge_evidence(gradients: GradientStatistics, point: VanishingPoint) -> Tensor:
     """Return the evidence of static edges that are no lines of the road: (h, w) in [0, 1]."""
-    direction = still.direction
-    evidence = still.coherence * crossing(direction, point) * direction[1].abs()
+    direction = gradients.direction
+    evidence = gradients.coherence * line_deviation(direction, point) * direction[1].abs()
     height = len(evidence)
-    evidence[: round(max(MIN_EGO_ROW, point.row + BELOW_HORIZON) * height)] = 0
+    evidence[: round(max(MIN_EGO_ROW, point.row + MIN_BELOW_HORIZON) * height)] = 0
     return F.max_pool2d(evidence[None, None], (3, 1), 1, (1, 0))[0, 0]
 
 
-def best_path(evidence: Tensor) -> tuple[Tensor, float]:
+def _best_path(evidence: Tensor) -> tuple[Tensor, float]:
     """Return the path across evidence (h, w) of the largest gain: row (w,) int64, and the gain.
 
     Row h, below the image, is free; the gain is the evidence above NEUTRAL_EVIDENCE, averaged over
@@ -159,34 +148,32 @@ def best_path(evidence: Tensor) -> tuple[Tensor, float]:
     gain = torch.cat([evidence - NEUTRAL_EVIDENCE, evidence.new_zeros(1, width)])
     steps = torch.arange(-MAX_CLIMB, MAX_CLIMB + 1)
     cost = CLIMB_COST * steps.abs()[:, None]
-    total, came = gain[:, 0], []
+    total, previous = gain[:, 0], []
     for column in range(1, width):
         padded = F.pad(total, (MAX_CLIMB, MAX_CLIMB), value=-torch.inf)
         best = (padded.unfold(0, height + 1, 1) - cost).max(0)
         total = best.values + gain[:, column]
-        came.append(torch.arange(height + 1) + steps[best.indices])
+        previous.append(torch.arange(height + 1) + steps[best.indices])
     row = int(total.argmax())
     rows = [row]
-    for back in reversed(came):
-        rows.append(row := int(back[row]))
+    for previous_row in reversed(previous):
+        rows.append(row := int(previous_row[row]))
     return torch.tensor(rows[::-1]), float(total.max()) / width
 
 
 # --- the camera ------------------------------------------------------------------------
 
-MIN_FRAMES = 5  # frames; fewer have edges in common by chance
+MIN_CAMERA_FRAMES = 5  # frames; fewer have edges in common by chance
 OUTLINE_COLUMNS = 64  # columns of the outline in a camera's file
 
-STILL_SHARE = 0.85
-"""Fraction of common gradients from which nothing moves. Straight motorways reach .7."""
+MAX_STATIC_FRACTION = 0.85  # above, nothing moves; straight motorways reach .7
 
-OWN_LIKENESS, FOREIGN_LIKENESS = 0.8, 0.35
-"""Similarity to the ego car of some frames: reached by four of five other frames of the camera, and
-not exceeded by four of five frames of another camera.
-"""
+# Similarity to the ego car of some frames that four of five other frames of the camera reach, and
+# that four of five frames of another camera do not exceed.
+MIN_OWN_SIMILARITY, MAX_FOREIGN_SIMILARITY = 0.8, 0.35
 
-MIDDLE = slice(OUTLINE_COLUMNS * 3 // 8, OUTLINE_COLUMNS * 5 // 8)
-"""Columns of the outline over which the seed row is computed: those of the seed area."""
+# Columns of the outline over which the seed row is computed: those of the seed area.
+MIDDLE_COLUMNS = slice(OUTLINE_COLUMNS * 3 // 8, OUTLINE_COLUMNS * 5 // 8)
 
 
 class StillError(InputError):
@@ -209,86 +196,95 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     for frame in frames:
         sizes.append(size_of(frame))
         greys.append(small_grey(frame, small_size([frame])))
-    if len(sizes) < MIN_FRAMES:
+    if len(sizes) < MIN_CAMERA_FRAMES:
         number = "one frame" if len(sizes) == 1 else f"{len(sizes)} frames"
         raise InputError(where, f"has {number}", "give 10 or more, of different places")
     shapes = sorted(set(sizes), key=lambda size: size[1] / size[0])
     (low_height, low_width), (height, width) = shapes[0], shapes[-1]
-    if width / height > SAME_SHAPE * low_width / low_height:
+    if width / height > MAX_ASPECT_CHANGE * low_width / low_height:
         problem = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
         raise InputError(where, problem, "give the footage of one")
     size = small_size(greys)
     gradients = [
-        gradient_of(F.interpolate(grey[None, None], size, mode="bilinear")[0, 0]) for grey in greys
+        sobel_gradient(F.interpolate(grey[None, None], size, mode="bilinear")[0, 0])
+        for grey in greys
     ]
-    footage = look_through(gradients)
-    if footage.still.share >= STILL_SHARE:
-        raise StillError(where, "stands still: nothing moves", "give footage of a drive")
-    _check_looks(footage, gradients, where)
-    rows = ego_rows(footage)
+    footage = _footage_statistics(gradients)
+    if footage.gradients.static_fraction >= MAX_STATIC_FRACTION:
+        raise StillError(where, "is static: nothing moves", "give footage of a drive")
+    _require_one_camera(footage, gradients, where)
+    rows = _find_ego_rows(footage)
     look, outline = EgoLook(), ()
     if rows is not None:
-        look = ego_look(footage.still, rows)
-        # Three fifths of what four images of five exceed: those to come differ more than these.
-        usual = float(likenesses(look, gradients).quantile(0.2))
-        least = min(MAX_LIKENESS, max(MIN_LIKENESS, 0.6 * usual))
+        look = build_ego_template(footage.gradients, rows)
+        # Three fifths of what four of five frames exceed, as future frames differ more than these.
+        similarity = float(template_similarities(look, gradients).quantile(0.2))
+        least = min(MAX_SIMILARITY, max(MIN_SIMILARITY, 0.6 * similarity))
         look = look.model_copy(update={"least": round(least, 3)})
-        shares = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / size[0], OUTLINE_COLUMNS)[0]
-        outline = rounded(shares, 4)
+        heights = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / size[0], OUTLINE_COLUMNS)[0]
+        outline = to_floats(heights, 4)
     height, width = Counter(sizes).most_common(1)[0][0]
     return Camera(
         width=width,
         height=height,
-        frames=footage.still.frames,
+        frames=footage.gradients.frames,
         horizon=round(footage.point.row, 3),
-        seed_row=min(outline[MIDDLE], default=1.0),
+        seed_row=min(outline[MIDDLE_COLUMNS], default=1.0),
         ego=Ego(outline=outline),
         look=look,
     )
 
 
-# --- what forbids it --------------------------------------------------------------------
+# --- several cameras --------------------------------------------------------------------
 
 
-def _check_looks(footage: Footage, gradients: list[Tensor], where: str) -> None:
+def _require_one_camera(footage: FootageStatistics, gradients: list[Tensor], where: str) -> None:
     """Raise InputError when one half of the frames shows an ego car that the other half lacks."""
-    halves = halved(footage, gradients)
-    for shown, lacking in (halves, halves[::-1]):
-        some, other = ([gradients[at] for at in half] for half in (shown, lacking))
-        if _is_foreign(footage.point, some, other):
+    parts = _split_by_appearance(footage, gradients)
+    for halves in (parts, parts[::-1]):
+        first, second = ([gradients[at] for at in half] for half in halves)
+        if _lacks_ego_car(footage.point, first, second):
+            numbers = ", ".join(str(at + 1) for at in halves[1][:5])
             problem = (
-                f"is of several cameras: {len(lacking)} of {len(gradients)} frames do not show "
+                f"is of several cameras: {len(second)} of {len(gradients)} frames do not show "
             )
-            problem += "the ego car of the others, such as number "
-            problem += ", ".join(str(at + 1) for at in lacking[:5])
+            problem += f"the ego car of the others, such as number {numbers}"
             raise InputError(where, problem, "give the footage of one")
 
 
-def _is_foreign(point: VanishingPoint, half: list[Tensor], other: list[Tensor]) -> bool:
-    """Return whether frames share an ego car that the others lack; both as gradients (2, h, w)."""
-    if min(len(half), len(other)) < MIN_FRAMES:
+def _lacks_ego_car(point: VanishingPoint, first: list[Tensor], second: list[Tensor]) -> bool:
+    """Return whether the first frames share an ego car that the second lack, by gradients."""
+    if min(len(first), len(second)) < MIN_CAMERA_FRAMES:
         return False
-    still = stillness(half)
-    rows = ego_rows(Footage(still, point, road_lines(half, point)))
+    statistics = gradient_statistics(first)
+    rows = _find_ego_rows(FootageStatistics(statistics, point, road_lines(first, point)))
     if rows is None:
         return False
-    # Each is compared with frames that it is not among.
-    odd, even = (ego_look(stillness(part), rows) for part in (half[::2], half[1::2]))
-    own = torch.cat([likenesses(odd, half[1::2]), likenesses(even, half[::2])])
-    strange = likenesses(ego_look(still, rows), other)
-    is_sure = float(own.quantile(0.2)) >= OWN_LIKENESS
-    return is_sure and float(strange.quantile(0.8)) <= FOREIGN_LIKENESS
+    # Cross-validated: each template is compared with frames that it was not built from.
+    odd, even = first[::2], first[1::2]
+    odd_template, even_template = (
+        build_ego_template(gradient_statistics(part), rows) for part in (odd, even)
+    )
+    in_first = torch.cat(
+        [template_similarities(odd_template, even), template_similarities(even_template, odd)]
+    )
+    in_second = template_similarities(build_ego_template(statistics, rows), second)
+    is_certain = float(in_first.quantile(0.2)) >= MIN_OWN_SIMILARITY
+    return is_certain and float(in_second.quantile(0.8)) <= MAX_FOREIGN_SIMILARITY
 
 
-def halved(footage: Footage, gradients: Sequence[Tensor]) -> tuple[list[int], list[int]]:
+def _split_by_appearance(
+    footage: FootageStatistics, gradients: Sequence[Tensor]
+) -> tuple[list[int], list[int]]:
     """Split frames by the lower part of the image, as two cameras would be; return their indices.
 
     The sign of the first principal component of the normalised gradients, without road lines.
     """
     top = round(MIN_EGO_ROW * gradients[0].shape[1])
-    weight = crossing(footage.still.direction, footage.point)
-    low = torch.stack([(softened(each) * weight)[:, top:].reshape(-1) for each in gradients])
-    centred = low - low.mean(0)
+    weight = line_deviation(footage.gradients.direction, footage.point)
+    units = map(soft_normalize, gradients)
+    vectors = torch.stack([(unit * weight)[:, top:].reshape(-1) for unit in units])
+    centred = vectors - vectors.mean(0)
     first = torch.linalg.eigh(centred @ centred.T)[1][:, -1]
     numbers = range(len(gradients))
     return [n for n in numbers if first[n] > 0], [n for n in numbers if first[n] <= 0]

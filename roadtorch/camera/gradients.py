@@ -20,49 +20,47 @@ from roadtorch.base.errors import InputError
 from roadtorch.layout.classes import HORIZONTAL
 
 SMALL_WIDTH = 320  # pixels in a row of a small frame
-SOFTNESS = 8.0  # grey levels of 255: gradients far below it are noise and count little
-BLUR = 0.8  # pixels; standard deviation of the Gaussian that takes the noise of a small frame away
+GRADIENT_OFFSET = 8.0  # grey levels of 255: gradients far below it are noise and count little
+BLUR_SIGMA = 0.8  # pixels; standard deviation of the Gaussian that removes a small frame's noise
 
+# Mean length at which coherence is halved: a road's shading is constant in all frames, but faint.
 FAINT_LENGTH = 0.12
-"""Mean length of a unit gradient at which coherence is halved: the smooth shading of a road has the
-same direction in all frames, but is faint.
-"""
 
 
-class Stillness(NamedTuple):
+class GradientStatistics(NamedTuple):
     """Statistics over n frames of normalised gradients u = g / (|g| + 8 grey levels).
 
     Attributes:
         mean: mean of u, right and down, shape (2, h, w).
-        squares: mean of u², by component, shape (2, h, w).
-        length: mean of |u|, shape (h, w).
+        mean_square: mean of u², by component, shape (2, h, w).
+        mean_length: mean of |u|, shape (h, w).
         frames: n.
     """
 
     mean: Tensor
-    squares: Tensor
-    length: Tensor
+    mean_square: Tensor
+    mean_length: Tensor
     frames: int
 
     @property
-    def common(self) -> Tensor:
+    def agreement(self) -> Tensor:
         """Root of the mean of u·u' over pairs of different frames, in [0, 1], shape (h, w).
 
         Unrelated frames give 0 on average, for any number of them; negative means become 0.
         """
         n = self.frames
-        pairs = (self.mean.square() * n - self.squares).sum(0) / (n - 1)
+        pairs = (self.mean.square() * n - self.mean_square).sum(0) / (n - 1)
         return pairs.clamp_min(0).sqrt()
 
     @property
     def coherence(self) -> Tensor:
-        """``common`` over the mean length, in [0, 1], shape (h, w); small where all is faint."""
-        return (self.common / (self.length + FAINT_LENGTH)).clamp(0, 1)
+        """``agreement`` over the mean length, in [0, 1], shape (h, w); small where all is faint."""
+        return (self.agreement / (self.mean_length + FAINT_LENGTH)).clamp(0, 1)
 
     @property
-    def share(self) -> float:
-        """Fraction of all gradients that is common, in [0, 1]: about 1 where nothing moves."""
-        return float(self.common.sum() / self.length.sum().clamp_min(1e-9))
+    def static_fraction(self) -> float:
+        """Fraction of all gradients that are static, in [0, 1]: about 1 where nothing moves."""
+        return float(self.agreement.sum() / self.mean_length.sum().clamp_min(1e-9))
 
     @property
     def direction(self) -> Tensor:
@@ -83,49 +81,41 @@ def small_size(frames: Sequence[Tensor]) -> tuple[int, int]:
     return max(16, round(shapes[len(shapes) // 2] * SMALL_WIDTH)), SMALL_WIDTH
 
 
-def gradient_of(grey: Tensor) -> Tensor:
+def sobel_gradient(grey: Tensor) -> Tensor:
     """Return Sobel's gradient (2, h, w), right and down, of grey levels (h, w), per two pixels."""
-    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), BLUR)
-    ways = [cv2.Sobel(smooth, cv2.CV_32F, *way, scale=1 / 4) for way in ((1, 0), (0, 1))]
-    return torch.from_numpy(np.stack(ways))
+    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), BLUR_SIGMA)
+    parts = [cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 4) for order in ((1, 0), (0, 1))]
+    return torch.from_numpy(np.stack(parts))
 
 
-def softened(gradient: Tensor) -> Tensor:
+def soft_normalize(gradient: Tensor) -> Tensor:
     """Normalise a gradient (2, h, w) to lengths below 1: g / (|g| + 8 grey levels)."""
-    return gradient / (gradient.square().sum(0).sqrt() + SOFTNESS)
+    return gradient / (gradient.square().sum(0).sqrt() + GRADIENT_OFFSET)
 
 
-def stillness(gradients: Sequence[Tensor]) -> Stillness:
+def gradient_statistics(gradients: Sequence[Tensor]) -> GradientStatistics:
     """Return the statistics of the gradients (2, h, w) of two or more frames."""
-    mean, squares = torch.zeros_like(gradients[0]), torch.zeros_like(gradients[0])
-    length = torch.zeros_like(gradients[0][0])
-    for unit in map(softened, gradients):
-        mean += unit
+    total, squares = torch.zeros_like(gradients[0]), torch.zeros_like(gradients[0])
+    lengths = torch.zeros_like(gradients[0][0])
+    for unit in map(soft_normalize, gradients):
+        total += unit
         squares += unit.square()
-        length += unit.square().sum(0).sqrt()
+        lengths += unit.square().sum(0).sqrt()
     n = len(gradients)
-    return Stillness(mean / n, squares / n, length / n, n)
+    return GradientStatistics(total / n, squares / n, lengths / n, n)
 
 
-# --- the vanishing point --------------------------------------------------------------
+# --- vanishing point ------------------------------------------------------------------
 
+FAINT_EDGE = 4.0  # grey levels over two pixels below which an edge has no reliable direction
+CANDIDATE_ROWS = tuple(0.2 + 0.025 * step for step in range(22))  # fractions of the height
+CANDIDATE_COLUMNS = tuple(0.2 + 0.025 * step for step in range(25))  # fractions of the width
+MAX_VOTERS = 1500  # strongest edges of a frame that vote
+VOTE_WIDTH = 0.05  # sine of the angle between edge and candidate at which a vote counts 1/e
+PSEUDO_VOTES = 15  # pseudo-count per frame and candidate, so that few votes weigh little
 
-FAINT_EDGE = 4.0  # grey levels over two pixels below which an edge has no sure direction
-
-CANDIDATE_ROWS = tuple(0.2 + 0.025 * step for step in range(22))
-"""Candidate rows, fractions of the height."""
-
-CANDIDATE_COLUMNS = tuple(0.2 + 0.025 * step for step in range(25))
-"""Candidate columns, fractions of the width."""
-
-MAX_VOTERS = 1500  # the strongest edges of a frame that may vote
-AIM = 0.05  # by how much an edge may miss (sine of the angle) until its vote has fallen to 1/e
-
-DOUBT = 15
-"""Pseudo-count per frame that is added to the votes of a candidate: few votes weigh little."""
-
-PLACE, SPREAD = (0.47, 0.5), 0.12
-"""Gaussian prior of the vanishing point: its mean row and column, and their standard deviation."""
+# Gaussian prior of the vanishing point: its mean row and column, and their standard deviation.
+PRIOR_MEAN, PRIOR_DEVIATION = (0.47, 0.5), 0.12
 
 
 class VanishingPoint(NamedTuple):
@@ -145,20 +135,20 @@ def vanishing_point(gradients: Sequence[Tensor]) -> VanishingPoint:
     rows, columns = torch.meshgrid(
         torch.tensor(CANDIDATE_ROWS), torch.tensor(CANDIDATE_COLUMNS), indexing="ij"
     )
-    aiming = all_votes = torch.zeros(2, rows.numel())
+    votes = voters = torch.zeros(2, rows.numel())
     for gradient in gradients:
-        some, every = _votes(gradient, rows.reshape(-1), columns.reshape(-1))
-        aiming, all_votes = aiming + some, all_votes + every
-    share = (aiming / (all_votes + DOUBT * len(gradients))).prod(0).reshape(rows.shape)
-    away = (rows - PLACE[0]).square() + (columns - PLACE[1]).square()
-    best = int((share * (-away / (2 * SPREAD**2)).exp()).argmax())
+        new_votes, new_voters = _cast_votes(gradient, rows.reshape(-1), columns.reshape(-1))
+        votes, voters = votes + new_votes, voters + new_voters
+    score = (votes / (voters + PSEUDO_VOTES * len(gradients))).prod(0).reshape(rows.shape)
+    distance = (rows - PRIOR_MEAN[0]).square() + (columns - PRIOR_MEAN[1]).square()
+    best = int((score * (-distance / (2 * PRIOR_DEVIATION**2)).exp()).argmax())
     return VanishingPoint(
         CANDIDATE_ROWS[best // len(CANDIDATE_COLUMNS)],
         CANDIDATE_COLUMNS[best % len(CANDIDATE_COLUMNS)],
     )
 
 
-def crossing(direction: Tensor, point: VanishingPoint) -> Tensor:
+def line_deviation(direction: Tensor, point: VanishingPoint) -> Tensor:
     """Return how far edges deviate from the vanishing point: (h, w) in [0, 1], 0 on road lines.
 
     direction: unit gradients (2, h, w). The sine of the angle between edge and line of sight,
@@ -167,8 +157,8 @@ def crossing(direction: Tensor, point: VanishingPoint) -> Tensor:
     height, width = direction.shape[1:]
     down = torch.arange(height).view(-1, 1) - point.row * height
     right = torch.arange(width).view(1, -1) - point.column * width
-    away = (right.square() + down.square()).sqrt().clamp_min(1e-6)
-    sine = (direction[0] * right + direction[1] * down).abs() / away
+    distance = (right.square() + down.square()).sqrt().clamp_min(1e-6)
+    sine = (direction[0] * right + direction[1] * down).abs() / distance
     return ((sine - 0.15) / 0.2).clamp(0, 1)
 
 
@@ -183,13 +173,13 @@ def road_lines(gradients: Sequence[Tensor], point: VanishingPoint) -> Tensor:
         strength = gradient.square().sum(0).sqrt()
         direction = gradient / strength.clamp_min(1e-9)
         slanting = (strength > FAINT_EDGE) & (direction[0].abs() > 0.2)
-        weight = softened(gradient).square().sum(0).sqrt() * slanting
-        aims = crossing(direction, point) < 0.25
+        weight = soft_normalize(gradient).square().sum(0).sqrt() * slanting
+        aims = line_deviation(direction, point) < 0.25
         total = total + torch.stack([weight * aims, weight])
     return total
 
 
-def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
+def _cast_votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
     """Return the votes (2, k) for k candidates from edges left and right of each, and the voters.
 
     Strong slanting edges below the sky vote.
@@ -198,39 +188,31 @@ def _votes(gradient: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Ten
     strength = gradient.square().sum(0).sqrt()
     slanting = (gradient[0].abs() > 0.2 * strength) & (gradient[1].abs() > 0.25 * strength)
     slanting[: round(0.3 * height)] = False
-    able = torch.where(slanting & (strength > 8), strength, 0).reshape(-1)
-    chosen = able.sort(descending=True, stable=True).indices[:MAX_VOTERS]
-    chosen = chosen[able[chosen] > 0]
-    y, x = chosen // width, chosen % width
+    edges = torch.where(slanting & (strength > 8), strength, 0).reshape(-1)
+    strongest = edges.sort(descending=True, stable=True).indices[:MAX_VOTERS]
+    strongest = strongest[edges[strongest] > 0]
+    y, x = strongest // width, strongest % width
     normal = gradient[:, y, x] / strength[y, x]
     right = x - columns[:, None] * width
     down = y - rows[:, None] * height
-    away = (right.square() + down.square()).sqrt().clamp_min(1e-6)
-    missed = (right * normal[0] + down * normal[1]) / away
-    vote = (-(missed / AIM).square()).exp()
-    may = (down > 0.04 * height) & (away > 0.1 * width)
-    sides = torch.stack([may & (right < 0), may & (right > 0)]).to(vote)
+    distance = (right.square() + down.square()).sqrt().clamp_min(1e-6)
+    sine = (right * normal[0] + down * normal[1]) / distance
+    vote = (-(sine / VOTE_WIDTH).square()).exp()
+    is_voter = (down > 0.04 * height) & (distance > 0.1 * width)
+    sides = torch.stack([is_voter & (right < 0), is_voter & (right > 0)]).to(vote)
     return (vote * sides).sum(2), sides.sum(2)
 
 
-# --- the horizon of one image -------------------------------------------------------
+# --- horizon of one image -------------------------------------------------------------
 
+# Fractions of the height, but for the columns.
+GROUND_QUANTILE = 0.05  # fraction of columns that may be mislabelled above the farthest ground
+GROUND_BELOW_HORIZON = 0.025  # the median of 16 rendered streets and four images of KITTI
+MIN_GROUND_FRACTION = 0.25  # fraction of columns that have to end in ground
+MAX_DISAGREEMENT = 0.15  # between ground and vanishing point
+MIN_DEVIATION = 0.025  # root-mean-square error where they agree
 
-FARTHEST_SHARE = 0.05
-"""Fraction of the columns whose ground may reach above the farthest ground: mislabelled ones."""
-
-GROUND_BELOW_HORIZON = 0.025
-"""Distance from the horizon to the farthest ground, as a fraction of the height: the median of 16
-rendered streets and four images of KITTI.
-"""
-
-MIN_GROUND = 0.25  # share of the columns that have to end in ground
-MAX_APART = 0.15  # share of the height by which both may differ
-
-MIN_SPREAD = 0.025
-"""Root-mean-square error, as a fraction of the height, where both estimates agreed."""
-
-PITCH_REMEDY = "give --pitch, or --camera with what roadtorch camera finds in footage"
+PITCH_HINT = "give --pitch, or --camera with a file of roadtorch camera"
 
 
 class Horizon(NamedTuple):
@@ -240,7 +222,7 @@ class Horizon(NamedTuple):
     spread: float
 
 
-def horizon_of(image: Tensor, layout: Tensor) -> Horizon:
+def estimate_horizon(image: Tensor, layout: Tensor) -> Horizon:
     """Estimate the horizon of an image from its layout and its vanishing point.
 
     Args:
@@ -252,19 +234,19 @@ def horizon_of(image: Tensor, layout: Tensor) -> Horizon:
             from the end of the ground.
     """
     if not torch.isfinite(layout).all():
-        raise InputError("image", "has a layout that is not finite", PITCH_REMEDY)
+        raise InputError("image", "has a layout that is not finite", PITCH_HINT)
     height = layout.shape[-2]
     ground = layout.argmax(0) == HORIZONTAL
     run = ground.flip(0).int().cummin(0).values.sum(0)  # from the lower edge upwards
-    if float((run > 0).double().mean()) < MIN_GROUND:
-        raise InputError("image", "shows too little ground to tell the horizon", PITCH_REMEDY)
-    top = float((height - run[run > 0].double()).quantile(FARTHEST_SHARE)) / height
+    if float((run > 0).double().mean()) < MIN_GROUND_FRACTION:
+        raise InputError("image", "shows too little ground to estimate the horizon", PITCH_HINT)
+    top = float((height - run[run > 0].double()).quantile(GROUND_QUANTILE)) / height
     if top <= 0:
-        raise InputError("image", "shows ground up to its upper edge, no horizon", PITCH_REMEDY)
+        raise InputError("image", "shows ground up to its upper edge, no horizon", PITCH_HINT)
     grey = small_grey(image, small_size([image]))
-    meeting = vanishing_point([gradient_of(grey)]).row
-    shown, aimed = max(top - GROUND_BELOW_HORIZON, 0.0), min(meeting, top)
-    if abs(shown - meeting) > MAX_APART:
+    meeting = vanishing_point([sobel_gradient(grey)]).row
+    by_ground, by_lines = max(top - GROUND_BELOW_HORIZON, 0.0), min(meeting, top)
+    if abs(by_ground - meeting) > MAX_DISAGREEMENT:
         problem = f"has ground up to row {top:.2f}, but lines that meet at row {meeting:.2f}"
-        raise InputError("image", problem, PITCH_REMEDY)
-    return Horizon((shown + aimed) / 2, max(MIN_SPREAD, abs(shown - meeting) / 2))
+        raise InputError("image", problem, PITCH_HINT)
+    return Horizon((by_ground + by_lines) / 2, max(MIN_DEVIATION, abs(by_ground - meeting) / 2))

@@ -16,18 +16,14 @@ from pydantic import Field, ValidationInfo, field_validator
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import Settings
 
+# Degrees. Looking up, too little ground is visible; straight down, no direction is forward.
 MIN_PITCH, MAX_PITCH = -30.0, 89.0
-"""Degrees. Above, too little ground is visible; straight down, no direction is forward."""
+MAX_ROLL = 45.0  # degrees
+MAX_ASPECT_ERROR = 0.01  # relative difference of aspect ratios, after scaling to whole pixels
+MIN_DEPTH = 1e-6  # metres ahead of the lens from which a point is projected
+MAX_DISTORTION_ERROR = 0.5  # pixels between a point and its distorted undistortion
 
-MAX_ROLL = 45.0
-
-SAME_ASPECT = 0.01  # share by which two aspect ratios may differ: an image scaled to whole pixels
-MIN_DISTANCE = 1e-6  # metres ahead of the lens from which a point has an image
-
-MAX_MISS = 0.5
-"""Pixels by which a point may differ after undistortion and distortion."""
-
-COEFFICIENTS = {
+COEFFICIENT_COUNTS = {
     "pinhole": (0,),
     "plumb_bob": (4, 5),
     "rational_polynomial": (8, 12, 14),
@@ -35,29 +31,29 @@ COEFFICIENTS = {
 }
 """Numbers of coefficients of each distortion model, as ROS and OpenCV count them."""
 
-Focal = Annotated[float, Field(gt=0, le=1e6)]
-Centre = Annotated[float, Field(ge=-1e6, le=1e6)]
-Triple = tuple[float, float, float]
+_FocalLength = Annotated[float, Field(gt=0, le=1e6)]
+_PrincipalPoint = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Vector = tuple[float, float, float]
 
 
 class Lens(Settings):
     """Intrinsics: focal lengths and principal point in pixels, and distortion."""
 
-    width: int = Field(ge=1, description="of the images, in pixels")
-    height: int = Field(ge=1, description="likewise")
-    focal_x: Focal
-    focal_y: Focal
-    centre_x: Centre
-    centre_y: Centre
+    width: int = Field(ge=1, description="width of the images in pixels")
+    height: int = Field(ge=1, description="height of the images in pixels")
+    focal_x: _FocalLength
+    focal_y: _FocalLength
+    centre_x: _PrincipalPoint
+    centre_y: _PrincipalPoint
     model: Literal["pinhole", "plumb_bob", "rational_polynomial", "equidistant"] = "pinhole"
     coefficients: tuple[float, ...] = Field(default=(), strict=False)
 
     @field_validator("coefficients")
     @classmethod
-    def _fit_the_model(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    def _check_count(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         model = info.data.get("model", "pinhole")
-        if len(values) not in COEFFICIENTS[model]:
-            allowed = " or ".join(map(str, COEFFICIENTS[model]))
+        if len(values) not in COEFFICIENT_COUNTS[model]:
+            allowed = " or ".join(map(str, COEFFICIENT_COUNTS[model]))
             raise ValueError(f"{model} has {allowed} coefficients")
         return values
 
@@ -70,17 +66,17 @@ class Lens(Settings):
 
     def at(self, width: int, height: int) -> "Lens":
         """Return the lens for images scaled to a size; InputError for another aspect ratio."""
-        if abs(width * self.height / (height * self.width) - 1) > SAME_ASPECT:
+        if abs(width * self.height / (height * self.width) - 1) > MAX_ASPECT_ERROR:
             problem = f"is {width}×{height} pixels, the calibration {self.width}×{self.height}"
-            raise InputError("image", problem, "give images of that shape, uncropped")
-        across, down = width / self.width, height / self.height
+            raise InputError("image", problem, "give uncropped images of that aspect ratio")
+        scale_x, scale_y = width / self.width, height / self.height
         changes = {
             "width": width,
             "height": height,
-            "focal_x": self.focal_x * across,
-            "focal_y": self.focal_y * down,
-            "centre_x": (self.centre_x + 0.5) * across - 0.5,
-            "centre_y": (self.centre_y + 0.5) * down - 0.5,
+            "focal_x": self.focal_x * scale_x,
+            "focal_y": self.focal_y * scale_y,
+            "centre_x": (self.centre_x + 0.5) * scale_x - 0.5,
+            "centre_y": (self.centre_y + 0.5) * scale_y - 0.5,
         }
         return self.model_copy(update=changes)
 
@@ -97,10 +93,8 @@ def lens_of_view(width: int, height: int, degrees: float) -> Lens:
         hint = "give 1 to 170 degrees from side to side"
         raise ConfigError("--fov", f"{degrees:g} degrees were given", hint)
     focal = width / 2 / math.tan(math.radians(degrees) / 2)
-    across, down = (width - 1) / 2, (height - 1) / 2
-    return Lens(
-        width=width, height=height, focal_x=focal, focal_y=focal, centre_x=across, centre_y=down
-    )
+    x, y = (width - 1) / 2, (height - 1) / 2
+    return Lens(width=width, height=height, focal_x=focal, focal_y=focal, centre_x=x, centre_y=y)
 
 
 @dataclass(frozen=True)
@@ -112,8 +106,8 @@ class Pose:
         position: of the camera in the robot's frame, metres; z is the height above the ground.
     """
 
-    axes: tuple[Triple, Triple, Triple]
-    position: Triple
+    axes: tuple[_Vector, _Vector, _Vector]
+    position: _Vector
 
     @property
     def pitch(self) -> float:
@@ -146,14 +140,14 @@ def mounted(
     sine, cosine = math.sin(math.radians(pitch)), math.cos(math.radians(pitch))
     right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
     turn, level = math.sin(math.radians(roll)), math.cos(math.radians(roll))
-    rows = (level * right + turn * down, level * down - turn * right, (cosine, 0.0, -sine))
-    return pose_of(np.array(rows), np.array([*mount, height]))
+    axes = (level * right + turn * down, level * down - turn * right, (cosine, 0.0, -sine))
+    return make_pose(np.array(axes), np.array([*mount, height]))
 
 
-def pose_of(axes: np.ndarray, position: np.ndarray) -> Pose:
+def make_pose(axes: np.ndarray, position: np.ndarray) -> Pose:
     """Return the pose with axes (3, 3), one per row, and position (3,), as in ``Pose``."""
-    x, y, z, place = (tuple(row) for row in [*axes.tolist(), position.tolist()])
-    return Pose((x, y, z), place)
+    x, y, z, origin = (tuple(row) for row in [*axes.tolist(), position.tolist()])
+    return Pose((x, y, z), origin)
 
 
 @dataclass(frozen=True)
@@ -163,7 +157,7 @@ class GroundCamera:
     lens: Lens
     pose: Pose
 
-    def pixels_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project points (n, 3), metres in the robot's frame, into the image.
 
         Returns:
@@ -171,20 +165,20 @@ class GroundCamera:
             behind the camera, outside the image, and where the distortion is not invertible.
         """
         rays = (points - self.pose.position) @ np.array(self.pose.axes).T
-        ahead = rays[:, 2] > MIN_DISTANCE
+        ahead = rays[:, 2] > MIN_DEPTH
         rays = np.where(ahead[:, None], rays, (0.0, 0.0, 1.0))
         pixels = distorted(self.lens, rays[:, :2] / rays[:, 2:])
         inside = (pixels >= -0.5).all(1) & (pixels[:, 0] < self.lens.width - 0.5)
         inside &= (pixels[:, 1] < self.lens.height - 0.5) & ahead
         if self.lens.coefficients and inside.any():
-            again = undistorted(self.lens, pixels[inside])
-            missed = np.abs(again - rays[inside, :2] / rays[inside, 2:]).max(1)
-            inside[inside] = missed * self.lens.focal_x < MAX_MISS
+            undistorted = undistort_points(self.lens, pixels[inside])
+            errors = np.abs(undistorted - rays[inside, :2] / rays[inside, 2:]).max(1)
+            inside[inside] = errors * self.lens.focal_x < MAX_DISTORTION_ERROR
         return pixels, inside
 
-    def rays_of(self, pixels: np.ndarray) -> np.ndarray:
+    def unproject(self, pixels: np.ndarray) -> np.ndarray:
         """Return the directions (n, 3) of pixels (n, 2) in the robot's frame, not normalised."""
-        plane = undistorted(self.lens, pixels)
+        plane = undistort_points(self.lens, pixels)
         return np.column_stack([plane, np.ones(len(plane))]) @ np.array(self.pose.axes)
 
 
@@ -192,33 +186,32 @@ def distorted(lens: Lens, plane: np.ndarray) -> np.ndarray:
     """Return the pixels (n, 2) of points (n, 2) on the plane one metre ahead (OpenCV's models)."""
     if not lens.coefficients:
         return plane * (lens.focal_x, lens.focal_y) + (lens.centre_x, lens.centre_y)
-    none, bent = np.zeros(3), np.array(lens.coefficients)
+    zeros, coefficients = np.zeros(3), np.array(lens.coefficients)
     points = np.column_stack([plane, np.ones(len(plane))])[:, None]
     if lens.model == "equidistant":
-        return cv2.fisheye.projectPoints(points, none, none, lens.matrix, bent)[0][:, 0]
-    return cv2.projectPoints(points, none, none, lens.matrix, bent)[0][:, 0]
+        return cv2.fisheye.projectPoints(points, zeros, zeros, lens.matrix, coefficients)[0][:, 0]
+    return cv2.projectPoints(points, zeros, zeros, lens.matrix, coefficients)[0][:, 0]
 
 
-def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+def undistort_points(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Return the points (n, 2) of pixels (n, 2) on the plane one metre ahead of the lens."""
     if not lens.coefficients:
         return (pixels - (lens.centre_x, lens.centre_y)) / (lens.focal_x, lens.focal_y)
-    bent, criteria = np.array(lens.coefficients), (3, 50, 1e-9)  # 3: both count and precision
+    coefficients, criteria = np.array(lens.coefficients), (3, 50, 1e-9)  # 3: count and precision
     points = np.ascontiguousarray(pixels, np.float64)[:, None]
-    if lens.model == "equidistant":
-        return cv2.fisheye.undistortPoints(points, lens.matrix, bent, criteria=criteria)[:, 0]
-    return cv2.undistortPoints(points, lens.matrix, bent, criteria=criteria)[:, 0]
+    undistort = cv2.fisheye.undistortPoints if lens.model == "equidistant" else cv2.undistortPoints
+    return undistort(points, lens.matrix, coefficients, criteria=criteria)[:, 0]
 
 
-def pitch_of_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
+def pitch_from_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
     """Return the pitch in degrees at which the horizon crosses the principal column in a row.
 
     horizon: fraction of the height from the top; roll in degrees. Raises ConfigError for a row
     outside the image.
     """
     if not 0 <= horizon <= 1:
-        hint = "it is a share of the height, 0 to 1; else give --pitch"
+        hint = "give a fraction of the height, 0 to 1, or --pitch"
         raise ConfigError("horizon", f"{horizon:g} lies outside the image", hint)
     row = horizon * lens.height - 0.5
-    down = undistorted(lens, np.array([[lens.centre_x, row]]))[0, 1]
-    return math.degrees(math.atan(-float(down) * math.cos(math.radians(roll))))
+    slope = undistort_points(lens, np.array([[lens.centre_x, row]]))[0, 1]
+    return math.degrees(math.atan(-float(slope) * math.cos(math.radians(roll))))

@@ -21,37 +21,38 @@ from roadtorch.base.settings import Settings
 from roadtorch.camera.ground import GroundCamera
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # values of cells, those of nav_msgs/OccupancyGrid
-ALONG, ACROSS = 2, 4  # samples per cell, along a ray and, at the farthest, from ray to ray
+SAMPLES_ALONG = 2  # samples per cell along a ray
+SAMPLES_ACROSS = 4  # rays per cell at the largest distance
 MIN_CELLS, MAX_CELLS = 4, 2000  # cells ahead of the camera
 MAX_SAMPLES = 2**24  # of all rays: some seconds, and a gigabyte
-MIN_SEEN = 0.5  # share of a cell's samples that an image must show
-
-JOINED, BETWEEN = 4, 8
-"""Cells that the ends of neighbouring rays may lie apart and still form one edge, and the number of
-points inserted between them.
-"""
-
+MIN_VISIBLE_FRACTION = 0.5  # fraction of a cell's samples that are visible
+MAX_GAP_CELLS = 4  # cells between the ends of neighbouring rays that form one edge
+GAP_POINTS = 8  # points inserted between those ends
 MAX_HALVINGS = 8  # of the image, for cells that cover many of its pixels
+BORDER_SAMPLES = 64  # pixels of each side of the image whose rays bound the view
 
-BORDER = 64  # pixels of each side of the image whose rays bound the view
-
-Length = Annotated[float, Field(gt=0, le=1000)]
+_Metres = Annotated[float, Field(gt=0, le=1000)]
 
 
 class GridSettings(Settings):
     """Extent and resolution of the grid, and the threshold of road."""
 
     resolution: float = Field(default=0.1, ge=0.005, le=10, description="side of a cell, metres")
-    range: Length = Field(default=30.0, description="metres ahead of the camera")
-    side: Length = Field(default=15.0, description="metres to its left, and to its right")
-    coarsest: float = Field(
-        default=10.0, gt=0, le=1000, description="cells that one pixel may cover; beyond: unknown"
+    range: _Metres = Field(default=30.0, description="metres ahead of the camera")
+    side: _Metres = Field(default=15.0, description="metres to each side of the camera")
+    max_cells_per_pixel: float = Field(
+        default=10.0,
+        gt=0,
+        le=1000,
+        description="most cells that a pixel covers; others are unknown",
     )
-    threshold: float = Field(default=0.5, ge=0, le=1, description="road from this mean on")
+    threshold: float = Field(
+        default=0.5, ge=0, le=1, description="mean likelihood from which a cell is road"
+    )
 
     @field_validator("range")
     @classmethod
-    def _is_some_cells(cls, value: float, info: ValidationInfo) -> float:
+    def _check_cells(cls, value: float, info: ValidationInfo) -> float:
         cells = value / info.data.get("resolution", 0.1)
         if not MIN_CELLS <= cells <= MAX_CELLS:
             raise ValueError(f"give {MIN_CELLS} to {MAX_CELLS} times the resolution")
@@ -101,42 +102,41 @@ def ground_grid(
         raise InputError(
             "road", problem, "give a map of the lens's size, or lens.at(width, height)"
         )
-    places = ray_places(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
-    likelihood = _looked_up(road.float(), places)
-    visible = places.inside
+    rays = sample_rays(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
+    likelihood = _sample_bilinear(road.float(), rays)
+    visible = rays.inside
     if ego is not None:
-        visible = visible & (_looked_up(ego.float(), places) < 0.5)
-    likelihood, visible = _cell_means(likelihood, visible, places, settings)
-    distance = (places.distance[1:] + places.distance[:-1]) / 2
+        visible = visible & (_sample_bilinear(ego.float(), rays) < 0.5)
+    likelihood, visible = _cell_means(likelihood, visible, rays, settings)
+    distance = (rays.distance[1:] + rays.distance[:-1]) / 2
     ends = visible & (likelihood < settings.threshold)
-    free = distance[ends.int().argmax(0)] - size / (2 * ALONG)
-    free = torch.where(ends.any(0), free, math.inf)  # where a ray's first cell of no road begins
-    # The cells' middles, seen from the camera's foot.
+    free = distance[ends.int().argmax(0)] - size / (2 * SAMPLES_ALONG)
+    free = torch.where(ends.any(0), free, math.inf)  # start of a ray's first cell without road
+    # Polar coordinates of the cells' centres around the camera's foot.
     columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
     x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
     y = ((torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size)[:, None]
-    away, azimuth = torch.hypot(x, y), torch.atan2(y, x)
-    index = ((away - distance[0]) / (distance[1] - distance[0])).round().long()
-    turn = places.azimuth[1] - places.azimuth[0]
-    ray = ((azimuth - places.azimuth[0]) / turn).round().long()
-    inside = (index >= 0) & (index < len(distance)) & (ray >= 0) & (ray < len(places.azimuth))
-    index, ray = index.clamp(0, len(distance) - 1), ray.clamp(0, len(places.azimuth) - 1)
-    known = inside & visible[index, ray] & (away < free[ray])
-    cells = torch.where(known, FREE, UNKNOWN).to(torch.int8)
-    edge = _edge_cells(free, places.azimuth, size, cells.shape)
+    radius, azimuth = torch.hypot(x, y), torch.atan2(y, x)
+    index = ((radius - distance[0]) / (distance[1] - distance[0])).round().long()
+    turn = rays.azimuth[1] - rays.azimuth[0]
+    ray = ((azimuth - rays.azimuth[0]) / turn).round().long()
+    inside = (index >= 0) & (index < len(distance)) & (ray >= 0) & (ray < len(rays.azimuth))
+    index, ray = index.clamp(0, len(distance) - 1), ray.clamp(0, len(rays.azimuth) - 1)
+    is_free = inside & visible[index, ray] & (radius < free[ray])
+    cells = torch.where(is_free, FREE, UNKNOWN).to(torch.int8)
+    edge = _edge_cells(free, rays.azimuth, size, cells.shape)
     cells[edge] = OCCUPIED
     foot = camera.pose.position
     origin = (foot[0], foot[1] - rows / 2 * size)
-    return Grid(
-        cells, likelihood[index, ray].where(known | (edge & inside), math.nan), size, origin
-    )
+    likelihood = likelihood[index, ray].where(is_free | (edge & inside), math.nan)
+    return Grid(cells, likelihood, size, origin)
 
 
-# --- where rays are in the image ------------------------------------------------------
+# --- rays in the image ----------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class RayPlaces:
+class RaySamples:
     """Pixels of the samples of all rays. Cached: do not change them.
 
     azimuth (B,), radians, and distance (K+1,), metres, of samples. columns, rows: float32 (K+1, B).
@@ -153,31 +153,31 @@ class RayPlaces:
 
 
 @lru_cache(maxsize=2)  # some 10 MB each; the images of one camera come one after the other
-def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
+def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
     """Return the pixels at which a camera sees its rays' samples; InputError without ground."""
-    low, high = _view(camera)
-    count = math.ceil((high - low) / (settings.resolution / settings.range / ACROSS)) + 2
+    low, high = _azimuth_range(camera)
+    count = math.ceil((high - low) / (settings.resolution / settings.range / SAMPLES_ACROSS)) + 2
     azimuth = np.linspace(low, high, count)
     reach = math.hypot(settings.range, min(settings.side, settings.range))
-    step = settings.resolution / ALONG
+    step = settings.resolution / SAMPLES_ALONG
     distance = (np.arange(math.ceil(reach / step) + 1) + 0.5) * step
     if len(distance) * count > MAX_SAMPLES:
         problem = f"{len(distance) * count} samples are too many"
-        raise InputError("grid", problem, "give a coarser resolution, or less ahead")
+        raise InputError("grid", problem, "give a coarser resolution or a shorter range")
     direction = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], 1)
     foot = np.array([*camera.pose.position[:2], 0.0])
     points = (foot + distance[:, None, None] * direction).reshape(-1, 3)
-    pixels, inside = camera.pixels_of(points)
+    pixels, inside = camera.project(points)
     pixels, inside = pixels.reshape(-1, count, 2), inside.reshape(-1, count)
-    apart = np.linalg.norm(np.diff(pixels, axis=0, append=pixels[-1:]), axis=2)
-    inside &= apart * ALONG * settings.coarsest >= 1
+    spacing = np.linalg.norm(np.diff(pixels, axis=0, append=pixels[-1:]), axis=2)
+    inside &= spacing * SAMPLES_ALONG * settings.max_cells_per_pixel >= 1
     if not inside.any():
         problem = f"shows no ground within {settings.range:g} m"
         raise InputError("image", problem, "check height, pitch and field of view")
-    typical = (apart * inside).sum(1) / np.maximum(inside.sum(1), 1)
-    halvings = np.floor(np.log2(np.clip(typical, 1, 2**MAX_HALVINGS))).astype(int)
+    mean_spacing = (spacing * inside).sum(1) / np.maximum(inside.sum(1), 1)
+    halvings = np.floor(np.log2(np.clip(mean_spacing, 1, 2**MAX_HALVINGS))).astype(int)
     columns, rows = (np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1))
-    return RayPlaces(
+    return RaySamples(
         torch.from_numpy(azimuth),
         torch.from_numpy(distance),
         columns,
@@ -187,16 +187,16 @@ def ray_places(camera: GroundCamera, settings: GridSettings) -> RayPlaces:
     )
 
 
-def _view(camera: GroundCamera) -> tuple[float, float]:
+def _azimuth_range(camera: GroundCamera) -> tuple[float, float]:
     """Return the least and greatest azimuth, radians, of the visible ground, at most ±π/2."""
     width, height = camera.lens.width, camera.lens.height
     foot = np.array([[*camera.pose.position[:2], 0.0]])
-    if camera.pixels_of(foot)[1].any():
+    if camera.project(foot)[1].any():
         return -math.pi / 2, math.pi / 2
-    across, down = np.linspace(0, width - 1, BORDER), np.linspace(0, height - 1, BORDER)
-    sides = [(across, np.full(BORDER, end)) for end in (0, height - 1)]
-    sides += [(np.full(BORDER, end), down) for end in (0, width - 1)]
-    rays = camera.rays_of(np.concatenate([np.column_stack(side) for side in sides]))
+    x, y = (np.linspace(0, end - 1, BORDER_SAMPLES) for end in (width, height))
+    sides = [(x, np.full(BORDER_SAMPLES, end)) for end in (0, height - 1)]
+    sides += [(np.full(BORDER_SAMPLES, end), y) for end in (0, width - 1)]
+    rays = camera.unproject(np.concatenate([np.column_stack(side) for side in sides]))
     rays = rays[rays[:, 2] < 0]
     azimuth = np.clip(np.arctan2(rays[:, 1], rays[:, 0]), -math.pi / 2, math.pi / 2)
     if azimuth.size == 0 or azimuth.max() - azimuth.min() < 1e-3:
@@ -204,29 +204,29 @@ def _view(camera: GroundCamera) -> tuple[float, float]:
     return float(azimuth.min()), float(azimuth.max())
 
 
-# --- what is seen there -----------------------------------------------------------------
+# --- values along rays ------------------------------------------------------------------
 
 
-def _looked_up(values: Tensor, places: RayPlaces) -> Tensor:
+def _sample_bilinear(values: Tensor, rays: RaySamples) -> Tensor:
     """Sample values (H, W) at (K+1, B), bilinearly; near the camera means of many pixels."""
     source = values.detach().cpu().contiguous().numpy()
     height, width = source.shape
-    samples = np.empty(places.columns.shape, np.float32)
-    for halvings in range(int(places.halvings.max()) + 1):
+    samples = np.empty(rays.columns.shape, np.float32)
+    for halvings in range(int(rays.halvings.max()) + 1):
         if halvings:
             size = (math.ceil(source.shape[1] / 2), math.ceil(source.shape[0] / 2))
             source = cv2.resize(source, size, interpolation=cv2.INTER_AREA)
-        at = places.halvings == halvings
+        at = rays.halvings == halvings
         if at.any():
-            columns = (places.columns[at] + 0.5) * (source.shape[1] / width) - 0.5
-            rows = (places.rows[at] + 0.5) * (source.shape[0] / height) - 0.5
+            columns = (rays.columns[at] + 0.5) * (source.shape[1] / width) - 0.5
+            rows = (rays.rows[at] + 0.5) * (source.shape[0] / height) - 0.5
             border = cv2.BORDER_REPLICATE
             samples[at] = cv2.remap(source, columns, rows, cv2.INTER_LINEAR, borderMode=border)
     return torch.from_numpy(samples)
 
 
 def _cell_means(
-    values: Tensor, visible: Tensor, places: RayPlaces, settings: GridSettings
+    values: Tensor, visible: Tensor, rays: RaySamples, settings: GridSettings
 ) -> tuple[Tensor, Tensor]:
     """Return means of samples (K+1, B) over a cell's length and width, (K, B), and visible ones.
 
@@ -235,16 +235,16 @@ def _cell_means(
     weight = visible.double()
     sums = torch.stack([values * weight, weight]).cumsum(2)
     sums = torch.nn.functional.pad(sums, (1, 0))
-    turn = float(places.azimuth[1] - places.azimuth[0])
-    half = (settings.resolution / 2 / places.distance / turn).round().long()[:, None]
-    number = torch.arange(values.shape[1])
-    right = (number + half + 1).clamp_max(values.shape[1])
-    left = (number - half).clamp_min(0)
-    total = sums.gather(2, right.expand(2, -1, -1)) - sums.gather(2, left.expand(2, -1, -1))
+    turn = float(rays.azimuth[1] - rays.azimuth[0])
+    half = (settings.resolution / 2 / rays.distance / turn).round().long()[:, None]
+    ray = torch.arange(values.shape[1])
+    end = (ray + half + 1).clamp_max(values.shape[1])
+    start = (ray - half).clamp_min(0)
+    total = sums.gather(2, end.expand(2, -1, -1)) - sums.gather(2, start.expand(2, -1, -1))
     total = total[:, 1:] + total[:, :-1]
-    width = (right - left)[1:] + (right - left)[:-1]
+    width = (end - start)[1:] + (end - start)[:-1]
     mean = total[0] / total[1].clamp_min(1e-9)
-    return mean.float(), total[1] >= MIN_SEEN * width
+    return mean.float(), total[1] >= MIN_VISIBLE_FRACTION * width
 
 
 def _edge_cells(free: Tensor, azimuth: Tensor, size: float, shape: torch.Size) -> Tensor:
@@ -254,15 +254,15 @@ def _edge_cells(free: Tensor, azimuth: Tensor, size: float, shape: torch.Size) -
     rays close the gaps, but not at a corner, where one end is much nearer and what lies between is
     unknown.
     """
-    ends = free + size / (2 * ALONG)
-    joined = (ends[1:] - ends[:-1]).abs() <= JOINED * size
-    share = torch.linspace(0, 1, BETWEEN, dtype=torch.float64)[:, None]
-    away = torch.cat([ends, torch.lerp(ends[:-1], ends[1:], share)[:, joined].reshape(-1)])
-    turned = torch.lerp(azimuth[:-1], azimuth[1:], share)[:, joined].reshape(-1)
-    turned = torch.cat([azimuth, turned])[away.isfinite()]
-    away = away[away.isfinite()]
-    column = (away * turned.cos() / size).floor().long()
-    row = ((away * turned.sin() + shape[0] / 2 * size) / size).floor().long()
+    ends = free + size / (2 * SAMPLES_ALONG)
+    joined = (ends[1:] - ends[:-1]).abs() <= MAX_GAP_CELLS * size
+    weight = torch.linspace(0, 1, GAP_POINTS, dtype=torch.float64)[:, None]
+    radius = torch.cat([ends, torch.lerp(ends[:-1], ends[1:], weight)[:, joined].reshape(-1)])
+    angle = torch.lerp(azimuth[:-1], azimuth[1:], weight)[:, joined].reshape(-1)
+    angle = torch.cat([azimuth, angle])[radius.isfinite()]
+    radius = radius[radius.isfinite()]
+    column = (radius * angle.cos() / size).floor().long()
+    row = ((radius * angle.sin() + shape[0] / 2 * size) / size).floor().long()
     inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
     cells = torch.zeros(shape, dtype=torch.bool)
     cells[row[inside], column[inside]] = True

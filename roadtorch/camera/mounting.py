@@ -18,14 +18,14 @@ from roadtorch.camera.calibration import (
     read_camera_info,
 )
 from roadtorch.camera.camera import Camera
-from roadtorch.camera.gradients import horizon_of
+from roadtorch.camera.gradients import estimate_horizon
 from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
     Pose,
     lens_of_view,
     mounted,
-    pitch_of_horizon,
+    pitch_from_horizon,
 )
 
 
@@ -90,7 +90,7 @@ class Placing:
     def through(self, lens: Lens) -> "Placing":
         """Return a copy with a lens; ConfigError if the horizon exceeds the limits of the pitch."""
         if self.horizon is not None and self.pitch is None:
-            self.mounting.pose(pitch_of_horizon(lens, self.horizon, self.mounting.roll))
+            self.mounting.pose(pitch_from_horizon(lens, self.horizon, self.mounting.roll))
         return replace(self, lens=lens)
 
     @property
@@ -100,8 +100,8 @@ class Placing:
             facts = {"calibration": asdict(self.calibration), "mount": self.mounting.mount}
         else:
             lens = None if self.lens is None else self.lens.model_dump()
-            own = asdict(replace(self.mounting, camera=None, camera_info=None))
-            facts = {**own, "horizon": self.horizon, "lens": lens}
+            options = asdict(replace(self.mounting, camera=None, camera_info=None))
+            facts = {**options, "horizon": self.horizon, "lens": lens}
         return f"# {json.dumps({name: fact for name, fact in facts.items() if fact is not None})}"
 
     def __call__(self, image: Tensor, layout: Tensor | None) -> tuple[GroundCamera, Pitch]:
@@ -116,19 +116,20 @@ class Placing:
             lens = self.lens.at(width, height)
         pitch = self.pitch
         if pitch is None and self.horizon is not None:
-            degrees = pitch_of_horizon(lens, self.horizon, self.mounting.roll)
+            degrees = pitch_from_horizon(lens, self.horizon, self.mounting.roll)
             pitch = Pitch(degrees, f"horizon at row {self.horizon:.3f} of the camera's file")
-        pitch = pitch or self._of_layout(lens, image, layout)
+        pitch = pitch or self._estimate_pitch(lens, image, layout)
         return GroundCamera(lens, self.mounting.pose(pitch.degrees)), pitch
 
-    def _of_layout(self, lens: Lens, image: Tensor, layout: Tensor | None) -> Pitch:
+    def _estimate_pitch(self, lens: Lens, image: Tensor, layout: Tensor | None) -> Pitch:
         if layout is None or layout.ndim != 3:
             hint = "give --pitch or --camera, or a detector with a layout, such as fusion"
-            raise InputError("image", "has no layout by this detector to tell the pitch", hint)
-        row, spread = horizon_of(image, layout)
-        unsure = math.degrees(math.atan(spread * lens.height / lens.focal_y))
-        reason = f"horizon at row {row:.3f} of the layout, unsure by {unsure:.1f} degrees"
-        return Pitch(pitch_of_horizon(lens, row, self.mounting.roll), reason, unsure)
+            problem = "has no layout from this detector to estimate the pitch"
+            raise InputError("image", problem, hint)
+        row, deviation = estimate_horizon(image, layout)
+        deviation = math.degrees(math.atan(deviation * lens.height / lens.focal_y))
+        reason = f"horizon at row {row:.3f} of the layout, unsure by {deviation:.1f} degrees"
+        return Pitch(pitch_from_horizon(lens, row, self.mounting.roll), reason, deviation)
 
 
 def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
@@ -136,24 +137,21 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
 
     Raises ConfigError for missing, contradictory or invalid options, and the errors of the readers.
     """
-    ways = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
-    ways["--calibration"] = mounting.calibration
-    named = [name for name, value in ways.items() if value is not None]
-    hint = f"give one of {', '.join(ways)}"
-    if len(named) > 1:
-        raise ConfigError("grid", f"{' and '.join(named)} were given", hint)
+    lenses = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
+    lenses["--calibration"] = mounting.calibration
+    options = [name for name, value in lenses.items() if value is not None]
+    hint = f"give one of {', '.join(lenses)}"
+    if len(options) > 1:
+        raise ConfigError("grid", f"{' and '.join(options)} were given", hint)
     if mounting.calibration is not None:
-        own = {
-            "--height": mounting.height,
-            "--pitch": mounting.pitch,
-            "--roll": mounting.roll or None,
-        }
-        for name in (name for name, value in own.items() if value is not None):
-            problem = "was given beside --calibration, which has it"
+        pose = {"--height": mounting.height, "--pitch": mounting.pitch}
+        pose["--roll"] = mounting.roll or None
+        for name in (name for name, value in pose.items() if value is not None):
+            problem = "conflicts with --calibration, which includes it"
             raise ConfigError(name, problem, "leave it out")
         return Placing(mounting, read_calibration(mounting.calibration))
-    if not named and not of_bags:
-        raise ConfigError("grid", "nothing tells the lens", hint)
+    if not options and not of_bags:
+        raise ConfigError("grid", "the lens is not specified", hint)
     mounting.pose(mounting.pitch or 0.0)
     if mounting.fov is not None:
         lens_of_view(2, 2, mounting.fov)
@@ -168,7 +166,7 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
 def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
     """Return one pitch for a whole source: estimates jitter, but a robot's camera does not."""
     degrees = [pitch.degrees for pitch in pitches]
-    spread = statistics.median(pitch.spread for pitch in pitches)
+    deviation = statistics.median(pitch.spread for pitch in pitches)
     reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"
-    reason += f" by the layout, unsure by {spread:.1f} degrees"
-    return Pitch(statistics.median(degrees), reason, spread)
+    reason += f" by the layout, unsure by {deviation:.1f} degrees"
+    return Pitch(statistics.median(degrees), reason, deviation)

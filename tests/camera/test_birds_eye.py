@@ -68,10 +68,11 @@ def test_a_file_is_read_whatever_else_it_holds(tmp_path):
     path, rows = tmp_path / "um_000000.txt", reference.made_up_rows()
     path.write_text(reference.calibration_text(rows))
 
-    found, wanted = read_calibration(path), reference.calibration(rows)
+    calibration, expected = read_calibration(path), reference.calibration(rows)
 
     for name in ("projection", "rectification", "camera_to_road"):
-        assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-12, abs=1e-12)
+        values = getattr(expected, name)
+        assert getattr(calibration, name) == pytest.approx(values, rel=1e-12, abs=1e-12)
 
 
 # --- the kit's own numbers ---------------------------------------------------------------

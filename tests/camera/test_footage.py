@@ -11,7 +11,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.footage import camera_of, still_ego
-from roadtorch.camera.gradients import horizon_of
+from roadtorch.camera.gradients import estimate_horizon
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
@@ -66,35 +66,35 @@ def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     assert detector.settings.labeller.horizon == 0.3  # type: ignore[attr-defined]
 
 
-# --- what is no footage of one camera -------------------------------------------------------
+# --- footage that is not of one camera -------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("frames", "told"),
+    ("frames", "message"),
     [
         (drive()[:1], "footage: has one frame"),
         (drive()[:4], "footage: has 4 frames"),
-        ([drive()[0]] * 12, "footage: stands still"),
+        ([drive()[0]] * 12, "footage: is static"),
         ([*drive(), *drive(rise=0.1, height=90)], "several cameras: 160×120 and 160×90 pixels"),
         ([*drive(), *drive(rise=0)], "several cameras: 12 of 24 frames do not show the ego car"),
     ],
 )
-def test_what_is_not_footage_of_one_camera_is_refused(frames: list[Tensor], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_footage_of_several_cameras_or_none_is_refused(frames: list[Tensor], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         camera_of(frames)
 
 
 # --- real cameras ---------------------------------------------------------------------------
 
 
-def frames_of(data_root: Path, prefix: str, most: int = 20) -> list[Tensor]:
+def read_frames(data_root: Path, prefix: str, most: int = 20) -> list[Tensor]:
     files = sorted((data_root / "unlabelled_free").glob(f"{prefix}_*.jpg"))
     return [read_image(path) for path in files[:most]]
 
 
 @pytest.mark.data
 def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
-    camera = camera_of(frames_of(data_root, "udhwy"))
+    camera = camera_of(read_frames(data_root, "udhwy"))
 
     assert camera.seed_row == pytest.approx(0.95, abs=0.025)
 
@@ -102,7 +102,7 @@ def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
 @pytest.mark.data
 @pytest.mark.parametrize("prefix", ["udlane", "driveai_us", "dnit_br", "s2tld", "lund"])
 def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
-    assert camera_of(frames_of(data_root, prefix, 12)).ego.outline == ()
+    assert camera_of(read_frames(data_root, prefix, 12)).ego.outline == ()
 
 
 # --- the horizon of an image -----------------------------------------------------------
@@ -113,28 +113,30 @@ def potentials(layout: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4, 14])
-def test_a_true_layout_tells_the_horizon(seed: int) -> None:
+def test_a_true_layout_gives_the_horizon(seed: int) -> None:
     scene = render_scene(seed)
 
-    found = horizon_of(scene.image, potentials(scene.layout))
+    horizon = estimate_horizon(scene.image, potentials(scene.layout))
 
-    assert found.row == pytest.approx(sample_street(np.random.default_rng(seed)).horizon, abs=0.04)
-    assert found.spread >= 0.025
+    assert horizon.row == pytest.approx(
+        sample_street(np.random.default_rng(seed)).horizon, abs=0.04
+    )
+    assert horizon.spread >= 0.025
 
 
 @pytest.mark.parametrize(
-    ("top", "told"),
+    ("top", "message"),
     [
         (119, "too little ground"),
         (0, "ground up to its upper edge"),
         (110, "lines that meet at row"),
     ],
 )
-def test_what_no_horizon_can_be_told_from_is_refused(top: int, told: str) -> None:
+def test_a_layout_without_a_horizon_is_refused(top: int, message: str) -> None:
     image = render_scene(3, 120, 160).image
     layout = torch.zeros(120, 160)
     layout[top:] = HORIZONTAL
-    layout[:, : (150 if told.startswith("too") else 0)] = 0
+    layout[:, : (150 if message.startswith("too") else 0)] = 0
 
-    with pytest.raises(InputError, match=told):
-        horizon_of(image, potentials(layout))
+    with pytest.raises(InputError, match=message):
+        estimate_horizon(image, potentials(layout))

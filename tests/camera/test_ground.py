@@ -13,12 +13,12 @@ from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.settings import build_settings
-from roadtorch.camera.birds_eye import cell_to_road, project
+from roadtorch.camera.birds_eye import cell_centres, transform_points
 from roadtorch.camera.calibration import (
     Calibration,
     kitti_ground_camera,
     read_camera_info,
-    road_to_image,
+    road_homography,
 )
 from roadtorch.camera.ground import (
     GroundCamera,
@@ -26,14 +26,14 @@ from roadtorch.camera.ground import (
     distorted,
     lens_of_view,
     mounted,
-    pitch_of_horizon,
-    undistorted,
+    pitch_from_horizon,
+    undistort_points,
 )
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
 from tests.reference import bev as reference
 
 LENS = lens_of_view(640, 480, 60)
-BENT = {
+DISTORTIONS = {
     "plumb_bob": (-0.3, 0.1, 0.001, -0.001, 0.0),
     "rational_polynomial": (0.1, 0.2, 0.0, 0.0, 0.01, 0.3, 0.1, 0.02),
     "equidistant": (0.05, -0.01, 0.001, 0.0),
@@ -44,14 +44,14 @@ def ground(*points: tuple[float, float]) -> np.ndarray:
     return np.array([[x, y, 0.0] for x, y in points])
 
 
-def bent(model: str) -> Lens:
-    values = {**LENS.model_dump(), "model": model, "coefficients": BENT[model]}
+def distorted_lens(model: str) -> Lens:
+    values = {**LENS.model_dump(), "model": model, "coefficients": DISTORTIONS[model]}
     return build_settings(Lens, values)
 
 
-def ground_of(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
+def ground_points(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
     """Return the ground points (n, 2), metres, of pixels (n, 2); NaN at and above the horizon."""
-    rays = camera.rays_of(pixels)
+    rays = camera.unproject(pixels)
     far = camera.pose.position[2] / np.where(rays[:, 2] < -1e-6, -rays[:, 2], np.nan)
     return np.array(camera.pose.position[:2]) + far[:, None] * rays[:, :2]
 
@@ -59,46 +59,47 @@ def ground_of(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
 def test_a_level_camera_by_hand() -> None:
     camera = GroundCamera(LENS, mounted(1.4, 0))
 
-    pixels, inside = camera.pixels_of(ground((10, 0), (10, 2), (-10, 0), (1, 0)))
+    pixels, inside = camera.project(ground((10, 0), (10, 2), (-10, 0), (1, 0)))
 
     assert pixels[0] == pytest.approx([319.5, 239.5 + LENS.focal_x * 0.14])
     assert pixels[1, 0] == pytest.approx(319.5 - LENS.focal_x * 0.2)  # left is left
     assert inside.tolist() == [True, True, False, False]
     sky = np.array([[300.0, 100.0], [300.0, 239.5]])
-    assert np.isnan(ground_of(camera, sky)).all()
+    assert np.isnan(ground_points(camera, sky)).all()
     # A lower right side lifts the horizon there.
     rolled = GroundCamera(LENS, mounted(1.4, 0, roll=10))
-    right, left = rolled.rays_of(np.array([[600.0, 239.5], [40.0, 239.5]]))
-    assert right[2] < 0 < left[2]
+    right_ray, left_ray = rolled.unproject(np.array([[600.0, 239.5], [40.0, 239.5]]))
+    assert right_ray[2] < 0 < left_ray[2]
 
 
 @given(pitch=st.floats(-10, 60), roll=st.floats(-20, 20), x=st.floats(2, 30), y=st.floats(-5, 5))
 def test_pixels_come_back_to_their_ground(pitch: float, roll: float, x: float, y: float) -> None:
     camera = GroundCamera(LENS, mounted(1.4, pitch, roll, (0.5, -0.2)))
-    pixels, inside = camera.pixels_of(ground((x, y)))
+    pixels, inside = camera.project(ground((x, y)))
 
     if inside.all():
-        assert ground_of(camera, pixels)[0] == pytest.approx([x, y], abs=1e-6)
+        assert ground_points(camera, pixels)[0] == pytest.approx([x, y], abs=1e-6)
 
 
-@pytest.mark.parametrize("model", BENT)
+@pytest.mark.parametrize("model", DISTORTIONS)
 def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> None:
-    camera = GroundCamera(bent(model), mounted(1.4, 10))
+    camera = GroundCamera(distorted_lens(model), mounted(1.4, 10))
     pixels = np.random.default_rng(0).uniform(0, 479, (500, 2))
     points = ground((5, 1), (8, -2), (20, 3))
 
-    there, inside = camera.pixels_of(points)
+    projected, inside = camera.project(points)
 
-    assert np.abs(distorted(camera.lens, undistorted(camera.lens, pixels)) - pixels).max() < 1e-3
+    undistorted = undistort_points(camera.lens, pixels)
+    assert np.abs(distorted(camera.lens, undistorted) - pixels).max() < 1e-3
     assert inside.all()
-    assert ground_of(camera, there) == pytest.approx(points[:, :2], abs=1e-4)
+    assert ground_points(camera, projected) == pytest.approx(points[:, :2], abs=1e-4)
 
 
 def test_distortion_that_turns_back_shows_nothing() -> None:
-    camera = GroundCamera(bent("plumb_bob"), mounted(1.4, 60))
+    camera = GroundCamera(distorted_lens("plumb_bob"), mounted(1.4, 60))
     wide = ground((0.9, 3.0))  # 70 degrees off the axis, where the polynomial has turned
 
-    pixels, inside = camera.pixels_of(wide)
+    pixels, inside = camera.project(wide)
 
     assert not inside.any()
     assert np.isfinite(pixels).all()
@@ -109,21 +110,21 @@ def test_the_horizon_gives_the_pitch(pitch: float, roll: float) -> None:
     level = math.tan(math.radians(pitch)) / math.cos(math.radians(roll))
     row = (239.5 - LENS.focal_y * level + 0.5) / 480
 
-    assert pitch_of_horizon(LENS, row, roll) == pytest.approx(pitch, abs=1e-9)
+    assert pitch_from_horizon(LENS, row, roll) == pytest.approx(pitch, abs=1e-9)
 
 
 @pytest.mark.parametrize(
     ("call", "problem"),
     [
-        (lambda: pitch_of_horizon(LENS, 1.2), "horizon: 1.2 lies outside the image"),
+        (lambda: pitch_from_horizon(LENS, 1.2), "horizon: 1.2 lies outside the image"),
         (lambda: build_settings(Lens, {**LENS.model_dump(), "model": "plumb_bob"}), "coefficients"),
         (lambda: LENS.at(640, 360), "is 640×360 pixels, the calibration 640×480"),
-        (lambda: kitti_ground_camera(KITTI, 20, 20), "the calibration's middle"),
-        (lambda: ground_grid(image_of(), UP, SETTINGS), "shows no ground"),
+        (lambda: kitti_ground_camera(KITTI, 20, 20), "the calibration's centre"),
+        (lambda: ground_grid(draw_mask(), UP, SETTINGS), "shows no ground"),
         (lambda: ground_grid(torch.ones(4, 5), CAMERA, SETTINGS), "is 5×4 pixels, the lens 240"),
     ],
 )
-def test_what_no_camera_has_is_refused(call: Callable[[], object], problem: str) -> None:
+def test_impossible_cameras_are_refused(call: Callable[[], object], problem: str) -> None:
     with pytest.raises((ConfigError, InputError), match=problem):
         call()
 
@@ -131,7 +132,7 @@ def test_what_no_camera_has_is_refused(call: Callable[[], object], problem: str)
 # --- calibration files ------------------------------------------------------------------
 
 
-WRITTEN = """
+CALIBRATION_YAML = """
 image_width: 640
 image_height: 480
 camera_name: front
@@ -145,7 +146,7 @@ distortion_coefficients:
   cols: 5
   data: [-0.3, 0.1, 0.001, -0.001, 0]
 """
-PRINTED = """
+PRINTED_MESSAGE = """
 header:
   frame_id: camera
 height: 480
@@ -160,10 +161,10 @@ k: [500.0, 0.0, 320.5, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0]
 @pytest.mark.parametrize(
     ("text", "model", "coefficients"),
     [
-        (WRITTEN, "plumb_bob", (-0.3, 0.1, 0.001, -0.001, 0)),
-        (WRITTEN.replace("-0.3, 0.1", "-0.3"), "plumb_bob", (-0.3, 0.001, -0.001, 0)),
-        (WRITTEN.replace("-0.3, 0.1, 0.001, -0.001, 0", "0,0,0"), "pinhole", ()),
-        (PRINTED, "equidistant", (0.05, -0.01, 0.001, 0)),
+        (CALIBRATION_YAML, "plumb_bob", (-0.3, 0.1, 0.001, -0.001, 0)),
+        (CALIBRATION_YAML.replace("-0.3, 0.1", "-0.3"), "plumb_bob", (-0.3, 0.001, -0.001, 0)),
+        (CALIBRATION_YAML.replace("-0.3, 0.1, 0.001, -0.001, 0", "0,0,0"), "pinhole", ()),
+        (PRINTED_MESSAGE, "equidistant", (0.05, -0.01, 0.001, 0)),
     ],
 )
 def test_info_files(text: str, model: str, coefficients: tuple[float, ...], tmp_path: Path) -> None:
@@ -178,21 +179,21 @@ def test_info_files(text: str, model: str, coefficients: tuple[float, ...], tmp_
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
-        (WRITTEN.replace("500, 0,", "0, 0,"), "is no lens: focal_x"),
-        (WRITTEN.replace("plumb_bob", "kannala"), "'kannala' is not known"),
-        (WRITTEN.replace("-0.3, ", ".nan, "), "input should be a finite number"),
-        (WRITTEN.replace("-0.3, 0.1, 0.001", "-0.3"), "plumb_bob has 4 or 5 coefficients"),
+        (CALIBRATION_YAML.replace("500, 0,", "0, 0,"), "is not a valid lens: focal_x"),
+        (CALIBRATION_YAML.replace("plumb_bob", "kannala"), "'kannala' is not known"),
+        (CALIBRATION_YAML.replace("-0.3, ", ".nan, "), "input should be a finite number"),
+        (CALIBRATION_YAML.replace("-0.3, 0.1, 0.001", "-0.3"), "plumb_bob has 4 or 5 coefficients"),
         ("!!python/object/apply:os.system ['true']", "is not YAML"),
     ],
 )
-def test_other_files_are_refused_by_name(tmp_path: Path, text: str, told: str) -> None:
+def test_other_files_are_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "info.yaml").write_text(text)
 
     with pytest.raises(RoadtorchError, match=r"info\.yaml: ") as error:
         read_camera_info(tmp_path / "info.yaml")
-    assert told in str(error.value)
+    assert message in str(error.value)
 
 
 # --- KITTI ------------------------------------------------------------------------------
@@ -214,13 +215,13 @@ def camera_centre(calibration: Calibration) -> np.ndarray:
 def test_the_ground_points_are_those_of_the_birds_eye_view() -> None:
     camera = kitti_ground_camera(KITTI, 160, 120)
     x, z = torch.broadcast_tensors(
-        *cell_to_road(torch.arange(0, 800, 7)[:, None], torch.arange(0, 400, 7)[None])
+        *cell_centres(torch.arange(0, 800, 7)[:, None], torch.arange(0, 400, 7)[None])
     )
-    u, v = project(road_to_image(KITTI), x, z)
+    u, v = transform_points(road_homography(KITTI), x, z)
 
     foot = camera_centre(KITTI)
     points = torch.stack([z - foot[2], foot[0] - x, torch.zeros_like(x)], -1).reshape(-1, 3)
-    pixels, _ = camera.pixels_of(points.numpy())
+    pixels, _ = camera.project(points.numpy())
 
     assert pixels == pytest.approx(torch.stack([u - 1, v - 1], -1).reshape(-1, 2).numpy(), abs=1e-6)
     assert camera.pose.position[:2] == (0, 0)
@@ -235,10 +236,10 @@ UP = GroundCamera(CAMERA.lens, mounted(1.4, -30))
 SETTINGS = GridSettings(resolution=0.2, range=16, side=6)
 
 
-def image_of(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor:
+def draw_mask(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor:
     """Return a mask bool (H, W) of the ground where ``inside`` (of x, y, metres) is false."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
-    ground = ground_of(camera, np.stack([columns.ravel(), rows.ravel()], 1).astype(float))
+    ground = ground_points(camera, np.stack([columns.ravel(), rows.ravel()], 1).astype(float))
     x, y = ground.T
     road = np.isfinite(x)
     if inside is not None:
@@ -275,7 +276,7 @@ REACH = math.sqrt(0.2 * CAMERA.lens.focal_x * 1.4)  # a pixel is r² / (f h) met
         # Where a pixel covers too many cells.
         (
             None,
-            {"coarsest": 1},
+            {"max_cells_per_pixel": 1},
             {FREE: [(4, 0), (REACH - 1, 0)], UNKNOWN: [(15, 0), (REACH + 1.5, 0)]},
         ),
     ],
@@ -285,7 +286,7 @@ def test_cells_are_free_occupied_or_unknown(
 ) -> None:
     settings = SETTINGS.model_copy(update=more)
 
-    grid = ground_grid(image_of(inside), CAMERA, settings)
+    grid = ground_grid(draw_mask(inside), CAMERA, settings)
 
     assert (grid.cells.shape, grid.origin) == ((60, 80), (0, -6))
     for value, points in cells.items():
@@ -296,34 +297,34 @@ def test_cells_are_free_occupied_or_unknown(
 
 
 def test_walls_have_no_gaps_and_shadows_no_walls() -> None:
-    ahead, beside, box = (
-        ground_grid(image_of(inside), CAMERA, SETTINGS).cells == OCCUPIED
+    ahead, sides, box = (
+        ground_grid(draw_mask(inside), CAMERA, SETTINGS).cells == OCCUPIED
         for inside in ("(x > 9) & (y > 0)", "abs(y) > 2", "(x > 5) & (x < 6) & (abs(y) < .5)")
     )
 
     assert ahead[32:45, 44:47].any(1).all()  # a row: .3 m
     assert not ahead[:29].any()
     for rows in (slice(38, 42), slice(18, 22)):
-        assert beside[rows, 30:60].any(0).all()
+        assert sides[rows, 30:60].any(0).all()
     assert not box[:, 40:].any()  # behind x = 8
 
 
 def test_the_order_is_that_of_an_occupancy_grid() -> None:
-    grid = ground_grid(image_of("y > 1"), CAMERA, SETTINGS)
+    grid = ground_grid(draw_mask("y > 1"), CAMERA, SETTINGS)
 
     assert grid.occupancy.dtype == torch.int8
     assert grid.occupancy[35 * 80 + 40] == cell(grid, 40.5 * 0.2, 35.5 * 0.2 - 6)
 
 
 def test_the_ego_car_is_unknown_and_hides_nothing() -> None:
-    grid = ground_grid(image_of() & ~EGO, CAMERA, SETTINGS, EGO)
+    grid = ground_grid(draw_mask() & ~EGO, CAMERA, SETTINGS, EGO)
 
     assert OCCUPIED not in grid.cells
     assert (cell(grid, 9, 0), cell(grid, 2.6, 0)) == (FREE, UNKNOWN)
 
 
 def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -> None:
-    dotted, road = image_of().float(), image_of().float() * 0.4
+    dotted, road = draw_mask().float(), draw_mask().float() * 0.4
     dotted[::3, ::3] = 0  # a ninth of the pixels
     low = SETTINGS.model_copy(update={"threshold": 0.3})
 
@@ -336,7 +337,7 @@ def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -
 
 def test_a_mount_moves_the_grid_with_the_camera() -> None:
     camera = GroundCamera(CAMERA.lens, mounted(1.4, 12, mount=(0.6, -0.4)))
-    moved = ground_grid(image_of("x > 9.6", camera), camera, SETTINGS)
+    moved = ground_grid(draw_mask("x > 9.6", camera), camera, SETTINGS)
 
     assert moved.origin == pytest.approx((0.6, -6.4))
     assert cell(moved, 9.1, -0.4) == FREE

@@ -38,7 +38,7 @@ MISTAKES = {
     "infer x.jpg --out x.png/below": "x.png/below: cannot be made a folder: ",
     "infer x.jpg --out loop": "loop: cannot be made a folder: ",
     # The ground
-    "grid x.jpg --out o": "grid: nothing tells the lens (give one of --fov, --camera-info, --cal",
+    "grid x.jpg --out o": "grid: the lens is not specified (give one of --fov, --camera-info",
     "grid x.jpg --out o --fov 60": "--height: is missing",
     "grid x.jpg --out o --fov 60 --camera-info a": "grid: --fov and --camera-info were given",
     "grid x.jpg --out o --fov 60 --height -1": "--height: -1 was given",
@@ -46,7 +46,7 @@ MISTAKES = {
     "grid x.jpg --out o --fov 60 --height 1 --pitch 95": "--pitch: 95 was given",
     "grid x.jpg --out o --fov 60 --height 1 --mount a": "--mount: 'a' was given",
     "grid x.jpg --out o --fov 60 --height 1 --range 0.1": "range: 0.1 was given",
-    "grid x.jpg --out o --calibration none --pitch 1": "--pitch: was given beside --calibration",
+    "grid x.jpg --out o --calibration none --pitch 1": "--pitch: conflicts with --calibration",
     # Learning and correcting
     "train --config xyz --images . --out o": "xyz: unknown config, and no file (known: adapt, back",
     "train --config adapt --images . --out o --set teacher.margi=1": (

@@ -130,5 +130,5 @@ def test_footage_that_does_not_tell_its_pitch(call: Call, drive: Path, out: Path
     result = call("grid", drive, *MAP, *TRIANGLE, "--out", out)
 
     assert result.exit_code == 1
-    told = f"failed: {drive}: has no layout by this detector to tell the pitch (give --pitch"
+    told = f"failed: {drive}: has no layout from this detector to estimate the pitch (give --pitch"
     assert told in result.stderr

@@ -76,4 +76,4 @@ def test_a_detector_without_layout_needs_a_pitch(call: Call, street: Path, out: 
     result = call("grid", street, "--out", out, *VIEW, "--detector", "cpf")
 
     assert result.exit_code == 1
-    assert "has no layout by this detector to tell the pitch" in result.stderr
+    assert "has no layout from this detector to estimate the pitch" in result.stderr
