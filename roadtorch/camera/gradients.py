@@ -210,7 +210,7 @@ GROUND_QUANTILE = 0.05  # fraction of columns that may be mislabelled above the 
 GROUND_BELOW_HORIZON = 0.025  # the median of 16 rendered streets and four images of KITTI
 MIN_GROUND_FRACTION = 0.25  # fraction of columns that have to end in ground
 MAX_DISAGREEMENT = 0.15  # between ground and vanishing point
-MIN_DEVIATION = 0.025  # root-mean-square error where they agree
+MIN_HORIZON_DEVIATION = 0.025  # root-mean-square error where they agree
 
 PITCH_HINT = "give --pitch, or --camera with a file of roadtorch camera"
 
@@ -249,4 +249,4 @@ def estimate_horizon(image: Tensor, layout: Tensor) -> Horizon:
     if abs(by_ground - meeting) > MAX_DISAGREEMENT:
         problem = f"has ground up to row {top:.2f}, but lines that meet at row {meeting:.2f}"
         raise InputError("image", problem, PITCH_HINT)
-    return Horizon((by_ground + by_lines) / 2, max(MIN_DEVIATION, abs(by_ground - meeting) / 2))
+    return Horizon((by_ground + by_lines) / 2, max(MIN_HORIZON_DEVIATION, abs(by_ground - meeting) / 2))
