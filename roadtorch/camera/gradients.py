@@ -249,4 +249,5 @@ def estimate_horizon(image: Tensor, layout: Tensor) -> Horizon:
     if abs(by_ground - meeting) > MAX_DISAGREEMENT:
         problem = f"has ground up to row {top:.2f}, but lines that meet at row {meeting:.2f}"
         raise InputError("image", problem, PITCH_HINT)
-    return Horizon((by_ground + by_lines) / 2, max(MIN_HORIZON_DEVIATION, abs(by_ground - meeting) / 2))
+    deviation = max(MIN_HORIZON_DEVIATION, abs(by_ground - meeting) / 2)
+    return Horizon((by_ground + by_lines) / 2, deviation)
