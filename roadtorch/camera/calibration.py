@@ -86,7 +86,9 @@ def lens_of_info(
         models = ", ".join(name for name in COEFFICIENT_COUNTS if name != "pinhole")
         raise ConfigError(path, f"distortion_model {model!r} is not known", f"known: {models}")
     names = ("width", "height", "focal_x", "centre_x", "focal_y", "centre_y")
-    values = dict(zip(names, (*size, matrix[0], matrix[2], matrix[4], matrix[5]), strict=True))
+    values: dict[str, Any] = dict(
+        zip(names, (*size, matrix[0], matrix[2], matrix[4], matrix[5]), strict=True)
+    )
     if any(distortion) and model != "pinhole":
         values |= {"model": model, "coefficients": tuple(distortion)}
     try:
