@@ -39,7 +39,7 @@ from roadtorch.layout.classes import CLASSES
 from roadtorch.layout.image_network import EGO, ROAD
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import keep, kept, key_of
-from roadtorch.train.augmentation import warp
+from roadtorch.train.augmentation import warp_affine
 from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.images import ImageRecipe
 from roadtorch.train.prepared import from_uint8, to_uint8
@@ -131,13 +131,13 @@ def varied(sample: Sample, at: np.random.Generator) -> Sample:
     move = at.uniform(-room, room, 2)
     theta = [[squeeze / zoom, 0, move[0]], [0, 1 / squeeze / zoom, move[1]]]
     frame = torch.tensor([theta], dtype=torch.float32)
-    image = warp(sample.image[None], frame, "border")[0].clamp(1e-4, 1)
+    image = warp_affine(sample.image[None], frame, "border")[0].clamp(1e-4, 1)
     gamma, tint = np.exp(at.normal(0, 0.3)), torch.from_numpy(np.exp(at.normal(0, 0.07, (3, 1, 1))))
     grey = image.mean(0, keepdim=True)
     image = (grey + at.uniform(0.4, 1.3) * (image - grey)).clamp(1e-4, 1) ** gamma
     image = (image * tint.float() * np.exp(at.normal(0, 0.15))).clamp(0, 1)
-    targets = warp(sample.targets[None], frame, "border")[0]
-    return Sample(image, targets, warp(sample.known[None], frame, "zeros")[0])
+    targets = warp_affine(sample.targets[None], frame, "border")[0]
+    return Sample(image, targets, warp_affine(sample.known[None], frame, "zeros")[0])
 
 
 class Seen(NamedTuple):

@@ -15,7 +15,7 @@ from roadtorch.base.atomic import digest_of, digest_of_folder
 from roadtorch.base.bounded import printable
 from roadtorch.base.errors import ConfigError, InputError
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Selection:
             if isinstance(items, Generator):
                 items.close()
 
-    def of_images(self, images: Sequence[Value]) -> Sequence[Value]:
+    def of_images(self, images: Sequence[_Value]) -> Sequence[_Value]:
         """Return the selected images; ConfigError if a time is given, which images lack."""
         if images and (self.start or self.end is not None):
             problem = "images have no time stamps"
@@ -151,6 +151,6 @@ class Source:
         return replace(self, items=lambda: chosen.of(self.items()), count=None)
 
 
-def evenly_spaced(values: Sequence[Value], most: int) -> Sequence[Value]:
+def evenly_spaced(values: Sequence[_Value], most: int) -> Sequence[_Value]:
     """Return at most ``most`` values at equal steps, beginning with the first."""
     return values[:: max(1, -(-len(values) // most))]

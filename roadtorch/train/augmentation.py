@@ -193,7 +193,7 @@ def _sample_mirrors(count: int, at: torch.Generator) -> Tensor:
     return torch.randint(2, (count,), generator=at) * 2 - 1
 
 
-def warp(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
+def warp_affine(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
     """Warp maps (n, C, H, W) by affine maps (n, 2, 3); padding: "border" or "zeros"."""
     grid = F.affine_grid(frames, list(maps.shape), align_corners=False)
     return F.grid_sample(maps, grid, padding_mode=outside, align_corners=False)
@@ -415,9 +415,9 @@ def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, at: torch.Generato
         [[[mirror / width_scale, 0, offset], [0, 1 / height_scale, 1 - 1 / height_scale]]]
     )
     gamma, gain, *tint = torch.exp(uniform(at, 5, -settings.light, settings.light)).tolist()
-    image = adjust.adjust_gamma(warp(car.image, frame, "border"), gamma) * gain
+    image = adjust.adjust_gamma(warp_affine(car.image, frame, "border"), gamma) * gain
     colour = torch.tensor(tint).pow(EGO_TINT).reshape(1, 3, 1, 1)
-    return EgoCar((image * colour).clamp(0, 1), warp(car.ego, frame, "border"))
+    return EgoCar((image * colour).clamp(0, 1), warp_affine(car.ego, frame, "border"))
 
 
 def paste_ego_car(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, Tensor]:

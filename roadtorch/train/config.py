@@ -242,7 +242,7 @@ class ImageTraining(CommonTraining):
 
 Training = PatchTraining | ImageTraining
 
-KINDS: dict[str, type[PatchTraining] | type[ImageTraining]] = {
+TRAINING_KINDS: dict[str, type[PatchTraining] | type[ImageTraining]] = {
     kind.name: kind for kind in (PatchTraining, ImageTraining)
 }
 
@@ -254,10 +254,10 @@ def build_training(values: dict[str, Any]) -> Training:
     """
     nested = dict(values)
     kind = str(nested.pop("kind", PatchTraining.name))  # whatever it is: a list has no hash
-    if kind not in KINDS:
-        raise unknown_name("kind of training", kind, KINDS)
+    if kind not in TRAINING_KINDS:
+        raise unknown_name("kind of training", kind, TRAINING_KINDS)
     try:
-        settings = build_settings(KINDS[kind], nested)
+        settings = build_settings(TRAINING_KINDS[kind], nested)
     except ConfigError:
         if kind == ImageTraining.name and isinstance(network := nested.get("network"), Mapping):
             # Of two kinds pydantic reports the mistakes of both; it is a backbone's that has heads.
@@ -269,11 +269,11 @@ def build_training(values: dict[str, Any]) -> Training:
         for name in ("scale", "noise"):
             low, high = (getattr(settings.augmentation, f"{end}_{name}") for end in ("min", "max"))
             if low > high:
-                message = f"{low:g} was given, and augmentation.max_{name} is {high:g}"
+                message = f"is {low:g}, more than augmentation.max_{name}, {high:g}"
                 key = f"augmentation.min_{name}"
                 raise ConfigError(key, message, "give the lower bound first")
     elif isinstance(settings.network, BackboneNetworkSettings) and not settings.initial_weights:
-        message = "is empty, and a backbone does not learn from new weights"
+        message = "is empty, but a backbone needs initial weights"
         hint = "give weights of such a network, such as backbone-free"
         raise ConfigError("initial_weights", message, hint)
     elif (

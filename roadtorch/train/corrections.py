@@ -38,12 +38,12 @@ def corrections_by_image(
         if correction is None:
             continue
         if image_size(image.path) != correction.labels.shape:
-            message = "has another size than when it was corrected"
+            message = "has changed its size since it was corrected"
             raise InputError(image.path, message, WRONG_IMAGES)
         by_name[image_file_name(image)] = correction
     if corrections and not by_name:
         count = len(corrections) - 1
-        message = f"and {count} others are corrected, and none of them is among --images"
+        message = f"and {count} other corrected images are not among --images"
         raise InputError(corrections[0].image, message, WRONG_IMAGES)
     return by_name
 
@@ -101,7 +101,7 @@ def write_fusion_config(path: Path, weights: Path, corrections: Sequence[Correct
     roads = [correction.road for correction in corrections]
     if not any(((road == ROAD_SAID) | (road == NOT_ROAD)).any() for road in roads):
         return False
-    comment = f"# From {len(corrections)} images that people corrected: not label-free."
+    comment = f"# Trained with {len(corrections)} human-corrected images: not label-free."
     values = {
         "detector": "fusion",
         "weights": {"file": weights.name},
@@ -129,12 +129,12 @@ def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:
 def format_card(runs: Sequence[Mapping[str, Any]]) -> str:
     """Format the card beside weights that were trained with human corrections."""
     lines = [
-        "# Weights trained with corrections of people",
+        "# Weights trained with human corrections",
         "",
-        "People corrected machine labels, and what they said counted as the truth. What is found",
-        "with these weights is **not label-free**, and is not to be reported as such.",
+        "Humans corrected machine labels, and their corrections were the truth. Results with these",
+        "weights are **not label-free** and must not be reported as such.",
         "",
-        "| images | pixels | sha256 of what was said |",
+        "| images | pixels | sha256 of the corrections |",
         "|---|---|---|",
     ]
     keys = ("images", "pixels", "sha256")

@@ -35,7 +35,7 @@ FORMAT = 2
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
 IMAGES, WEIGHTS, PAGE = "images.csv", "weights.safetensors", "adaptation.html"
 RUN_FILES = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, PAGE)
-LABELS = "labels-1"
+INITIAL_LABELS = "labels-1"
 """Folder of the labels by the network that a run starts from."""
 
 OTHER_OUT = "give another --out"
@@ -90,7 +90,7 @@ class RunFolder:
         if previous is None:
             for name in RUN_FILES:
                 if (self.path / name).exists():
-                    message = f"holds {name}, which is not of a run"
+                    message = f"holds {name} but no {RUN}"
                     raise ConfigError(self.path, message, OTHER_OUT)
             return
         if previous["roadtorch"] != record["roadtorch"]:
@@ -103,7 +103,7 @@ class RunFolder:
 
     def begin(self, record: Mapping[str, Any]) -> None:
         """Remove files that killed runs left half-written, and write the record of this run."""
-        remove_leftovers([self.path, self.path / LABELS])
+        remove_leftovers([self.path, self.path / INITIAL_LABELS])
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
     def _record(self) -> dict[str, Any] | None:
@@ -117,7 +117,7 @@ class RunFolder:
                 return record
         except (ValueError, KeyError, TypeError, OSError, RecursionError):
             pass
-        raise InputError(path, "is not the record of a run", OTHER_OUT)
+        raise InputError(path, "is no record of a training run", OTHER_OUT)
 
     # --- how far it is ----------------------------------------------------------------------
 

@@ -108,8 +108,8 @@ class ImageSamples:
         training, at = self.training, torch.Generator().manual_seed(seed)
         settings = training.augmentation
         image, targets = self._unvaried(member)
-        image = augmentation.warp(image, frame, "border")
-        planes = augmentation.warp(torch.cat(targets, 1), frame, "zeros")
+        image = augmentation.warp_affine(image, frame, "border")
+        planes = augmentation.warp_affine(torch.cat(targets, 1), frame, "zeros")
 
         def is_chosen(probability: float) -> bool:
             return float(torch.rand((), generator=at)) < probability
@@ -172,7 +172,7 @@ MIN_CORRECTED = 0.5
 def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
     """Replace machine targets by corrections.
 
-    planes: (B, 6, H, W) in [0, 1], of ``PictureRecipe.shrink``. Void removes both; corrected road
+    planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.shrink``. Void removes both; corrected road
     is no ego car.
     """
     road, not_road, void, layout = planes.split((1, 1, 1, CLASSES), 1)

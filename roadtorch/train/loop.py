@@ -232,8 +232,8 @@ class Loop:
             progress.steps += 1
             self.average.add(self.network, progress.steps)
         if not math.isfinite(loss):
-            message = "the loss is no longer a number"
-            raise ConfigError("descent.learning_rate", message, "give a lower one")
+            message = "the loss is no longer finite"
+            raise ConfigError("descent.learning_rate", message, "lower it")
         progress.loss += loss
         progress.chunk += 1
 

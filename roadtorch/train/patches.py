@@ -68,7 +68,7 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
         classes = read_arrays(file, "classes")["classes"]
         counts += torch.bincount(classes.long(), minlength=CLASSES)
     if not counts.sum():
-        message = "have no superpixel whose label is certain"
+        message = "have no superpixel with a certain label"
         hint = "lower labeller.margin, or give street images"
         raise InputError("the images", message, hint)
     if training.balance == "none":
@@ -168,7 +168,7 @@ def sample_noise(patch: int, generator: torch.Generator) -> Tensor:
     return torch.randn(NOISE_PATCHES, 3, patch, patch, generator=generator)
 
 
-def extract_patches(pixels: Tensor, params: Variation, patch: int) -> Tensor:
+def sample_patches(pixels: Tensor, params: Variation, patch: int) -> Tensor:
     """Extract patches (n, 3, P, P) from an image (3, H, W), bilinear, reflected at the border.
 
     At scale 1 and angle 0 they are the inputs of ``PatchNetwork.dense``: P/2 pixels before the
@@ -205,7 +205,7 @@ def add_noise(
 # --- samples ----------------------------------------------------------------------------
 
 
-PATCH_BLOCK = 128
+EXTRACTION_BLOCK = 128
 """Patches extracted at a time, so that intermediate results stay in the cache."""
 
 
@@ -273,10 +273,10 @@ class PatchSamples:
         for number, member in enumerate(members):
             image = from_uint8(self._read(self._files[member], "image")["image"])
             pixels, gain = normalise(image, network.normalisation)
-            for index in (images == number).nonzero()[:, 0].split(PATCH_BLOCK):
+            for index in (images == number).nonzero()[:, 0].split(EXTRACTION_BLOCK):
                 if len(index):
                     part, target = params.at(index), self._buffer[index[0] : index[-1] + 1]
-                    add_noise(extract_patches(pixels, part, patch), part, noise, gain, target)
+                    add_noise(sample_patches(pixels, part, patch), part, noise, gain, target)
 
     def _centres_of(self, member: int, epoch: int, visit: int) -> LabelledCentres:
         """Return the patches of an image at one visit in an epoch."""

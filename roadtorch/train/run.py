@@ -38,7 +38,7 @@ from roadtorch.train.corrections import (
 from roadtorch.train.folder import (
     BAD_CHECKPOINT,
     CHECKPOINT,
-    LABELS,
+    INITIAL_LABELS,
     WEIGHTS,
     RunFolder,
     config_hash,
@@ -178,9 +178,9 @@ class TrainingRun:
         self.folder.write_images(prepared)
         files = {item.file: item.name for item in prepared if item.file is not None}
         if not files:
-            raise InputError(self.request.images, "holds no image that can be used", "see above")
+            raise InputError(self.request.images, "holds no usable image", "see the messages above")
         if len(files) == 1 and not self.request.quiet:
-            text = "roadtorch: one image only: the network will know that one and no other"
+            text = "roadtorch: only one image: the network will not generalise to others"
             Progress.write(text, file=sys.stderr)
         people = {
             file: self.corrections[name] for file, name in files.items() if name in self.corrections
@@ -188,7 +188,7 @@ class TrainingRun:
         shrink = self.recipe.shrink
         corrected = write_corrections(path / CORRECTIONS, people, shrink) if people else {}
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
-        inputs = TrainingInputs(list(files), corrected, self.initial, path / LABELS)
+        inputs = TrainingInputs(list(files), corrected, self.initial, path / INITIAL_LABELS)
         loop = self._train_epochs(inputs, progress, state)
         self._write(loop.average.network.eval(), progress, len(files), inherited)
         if people and progress.finished and isinstance(self.training, ImageTraining):

@@ -182,7 +182,7 @@ def label_with_network(
     weights = key_of([value.numpy().tobytes() for value in network.state_dict().values()])
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
     pairs = list(zip(files, names, strict=True))
-    bar = Progress(pairs, desc="labels again", unit="image", quiet=quiet)
+    bar = Progress(pairs, desc="initial labels", unit="image", quiet=quiet)
     for file, name in until_stopped(bar, stop):
         key = key_of(weights, file)
         if kept(name, key) is None:

@@ -39,7 +39,7 @@ def test_halves_teach_and_their_mean_is_judged(street: Path, adapted: tuple[Path
     page = (out / "adaptation.html").read_text("utf-8")
     assert done.stdout.strip().splitlines()[-1] in page
     assert f"roadtorch adapt {street} --out {out} --set {SETTINGS[0]}" in page
-    assert "images have no times" in done.stderr
+    assert "images have no time stamps" in done.stderr
     files = [out / name / "weights.safetensors" for name in ("", "first", "second")]
     mean, first, second = (next(iter(load_network(file).state_dict().values())) for file in files)
     assert not first.equal(second)
@@ -84,6 +84,6 @@ def test_footage_that_stands_still_is_told_and_not_judged(street: Path, tmp_path
 
     assert done.exit_code == 0
     assert "no camera.toml" in done.stderr
-    sentence = "cannot tell: the footage stands still: both halves show the same\n"
+    sentence = "cannot tell: the footage is static: both halves show the same\n"
     assert done.stdout == sentence
     assert not (tmp_path / "out/camera.toml").exists()

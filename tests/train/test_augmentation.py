@@ -29,7 +29,7 @@ from roadtorch.train.augmentation import (
     retexture_road,
     sample_affine,
     sample_ego_car,
-    warp,
+    warp_affine,
     wet_road,
 )
 from roadtorch.train.teachers import TARGET_PLANES, Targets
@@ -53,7 +53,7 @@ def sides(images: list[Tensor], wanted: Tensor, atol: float = 1e-5) -> list[int]
 def test_without_shift_a_frame_is_the_image_or_its_mirror_image() -> None:
     maps = torch.rand(2, 9, 12, generator=seeded(1))
     frames = sample_affine(6, (9, 12), STILL, seeded(2))
-    images = warp(maps.expand(6, -1, -1, -1), frames, "border")
+    images = warp_affine(maps.expand(6, -1, -1, -1), frames, "border")
     assert set(sides(list(images), maps)) == {1, -1}
 
 
@@ -63,7 +63,7 @@ def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     frames = sample_affine(
         8, (80, 60), GeometryAugmentation(crop_probability=1.0, max_crop=0.5), seeded(5)
     )
-    images = warp(rows, frames, "border")
+    images = warp_affine(rows, frames, "border")
 
     assert torch.allclose(images[:, 0, -1], torch.ones(8, 60), atol=0.02)
     assert ((images[:, 0, 0] >= -0.01) & (images[:, 0, 0] <= 0.51)).all()

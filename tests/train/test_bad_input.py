@@ -59,7 +59,7 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
         (whole, request, ConfigError, "holds a run with other settings"),
         (other, request, ConfigError, "holds a run with other settings"),
         (training, replace(request, images=images), ConfigError, "holds a run with other images"),
-        (training, mine, ConfigError, r"holds log.csv, which is not of a run"),
+        (training, mine, ConfigError, r"holds log.csv but no run.json"),
         (start, new, WeightsError, "holds a network with other settings"),
     ]
     for run, asked, error, message in rows:
@@ -116,10 +116,10 @@ EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"probability": 0.5}}}
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
         ({"kind": "images", "shuffle_images": 3}, "shuffle_images: unknown setting"),
         ({"kind": "images", "rounds": {"count": 2}}, "rounds.count: 2 was given"),
-        ({"augmentation": {"min_scale": 2.0}}, "min_scale: 2 was given, and .*max_scale is 1.4"),
+        ({"augmentation": {"min_scale": 2.0}}, "min_scale: is 2, more than .*max_scale, 1.4"),
         ({"network": {"topology": {"size1": 9}}}, "topology: leaves an empty or odd"),
         (BACKBONE | {"network": {"heads": 1, "width": 80}}, "network.width: .* multiple of 32"),
-        (BACKBONE, "initial_weights: is empty, and a backbone"),
+        (BACKBONE, "initial_weights: is empty, but a backbone"),
         (EGO_CARS, r"augmentation.ego_car.probability: is 0.5, .*recordings.separator"),
     ],
 )

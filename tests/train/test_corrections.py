@@ -197,8 +197,8 @@ def test_other_corrections_are_refused(
     training, request = finished
     for corrections, error, message in (
         ([street], ConfigError, "other corrections"),
-        ([correction(quarters(), tmp_path / "x.png")], InputError, "none of them is among"),
-        ([correction(quarters(), streets / "street_0.png")], InputError, "another size"),
+        ([correction(quarters(), tmp_path / "x.png")], InputError, "are not among"),
+        ([correction(quarters(), streets / "street_0.png")], InputError, "changed its size"),
     ):
         with pytest.raises(error, match=message):
             train(training, replace(request, corrections=corrections))

@@ -21,9 +21,9 @@ from roadtorch.train.patches import (
     Variation,
     add_noise,
     class_weights,
-    extract_patches,
     find_centres,
     sample_noise,
+    sample_patches,
     sample_variation,
     squared_error,
 )
@@ -82,7 +82,7 @@ def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> N
     centres = torch.tensor([[0, 0], [19, 23], [7, 12]])
     framed = reflected(pixels, 32)
     wanted = [framed[:, r : r + 32, c : c + 32] for r, c in centres.tolist()]
-    patches = extract_patches(pixels, drawn(centres), 32)
+    patches = sample_patches(pixels, drawn(centres), 32)
     torch.testing.assert_close(patches, torch.stack(wanted), atol=1e-4, rtol=0)
 
 
@@ -93,7 +93,7 @@ def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, co
     turn = math.radians(degrees)
     centre = torch.tensor([[row, column]])
 
-    patch = extract_patches(pixels, drawn(centre, scale, turn), 12)[0]
+    patch = sample_patches(pixels, drawn(centre, scale, turn), 12)[0]
 
     wanted = reference.jittered_patch(pixels.double().numpy(), row, column, 12, scale, turn)
     np.testing.assert_allclose(patch.numpy(), wanted, atol=2e-4)

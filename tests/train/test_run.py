@@ -78,7 +78,7 @@ def test_training_stops_on_a_plateau(fall: str, epochs: int, trained: Trained) -
 
 def test_a_loss_of_nan_is_refused(trained: Trained, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Loop, "step", lambda *_: math.nan)
-    with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer a number"):
+    with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer finite"):
         trained("patches")
 
 

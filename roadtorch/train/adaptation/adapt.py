@@ -33,7 +33,13 @@ from roadtorch.road.fusion import log_odds
 from roadtorch.road.steady import SteadySettings, smoothed
 from roadtorch.run.memo import keep, kept, read_arrays
 from roadtorch.train.adaptation.frames import HALVES, KeptFrames, keep_frames
-from roadtorch.train.adaptation.verdict import Verdict, count_masks, decide, fit_bias, no_verdict
+from roadtorch.train.adaptation.verdict import (
+    Verdict,
+    count_masks,
+    decide_verdict,
+    fit_bias,
+    no_verdict,
+)
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.corrections import format_card, inherited_corrections
 from roadtorch.train.folder import WEIGHTS, RunFolder
@@ -85,7 +91,7 @@ def adapt(
         error = _write_camera(frames, out / CAMERA_FILE, inputs[0])
         missing = [f"no {CAMERA_FILE}: {error.where} {error.problem}"] if error else []
         if not frames.moving:
-            missing.append("images have no times: they are taken in the order of their names")
+            missing.append("images have no time stamps: they are ordered by name")
         adapted = partial(AdaptationResult, frames, None if error else out / CAMERA_FILE, missing)
         folders = (out / TEACHER_LABELS, out / PREPARED)
         if stopped := write_smoothed_labels(frames, *folders, training, quiet):
@@ -100,7 +106,7 @@ def adapt(
             skipped += outcome.skipped
         halves = _average(frames, out, training, quiet)
         if isinstance(error, StillError):
-            reason = "the footage stands still: both halves show the same"
+            reason = "the footage is static: both halves show the same"
             verdict = no_verdict(reason, frames.count)
         else:
             initial = weights_path(training.initial_weights)
@@ -109,7 +115,7 @@ def adapt(
                 weights = (initial, held_out, out / WEIGHTS)
                 images = frames.images(half)
                 judged.append(count_masks(images, weights, out / PREPARED, training, quiet))
-            verdict = decide(judged)
+            verdict = decide_verdict(judged)
         return adapted(Outcome(out / WEIGHTS, None, skipped), verdict)
 
 

@@ -76,7 +76,7 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
     list_file, key = folder / FRAME_LIST, key_of(digests, most)
     if not list_file.exists():
         if folder.exists() and any(folder.iterdir()):
-            raise ConfigError(folder, "holds files that are not of a run", "give another --out")
+            raise ConfigError(folder, "holds files of something else", "give another --out")
         make_folder(folder)
         write_json(list_file, {"key": key, "halves": None})
     sample = _read(list_file, folder, key)
@@ -86,7 +86,7 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
         sample = _write_frames(Inputs(images, sources), folder, most, quiet)
         if sample.count < 2:  # nothing that the next run should take as it is
             problem = f"has {sample.count} frames"
-            raise InputError(inputs[0], problem, "give some minutes of a drive")
+            raise InputError(inputs[0], problem, "give a few minutes of a drive")
         values = {"halves": sample.halves, "moving": sample.moving, "skipped": sample.skipped}
         write_json(list_file, {"key": key, **values})
     return sample
@@ -154,7 +154,7 @@ def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, 
             skipped.append(str(error))
     for source in inputs.sources:
         if source.live:
-            raise ConfigError(source.origin, "is live, and has no end", "record some minutes of it")
+            raise ConfigError(source.origin, "is live and has no end", "record a few minutes")
         due = 0.0
         with closing(source.items()) as frames:  # type: ignore[arg-type]
             while True:

@@ -48,7 +48,7 @@ MIN_JUDGED = 16
 MIN_GAIN = 0.002
 """Gain of F that is worth another file."""
 
-BOOTSTRAP_SEED = 36
+VERDICT_SEED = 36
 
 
 class MaskCounts(NamedTuple):
@@ -106,7 +106,7 @@ def count_masks(
     """Compare three networks' masks (``MaskCounts``) with the teacher's maps of prepared frames."""
     detectors = [load_detector("fusion", weights={"file": str(file)}) for file in weights]
     counts: list[list[Tensor]] = [[] for _ in weights]
-    for image, road, sure in _labelled_frames(images, prepared, training, "judging", quiet):
+    for image, road, sure in _labelled_frames(images, prepared, training, "evaluating", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
             mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
             rows.append(torch.stack(tuple(count_mask(mask, road, sure))))
@@ -167,13 +167,13 @@ def no_verdict(reason: str, frames: int) -> Verdict:
     return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
 
 
-def decide(judged: Sequence[MaskCounts]) -> Verdict:
+def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
     """Decide by the frames of both halves; the interval resamples runs of consecutive frames."""
     counts = [torch.cat(halves) for halves in zip(*judged, strict=True)]
     frames = len(counts[0])
     if frames < MIN_JUDGED:
-        return no_verdict(f"{frames} frames are too few to judge by", frames)
-    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
+        return no_verdict(f"{frames} frames are too few to decide", frames)
+    generator = torch.Generator().manual_seed(VERDICT_SEED)
     blocks = [torch.stack([part.sum(0) for part in rows.split(RUN_LENGTH)]) for rows in counts]
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
     initial, adapted, averaged = (float(_f_measure(sums.sum(0))) for sums in blocks)

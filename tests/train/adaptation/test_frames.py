@@ -108,7 +108,7 @@ def test_other_footage_and_other_files_are_refused(images: Path, tmp_path: Path)
     kept_of(images, tmp_path)
     refusals: list[tuple[Path, Path, int, type[RoadtorchError], str]] = [
         (images, tmp_path, 50, ConfigError, "other footage"),
-        (images, tmp_path / "mine", 100, ConfigError, "holds files that are not of a run"),
+        (images, tmp_path / "mine", 100, ConfigError, "holds files of something else"),
         (images / "00.png", tmp_path / "one", 100, InputError, "has 1 frame"),
     ]
     for footage, folder, most, error, message in refusals:

@@ -18,7 +18,7 @@ from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.testing.scenes import render_scene
 from roadtorch.train.adaptation.adapt import write_biased, write_smoothed_labels
 from roadtorch.train.adaptation.frames import keep_frames
-from roadtorch.train.adaptation.verdict import MaskCounts, count_masks, decide, fit_bias
+from roadtorch.train.adaptation.verdict import MaskCounts, count_masks, decide_verdict, fit_bias
 from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.prepared import from_uint8, image_file_name, to_uint8
 from tests.draws import seeded
@@ -129,11 +129,11 @@ def judged(half: Half) -> MaskCounts:
     ],
 )
 def test_a_verdict_needs_a_change_on_held_out_frames(halves: list[Half], word: str) -> None:
-    assert decide([judged(half) for half in halves]).word == word
+    assert decide_verdict([judged(half) for half in halves]).word == word
 
 
 def test_a_verdict_is_a_sentence_with_its_figures() -> None:
-    assert str(decide([judged(([60] * 24, [50] * 24, [70] * 24))])) == (
+    assert str(decide_verdict([judged(([60] * 24, [50] * 24, [70] * 24))])) == (
         "cannot tell: on 24 held-out frames the mask may or may not agree better with the teacher: "
         "F 0.750 to 0.667, -0.083 (-0.083 to -0.083); averaged network 0.824"
     )
