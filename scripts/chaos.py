@@ -432,7 +432,7 @@ def ros(options: argparse.Namespace, folder: Path) -> list[str]:
     for talkers in (options.times, *[1] * (options.times // 3)):
         (folder / case.log).write_text("")
         node = case.start()
-        while node.is_alive() and "looks at" not in (folder / case.log).read_text():
+        while node.is_alive() and "subscribes to" not in (folder / case.log).read_text():
             time.sleep(0.1)
         for _ in range(talkers):
             output = subprocess.check_output([*talker, "--encodings", "rgb8"], timeout=PATIENCE)

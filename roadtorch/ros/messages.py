@@ -1,4 +1,4 @@
-"""Messages of ROS 2, made of what was found; their classes are of the user's ROS."""
+"""ROS 2 messages of detections, with the message classes of the installed ROS."""
 
 import importlib
 from collections.abc import Mapping
@@ -10,22 +10,24 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.camera.ground_grid import Grid
 from roadtorch.run.writers.bag import CLASS_NAMES
 
-HINT = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
+INSTALL_HINT = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
 
 OK, WARN = 0, 1
-"""diagnostic_msgs/DiagnosticStatus, as numbers: its constants are bytes."""
+"""Levels of diagnostic_msgs/DiagnosticStatus as numbers: its own constants are bytes."""
 
 
 def ros_module(name: str) -> Any:
-    """A module of ROS 2, ``sensor_msgs.msg``; ConfigError where it cannot be imported."""
+    """Import a module of ROS 2, such as ``sensor_msgs.msg``; ConfigError where it is missing."""
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise ConfigError("ros", f"{name.partition('.')[0]} is not installed", HINT) from None
+        raise ConfigError(
+            "ros", f"{name.partition('.')[0]} is not installed", INSTALL_HINT
+        ) from None
 
 
 def image_message(header: Any, pixels: np.ndarray) -> Any:
-    """sensor_msgs/Image with that header: mono8 of pixels uint8 (H,W), rgb8 of (H,W,3)."""
+    """Return a sensor_msgs/Image: mono8 of uint8 pixels (H, W), rgb8 of (H, W, 3)."""
     message = ros_module("sensor_msgs.msg").Image(header=header)
     message.height, message.width = pixels.shape[:2]
     message.encoding = "mono8" if pixels.ndim == 2 else "rgb8"
@@ -35,32 +37,32 @@ def image_message(header: Any, pixels: np.ndarray) -> Any:
 
 
 def grid_message(header: Any, grid: Grid, frame_id: str) -> Any:
-    """nav_msgs/OccupancyGrid: 0 free, 100 not road, -1 unknown; in the robot's frame."""
+    """Return a nav_msgs/OccupancyGrid: 0 free, 100 not road, -1 unknown."""
     message = ros_module("nav_msgs.msg").OccupancyGrid()
     message.header.stamp, message.header.frame_id = header.stamp, frame_id
-    about = message.info
-    about.map_load_time, about.resolution = header.stamp, grid.resolution
-    about.height, about.width = grid.cells.shape
-    about.origin.position.x, about.origin.position.y = map(float, grid.origin)
-    about.origin.orientation.w = 1.0
+    info = message.info
+    info.map_load_time, info.resolution = header.stamp, grid.resolution
+    info.height, info.width = grid.cells.shape
+    info.origin.position.x, info.origin.position.y = map(float, grid.origin)
+    info.origin.orientation.w = 1.0
     message.data.frombytes(np.ascontiguousarray(grid.cells.cpu().numpy(), np.int8).tobytes())
     return message
 
 
 def label_info_message(threshold: float) -> Any:
-    """vision_msgs/LabelInfo with the names of the mask's numbers."""
+    """Return a vision_msgs/LabelInfo with the names of the mask's classes."""
     kinds = ros_module("vision_msgs.msg")
     classes = [kinds.VisionClass(class_id=n, class_name=name) for n, name in CLASS_NAMES.items()]
     return kinds.LabelInfo(class_map=classes, threshold=float(threshold))
 
 
-def diagnostics_message(stamp: Any, words: str, values: Mapping[str, object]) -> Any:
-    """diagnostic_msgs/DiagnosticArray with one status; a warning where there are words."""
+def diagnostics_message(stamp: Any, warning: str, values: Mapping[str, object]) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray with one status, OK without a warning."""
     kinds = ros_module("diagnostic_msgs.msg")
     pairs = [kinds.KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    level = bytes([WARN if words else OK])
+    level = bytes([WARN if warning else OK])
     status = kinds.DiagnosticStatus(
-        level=level, name="roadtorch: road", message=words or "OK", values=pairs
+        level=level, name="roadtorch: road", message=warning or "OK", values=pairs
     )
     message = kinds.DiagnosticArray(status=[status])
     message.header.stamp = stamp

@@ -1,4 +1,4 @@
-"""The node: subscriptions, publishers, and the loop between them."""
+"""The ROS 2 node: subscriptions, publishers and the detection loop."""
 
 import math
 import time
@@ -42,60 +42,68 @@ from roadtorch.run.writers.bag import (
     mask_and_confidence,
 )
 
-NAME = "roadtorch"
+NODE_NAME = "roadtorch"
 
-SECOND = 1.0  # between diagnostics
-ENDING = 0.5  # seconds for callbacks that are running at the end
-WAIT = 0.1  # after which a request to stop is looked for
-STALE = 2.0  # seconds without an image from which diagnostics warn
+DIAGNOSTICS_PERIOD = 1.0  # seconds
+STOP_TIMEOUT = 0.5  # seconds for running callbacks when the node stops
+POLL_PERIOD = 0.1  # seconds between checks for a stop request
+STALE_AFTER = 2.0  # seconds without an image after which diagnostics warn
 
 
 class NodeParameters(Settings):
-    """The parameters of the node; ROS has no missing values, so 0, NaN and "" stand for none."""
+    """Parameters of the node; 0, NaN and "" stand for unset, as ROS has no null."""
 
     detector: str = Field(default="fusion", description="name of the detector")
     settings: tuple[str, ...] = Field(
-        default=(), strict=False, description="of the detector, KEY=VALUE"
+        default=(), strict=False, description="settings of the detector, KEY=VALUE"
     )
-    camera: str = Field(default="", description="what roadtorch camera wrote about the camera")
-    steadied: bool = Field(default=True, description="whether frames steady one another")
-    height: float = Field(default=0.0, ge=0, description="of the camera, metres; 0: no grid")
+    camera: str = Field(default="", description="camera file written by roadtorch camera")
+    smoothing: bool = Field(default=True, description="temporal smoothing of the likelihood")
+    height: float = Field(
+        default=0.0, ge=0, description="height of the camera above the ground, metres; 0: no grid"
+    )
     pitch: float = Field(
-        default=math.nan, allow_inf_nan=True, description="degrees; NaN: from the image"
+        default=math.nan,
+        allow_inf_nan=True,
+        description="pitch of the camera, degrees; NaN: from each image",
     )
-    roll: float = Field(default=0.0, description="degrees")
-    fov: float = Field(default=0.0, ge=0, description="degrees; 0: from camera_info")
-    resolution: float = Field(default=0.1, description="metres a cell")
-    range: float = Field(default=30.0, description="metres ahead")
-    side: float = Field(default=15.0, description="metres left and right")
+    roll: float = Field(default=0.0, description="roll of the camera, degrees")
+    fov: float = Field(
+        default=0.0, ge=0, description="horizontal field of view, degrees; 0: from camera_info"
+    )
+    resolution: float = Field(default=0.1, description="metres per cell of the grid")
+    range: float = Field(default=30.0, description="extent of the grid ahead, metres")
+    side: float = Field(default=15.0, description="extent of the grid to either side, metres")
     base_frame: str = Field(default="base_link", description="frame of the grid")
 
 
-def spin(words: Sequence[str], stop: Stop) -> None:
-    """Run the node until somebody asks to stop; words: the arguments of ROS.
+def spin(arguments: Sequence[str], stop: Stop) -> None:
+    """Run the node with the given ROS arguments until a stop is requested.
 
-    Raises ConfigError without rclpy, and for parameters that cannot be used.
+    Raises ConfigError where rclpy is missing, and for invalid parameters.
     """
     rclpy = ros_module("rclpy")
-    ours = ros_module("rclpy.signals").SignalHandlerOptions.NO  # a request to stop is ours
-    rclpy.init(args=[NAME, *words], signal_handler_options=ours)
-    node = rclpy.create_node(NAME)
+    no_handlers = ros_module("rclpy.signals").SignalHandlerOptions.NO  # ``stop`` handles signals
+    rclpy.init(args=[NODE_NAME, *arguments], signal_handler_options=no_handlers)
+    node = rclpy.create_node(NODE_NAME)
     executor = ros_module("rclpy.executors").SingleThreadedExecutor()
     executor.add_node(node)
-    thread = Thread(target=_spun, args=(executor,), daemon=True)
+    thread = Thread(target=_spin_executor, args=(executor,), daemon=True)
     try:
-        road = RoadNode(node, declared(node))
+        road = RoadNode(node, declare_parameters(node))
         thread.start()
         road.work(stop)
     finally:
-        executor.shutdown(timeout_sec=ENDING)
+        executor.shutdown(timeout_sec=STOP_TIMEOUT)
         rclpy.try_shutdown()
-        if thread.is_alive():  # a thread that Python ends within rclpy's C++ aborts the process
-            thread.join(ENDING)
+        if (
+            thread.is_alive()
+        ):  # a thread that Python ends inside rclpy's C++ code aborts the process
+            thread.join(STOP_TIMEOUT)
 
 
-def _spun(executor: Any) -> None:
-    """Answer subscriptions; what ends the executor while it works is its end."""
+def _spin_executor(executor: Any) -> None:
+    """Run the executor; errors caused by its shutdown are ignored."""
     try:
         executor.spin()
     except Exception:
@@ -103,8 +111,8 @@ def _spun(executor: Any) -> None:
             raise
 
 
-def declared(node: Any) -> NodeParameters:
-    """The parameters as the user has set them, each declared with its default."""
+def declare_parameters(node: Any) -> NodeParameters:
+    """Declare all parameters with their defaults, and return their values."""
     values: dict[str, Any] = {}
     for name, field in NodeParameters.model_fields.items():
         default = [""] if name == "settings" else field.default
@@ -114,10 +122,10 @@ def declared(node: Any) -> NodeParameters:
 
 
 class Inbox:
-    """The newest image message of a topic; ``put`` is called by the thread of the subscriptions.
+    """A queue of one image message, the newest; ``put`` is called by the executor's thread.
 
-    dropped: how many were replaced before anybody looked. header: std_msgs/Header of the message
-    that was taken last. arrived: when that was, by the monotonic clock.
+    dropped: number of messages replaced before they were taken. header: std_msgs/Header of the last
+    message taken. arrived: time of its arrival, ``time.monotonic``.
     """
 
     def __init__(self) -> None:
@@ -128,23 +136,26 @@ class Inbox:
         self._changed = Condition()
 
     def put(self, message: Any) -> None:
-        """Take a message, in the place of one that nobody has taken."""
+        """Store a message, replacing one that was not taken."""
         with self._changed:
             self.dropped += self._newest is not None
             self._newest = message, time.monotonic()
             self._changed.notify()
 
     def take(self) -> Any:
-        """The message, once there is one; None after ``WAIT``."""
+        """Wait for a message and return it; None after ``POLL_PERIOD``."""
         with self._changed:
-            if not self._changed.wait_for(lambda: self._newest, WAIT) or self._newest is None:
+            if (
+                not self._changed.wait_for(lambda: self._newest, POLL_PERIOD)
+                or self._newest is None
+            ):
                 return None
             (message, self.arrived), self._newest = self._newest, None
             self.header = message.header
             return message
 
     def source(self, topic: str, stop: Stop) -> Source:
-        """The messages as a live source of frames, until somebody asks to stop."""
+        """Return the messages as a live source of frames, until a stop is requested."""
 
         def frames() -> Iterator[Item]:
             number = 0
@@ -159,22 +170,19 @@ class Inbox:
 
 
 class RoadNode:
-    """Publishers and subscriptions of a node, and what is published of each frame.
-
-    node: of rclpy. parameters: see ``NodeParameters``.
-    """
+    """Subscriptions and publishers of an rclpy node, and the detection of its images."""
 
     def __init__(self, node: Any, parameters: NodeParameters) -> None:
         qos, kinds = ros_module("rclpy.qos"), ros_module("sensor_msgs.msg")
-        known = Camera.read(parameters.camera) if parameters.camera else None
+        camera = Camera.read(parameters.camera) if parameters.camera else None
         settings = parse_assignments(parameters.settings)
-        self.detector = load_detector(parameters.detector, camera=known, **settings)
-        self.infer = Inference(self.detector, known)
-        self.steady = Steady(SteadySettings()) if parameters.steadied else None
+        self.detector = load_detector(parameters.detector, camera=camera, **settings)
+        self.infer = Inference(self.detector, camera)
+        self.steady = Steady(SteadySettings()) if parameters.smoothing else None
         self.node, self.parameters, self.inbox = node, parameters, Inbox()
-        self.times, self.refused, self.told = deque[float](maxlen=30), 0, ""
+        self.times, self.refused, self.last_warning = deque[float](maxlen=30), 0, ""
         self.last: Detection | None = None
-        self.age = 0.0  # seconds from the arrival of its message to its last answer
+        self.age = 0.0  # seconds from the arrival of the last image to its results
         self.placing, self.grid_settings = self._placing()
         newest, latched = qos.qos_profile_sensor_data, qos.QoSProfile(depth=1)
         latched.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
@@ -192,10 +200,10 @@ class RoadNode:
         self.labels = self._labels(latched)
 
     def work(self, stop: Stop) -> None:
-        """Look at the newest image, publish what is found, and begin again."""
+        """Detect the road in the newest image and publish it, until a stop is requested."""
         topic = self.node.resolve_topic_name("image")
-        self.node.get_logger().info(f"{self.detector.name} looks at {topic}")
-        self.node.create_timer(SECOND, self._diagnose)
+        self.node.get_logger().info(f"{self.detector.name} subscribes to {topic}")
+        self.node.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
         source = self.inbox.source(topic, stop)
         with closing(
             detect_frames(source, self.infer, Workers(), self.steady, stop=stop)
@@ -208,7 +216,7 @@ class RoadNode:
                     self._publish(frame.outcome)
 
     def _publish(self, detection: Detection) -> None:
-        """Mask and confidence; overlay and grid where somebody listens."""
+        """Publish mask, confidence and grid, and the overlay where it has subscribers."""
         header = self.inbox.header
         mask, confidence = mask_and_confidence(detection)
         self.images[MASK_TOPIC].publish(image_message(header, mask))
@@ -222,7 +230,7 @@ class RoadNode:
         self.times.append(time.monotonic())
 
     def _publish_grid(self, header: Any, detection: Detection) -> None:
-        """The ground; an image that does not tell its pitch has none."""
+        """Publish the ground grid; warn where the pitch of the image is unknown."""
         assert self.placing is not None
         assert detection.image is not None
         likelihood, settings = detection.likelihood, self.grid_settings
@@ -235,76 +243,76 @@ class RoadNode:
             return
         self.grids.publish(grid_message(header, grid, self.parameters.base_frame))
 
-    # --- what is known of the camera ------------------------------------------------------
+    # --- camera -----------------------------------------------------------------------------
 
     def _placing(self) -> tuple[Placing | None, GridSettings]:
-        """How the camera stands over the ground; None where its height is not known."""
-        own = self.parameters
-        cells = {name: getattr(own, name) for name in ("resolution", "range", "side")}
-        values = {**cells, "threshold": self.detector.settings.threshold}
-        settings = build_settings(GridSettings, values)
-        if not own.height:
+        """Return the pose of the camera, None without a height, and the settings of the grid."""
+        values = self.parameters
+        cells = {name: getattr(values, name) for name in ("resolution", "range", "side")}
+        threshold = self.detector.settings.threshold
+        settings = build_settings(GridSettings, {**cells, "threshold": threshold})
+        if not values.height:
             return None, settings
         mounting = Mounting(
-            height=own.height,
-            pitch=None if math.isnan(own.pitch) else own.pitch,
-            roll=own.roll,
-            fov=own.fov or None,
-            camera=Path(own.camera) if own.camera else None,
+            height=values.height,
+            pitch=None if math.isnan(values.pitch) else values.pitch,
+            roll=values.roll,
+            fov=values.fov or None,
+            camera=Path(values.camera) if values.camera else None,
         )
         return placing_of(mounting, of_bags=True), settings
 
     def _lens(self, message: Any) -> None:
-        """The lens of a CameraInfo, once."""
+        """Take the lens from the first CameraInfo message."""
         if self.placing is None or not self.placing.lacks_lens:
             return
         size, topic = (message.width, message.height), self.node.resolve_topic_name("camera_info")
         try:
             if not message.k[0] > 0:
-                raise ConfigError(topic, "says nothing of its camera", "calibrate it, or set fov")
+                raise ConfigError(topic, "has no calibration", "calibrate the camera, or set fov")
             lens = lens_of_info(topic, size, [*message.k], [*message.d], message.distortion_model)
             self.placing = self.placing.through(lens)
         except RoadtorchError as error:
             self._warn(str(error))
 
-    # --- words ----------------------------------------------------------------------------
+    # --- labels and diagnostics -------------------------------------------------------------
 
     def _labels(self, latched: Any) -> Any:
-        """The latched names of the classes; None where vision_msgs is not installed."""
+        """Publish the latched label info; None where vision_msgs is not installed."""
         try:
             kind = ros_module("vision_msgs.msg").LabelInfo
         except ConfigError:
-            self._warn(f"vision_msgs is not installed, so that {LABELS_TOPIC} is not published")
+            self._warn(f"vision_msgs is not installed: {LABELS_TOPIC} is not published")
             return None
         publisher = self.node.create_publisher(kind, LABELS_TOPIC, latched)
         publisher.publish(label_info_message(self.detector.settings.threshold))
         return publisher
 
-    def _warn(self, words: str) -> None:
-        """Say it, unless it was said just before."""
-        if words != self.told:
-            self.told = words
-            self.node.get_logger().warning(words)
+    def _warn(self, message: str) -> None:
+        """Log a warning, unless it repeats the last one."""
+        if message != self.last_warning:
+            self.last_warning = message
+            self.node.get_logger().warning(message)
 
     def _diagnose(self) -> None:
-        """How it goes: once a second."""
-        now, detection, times = time.monotonic(), self.last, [*self.times]
-        silent = now - times[-1] if times else math.inf
-        words = detection.doubt if detection else ""
+        """Publish diagnostics."""
+        detection, times = self.last, [*self.times]
+        silence = time.monotonic() - times[-1] if times else math.inf
+        warning = detection.doubt if detection else ""
         if detection is not None and not detection.mask.any():
-            words = "no road found: nothing is free"
-        if silent > STALE:
-            words = f"no image on {self.node.resolve_topic_name('image')}"
+            warning = "no road found: nothing is free"
+        if silence > STALE_AFTER:
+            warning = f"no image on {self.node.resolve_topic_name('image')}"
         rate = (len(times) - 1) / max(times[-1] - times[0], 1e-9) if len(times) > 1 else 0.0
         values = {
             "trust": ""
             if detection is None or detection.trust is None
             else f"{detection.trust:.2f}",
             "doubt": detection.doubt if detection else "",
-            "rate": f"{rate if silent <= STALE else 0.0:.1f} Hz",
+            "rate": f"{rate if silence <= STALE_AFTER else 0.0:.1f} Hz",
             "age": f"{1000 * self.age:.0f} ms",
             "dropped": self.inbox.dropped,
             "refused": self.refused,
         }
         stamp = self.node.get_clock().now().to_msg()
-        self.diagnostics.publish(diagnostics_message(stamp, words, values))
+        self.diagnostics.publish(diagnostics_message(stamp, warning, values))

@@ -43,7 +43,7 @@ def start(environment: dict[str, str]) -> Iterator[Start]:
         nodes.append(node)
         assert node.stderr is not None
         end = time.monotonic() + STARTED
-        while "looks at" not in node.stderr.readline():
+        while "subscribes to" not in node.stderr.readline():
             assert node.poll() is None
             assert time.monotonic() < end
         return node
