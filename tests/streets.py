@@ -12,7 +12,7 @@ from roadtorch.testing.scenes import RenderedScene, render_scene, write_image
 scene = cache(render_scene)
 """A rendered street with its truth: ``scene(seed, height, width, dusk=…)``, each made once.
 
-The tensors are shared by all tests: clone what is to be changed.
+All tests share the tensors: clone one before changing it.
 """
 
 

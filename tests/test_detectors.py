@@ -362,7 +362,7 @@ def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
 
 
 @pytest.mark.parametrize(
-    ("device", "problem"), [("gpu", "is no device of torch"), ("meta", "cannot be used")]
+    ("device", "problem"), [("gpu", "is no torch device"), ("meta", "cannot be used")]
 )
 def test_a_missing_device_is_refused_when_the_detector_is_made(device: str, problem: str) -> None:
     with pytest.raises(ConfigError, match=rf"^device: {problem}"):

@@ -1,4 +1,4 @@
-"""What gets imported when, looked at in fresh interpreters."""
+"""Imports of the package and its commands, measured in fresh interpreters."""
 
 import doctest
 import subprocess

@@ -19,7 +19,7 @@ pytest.importorskip("setuptools")  # torch brings it
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Copy what is built from, in a folder called as the package is."""
+    """Copy the sources of the build into a folder with the name of the package."""
     copy = tmp_path_factory.mktemp("above") / "roadtorch"
     ignore = shutil.ignore_patterns("__pycache__")
     for name in ("roadtorch", "configs"):

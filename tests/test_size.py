@@ -1,7 +1,7 @@
 """The size of the project: lines by folder, names at the top, dependencies, options, commands.
 
-What is cut gets refilled, so each number here is a limit. Raise one only in the commit that needs
-it, and state the reason in that commit's message; lower it when a folder shrinks.
+Each number here is a limit, so that removed code does not grow back. Raise one only in the commit
+that needs it, and state the reason in that commit's message; lower it when a folder shrinks.
 """
 
 import tomllib

@@ -20,7 +20,7 @@ LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """Pattern of the names of temporary files, including those of earlier versions."""
 
 LOCK_TIMEOUT = 1.0
-"""Seconds to wait for a lock; ours: the workers of a killed run end within one image."""
+"""Seconds to wait for a lock; ours: the workers of a killed run end within an image."""
 
 HINTS = {
     errno.ENAMETOOLONG: "give it a shorter name",
@@ -65,7 +65,7 @@ def make_folder(path: Path, hint: str = "give another folder") -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        problem = f"cannot be made a folder: {error.strerror}"
+        problem = f"cannot be created: {error.strerror}"
         raise UnwritableError(path, problem, hint) from None
 
 

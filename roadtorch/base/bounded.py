@@ -5,7 +5,7 @@ import stat
 from pathlib import Path
 
 MAX_BYTES = 2**30
-"""Of one file; ours: an image of 100 megapixels, 16 bits, uncompressed, has 800 million."""
+"""Largest file that is read; ours: 100 megapixels of 16 bits, uncompressed, have 800 million."""
 
 
 def read_regular(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes:

@@ -136,7 +136,7 @@ def check_device(device: str, where: str) -> None:
     try:
         kind = torch.device(device).type
     except RuntimeError:
-        raise ConfigError(where, "is no device of torch", "give cpu, cuda or cuda:1") from None
+        raise ConfigError(where, "is no torch device", "give cpu, cuda or cuda:1") from None
     try:
         torch.zeros(1, device=device).cpu()
     except (RuntimeError, AssertionError, NotImplementedError) as error:

@@ -25,7 +25,7 @@ of 16 megapixels."""
 
 PILLOW_MAX_MEGAPIXELS = 178  # Pillow opens nothing larger
 
-# TIFF 6.0: tags, and values of theirs
+# Tags and values of TIFF 6.0
 BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLES_PER_PIXEL, PLANAR_CONFIGURATION = 258, 262, 277, 284
 EXTRA_SAMPLES, SAMPLE_FORMAT = 338, 339
 BLACK_IS_ZERO, RGB, UNSIGNED, ALPHA = 1, 2, 1, 2
@@ -124,7 +124,7 @@ def quiet_opencv() -> Iterator[None]:
 def pillow_pixels(image: Image.Image) -> np.ndarray:
     """Return the pixels of a Pillow image, upright: uint8 RGB or RGBA, or uint16 (H, W).
 
-    Raises ValueError for 32 bits, which have no agreed white, and whatever Pillow raises.
+    Raises ValueError for 32 bits, whose white level is undefined, and whatever Pillow raises.
     """
     image.load()
     with without_warnings():
@@ -133,7 +133,7 @@ def pillow_pixels(image: Image.Image) -> np.ndarray:
         except Exception:
             upright = image  # damaged metadata is no damage of the image
         if upright.mode in ("I", "F"):
-            raise ValueError(f"Pillow's mode {upright.mode} has no agreed white")
+            raise ValueError(f"Pillow mode {upright.mode} has no defined white level")
         if upright.mode.startswith("I;16"):
             return np.array(upright).astype(np.uint16)
         return np.array(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
@@ -178,7 +178,7 @@ def _is_16_bit_tiff(image: Image.Image) -> bool:
         is_layout = is_one_plane and (is_grey or colours == RGB)
         is_supported = is_supported and bits == {16} and is_layout
     if not is_supported or not (is_one_plane or colours == RGB):
-        raise ValueError("TIFF is read in one plane of 8 or 16 bits without sign, grey or RGB")
+        raise ValueError("only TIFF of one plane, grey or RGB, 8 or 16 bits, unsigned, is read")
     return is_deep
 
 

@@ -1,4 +1,4 @@
-"""Documents of other programs and of browsers: bounded models, and errors of one line."""
+"""Documents of other programs and of browsers: bounded models, errors in one line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ from roadtorch.base.errors import DatasetError, RoadtorchError, shortened
 # A model bounds every number and list, so that a file cannot make us allocate what it merely
 # claims to hold; JSON goes from its bytes straight into the model.
 
-MAX_DOCUMENT_BYTES = 2**28  # of one file; ours: a COCO file of a thousand images has as many
+MAX_DOCUMENT_BYTES = 2**28  # ours: a COCO file of a thousand images has as many
 
 MAX_SIDE = 2**20  # pixels, as of an image that is read
 
@@ -57,6 +57,6 @@ def read_document(path: Path, hint: str) -> Iterator[bytes]:
     except pydantic.ValidationError as error:
         raise DatasetError(path, f"cannot be read: {first_mistake(error)}", hint) from None
     except MemoryError:
-        raise DatasetError(path, "is more than there is memory for", hint) from None
+        raise DatasetError(path, "does not fit in memory", hint) from None
     except (OSError, ValueError, LookupError, ArithmeticError, RecursionError) as error:
         raise DatasetError(path, f"cannot be read: {reason(error)}", hint) from None

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from enum import IntEnum
 
 MAX_MESSAGE_LENGTH = 400
-"""Characters of a place or problem in an error, which may repeat a file's content."""
+"""Longest place or problem of an error, in characters: it may repeat a file's content."""
 
 
 class ExitCode(IntEnum):
@@ -106,15 +106,15 @@ def is_out_of_memory(error: Exception) -> bool:
 
 
 def fault(where: object, error: Exception) -> InputError:
-    """Return the InputError for an exception at an image or frame of the name ``where``.
+    """Return the InputError for any exception at the image or frame called ``where``.
 
-    Detectors do not know the name and say ``image``. Unforeseen are a lack of memory, and bugs.
+    ``where`` replaces the name ``image`` in errors of detectors, which do not know the file.
     """
     if isinstance(error, RoadtorchError):
         place = where if error.where == "image" else error.where
         return InputError(place, error.problem, error.hint)
     if is_out_of_memory(error):
-        problem = "needs more memory than there is"
+        problem = "needs more memory than is available"
         return InputError(where, problem, "give smaller images, or fewer --jobs")
     return InputError(where, f"{type(error).__name__}: {error}", "report it")
 

@@ -142,7 +142,7 @@ def from_pixels(pixels: np.ndarray) -> Tensor:
 
 
 def as_image(image: ImageLike, order: Order | None = None) -> Tensor:
-    """Convert what programs have of an image to a tensor.
+    """Convert an image of any common type to a tensor.
 
     Args:
         image: an RGB tensor (3, H, W), floating point (returned as it is) or uint8; a NumPy array
@@ -154,7 +154,7 @@ def as_image(image: ImageLike, order: Order | None = None) -> Tensor:
         sRGB, shape (3, H, W); ``detect`` checks its range.
 
     Raises:
-        InputError: anything else, and as for ``read_image``.
+        InputError: another type, shape or dtype, and as for ``read_image``.
         ConfigError: an unknown order.
     """
     if order is not None:
@@ -191,7 +191,7 @@ def _read_bytes(file: IO[bytes]) -> bytes:
     except OSError as error:
         raise InputError("image", f"cannot be read: {reason(error)}", "open it again") from None
     if not isinstance(data, bytes):
-        raise InputError("image", "is a file of text", 'open it with "rb"')
+        raise InputError("image", "is a text file", 'open it with "rb"')
     return data
 
 
@@ -201,7 +201,7 @@ def checked_order(order: Order) -> Order:
         hint = 'write detect(image, "rgb") or load_detector(name, order="rgb")'
         raise ConfigError("order", f"is {type(order).__name__}", hint)
     if order not in get_args(Order):
-        raise unknown_name("order of colours", order, get_args(Order))
+        raise unknown_name("colour order", order, get_args(Order))
     return order
 
 
@@ -213,7 +213,7 @@ def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
     if pixels.ndim == 2:
         return pixels
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4):
-        problem = f"is an array of the shape {pixels.shape}"
+        problem = f"is an array of shape {pixels.shape}"
         stack = pixels.ndim == 4
         hint = "give (height, width, 3), or (height, width) if it is grey"
         raise InputError("image", problem, "give all of them to detect_many" if stack else hint)

@@ -137,8 +137,8 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 def read_settings_file(path: Path) -> dict[str, Any]:
     """Read the nested values of a TOML file.
 
-    A string that names an existing file beside it, with a suffix, becomes that file's path: a
-    folder with a config and its files can be moved. Raises InputError if the file cannot be read,
+    A string that names an existing file with a suffix in the same folder becomes its path, so that
+    the folder can be moved. Raises InputError if the file cannot be read,
     ConfigError if it is not TOML.
     """
     try:

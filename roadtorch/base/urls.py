@@ -54,12 +54,12 @@ def answer(url: str) -> Iterator[Any]:
             yield response
     except HTTPError as error:
         error.close()
-        problem = f"is answered with {error.code} {error.reason}"
+        problem = f"returned {error.code} {error.reason}"
         raise InputError(address, problem, "check the address") from None
     except (OSError, HTTPException, ValueError) as error:
         cause = getattr(error, "reason", error)
         is_late = isinstance(cause, TimeoutError)
-        text = f"{ANSWER:g} seconds without an answer" if is_late else str(cause) or "no answer"
+        text = f"{ANSWER:g} seconds without a response" if is_late else str(cause) or "no response"
         raise InputError(address, f"cannot be fetched: {text}", "check the address") from None
 
 
@@ -79,5 +79,5 @@ def url_bytes(url: str) -> bytes:
                 raise InputError(without_password(url), problem, "make it smaller")
         length = response.headers.get("Content-Length", "")
         if length.isdigit() and len(data) < int(length):
-            raise ValueError(f"it is cut after {len(data):,} of {int(length):,} bytes")
+            raise ValueError(f"it is truncated after {len(data):,} of {int(length):,} bytes")
     return bytes(data)

@@ -1,4 +1,4 @@
-"""Import of torchvision, in this module only, beside any build of torch."""
+"""The only import of torchvision, made to work with any build of torch."""
 
 from contextlib import suppress
 from functools import cache
@@ -18,7 +18,7 @@ OPERATOR_SIGNATURE = "(Tensor dets, Tensor scores, float iou_threshold) -> Tenso
 def import_torchvision() -> ModuleType:
     """Import torchvision with its ``transforms.v2``, and return it.
 
-    Its wheels beside a CPU-only torch cannot load their compiled operators, and then fail at
+    With a CPU-only torch, its wheels cannot load their compiled operators, and then fail at
     import because they describe the results of undeclared operators (pytorch/vision issues 9077
     and 9085). Declaring these two first is enough: what is plain torch works. Raises RoadtorchError
     if torchvision is missing or made for another version of torch.

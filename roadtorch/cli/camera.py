@@ -23,8 +23,8 @@ def camera_command(footage: tuple[str, ...], out: Path, max_frames: int) -> None
     """Estimate ego car, horizon and seed row from the footage of one camera.
 
     FOOTAGE: images, folders, quoted globs or video files; at least 10 frames of different
-    scenes. Writes --out for infer --camera, and beside it an image to check it by: the mean of
-    the frames and one of them, with the ego car tinted, the horizon blue, the seed row orange.
+    scenes. Writes --out for infer --camera, and an image to check it: the mean of the frames and
+    one of them, with the ego car tinted, the horizon blue, the seed row orange.
     """
     from roadtorch.base.image import write_jpeg
     from roadtorch.base.progress import Progress

@@ -106,8 +106,8 @@ def setting_rows(
 ) -> Iterator[tuple[str, str, str, str, str]]:
     """Yield key, type, default, allowed and meaning of each setting in a JSON schema, depth first.
 
-    shared: definitions that the schema refers to. defaults: override the schema's own, as a group's
-    owner may. path: prefix of the keys.
+    shared: definitions that the schema refers to. defaults: values that override the schema's.
+    path: prefix of the keys.
     """
     definitions = schema.get("$defs", {}) if shared is None else shared
     defaults = defaults or {}

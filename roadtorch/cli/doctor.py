@@ -23,7 +23,7 @@ DEVELOPER_EXTRAS = ("docs", "test")  # not reported as missing
 VIDEO_CODECS = ("h264", "hevc", "vp9", "av1", "mpeg4", "mjpeg")  # of cameras and archives
 
 STREET_HEIGHT, STREET_WIDTH = 360, 480  # of the self-test, as in the README's table of times
-ROUNDS = 9  # of the self-test, after a first one
+ROUNDS = 9  # timed runs of the self-test
 MIN_F = 0.85
 """F-score below which the self-test fails; ours: the shipped weights have .95 on this street."""
 

@@ -98,7 +98,7 @@ def grid_command(
     height, its lens (--fov, --camera-info or --calibration; for a bag, its camera_info) and its
     pitch; without --pitch and --camera, pitch is estimated for each image, to 1 or 2 degrees, or
     once for all frames of a video or bag.
-    Cells behind the first one that is no road are unknown.
+    Cells behind the first cell that is no road are unknown.
     """
     from roadtorch.base.settings import build_settings
     from roadtorch.camera.ground_grid import GridSettings

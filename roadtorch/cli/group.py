@@ -23,10 +23,7 @@ COMMANDS = {
     "adapt": ("roadtorch.cli.adapt:adapt_command", "Fine-tune fusion on unlabelled footage."),
     "annotate": ("roadtorch.cli.annotate:annotate_command", "Correct machine labels in a page."),
     "camera": ("roadtorch.cli.camera:camera_command", "Estimate a camera's ego car and horizon."),
-    "detectors": (
-        "roadtorch.cli.detectors:detectors_command",
-        "List detectors or settings of one.",
-    ),
+    "detectors": ("roadtorch.cli.detectors:detectors_command", "List detectors and settings."),
     "doctor": ("roadtorch.cli.doctor:doctor_command", "Check this installation."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate_command", "Score detectors on labelled images."),
     "export": ("roadtorch.cli.export:export_command", "Export a network to ONNX or a web page."),
@@ -37,7 +34,7 @@ COMMANDS = {
     "train": ("roadtorch.cli.train:train_command", "Train a layout network on unlabelled images."),
 }
 
-INTERRUPTED = {
+INTERRUPT_MESSAGES = {
     **dict.fromkeys(("infer", "label", "grid"), "interrupted; finished results are kept"),
     **dict.fromkeys(("adapt", "train"), "interrupted; run the same command again to resume"),
     "annotate": "interrupted; corrections are saved",
@@ -129,7 +126,7 @@ class CommandGroup(click.Group):
                 code = super().main(args, **extra)
         except (click.Abort, KeyboardInterrupt) as error:
             name = next((word for word in args if not word.startswith("-")), "")
-            click.echo(f"roadtorch: {INTERRUPTED.get(name, 'interrupted')}", err=True)
+            click.echo(f"roadtorch: {INTERRUPT_MESSAGES.get(name, 'interrupted')}", err=True)
             cause = error.__cause__ or error  # click makes an Abort of KeyboardInterrupt
             code = ExitCode.TERMINATED if isinstance(cause, Terminated) else ExitCode.INTERRUPTED
         except click.exceptions.NoArgsIsHelpError as error:

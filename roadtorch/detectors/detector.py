@@ -246,7 +246,7 @@ class Detector(nn.Module):
         if order is not None:
             checked_order(order)
         if isinstance(image, str) and image in get_args(Order) and not os.path.exists(image):
-            raise InputError("image", "is an order of colours", f'write detect(image, "{image}")')
+            raise InputError("image", "is a colour order", f'write detect(image, "{image}")')
         if order == "bgr" and isinstance(image, Tensor):
             raise InputError("order", "is for NumPy arrays; tensors are RGB", "give image.flip(0)")
         evidence = self.find(as_image(image, order or self.order))

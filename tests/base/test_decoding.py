@@ -74,7 +74,7 @@ JPEG = encode(noise(), "JPEG")
 FORMS = {".jpg": "JPEG", ".png": "PNG", ".tif": "TIFF", ".webp": "WEBP", ".bmp": "BMP"}
 DEEP = np.full((16, 16, 3), 100, np.uint16)
 
-# --- what is refused --------------------------------------------------------------------
+# --- refused files ----------------------------------------------------------------------
 
 
 REFUSED: Mapping[str, tuple[bytes, str]] = {
@@ -93,7 +93,7 @@ REFUSED: Mapping[str, tuple[bytes, str]] = {
     "no deep pixels.png": (png(4, 4, 16, 2), "cannot be decoded"),
     "short.tif": (encode(noise(), "TIFF", compression="tiff_deflate")[:-900], ".*"),
     **{
-        f"{name}.tif": (data, "cannot be decoded: TIFF is read in one plane|is not an image")
+        f"{name}.tif": (data, "cannot be decoded: only TIFF of one plane|is not an image")
         for name, data in {
             "planes": tiff(DEEP, t284=2),
             "signed and deep": tiff(DEEP, t339=2),
@@ -107,7 +107,7 @@ REFUSED: Mapping[str, tuple[bytes, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_whole_image_is_refused_by_name(name: str, tmp_path: Path) -> None:
+def test_a_damaged_image_is_refused_by_name(name: str, tmp_path: Path) -> None:
     data, problem = REFUSED[name]
     path = tmp_path / name
     path.write_bytes(data)
@@ -130,7 +130,7 @@ def test_too_many_pixels_are_refused_before_decoding(monkeypatch: pytest.MonkeyP
 def test_the_bound_on_pixels_can_be_set(monkeypatch: pytest.MonkeyPatch) -> None:
     image = encode(Image.new("L", (200, 100)), "PNG")
 
-    check_pixels(10_000, 10_000)  # what is allowed otherwise
+    check_pixels(10_000, 10_000)  # the default limit
     monkeypatch.setenv(MEGAPIXELS_VARIABLE, "0.02")
     assert decode_image(image, "a.png").shape == (3, 100, 200)
     monkeypatch.setenv(MEGAPIXELS_VARIABLE, "0.019")
@@ -141,7 +141,7 @@ def test_the_bound_on_pixels_can_be_set(monkeypatch: pytest.MonkeyPatch) -> None
         decode_image(image, "a.png")
 
 
-# --- what is read ------------------------------------------------------------------------
+# --- accepted files ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bits", [8, 16])
@@ -158,7 +158,7 @@ def test_a_tiff_of_8_or_16_bits_is_read(bits: int, samples: int) -> None:
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_the_exif_of_a_png_counts_wherever_it_stands(bits: int) -> None:
+def test_the_exif_of_a_png_is_applied_before_or_after_its_pixels(bits: int) -> None:
     rows = [[10, 20, 30], [40, 50, 60]]
 
     def packed(grey: list[list[int]]) -> bytes:

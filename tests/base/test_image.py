@@ -153,9 +153,9 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
         (PIXELS.transpose(2, 0, 1), "rgb", "shape (3, 5, 7)"),
         (PIXELS[None], "bgr", "give all of them to detect_many"),
         ([PIXELS, PIXELS], "bgr", "image: is a list, not one image (give one, or all of them to"),
-        (Image.new("F", (20, 20)), None, "mode F has no agreed white"),
+        (Image.new("F", (20, 20)), None, "mode F has no defined white level"),
         (None, "bgr", "is None (check its path: cv2.imread gives that"),
-        (PIXELS, "RGB", "RGB: unknown order of colours"),
+        (PIXELS, "RGB", "RGB: unknown colour order"),
     ],
 )
 def test_other_values_are_refused(image: Any, order: Any, problem: str) -> None:

@@ -58,7 +58,7 @@ def test_a_block_forgets_and_images_that_are_gone_leave_nothing_behind():
         assert doubled(image, 1) is not first
 
 
-def test_saved_time_is_what_the_work_would_have_taken_with_all_its_parts():
+def test_saved_time_is_that_of_the_work_with_all_its_parts():
     image = torch.ones(3, 4, 4)
 
     with image_cache() as shared:

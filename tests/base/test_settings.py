@@ -60,7 +60,7 @@ class Example(Settings):
         ({"plane": "X"}, "plane: unknown plane 'X' (known: R)"),
     ],
 )
-def test_a_mistake_names_the_key_and_what_was_given(values: dict[str, Any], message: str) -> None:
+def test_a_mistake_names_the_key_and_the_value(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_settings(Example, values)
 
@@ -82,14 +82,14 @@ def test_assignments_become_nested_values_of_their_toml_type() -> None:
         (["a.b=2", "a=1"], "is a group of settings"),
     ],
 )
-def test_what_is_no_assignment_is_refused(items: list[str], problem: str) -> None:
+def test_a_wrong_assignment_is_refused(items: list[str], problem: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_assignments(items)
 
     assert caught.value.problem == problem
 
 
-def test_what_is_written_is_read_again_and_none_is_left_out(tmp_path: Path) -> None:
+def test_written_settings_are_read_again_without_none(tmp_path: Path) -> None:
     class Written(Settings):
         limit: int | None = None
         text: str = 'a "b" \\ ß'
@@ -162,7 +162,7 @@ def test_errors_survive_a_process_boundary_and_are_short(kind: type[RoadtorchErr
 @pytest.mark.parametrize(
     ("name", "hint"), [("fuson", "did you mean fusion?"), ("zzz", "known: cpf, fusion, lbp")]
 )
-def test_an_unknown_name_is_told_the_nearest_or_all(name: str, hint: str) -> None:
+def test_an_unknown_name_gets_the_nearest_names_or_all(name: str, hint: str) -> None:
     error = unknown_name("detector", name, ["lbp", "fusion", "cpf"])
 
     assert str(error) == f"{name}: unknown detector ({hint})"
@@ -197,7 +197,7 @@ def test_a_pipe_gets_a_line_when_it_is_due(monkeypatch, capsys, items, options, 
         assert line.startswith(f"roadtorch: {expected}")
 
 
-def test_a_short_run_says_nothing_to_a_pipe_and_draws_its_bar_on_a_terminal(monkeypatch, capsys):
+def test_a_short_run_prints_nothing_to_a_pipe_and_draws_its_bar_on_a_terminal(monkeypatch, capsys):
     list(Progress([1, 2], unit="image"))
     assert capsys.readouterr().err == ""
 

@@ -76,7 +76,7 @@ def test_a_run_cut_short_before_its_first_checkpoint_goes_on(
         assert files[0].read_bytes() == files[1].read_bytes()
 
 
-def test_footage_that_stands_still_is_told_and_not_judged(street: Path, tmp_path: Path) -> None:
+def test_static_footage_is_reported_and_not_judged(street: Path, tmp_path: Path) -> None:
     for number in range(10):
         write_colours(tmp_path / f"{number:02d}.png", read_image(street / "00.png"))
 

@@ -1,4 +1,4 @@
-"""roadtorch doctor: what is there, what is missing, what is broken, and what is told of it."""
+"""roadtorch doctor: parts that are installed, missing or broken."""
 
 import sys
 from pathlib import Path
@@ -33,19 +33,19 @@ def test_a_failing_section_breaks_itself_alone(call: Call, monkeypatch: pytest.M
         raise ModuleNotFoundError("No module named 'torch'\nand more")
 
     good = Check("torch", "ok", "2.13.0")
-    missing = Check("video", "missing", "is not", "mend it")
+    missing = Check("video", "missing", "is not", "fix it")
     monkeypatch.setattr(doctor, "CHECKS", {"one": lambda: [good, missing], "gone": fails})
 
     result = call("doctor")
 
     assert result.exit_code == 1
     assert [" ".join(line.split()) for line in result.stdout.splitlines()[1:]] == [
-        *("", "one", "ok torch 2.13.0", "missing video is not (mend it)", "", "gone"),
+        *("", "one", "ok torch 2.13.0", "missing video is not (fix it)", "", "gone"),
         "broken gone ModuleNotFoundError: No module named 'torch' (install roadtorch again)",
     ]
 
 
-def test_what_is_absent_comes_with_its_installation(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_packages_come_with_their_installation(monkeypatch: pytest.MonkeyPatch) -> None:
     class Metadata:
         def get_all(self, _: str) -> list[str]:
             return ["video", "grid", "test"]

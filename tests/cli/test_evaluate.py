@@ -170,7 +170,7 @@ def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(t
     assert "maxf" in written["paired"]["detectors"]["mine-weights"]
 
 
-# --- what goes wrong -----------------------------------------------------------------------------
+# --- errors --------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("_no_page")
@@ -191,7 +191,7 @@ def test_a_broken_image_is_listed_and_the_rest_is_scored(tmp_path):
     "words",
     [("--tune",), ("--submit",), ("--submit", "--out", "out"), ("--detector", "fusoin")],
 )
-def test_what_cannot_be_done_together_is_refused(call: Call, camvid: Path, words: tuple[str]):
+def test_conflicting_options_are_refused(call: Call, camvid: Path, words: tuple[str]):
     done = call("evaluate", "camvid", camvid, *words)
 
     assert done.exit_code == 2

@@ -1,4 +1,4 @@
-"""What detectors and export print; configs by name."""
+"""Output of detectors and export; configs by name."""
 
 from pathlib import Path
 

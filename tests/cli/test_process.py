@@ -1,4 +1,4 @@
-"""The installed command as its users call it: real files, streams, and what it loads."""
+"""The installed command with real files and streams, and its imports."""
 
 import os
 import subprocess

@@ -20,7 +20,7 @@ MISTAKES = {
     "infer x.jpg --save ,": "--save: nothing to save (",
     "infer x.jpg --start 2": "--start, --end: images have no time stamps (",
     "infer x.jpg --device meta": "--device meta: ",
-    "infer x.jpg --device gpu": "--device gpu: is no device of torch (",
+    "infer x.jpg --device gpu": "--device gpu: is no torch device (",
     "infer x.jpg --device cuda:99": "--device cuda:99: ",
     # Detectors and their settings
     "infer x.jpg --detector prior:row": "prior:row: unknown detector (did you mean",
@@ -34,9 +34,9 @@ MISTAKES = {
     "infer none": "none: does not exist (",
     "infer x.jpg x.mask.png --out .": "x.mask.png: is one of the input images (",
     "infer x.jpg x.png": "x.jpg and x.png: both would write ",
-    "infer x.jpg --out x.png": "x.png: cannot be made a folder: File exists (",
-    "infer x.jpg --out x.png/below": "x.png/below: cannot be made a folder: ",
-    "infer x.jpg --out loop": "loop: cannot be made a folder: ",
+    "infer x.jpg --out x.png": "x.png: cannot be created: File exists (",
+    "infer x.jpg --out x.png/below": "x.png/below: cannot be created: ",
+    "infer x.jpg --out loop": "loop: cannot be created: ",
     # The ground
     "grid x.jpg --out o": "grid: the lens is not specified (give one of --fov, --camera-info",
     "grid x.jpg --out o --fov 60": "--height: is missing",
@@ -59,7 +59,7 @@ MISTAKES = {
     "annotate . --import coco": "Missing option '--from'",
     "annotate . --export xml --to x": "Invalid value for '--export': 'xml' is not one of 'png', 'c",
     "annotate . --report --out nowhere": "nowhere: is no folder",
-    "annotate . --detector prior:rows --out x.jpg": "x.jpg: cannot be made a folder",
+    "annotate . --detector prior:rows --out x.jpg": "x.jpg: cannot be created",
 }
 
 

@@ -186,8 +186,8 @@ def test_a_generator_is_asked_when_a_image_is_needed_and_left_where_one_is_wrong
         (["x.jpg", "y.jpg"], {}, "x.jpg: does not exist"),
         ([torch.rand(3, 20, 20)], {"order": "bgr"}, "order: is for NumPy arrays"),
         ([np.full((20, 20, 3), 200.0)], {"order": "rgb"}, "images[0]: has values from 200 to 200"),
-        ([BGR[0]], {"order": "gbr"}, "gbr: unknown order of colours"),
-        ("bgr", {}, 'image: is an order of colours (write detect(image, "bgr")'),
+        ([BGR[0]], {"order": "gbr"}, "gbr: unknown colour order"),
+        ("bgr", {}, 'image: is a colour order (write detect(image, "bgr")'),
         ("bgr", {"order": BGR[0]}, 'order: is ndarray (write detect(image, "rgb")'),
         (["bgr"], {"order": BGR}, "order: is list (write detect("),
     ],
@@ -205,7 +205,7 @@ def test_one_image_is_no_list_and_an_order_is_checked_at_once() -> None:
         detector.detect_many("street.jpg")
     with pytest.raises(InputError, match=r"images: have the shape \(3, 32, 32\)"):
         detector.forward(torch.zeros(3, 32, 32))
-    with pytest.raises(ConfigError, match="BGR: unknown order of colours"):
+    with pytest.raises(ConfigError, match="BGR: unknown colour order"):
         load_detector("prior:rows", order="BGR")  # type: ignore[arg-type]
 
 

@@ -3,7 +3,7 @@
     python -m pytest tests/fuzz                              # some of each kind
     python -m pytest tests/fuzz --hypothesis-profile long    # thousands of each
 
-A file is read and makes sense, or is refused as ``FILE: what is wrong (what to do)``: no traceback,
+A file is read plausibly, or is refused as ``FILE: problem (hint)``: no traceback,
 no hang, no memory without end, nothing half-written.
 """
 
@@ -53,7 +53,7 @@ def verdict(path: Path, read: Read) -> str:
     reset_peak_memory()
     refusal = None
     try:
-        assert read(path), "what was read makes no sense"
+        assert read(path), "the result is not plausible"
     except RoadtorchError as error:
         refusal = error
     finally:

@@ -99,7 +99,7 @@ def test_a_password_is_sent_and_told_nosend(host: str) -> None:
 
     with pytest.raises(InputError) as error:
         find_inputs([f"http://me:wrong@{host}/locked.png"])
-    assert str(error.value).startswith(f"http://{host}/locked.png: is answered with 401")
+    assert str(error.value).startswith(f"http://{host}/locked.png: returned 401")
 
 
 def test_what_does_not_end_is_a_stream(host: str) -> None:
@@ -112,9 +112,9 @@ def test_what_does_not_end_is_a_stream(host: str) -> None:
 @pytest.mark.parametrize(
     ("url", "error"),
     [
-        ("http://{host}/none.png", "is answered with 404 Not Found"),
-        ("http://{host}/cut.png", "cannot be fetched: it is cut after"),
-        ("http://{host}/late.png", "cannot be fetched: 0.2 seconds without an answer"),
+        ("http://{host}/none.png", "returned 404 Not Found"),
+        ("http://{host}/cut.png", "cannot be fetched: it is truncated after"),
+        ("http://{host}/late.png", "cannot be fetched: 0.2 seconds without a response"),
         ("http://{host}/long.png", "has more than 1,000,000 bytes"),
         ("http://127.0.0.1:9/a.png", "cannot be fetched: "),
     ],

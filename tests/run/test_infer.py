@@ -184,7 +184,7 @@ def test_broken_images_become_failed_rows_beside_others(
     ("error", "told"),
     [
         (ZeroDivisionError("oh\nno"), "ZeroDivisionError: oh no (report it)"),
-        (MemoryError(), "b.png: needs more memory than there is (give smaller images"),
+        (MemoryError(), "b.png: needs more memory than is available (give smaller images"),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), "needs more mem"),
         (ImportError("x.so: failed to map segment from shared object"), "needs more memory"),
     ],
