@@ -36,6 +36,8 @@ UNSCALED_ROWS = 32
 MAX_SKY_BLUE = 0.1
 """Strongest blue of a sky: -b of CIELAB over 100."""
 
+HORIZON = 0.5
+
 
 class PositionPrior(NamedTuple):
     """Prior on the position of the classes: a logistic model of row and column.
@@ -46,7 +48,7 @@ class PositionPrior(NamedTuple):
     softness, in rows. ``vertical`` is that class's log weight at every position.
     """
 
-    horizon: float = 0.5
+    horizon: float = HORIZON
     sky_rise: float = 0.17
     sky_slope: float = 0.65
     sky_softness: float = 0.54
@@ -109,7 +111,7 @@ class HorizonSettings(Settings):
     """Settings of the layout labeller that depend on the camera."""
 
     horizon: float = Field(
-        default=LABELLER_RULES.position.horizon, ge=0, le=1, description="row, fraction of height"
+        default=HORIZON, ge=0, le=1, description="row of the horizon, fraction of the height"
     )
 
     @property

@@ -126,7 +126,7 @@ class RobustSettings(GaussianSettings):
 
     method: Literal["reweighted", "huber"] = Field(
         default="reweighted",
-        description="decay of weights: by the distance to the power of 1.5 (ours), or of 1 (huber, "
+        description="weights fall with the distance to the power of 1.5 (ours), or of 1 (huber, "
         "after P3's text)",
     )
 

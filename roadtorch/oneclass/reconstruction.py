@@ -33,7 +33,7 @@ class ComponentSettings(ClassifierSettings):
     )
     full: Literal["cap", "strict", "mean"] = Field(
         default="cap",
-        description="where that needs all components: use one less (cap), all of them (strict: all "
+        description="if that fraction needs all components: use one less (cap), all (strict: all "
         "distances are 0), or none (mean: distance to the mean)",
     )
 

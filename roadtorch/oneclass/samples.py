@@ -37,13 +37,13 @@ class WideSeedArea(SeedArea):
     """
 
     height: float = Field(
-        default=33, ge=1, le=FRAME[0], description="height, in a frame of 240 rows; scaled"
+        default=33, ge=1, le=FRAME[0], description="height in rows, if the image has 240; scaled"
     )
     width: float = Field(
         default=100.5,
         ge=1,
         le=FRAME[1],
-        description="width, in a frame of 320 columns; scaled",
+        description="width in columns, if the image has 320; scaled",
     )
 
 

@@ -25,15 +25,14 @@ class RegionTreeSettings(Settings):
 
     levels: int = Field(default=16, ge=1, le=1024, description="L, the number of threshold steps")
     top: TopLevel = Field(
-        default="included", description="threshold 1, which only ends nodes (program), or not"
+        default="included", description="include threshold 1, which only ends nodes (program)"
     )
     min_area: int = Field(
         default=50, ge=1, le=10**6, description="minPts, least area of a region, pixels of the map"
     )
     nodes: Nodes = Field(
         default="runs",
-        description="node of the tree: a region and its successors until it splits (P1), or a "
-        "single region",
+        description="node of the tree: a run of regions up to the next split (P1), or one region",
     )
 
 

@@ -30,7 +30,7 @@ class MapSettings(Settings):
 
     encoder: Literal["base", "patch"] = Field(
         default="base",
-        description="mean to subtract a distance from: its base's (eq. 4), its patch's (eq. 3)",
+        description="mean distance of the base (eq. 4) or patch (eq. 3), minus the distance",
     )
     row_weights: RowWeights = Field(
         default="centred",

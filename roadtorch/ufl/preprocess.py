@@ -54,7 +54,9 @@ class Smoothing(Settings):
     light_sigma: float = Field(
         default=0.5, gt=0, le=50, description="sigma of the brightness map's blur, pixels"
     )
-    light_reach: int = Field(default=2, ge=0, le=50, description="radius of its window, pixels")
+    light_reach: int = Field(
+        default=2, ge=0, le=50, description="radius of that blur's window, pixels"
+    )
     target: float = Field(
         default=0.5, gt=0, le=10, description="brightness after equalisation; the text of P1: 1"
     )

@@ -43,8 +43,8 @@ class StabilitySettings(Settings):
     rounds: int = Field(default=2, ge=1, le=100, description="iterations; the first has no error")
     position: Literal["symmetric", "from_one", "ahead"] = Field(
         default="symmetric",
-        description="position term of eq. 6: centred on the middle row and column (program), rows "
-        "and columns from 1 minus H/2 (text), or inside a triangle ahead",
+        description="position in eq. 6: from the middle row and column (program), rows and columns "
+        "from 1 minus H/2 (text), or a triangle ahead",
     )
     apex: float = Field(
         default=TRIANGLE_APEX,

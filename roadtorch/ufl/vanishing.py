@@ -39,7 +39,7 @@ class GaborBank(Settings):
     24 and 48 pixels, whose responses are so large that they alone would decide.
     """
 
-    orientations: int = Field(default=36, ge=16, le=180, description="evenly spread over 180°")
+    orientations: int = Field(default=36, ge=16, le=180, description="number, evenly over 180°")
     scales: int = Field(default=3, ge=1, le=8, description="number of scales, an octave apart")
     frequency: float = Field(
         default=2.1, gt=0, le=math.pi, description="frequency of the finest scale, radians/pixel"

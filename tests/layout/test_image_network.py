@@ -16,7 +16,9 @@ from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, s
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.weights import (
     LayoutNetwork,
+    WeightsFile,
     card_of,
+    image_network_of,
     list_shipped_weights,
     load_network,
     network_at,
@@ -190,6 +192,12 @@ def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
 def test_other_headers_are_refused(changes: dict[str, object], message: str, weights: Path) -> None:
     change_header(weights, NETWORKS[0].state_dict(), **changes)
     assert_refused(weights, message)
+
+
+def test_a_network_of_another_kind_is_refused_by_what_it_is(weights: Path) -> None:
+    message = r"holds a patch network \(CNN-7\); this detector needs a whole-image network"
+    with pytest.raises(WeightsError, match=message):
+        image_network_of(WeightsFile(file=str(weights)), "backbone-free")
 
 
 # --- cards ---------------------------------------------------------------------------------
