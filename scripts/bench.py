@@ -74,9 +74,9 @@ def interleaved(calls: Calls, rounds: int) -> Times:
     return times
 
 
-def ratio(one: Sequence[float], other: Sequence[float]) -> float:
+def ratio(times: Sequence[float], reference: Sequence[float]) -> float:
     """Return the median of the rounds' ratios."""
-    return median(a / b for a, b in zip(one, other, strict=True))
+    return median(a / b for a, b in zip(times, reference, strict=True))
 
 
 def lraspp(image: Tensor) -> Callable[[], Any]:
@@ -101,8 +101,8 @@ def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Tens
         ours = [name for name in sys.modules if name.partition(".")[0] == "roadtorch"]
         return {name: sys.modules[name] for name in ours}
 
-    others = loaded()
-    for name in others:
+    own_modules = loaded()
+    for name in own_modules:
         del sys.modules[name]
     sys.path.insert(0, str(checkout))
     try:
@@ -116,19 +116,19 @@ def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Tens
         sys.path.remove(str(checkout))
         for name in loaded():
             del sys.modules[name]
-        sys.modules.update(others)
+        sys.modules.update(own_modules)
 
 
-def contestants(names: Sequence[str], image: Tensor, before: Path | None = None) -> Calls:
+def contestants(names: Sequence[str], image: Tensor, checkout: Path | None = None) -> Calls:
     """Return ``detect`` of the named detectors, that of another checkout, and the peers."""
     import skimage.segmentation
 
-    others = detects_of(before.resolve(), names) if before else {}
+    detects = detects_of(checkout.resolve(), names) if checkout else {}
     calls: dict[str, Callable[[], Any]] = {}
     for name in names:
         calls[name] = partial(load_detector(name).detect, image)
-        if before:
-            calls[f"{name}{BEFORE}"] = partial(others[name], image)
+        if checkout:
+            calls[f"{name}{BEFORE}"] = partial(detects[name], image)
     rows = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
     theirs = partial(skimage.segmentation.slic, rows, SEGMENTS, compactness=10)
     return {**calls, LRASPP: lraspp(image), SLIC: partial(slic, image, SEGMENTS), SKIMAGE: theirs}
@@ -147,12 +147,13 @@ def table(times: Times) -> str:
 def suite(words: Sequence[str]) -> str:
     """Measure CPU seconds of the tests for each millisecond of LRASPP before and after them."""
     calls = {LRASPP: lraspp(render_scene(0, 480, 640).image.contiguous())}
-    before = interleaved(calls, 20)[LRASPP]
+    reference = interleaved(calls, 20)[LRASPP]
     subprocess.run([sys.executable, "-m", "pytest", "-q", *words], cwd=ROOT, check=False)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    taken = median(before + interleaved(calls, 20)[LRASPP])
+    milliseconds = median(reference + interleaved(calls, 20)[LRASPP])
     cpu = used.ru_utime + used.ru_stime
-    return f"tests: {cpu:.0f} s of CPU; {LRASPP}: {taken:.1f} ms; {cpu / taken:.2f} s per ms"
+    speed = f"{LRASPP}: {milliseconds:.1f} ms; {cpu / milliseconds:.2f} s per ms"
+    return f"tests: {cpu:.0f} s of CPU; {speed}"
 
 
 # --- commands -----------------------------------------------------------------------------
@@ -193,9 +194,9 @@ def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
     start = time.perf_counter()
     environment = {**os.environ, "PYTHONPATH": str(checkout.resolve())}
     subprocess.run(words, cwd=folder, env=environment, capture_output=True, check=True)
-    taken = time.perf_counter() - start
+    elapsed = time.perf_counter() - start
     shutil.rmtree(folder / "out")
-    return taken
+    return elapsed
 
 
 def rates(data: Path, checkouts: Sequence[Path], rounds: int) -> Iterator[str]:
@@ -213,13 +214,13 @@ def rates(data: Path, checkouts: Sequence[Path], rounds: int) -> Iterator[str]:
                     words = line.format(count=count)
                     times[way].append(seconds(checkout, words, jobs, Path(folder, str(count))))
             for checkout in checkouts:
-                one, two = (
+                single, double = (
                     (ALL - FEW)
                     / (median(times[checkout, n, ALL]) - median(times[checkout, n, FEW]))
                     for n in (1, 2)
                 )
                 where = checkout.resolve().name
-                yield f"| {name} | {where} | {one:.1f} | {two:.1f} | {two / one:.2f} |"
+                yield f"| {name} | {where} | {single:.1f} | {double:.1f} | {double / single:.2f} |"
 
 
 def main(words: Sequence[str] | None = None) -> None:

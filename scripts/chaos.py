@@ -167,20 +167,20 @@ def lost_strokes(folder: Path) -> Iterator[str]:
     """Yield the strokes that were acknowledged and are in no whole line of a log."""
     notes = folder / "acknowledged"
     logs = [path.read_bytes() for path in (folder / OUT).rglob("*.jsonl")]
-    kept = {json.loads(line).get("id") for log in logs for line in log.split(b"\n")[:-1]}
+    logged = {json.loads(line).get("id") for log in logs for line in log.split(b"\n")[:-1]}
     acknowledged = set(notes.read_text().split()) if notes.exists() else set[str]()
-    yield from (f"{stroke} is lost" for stroke in acknowledged - kept)
+    yield from (f"{stroke} is lost" for stroke in acknowledged - logged)
 
 
 def differences(quiet: Path, out: Path) -> Iterator[str]:
     """Yield what sets the files of a folder apart from those of an undisturbed run."""
-    wanted, present = (
+    expected, present = (
         {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
         for folder in (quiet, out)
     )
-    yield from (f"{name} is missing" for name in sorted(wanted - present))
-    yield from (f"{name} is stray" for name in sorted(present - wanted))
-    for name in sorted(wanted & present):
+    yield from (f"{name} is missing" for name in sorted(expected - present))
+    yield from (f"{name} is stray" for name in sorted(present - expected))
+    for name in sorted(expected & present):
         if content_of(quiet / name) != content_of(out / name):
             yield f"{name} has other content"
 
@@ -306,12 +306,12 @@ def kill_worker(case: Case) -> Iterator[str]:
 
 def meet(case: Case) -> Iterator[str]:
     """Start two runs at the same moment, or nearly."""
-    other, one = replace(case, log="other"), case.start()
-    one.join(case.chance.choice((0, case.moment())))
-    two = other.start()
-    yield from case.finish(one, {0, 1, 2})
-    yield from other.finish(two, {0, 1, 2})
-    if 0 not in (one.exitcode, two.exitcode):
+    second_case, first = replace(case, log="other"), case.start()
+    first.join(case.chance.choice((0, case.moment())))
+    second = second_case.start()
+    yield from case.finish(first, {0, 1, 2})
+    yield from second_case.finish(second, {0, 1, 2})
+    if 0 not in (first.exitcode, second.exitcode):
         yield "neither run ended well"
 
 
@@ -406,15 +406,15 @@ def disturb(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
     attempts = [TROUBLE[kind]] * options.times if kind in TROUBLE else []
     attempts += [partial(fail, fault=fault, allowed=FAULT_ENDS) for fault in faults(options.times)]
     for attempt in attempts:
-        found = [*attempt(case), *lost_strokes(case.folder)]
+        problems = [*attempt(case), *lost_strokes(case.folder)]
         again = list(case.finish(case.start(AGAIN.get(kind)), {0}))
         if kind == "change" and again and "ended with 2:" in again[0]:
             shutil.rmtree(case.folder)  # what began with other bytes is refused, and begun anew
             again = list(case.finish(case.start(), {0}))
-        found += [f"started again it {end}" for end in again]
-        found += differences(quiet / OUT, case.folder / OUT)
+        problems += [f"started again it {end}" for end in again]
+        problems += differences(quiet / OUT, case.folder / OUT)
         cause = attempt.keywords if isinstance(attempt, partial) else ""
-        wrong += [f"{kind} {name} {cause}: {each}" for each in found]
+        wrong += [f"{kind} {name} {cause}: {problem}" for problem in problems]
         shutil.rmtree(case.folder)
     print(f"{kind} {name}: tried {len(attempts)}, wrong {len(wrong)}", flush=True)
     return wrong

@@ -248,11 +248,11 @@ def settled(file: Path) -> bytes:
     return text.encode() + binary
 
 
-def differences(before: Path, after: Path) -> Iterator[str]:
+def differences(old_out: Path, new_out: Path) -> Iterator[str]:
     """Yield what differs, by output and file; last, how many are equal."""
-    old, new = hashes(before), hashes(after)
-    parts, others = ({part for part, _ in table} for table in (old, new))
-    keys = sorted(key for key in old.keys() | new.keys() if key[0] in parts & others)
+    old, new = hashes(old_out), hashes(new_out)
+    parts = {part for part, _ in old} & {part for part, _ in new}
+    keys = sorted(key for key in old.keys() | new.keys() if key[0] in parts)
     unequal = [key for key in keys if old.get(key) != new.get(key)]
     for output, group in groupby(unequal, lambda key: f"{key[0]}/{key[1].split('/')[0]}"):
         differing = list(group)
@@ -261,22 +261,22 @@ def differences(before: Path, after: Path) -> Iterator[str]:
             state = "gone" if key not in new else "other bytes" if key in old else "new"
             yield f"  {'/'.join(key)}: {state}"
             if state == "other bytes":
-                lines = changes(before.joinpath(*key), after.joinpath(*key))
+                lines = changes(old_out.joinpath(*key), new_out.joinpath(*key))
                 yield from (f"    {line[:200]}" for line in lines[:8])
-    yield f"equal: {len(keys) - len(unequal)} of {len(keys)} in {', '.join(sorted(parts & others))}"
+    yield f"equal: {len(keys) - len(unequal)} of {len(keys)} in {', '.join(sorted(parts))}"
 
 
-def changes(before: Path, after: Path) -> list[str]:
+def changes(old_file: Path, new_file: Path) -> list[str]:
     """Return the lines of a text that differ; of an array, how many numbers and by how much."""
-    if before.suffix == ".npy":
-        old, new = np.load(before).astype(float), np.load(after).astype(float)
+    if old_file.suffix == ".npy":
+        old, new = np.load(old_file).astype(float), np.load(new_file).astype(float)
         if old.shape != new.shape:
             return [f"{old.shape} and {new.shape}"]
         apart = np.abs(old - new)
         return [f"{np.count_nonzero(apart)} of {apart.size} numbers, by {apart.max():.2g} at most"]
-    if before.suffix not in TEXT:
+    if old_file.suffix not in TEXT:
         return []
-    old, new = (settled(file).decode().split("\n") for file in (before, after))
+    old, new = (settled(file).decode().split("\n") for file in (old_file, new_file))
     return list(difflib.unified_diff(old, new, n=0, lineterm=""))[2:]
 
 

@@ -30,7 +30,7 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, decisions_at, f_measure, max_f
 from scripts.readme_figures import keep_records
 
-RUN_FILES = ("fusion", "fusion:large")
+DETECTORS = ("fusion", "fusion:large")
 
 Predict = Callable[[Tensor], Tensor]
 """An image (3,H,W) in [0,1] → how road-like each pixel is, (H,W) in [0,1]."""
@@ -45,7 +45,7 @@ def likelihood_of(detector: Detector, image: Tensor) -> Tensor:
 def load_networks(folder: Path) -> dict[str, Predict]:
     """Load our detectors and the networks of a folder, by name."""
     networks: dict[str, Predict] = {
-        name: partial(likelihood_of, load_detector(name)) for name in RUN_FILES
+        name: partial(likelihood_of, load_detector(name)) for name in DETECTORS
     }
     sys.path.insert(0, str(folder))
     for file in sorted(folder.glob("*.py")):
@@ -71,8 +71,8 @@ def score(networks: Mapping[str, Predict], many: Path) -> dict[str, float]:
             likelihood = predict(image).clamp(0, 1)
             times[name].append(1000 * (perf_counter() - start))
             levels = count_levels(likelihood, truth.road, truth.valid)
-            before = counts[name].get(str(item.group))
-            counts[name][str(item.group)] = levels if before is None else before + levels
+            previous = counts[name].get(str(item.group))
+            counts[name][str(item.group)] = levels if previous is None else previous + levels
     values: dict[str, float] = {}
     for name, cameras in counts.items():
         values[f"peers.{name}.ms"] = median(times[name])
@@ -86,12 +86,12 @@ def score(networks: Mapping[str, Predict], many: Path) -> dict[str, float]:
             values[f"peers.{name}.{key}"] = fmean(f_of.values())
             values[f"peers.{name}.{key}.worst"] = min(f_of.values())
             values |= {f"peers.{name}.{key}@{camera}": f for camera, f in f_of.items()}
-    for name in RUN_FILES:
+    for name in DETECTORS:
         leads = (
             max(
-                values[f"peers.{other}.f_mask@{camera}"]
-                for other in networks
-                if other not in RUN_FILES
+                values[f"peers.{peer}.f_mask@{camera}"]
+                for peer in networks
+                if peer not in DETECTORS
             )
             - values[f"peers.{name}.f_mask@{camera}"]
             for camera in counts[name]

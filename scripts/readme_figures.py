@@ -80,8 +80,8 @@ def evaluate(data: Path, out: Path, runs: Sequence[str], jobs: int) -> None:
 
 def keep_records(run: str, command: str, values: Records) -> None:
     """Write the records that documents use."""
-    kept = {key: values[key] for key in sorted(used() & values.keys())}
-    text = json.dumps({"command": command, "values": kept}, indent=0)
+    values_used = {key: values[key] for key in sorted(used() & values.keys())}
+    text = json.dumps({"command": command, "values": values_used}, indent=0)
     (FIGURES / f"{run}.json").write_text(f"{text}\n", encoding="utf-8")
 
 
@@ -96,7 +96,7 @@ def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:
         for group, figures in {**groups, **scores.get("conditions", {})}.items():
             values |= {f"{prefix}.{key}@{group}": value for key, value in flatten(figures)}
         for key in ("f_mask", "maxf"):
-            f_of = {name: each[key] for name, each in groups.items() if each.get(key) is not None}
+            f_of = {name: f[key] for name, f in groups.items() if f.get(key) is not None}
             if f_of:
                 worst = min(f_of, key=lambda name: f_of[name])
                 values |= {f"{prefix}.{key}.worst": f_of[worst]}
@@ -359,16 +359,16 @@ def main(words: Sequence[str] | None = None) -> int:
         evaluate(options.data.resolve(), options.out.resolve(), options.only, options.jobs)
     values, errors = records(), 0
     for path in documents():
-        before = path.read_text(encoding="utf-8")
-        after = rewrite(before, values)
-        lines = before.splitlines(), after.splitlines()
+        old = path.read_text(encoding="utf-8")
+        new = rewrite(old, values)
+        lines = old.splitlines(), new.splitlines()
         for line in difflib.unified_diff(*lines, str(path), lineterm=""):
             print(line)
-        if options.task != "check" and after != before:
-            path.write_text(after, encoding="utf-8")
-        if numbers := unbound_numbers(after):
+        if options.task != "check" and new != old:
+            path.write_text(new, encoding="utf-8")
+        if numbers := unbound_numbers(new):
             print(f"{path}: of no record and no study: {', '.join(numbers)}")
-        errors += bool(numbers) + (after != before)
+        errors += bool(numbers) + (new != old)
     return 1 if options.task == "check" and errors else 0
 
 

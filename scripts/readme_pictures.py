@@ -79,8 +79,8 @@ def write_drive(clip: Path, path: Path) -> None:
             size = DRIVE_WIDTH, round(pixels.shape[0] * DRIVE_WIDTH / pixels.shape[1])
             small = Image.fromarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
             frames.append(small.quantize(COLOURS, dither=Image.Dither.NONE))
-    first, *others = frames[::EVERY]
-    first.save(path, save_all=True, append_images=others, duration=DURATION, loop=0)
+    first, *following = frames[::EVERY]
+    first.save(path, save_all=True, append_images=following, duration=DURATION, loop=0)
 
 
 def made_with() -> dict[str, str]:

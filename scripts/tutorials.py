@@ -45,34 +45,33 @@ STEPS = 3  # of the last decimal that it may differ by
 # --- comparing ---------------------------------------------------------------------------
 
 
-def same(expected: Sequence[str], found: Sequence[str]) -> bool:
+def same(expected: Sequence[str], actual: Sequence[str]) -> bool:
     """Tell whether the lines found are those expected, ``…`` being any lines."""
     if not expected:
-        return not found
+        return not actual
     if expected[0].strip() == ANYTHING:
-        return any(same(expected[1:], found[at:]) for at in range(len(found) + 1))
-    return bool(found) and same_line(expected[0], found[0]) and same(expected[1:], found[1:])
+        return any(same(expected[1:], actual[at:]) for at in range(len(actual) + 1))
+    return bool(actual) and same_line(expected[0], actual[0]) and same(expected[1:], actual[1:])
 
 
-def same_line(expected: str, found: str) -> bool:
+def same_line(expected: str, actual: str) -> bool:
     """Tell whether lines are the same but for spaces and numbers that differ a little."""
     if expected.rstrip().endswith(ANYTHING):
         expected = expected.rstrip().removesuffix(ANYTHING).rstrip()
-        found = " ".join(found.split()[: len(expected.split())])  # as far as the expected one goes
-    parts, others = (SPLIT.split(" ".join(line.split())) for line in (expected, found))
-    if parts[0::2] != others[0::2]:
+        actual = " ".join(actual.split()[: len(expected.split())])  # as long as the expected line
+    parts, actual_parts = (SPLIT.split(" ".join(line.split())) for line in (expected, actual))
+    if parts[0::2] != actual_parts[0::2]:
         return False
-    units = parts[2::2]
-    triples = zip(parts[1::2], others[1::2], units, strict=True)
-    return all(bool(TIMES.match(unit)) or near(number, other) for number, other, unit in triples)
+    triples = zip(parts[1::2], actual_parts[1::2], parts[2::2], strict=True)
+    return all(bool(TIMES.match(unit)) or near(*numbers) for *numbers, unit in triples)
 
 
-def near(expected: str, found: str) -> bool:
+def near(expected: str, actual: str) -> bool:
     """Tell whether a number is near another: by ``SHARE``, or ``STEPS`` of its last decimal.
 
     Whole numbers have no decimals: below 34 they have to be equal.
     """
-    a, b = (float(text.replace(",", "").replace("\u2212", "-")) for text in (expected, found))
+    a, b = (float(text.replace(",", "").replace("\u2212", "-")) for text in (expected, actual))
     decimals = len(expected.partition(".")[2])
     steps = STEPS * 10.0**-decimals if decimals else 0.0
     return abs(a - b) <= max(SHARE * abs(a), steps) + 1e-12
@@ -161,33 +160,33 @@ def console_as_run(text: str) -> str:
     return lines
 
 
-def output_as_shown(expected: Sequence[str], found: Sequence[str]) -> str:
+def output_as_shown(expected: Sequence[str], actual: Sequence[str]) -> str:
     """Return the expected lines where the found ones are the same, the found ones otherwise."""
-    kept = [line.rstrip() for line in expected]
-    while kept and not kept[-1]:
-        kept.pop()
-    shown = expected if same(kept, found) else shortened(kept, found)
-    return "".join(f"{line}\n" for line in shown)
+    lines = [line.rstrip() for line in expected]
+    while lines and not lines[-1]:
+        lines.pop()
+    output = expected if same(lines, actual) else shortened(lines, actual)
+    return "".join(f"{line}\n" for line in output)
 
 
-def shortened(expected: Sequence[str], found: Sequence[str]) -> list[str]:
+def shortened(expected: Sequence[str], actual: Sequence[str]) -> list[str]:
     """Return the lines found, each ending in ``…`` where the one expected of its word does."""
     ends = [line.removesuffix(ANYTHING).split() for line in expected if line.endswith(ANYTHING)]
     words = {line[0]: len(line) for line in ends if line}
-    shown = []
-    for line in found:
+    output = []
+    for line in actual:
         first = next(iter(line.split()), "")
         start = re.match(rf"(\s*\S+){{{words.get(first, 0)}}}", line)
-        shown.append(f"{start[0]}  {ANYTHING}" if start and first in words else line)
-    return shown
+        output.append(f"{start[0]}  {ANYTHING}" if start and first in words else line)
+    return output
 
 
 def run_page(page: str) -> str:
     """Return a page with the output that it has now, executed in an empty folder."""
-    before, context, printed = Path.cwd(), get_context("fork"), list[str]()
+    cwd, context, printed = Path.cwd(), get_context("fork"), list[str]()
     # Not in this process: libraries that have worked have threads, which its copies lack.
-    python, other = context.Pipe()
-    process = context.Process(target=execute_all, args=(other,), daemon=True)
+    python, child_end = context.Pipe()
+    process = context.Process(target=execute_all, args=(child_end,), daemon=True)
 
     def as_run(block: re.Match[str]) -> str:
         nonlocal printed
@@ -211,7 +210,7 @@ def run_page(page: str) -> str:
             return BLOCK.sub(as_run, page)
         finally:
             process.kill()
-            os.chdir(before)
+            os.chdir(cwd)
 
 
 # --- the command ---------------------------------------------------------------------------
@@ -251,16 +250,16 @@ def main() -> int:
     prepare()
     wrong = 0
     for path in options.pages or executed_pages():
-        before, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
-        after = run_page(before)
+        old, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
+        new = run_page(old)
         took = sum(os.times()[:4]) - begin  # of the processor, children's too
-        print(f"{path.name}: {'as written' if before == after else 'differs'}, {took:.1f} s")
-        if before != after:
+        print(f"{path.name}: {'as written' if old == new else 'differs'}, {took:.1f} s")
+        if old != new:
             wrong += 1
-            lines = before.splitlines(), after.splitlines()
+            lines = old.splitlines(), new.splitlines()
             print("\n".join(difflib.unified_diff(*lines, lineterm="")))
             if options.act == "write":
-                path.write_text(after, encoding="utf-8")
+                path.write_text(new, encoding="utf-8")
     return 1 if wrong and options.act == "check" else 0
 
 

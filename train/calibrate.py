@@ -45,13 +45,13 @@ from roadtorch.evaluation.trust import (
 )
 from roadtorch.road.trust import ENOUGH, Signs, signs_of
 
-EVERY = 4
+CAMVID_STEP = 4
 """Step between the frames of CamVid."""
 
 DRIVES = ("0001TP", "0006R0", "0016E5")
 """Drives of CamVid, cameras beside the folders of many/."""
 
-TOO_FEW = ("india_zed",)
+EXCLUDED = ("india_zed",)
 """Folders of many/ that its README excludes from means."""
 
 PLACES = ("room", "things", "wall", "field", "water")
@@ -64,17 +64,17 @@ LEVELS = np.arange(-40, 40.01, 0.25)
 """Edges of the histograms of log odds."""
 
 
-def images(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
+def detect_images(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
     """Yield camera, detection and truth of each image of many/ and every fourth of CamVid."""
     many, camvid = open_dataset("folder", root / "many"), open_dataset("camvid", root / "camvid")
-    items = [(many, item) for item in many.items if item.group not in TOO_FEW]
-    items += [(camvid, item) for item in camvid.items[::EVERY]]
+    items = [(many, item) for item in many.items if item.group not in EXCLUDED]
+    items += [(camvid, item) for item in camvid.items[::CAMVID_STEP]]
     for dataset, item in tqdm(items, disable=None):
         image, truth = dataset.read(item)
         yield str(item.group), detector.detect(image), truth
 
 
-def rendered(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
+def detect_worlds(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
     """Yield the same for worlds of ``train.worlds``, whose kinds are the cameras."""
     for file in tqdm(sorted((root / "images").glob("*.jpg")), disable=None):
         code = np.asarray(Image.open(root / "truth" / f"{file.stem}.png"))
@@ -89,28 +89,29 @@ def rendered(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, T
 def choose_calibration(root: Path, name: str, settings: dict[str, Any]) -> None:
     """Print the centre and temperature, and F of each camera at the centre the others choose."""
     plain = {"centre": 0.0, "temperature": 1.0}
-    seen: dict[str, np.ndarray] = {}
-    for camera, found, truth in images(root, load_detector(name, calibration=plain, **settings)):
-        seen[camera] = seen.get(camera, 0) + counts_by_odds(found, truth)
-    counts = np.array(list(seen.values()))  # camera, 2, level
+    totals: dict[str, np.ndarray] = {}
+    detector = load_detector(name, calibration=plain, **settings)
+    for camera, detection, truth in detect_images(root, detector):
+        totals[camera] = totals.get(camera, 0) + count_by_odds(detection, truth)
+    counts = np.array(list(totals.values()))  # camera, 2, level
     table = f_by_level(counts)
     at = int(table.mean(0).argmax())
     print(
-        f"centre {LEVELS[at]:+.2f} temperature {temperature_of(counts, float(LEVELS[at])):.1f}: "
+        f"centre {LEVELS[at]:+.2f} temperature {fit_temperature(counts, float(LEVELS[at])):.1f}: "
         f"F {table[:, at].mean():.4f} worst {table[:, at].min():.3f} "
         f"best of each {table.max(1).mean():.4f}; at centre 0 {table[:, LEVELS == 0].mean():.4f}"
     )
-    for camera, f in zip(seen, as_others_choose(table), strict=True):
+    for camera, f in zip(totals, cross_validated_f(table), strict=True):
         print(f"{camera:16} {f:.3f} as the others choose")
 
 
-def counts_by_odds(found: Detection, truth: Truth) -> np.ndarray:
+def count_by_odds(detection: Detection, truth: Truth) -> np.ndarray:
     """Count pixels by log odds, (2, levels + 1): road and background; ego pixels are lowest."""
-    odds = torch.logit(found.likelihood, eps=1e-7)
-    return counts_between(torch.where(found.cues["ego"], -torch.inf, odds), truth)
+    odds = torch.logit(detection.likelihood, eps=1e-7)
+    return count_odds(torch.where(detection.cues["ego"], -torch.inf, odds), truth)
 
 
-def counts_between(odds: Tensor, truth: Truth) -> np.ndarray:
+def count_odds(odds: Tensor, truth: Truth) -> np.ndarray:
     """Count pixels by log odds (H, W), (2, levels + 1): road and background."""
     edges = np.concatenate([[-np.inf], LEVELS, [np.inf]])
     parts = (truth.valid & truth.road, truth.valid & ~truth.road)
@@ -123,23 +124,24 @@ def f_by_level(counts: np.ndarray) -> np.ndarray:
     return 2 * hits / (hits + alarms + counts[:, 0].sum(-1)[:, None])
 
 
-def as_others_choose(table: np.ndarray) -> np.ndarray:
+def cross_validated_f(table: np.ndarray) -> np.ndarray:
     """Return F of each camera (k,) at the level with the best mean over the others."""
     rows = range(len(table))
     return np.array([table[k, np.delete(table, k, 0).mean(0).argmax()] for k in rows])
 
 
-def temperature_of(counts: np.ndarray, centre: float) -> float:
+def fit_temperature(counts: np.ndarray, centre: float) -> float:
     """Fit the temperature that divides log odds less ``centre``, by the least cross-entropy.
 
     counts: (cameras, 2, levels + 1); every camera counts the same.
     """
-    shares = (counts / counts.sum((1, 2), keepdims=True)).mean(0)[:, 1:-1]
+    fractions = (counts / counts.sum((1, 2), keepdims=True)).mean(0)[:, 1:-1]
     odds = (LEVELS[1:] + LEVELS[:-1]) / 2 - centre
 
     def loss(temperature: float) -> float:
-        said = odds / temperature
-        return float((shares[0] * np.logaddexp(0, -said) + shares[1] * np.logaddexp(0, said)).sum())
+        scaled = odds / temperature
+        losses = np.logaddexp(0, [-scaled, scaled])
+        return float((fractions[0] * losses[0] + fractions[1] * losses[1]).sum())
 
     return min(np.arange(0.5, 10.1, 0.1), key=loss)
 
@@ -149,16 +151,16 @@ def temperature_of(counts: np.ndarray, centre: float) -> float:
 
 def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
     """Print the threshold with the best mean F over the cameras, and the held-out F."""
-    seen: dict[str, RoadCounts] = {}
-    for camera, found, truth in images(root, load_detector(name, **settings)):
-        counts = count_levels(found.likelihood, truth.road, truth.valid)
-        seen[camera] = seen[camera] + counts if camera in seen else counts
+    totals: dict[str, RoadCounts] = {}
+    for camera, detection, truth in detect_images(root, load_detector(name, **settings)):
+        counts = count_levels(detection.likelihood, truth.road, truth.valid)
+        totals[camera] = totals[camera] + counts if camera in totals else counts
     levels = np.arange(0.02, 1, 0.01)
     table = np.array(
-        [[float(f_measure(decisions_at(c, t))) for t in levels] for c in seen.values()]
+        [[float(f_measure(decisions_at(c, t))) for t in levels] for c in totals.values()]
     )
     at = int(table.mean(0).argmax())
-    held_out = as_others_choose(table).mean()
+    held_out = cross_validated_f(table).mean()
     print(
         f"threshold {levels[at]:.2f}: F {table[:, at].mean():.3f}, as others choose {held_out:.3f}"
     )
@@ -167,7 +169,7 @@ def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
 # --- trust ------------------------------------------------------------------------------
 
 
-class Judged(NamedTuple):
+class JudgedImages(NamedTuple):
     """n images: signs (n, k), F of their masks (n,), cameras (n,)."""
 
     signs: np.ndarray
@@ -181,64 +183,72 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
     Images with an empty mask are left out.
     """
     rows, detector = [], load_detector(name, **settings)
-    sources = [images(root, detector)] + ([rendered(worlds, detector)] if worlds else [])
-    for camera, found, truth in chain(*sources):
-        f = float(torch.nan_to_num(f_measure(count_mask(found.mask, truth.road, truth.valid))))
-        if found.mask.any():
-            rows.append((signs_of(found.likelihood, found.mask, found.cues), f, camera))
-    judged = Judged(*(np.array(column) for column in zip(*rows, strict=True)))
-    made = np.char.startswith(judged.camera, "world ")
-    none = np.isin(judged.camera, [f"world {place}" for place in PLACES])
+    sources = [detect_images(root, detector)]
+    sources += [detect_worlds(worlds, detector)] if worlds else []
+    for camera, detection, truth in chain(*sources):
+        f = float(torch.nan_to_num(f_measure(count_mask(detection.mask, truth.road, truth.valid))))
+        if detection.mask.any():
+            rows.append((signs_of(detection.likelihood, detection.mask, detection.cues), f, camera))
+    judged = JudgedImages(*(np.array(column) for column in zip(*rows, strict=True)))
+    rendered_rows = np.char.startswith(judged.camera, "world ")
+    roadless = np.isin(judged.camera, [f"world {place}" for place in PLACES])
     expected = np.empty_like(judged.f)
     for camera in np.unique(judged.camera):
-        mine = judged.camera == camera
-        there = road_there(judged, none, ~mine).predict_proba(judged.signs[mine][:, THERE])[:, 1]
-        f = fitted(judged, ~mine & ~made).predict(judged.signs[mine][:, EXPECTED]).clip(0, 1)
-        expected[mine] = f * (there / ENOUGH).clip(max=1)
-    many = ~np.isin(judged.camera, DRIVES) & ~made
-    held_out, f = torch.from_numpy(expected[many]), torch.from_numpy(judged.f[many])
-    within = correlation_within(Trusted(held_out, f, judged.camera[many].tolist()))
+        members = judged.camera == camera
+        signs, f_model = judged.signs[members], fit_f_model(judged, ~members & ~rendered_rows)
+        road_model = fit_road_model(judged, roadless, ~members)
+        road = road_model.predict_proba(signs[:, ROAD_FEATURES])[:, 1]
+        f = f_model.predict(signs[:, F_FEATURES]).clip(0, 1)
+        expected[members] = f * (road / ENOUGH).clip(max=1)
+    real = ~np.isin(judged.camera, DRIVES) & ~rendered_rows
+    held_out, f = torch.from_numpy(expected[real]), torch.from_numpy(judged.f[real])
+    within = correlation_within(Trusted(held_out, f, judged.camera[real].tolist()))
     error = float((held_out.clamp(0, 1) - f).abs().mean())
     print("on cameras left out, over the images of many:")
     print(f"rank correlation {rank_correlation(held_out, f):.3f}, within cameras {within:.3f},")
     print(f"ROC of F < {BAD} {failure_auc(held_out, f):.3f}, mean error {error:.3f}")
-    print(f"no road: {none.sum()} masks, trust below .3 of {(expected[none] < 0.3).sum()}")
-    print(f"F above .8 and trust below .6: {((judged.f > 0.8) & (expected < 0.6))[many].sum()}")
-    model, there = fitted(judged, ~made), road_there(judged, none, judged.f > -1)
+    print(f"no road: {roadless.sum()} masks, trust below .3 of {(expected[roadless] < 0.3).sum()}")
+    print(f"F above .8 and trust below .6: {((judged.f > 0.8) & (expected < 0.6))[real].sum()}")
+    model, road_model = (
+        fit_f_model(judged, ~rendered_rows),
+        fit_road_model(judged, roadless, judged.f > -1),
+    )
     print(
         "FEATURE_WEIGHTS", [round(float(weight), 2) for weight in model.coef_], "and 0 of entropy"
     )
     print("INTERCEPT", round(float(model.intercept_), 3))
-    print("MEAN_FEATURES", judged.signs[~made].mean(0).round(2).tolist())
-    print("ROAD_STABILITY, ROAD_ENTROPY", there.coef_[0].round(2))
-    print("ROAD_INTERCEPT", there.intercept_)
+    print("MEAN_FEATURES", judged.signs[~rendered_rows].mean(0).round(2).tolist())
+    print("ROAD_STABILITY, ROAD_ENTROPY", road_model.coef_[0].round(2))
+    print("ROAD_INTERCEPT", road_model.intercept_)
     for number, sign in enumerate(Signs._fields):
-        alone = rank_correlation(torch.from_numpy(judged.signs[many, number]), f)
+        alone = rank_correlation(torch.from_numpy(judged.signs[real, number]), f)
         print(f"{sign} alone {alone:+.2f}")
 
 
-THERE, EXPECTED = [0, 3], [0, 1, 2]
+ROAD_FEATURES, F_FEATURES = [0, 3], [0, 1, 2]
 """Signs that predict whether there is a road, and those that predict F of its mask."""
 
-NONE_WEIGHS = 3.0
+ROADLESS_WEIGHT = 3.0
 """Weight of a place without road against a camera."""
 
 
-def road_there(judged: Judged, none: np.ndarray, chosen: np.ndarray) -> LogisticRegression:
+def fit_road_model(
+    judged: JudgedImages, roadless: np.ndarray, chosen: np.ndarray
+) -> LogisticRegression:
     """Fit whether there is a road to the signs of the chosen images."""
-    weight = weights_of(judged.camera[chosen]) * np.where(none[chosen], NONE_WEIGHS, 1)
-    signs = judged.signs[chosen][:, THERE]
-    return LogisticRegression(C=10.0).fit(signs, ~none[chosen], sample_weight=weight)
+    weight = camera_weights(judged.camera[chosen]) * np.where(roadless[chosen], ROADLESS_WEIGHT, 1)
+    signs = judged.signs[chosen][:, ROAD_FEATURES]
+    return LogisticRegression(C=10.0).fit(signs, ~roadless[chosen], sample_weight=weight)
 
 
-def fitted(judged: Judged, chosen: np.ndarray) -> Ridge:
+def fit_f_model(judged: JudgedImages, chosen: np.ndarray) -> Ridge:
     """Fit F to the signs of the chosen images."""
-    weight = weights_of(judged.camera[chosen])
-    signs = judged.signs[chosen][:, EXPECTED]
+    weight = camera_weights(judged.camera[chosen])
+    signs = judged.signs[chosen][:, F_FEATURES]
     return Ridge(alpha=0.05).fit(signs, judged.f[chosen], sample_weight=weight)
 
 
-def weights_of(cameras: np.ndarray) -> np.ndarray:
+def camera_weights(cameras: np.ndarray) -> np.ndarray:
     """Return weights such that a camera weighs the square root of its size."""
     return np.array([1 / np.sqrt((cameras == camera).sum()) for camera in cameras])
 
@@ -248,18 +258,20 @@ CHOICES = {"calibration": choose_calibration, "threshold": choose_threshold}
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Choose what all cameras share.")
-    parser.add_argument("what", choices=(*CHOICES, "trust"))
+    parser.add_argument("part", choices=(*CHOICES, "trust"))
     parser.add_argument("data", type=Path, help="the folder that holds many/ and camvid/")
     parser.add_argument("--detector", default="fusion")
     parser.add_argument("--weights", default="", help="of the detector's network, to be tried")
-    parser.add_argument("--worlds", type=Path, help="rendered ones that taught no network")
-    given = parser.parse_args()
+    parser.add_argument(
+        "--worlds", type=Path, help="rendered worlds that no network was trained on"
+    )
+    options = parser.parse_args()
     torch.set_num_threads(1)
-    settings = {"weights": {"file": given.weights}} if given.weights else {}
-    if given.problem == "trust":
-        choose_trust(given.data, given.detector, settings, given.worlds)
+    settings = {"weights": {"file": options.weights}} if options.weights else {}
+    if options.part == "trust":
+        choose_trust(options.data, options.detector, settings, options.worlds)
     else:
-        CHOICES[given.problem](given.data, given.detector, settings)
+        CHOICES[options.part](options.data, options.detector, settings)
 
 
 if __name__ == "__main__":

@@ -38,12 +38,12 @@ from roadtorch.layout.weights import (
 from roadtorch.road.ego import continued, ego_found
 from roadtorch.road.fusion import RULES, log_odds, seed_log_odds, segment_road
 from roadtorch.road.seed_area import likely_seed
-from train.calibrate import TOO_FEW, as_others_choose, counts_between, f_by_level
+from train.calibrate import EXCLUDED, count_odds, cross_validated_f, f_by_level
 
 SCALES = (0.67, 1.0, 1.33)
 """Sizes relative to that of the network's settings."""
 
-DETAIL = 4.0
+PIXEL_WEIGHT = 4.0
 """Weight of the network's log odds by pixel against their mean over a superpixel."""
 
 ALONE = "network alone"
@@ -66,7 +66,7 @@ VARIANTS = {"all cues": Variant()} | {
 }
 
 
-def odds_of(
+def compute_odds(
     image: Tensor, networks: Mapping[float, WholeImageNetwork]
 ) -> Iterator[tuple[str, Tensor, float]]:
     """Yield name, log odds (h, w) and seconds of each way to find the road of an image (3, h, w).
@@ -75,30 +75,30 @@ def odds_of(
     """
     settings = ScratchFusionSettings()
     for scale, network in networks.items():
-        begun = perf_counter()
+        start = perf_counter()
         cues = network.cues(image)
-        seconds = perf_counter() - begun
-        yield f"network at {scale:g}" if scale != 1 else ALONE, hidden(cues), seconds
+        seconds = perf_counter() - start
+        yield f"network at {scale:g}" if scale != 1 else ALONE, network_odds(cues), seconds
         if scale == 1:
             learned, base = cues, seconds
     ego = ego_found(learned["ego"])
-    begun = perf_counter()
-    known = torch.cat([image, learned["layout"], learned["road"][None]])
-    image, layout, road = continued(known, ego).split([3, CLASSES, 1])
+    start = perf_counter()
+    planes = torch.cat([image, learned["layout"], learned["road"][None]])
+    image, layout, road = continued(planes, ego).split([3, CLASSES, 1])
     image = brightened(image, EXPOSURE)
     segments = measure_segments(image, settings.superpixels.cut(image))
-    own = segment_layout(segments, settings.labeller.rules)
-    taught = segment_mean([*layout, road[0]], segments.labels, segments.pixels)
+    layout_rules = segment_layout(segments, settings.labeller.rules)
+    layout_network = segment_mean([*layout, road[0]], segments.labels, segments.pixels)
     ground, odds = (
-        pooled(own.T, taught[:CLASSES], settings.layout_weight)[HORIZONTAL],
-        log_odds(taught[-1]),
+        pooled(layout_rules.T, layout_network[:CLASSES], settings.layout_weight)[HORIZONTAL],
+        log_odds(layout_network[-1]),
     )
     share = settings.seed_area.share
     evidence = odds + seed_log_odds(segments, ground)
     sources = likely_seed(evidence, segments.row, segments.size, share)
     seed = sources[segments.labels]
     near, even, _ = seen_from(image, segments, seed, sources.nonzero()[:, 0])
-    seconds = perf_counter() - begun
+    seconds = perf_counter() - start
     nothing = torch.full_like(near, 0.5)
     for name, variant in VARIANTS.items():
         exponents = RULES.exponents._replace(
@@ -109,19 +109,21 @@ def odds_of(
         rules = RULES._replace(exponents=exponents, position=position)
         pairs = ((ground, variant.layout), (near, variant.distance), (even, variant.texture))
         likely, close, plain = (cue if on else nothing for cue, on in pairs)
-        begun = perf_counter()
-        found = segment_road(segments, likely, close, plain, odds, rules)
-        spent = base + seconds + perf_counter() - begun
-        total = paint(log_odds(found), segments.labels) + DETAIL * log_odds(learned["road"])
-        yield name, torch.where(ego, -torch.inf, total), spent
+        start = perf_counter()
+        road_estimate = segment_road(segments, likely, close, plain, odds, rules)
+        elapsed = base + seconds + perf_counter() - start
+        total = paint(log_odds(road_estimate), segments.labels) + PIXEL_WEIGHT * log_odds(
+            learned["road"]
+        )
+        yield name, torch.where(ego, -torch.inf, total), elapsed
 
 
-def hidden(cues: Mapping[str, Tensor]) -> Tensor:
+def network_odds(cues: Mapping[str, Tensor]) -> Tensor:
     """Return the network's log odds of road, -inf on the ego car."""
     return torch.where(ego_found(cues["ego"]), -torch.inf, log_odds(cues["road"]))
 
 
-class Counted(NamedTuple):
+class OddsCounts(NamedTuple):
     """Pixels of n images by log odds (n, 2, levels + 1), and their seconds (n,)."""
 
     counts: np.ndarray
@@ -129,40 +131,42 @@ class Counted(NamedTuple):
 
 
 @torch.no_grad()
-def counted(many: Path, weights: str) -> tuple[dict[str, Counted], np.ndarray]:
+def count_images(many: Path, weights: str) -> tuple[dict[str, OddsCounts], np.ndarray]:
     """Count road and background by log odds of each way; return counts and cameras (n,)."""
     network = image_network_of(WeightsFile(file=weights), FOR_IMAGES)
     size = (network.settings.height, network.settings.width)
     networks = {scale: network_at(network, *scaled(*size, scale)) for scale in SCALES}
     dataset, rows, cameras = open_dataset("folder", many), {}, []
-    for item in tqdm([item for item in dataset.items if item.group not in TOO_FEW], disable=None):
+    for item in tqdm([item for item in dataset.items if item.group not in EXCLUDED], disable=None):
         image, truth = dataset.read(item)
         small = at_work(image, WorkingSize(pixels=256 * 192))
         planes = torch.stack([truth.valid, truth.road & truth.valid]).float()
         valid, road = resized(planes, size_of(small)) > 0.5
-        for name, odds, seconds in odds_of(small, networks):
-            counts = counts_between(odds, Truth(road, valid))
+        for name, odds, seconds in compute_odds(small, networks):
+            counts = count_odds(odds, Truth(road, valid))
             rows.setdefault(name, []).append((counts, seconds))
         cameras.append(str(item.group))
-    found = {}
+    ways = {}
     for name, pairs in rows.items():
         counts, seconds = zip(*pairs, strict=True)
-        found[name] = Counted(np.array(counts), np.array(seconds))
-    return found, np.array(cameras)
+        ways[name] = OddsCounts(np.array(counts), np.array(seconds))
+    return ways, np.array(cameras)
 
 
-def table_of(counts: np.ndarray, cameras: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def score_table(counts: np.ndarray, cameras: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Compute F by camera and level with weights (n,) of the images."""
-    weighed = counts * weights[:, None, None]
-    return f_by_level(np.array([weighed[cameras == each].sum(0) for each in np.unique(cameras)]))
+    weighted = counts * weights[:, None, None]
+    return f_by_level(
+        np.array([weighted[cameras == camera].sum(0) for camera in np.unique(cameras)])
+    )
 
 
-def drawn_anew(cameras: np.ndarray, at: np.random.Generator) -> np.ndarray:
+def resample(cameras: np.ndarray, at: np.random.Generator) -> np.ndarray:
     """Count how often each image is resampled (n,), with replacement within its camera."""
     weights = np.zeros(len(cameras))
     for camera in np.unique(cameras):
-        mine = np.flatnonzero(cameras == camera)
-        np.add.at(weights, at.choice(mine, len(mine)), 1)
+        members = np.flatnonzero(cameras == camera)
+        np.add.at(weights, at.choice(members, len(members)), 1)
     return weights
 
 
@@ -170,26 +174,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="What each cue brings beside the network.")
     parser.add_argument("many", type=Path)
     parser.add_argument("--weights", default="")
-    given = parser.parse_args()
+    options = parser.parse_args()
     torch.set_num_threads(1)
-    found, cameras = counted(given.many, given.weights)
+    ways, cameras = count_images(options.many, options.weights)
     at, ones = np.random.default_rng(35), np.ones(len(cameras))
-    draws = [drawn_anew(cameras, at) for _ in range(DRAWS)]
+    draws = [resample(cameras, at) for _ in range(DRAWS)]
     level = {
-        name: table_of(each.counts, cameras, ones).mean(0).argmax() for name, each in found.items()
+        name: score_table(result.counts, cameras, ones).mean(0).argmax()
+        for name, result in ways.items()
     }
     means = {
-        name: [table_of(each.counts, cameras, draw)[:, level[name]].mean() for draw in draws]
-        for name, each in found.items()
+        name: [score_table(result.counts, cameras, draw)[:, level[name]].mean() for draw in draws]
+        for name, result in ways.items()
     }
     print("| | F | worst | against the network alone (95 %) | ms |\n|---|---|---|---|---|")
-    for name, each in found.items():
-        f = as_others_choose(table_of(each.counts, cameras, ones))
+    for name, result in ways.items():
+        f = cross_validated_f(score_table(result.counts, cameras, ones))
         less = np.array(means[name]) - np.array(means[ALONE])
         low, high = np.quantile(less, [0.025, 0.975])
         print(
             f"| {name} | {f.mean():.3f} | {f.min():.3f} | {less.mean():+.3f} "
-            f"({low:+.3f} to {high:+.3f}) | {1000 * np.median(each.seconds):.1f} |"
+            f"({low:+.3f} to {high:+.3f}) | {1000 * np.median(result.seconds):.1f} |"
         )
 
 

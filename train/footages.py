@@ -26,10 +26,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Groups of a labelled set as folder sets.")
     parser.add_argument("dataset", help="NAME:ROOT")
     parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args()
-    dataset = open_named(given.dataset)
+    options = parser.parse_args()
+    dataset = open_named(options.dataset)
     for item in dataset.items:
-        folder = given.out / (item.group or dataset.name)
+        folder = options.out / (item.group or dataset.name)
         for kind in ("images", "masks"):
             make_folder(folder / kind)
         truth = dataset.truth(item)

@@ -32,7 +32,7 @@ def recordings(manifest: Path = MANIFEST) -> dict[str, list[Mapping[str, str]]]:
     return rows
 
 
-def dealt(
+def round_robin(
     rows: Mapping[str, Sequence[Mapping[str, str]]], count: int | None, without: Collection[str]
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield (recording, row) from all recordings in turn; ``count`` of them, or all if None."""
@@ -40,15 +40,15 @@ def dealt(
     return islice(filter(None, chain.from_iterable(zip_longest(*hands))), count)
 
 
-def gathered(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str]]]) -> list[str]:
+def gather(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str]]]) -> list[str]:
     """Copy the files from anywhere below a folder; return those that are missing."""
-    there: dict[str, list[Path]] = {}
+    paths_by_name: dict[str, list[Path]] = {}
     for path in data.rglob("*.*"):
-        there.setdefault(path.name, []).append(path)
+        paths_by_name.setdefault(path.name, []).append(path)
     missing, numbers = [], dict[str, int]()
     out.mkdir(parents=True, exist_ok=True)
     for recording, row in chosen:
-        named = there.get(Path(row["file"]).name, [])
+        named = paths_by_name.get(Path(row["file"]).name, [])
         path = next((path for path in named if digest_of(path) == row["sha256"]), None)
         if path is None:
             missing.append(row["file"])
@@ -65,8 +65,10 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="IMAGES")
     parser.add_argument("--count", type=int)
     parser.add_argument("--without", nargs="*", default=[], metavar="RECORDING")
-    given = parser.parse_args(words)
-    missing = gathered(given.data, given.out, dealt(recordings(), given.count, given.without))
+    options = parser.parse_args(words)
+    missing = gather(
+        options.data, options.out, round_robin(recordings(), options.count, options.without)
+    )
     print("\n".join([*(f"missing {name}" for name in missing), f"{len(missing)} missing"]))
     return int(bool(missing))
 

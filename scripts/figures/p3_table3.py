@@ -108,8 +108,8 @@ def table_rows(values: Mapping[Key, float]) -> list[Mapping[str, object]]:
 def rank_correlation(values: Mapping[Key, float], columns: Sequence[str]) -> float:
     """Return Spearman's coefficient with P3's table, over cells of some columns that both have."""
     paper = printed_table()
-    both = [key for key in values if key in paper and key[1] in columns]
-    ranked: Any = spearmanr([values[key] for key in both], [paper[key] for key in both])
+    shared = [key for key in values if key in paper and key[1] in columns]
+    ranked: Any = spearmanr([values[key] for key in shared], [paper[key] for key in shared])
     return float(ranked.statistic)
 
 

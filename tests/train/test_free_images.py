@@ -7,7 +7,7 @@ import pytest
 
 from roadtorch.layout.weights import read_origin, shipped_weights
 from train import free_images
-from train.free_images import dealt, main, recordings
+from train.free_images import main, recordings, round_robin
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_they_are_gathered_by_recording(manifest: Path, capsys: pytest.CaptureFi
 
 
 def test_the_weights_to_the_letter_saw_as_many_as_the_paper_has() -> None:
-    chosen = list(dealt(recordings(), 500, {"vineyard_it", "dnit_br", "comma10k"}))
+    chosen = list(round_robin(recordings(), 500, {"vineyard_it", "dnit_br", "comma10k"}))
 
     assert read_origin(shipped_weights("cnn-7-paper"))["images"] == len(chosen) == 500
     assert sum("/" in row["file"] for _, row in chosen) == 142
