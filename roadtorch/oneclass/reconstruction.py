@@ -60,7 +60,7 @@ def fit_components(road: RoadSamples, settings: ComponentSettings) -> DistanceMo
     count = count_components(variances[order], settings.variance)
     if count == len(mean):
         count = {"cap": count - 1, "strict": count, "mean": 0}[settings.full]
-    # The residual lies in the remaining directions.
+    # The residual is in the remaining directions.
     centre, basis = mean.float(), directions[:, order[count:]].T.float().contiguous()
 
     def distance(pixels: Tensor) -> Tensor:

@@ -78,9 +78,9 @@ def make_encoder(
         total += distances(bases).sum(0)
 
     def encode(bases: Tensor) -> Tensor:
-        far = distances(bases)
-        usual = total / len(dictionary) if kind == "patch" else far.mean(1, keepdim=True)
-        return torch.sub(usual, far, out=far).clamp_min_(0)
+        distance = distances(bases)
+        mean = total / len(dictionary) if kind == "patch" else distance.mean(1, keepdim=True)
+        return torch.sub(mean, distance, out=distance).clamp_min_(0)
 
     return encode
 

@@ -54,14 +54,15 @@ def density_peaks(points: Tensor, clusters: int, neighbours: float) -> Tensor:
     Density is a sum of Gaussians of the distances; their width is the quantile ``neighbours`` of
     all distances. Peaks maximise the product of density and distance to the nearest denser point.
     """
-    far = torch.cdist(points, points)
-    width = far.flatten().kthvalue(max(1, round(neighbours * far.numel()))).values
-    density = (-(far / width.clamp_min(torch.finfo(far.dtype).tiny)).square()).exp().sum(1)
+    distances = torch.cdist(points, points)
+    width = distances.flatten().kthvalue(max(1, round(neighbours * distances.numel()))).values
+    width = width.clamp_min(torch.finfo(distances.dtype).tiny)
+    density = (-(distances / width).square()).exp().sum(1)
     order = density.argsort(descending=True, stable=True)
     rank = order.argsort()
     denser = rank < rank[:, None]  # row i: the points denser than i
-    separation = far.masked_fill(~denser, torch.inf).amin(1)
-    separation[order[0]] = far[order[0]].amax()
+    separation = distances.masked_fill(~denser, torch.inf).amin(1)
+    separation[order[0]] = distances[order[0]].amax()
     return (density * separation).argsort(descending=True, stable=True)[:clusters]
 
 

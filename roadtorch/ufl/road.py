@@ -233,7 +233,7 @@ def _pad_border(values: Tensor, side: int) -> Tensor:
 def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:
     """Combine a mask and the stability of pixels in [0, 1) into a likelihood (H, W) in [0, 1].
 
-    The mask comes first: at ``AS_CHOSEN`` the likelihood gives exactly the mask. Ours: of twelve
+    The mask dominates: at ``AS_CHOSEN`` the likelihood gives exactly the mask. Ours: of twelve
     candidates the best by MaxF on the development drives (docs/how/features.md).
     """
     return (mask.to(pixels.device) + pixels) / 2

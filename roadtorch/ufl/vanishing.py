@@ -93,12 +93,12 @@ def dominant_orientation(responses: Tensor) -> tuple[Tensor, Tensor]:
     """
     falling = responses.sort(0, descending=True).values
     top = falling[0].clamp_min(torch.finfo(falling.dtype).tiny)
-    sure = (1 - falling[FIRST_RESPONSE:LAST_RESPONSE].mean(0) / top).where(
+    confidence = (1 - falling[FIRST_RESPONSE:LAST_RESPONSE].mean(0) / top).where(
         falling[0] > MIN_POWER, 0
     )
-    low, high = sure.aminmax()
+    low, high = confidence.aminmax()
     angle = responses.argmax(0) * (180 / len(responses))
-    return angle.to(responses), (sure - low) / torch.where(high > low, high - low, 1)
+    return angle.to(responses), (confidence - low) / torch.where(high > low, high - low, 1)
 
 
 # --- the vote ---------------------------------------------------------------------------
@@ -128,17 +128,17 @@ class VotingSettings(Settings):
 
 
 def soft_votes(
-    points: Tensor, places: Tensor, angles: Tensor, diagonal: float, settings: VotingSettings
+    points: Tensor, positions: Tensor, angles: Tensor, diagonal: float, settings: VotingSettings
 ) -> Tensor:
     """Return the votes (k,) ≥ 0 for points (k, 2), rows and columns in pixels.
 
-    Voters at ``places`` (m, 2) have texture at ``angles`` (m,). Kong et al.: a voter below a point
+    Voters at ``positions`` (m, 2) have texture at ``angles`` (m,). Kong et al.: one below a point
     and within the radius gives 1/(1 + (g·d)²) if g is at most 5/(1 + 2d); g is the angle in degrees
     by which its texture misses the point, d the distance in diagonals.
     """
     votes = []
     for chunk in points.split(VOTE_CHUNK):
-        down, right = (places[:, axis] - chunk[:, axis, None] for axis in (0, 1))
+        down, right = (positions[:, axis] - chunk[:, axis, None] for axis in (0, 1))
         distance = (down.square() + right.square()).sqrt() / diagonal
         missed = angle_between(torch.atan2(down, right).rad2deg(), angles)
         valid = (down > 0) & (distance <= settings.radius)
@@ -167,12 +167,12 @@ def vote_vanishing_point(
         settings: settings of the vote.
     """
     height, width = orientation.shape
-    sure = confidence > settings.confidence
-    places, angles = sure.nonzero().to(orientation), orientation[sure]
+    confident = confidence > settings.confidence
+    positions, angles = confident.nonzero().to(orientation), orientation[confident]
 
     def most_voted(rows: range, columns: range) -> Tensor | None:
-        grid = torch.cartesian_prod(torch.tensor(rows), torch.tensor(columns)).to(places)
-        votes = soft_votes(grid, places, angles, (height**2 + width**2) ** 0.5, settings)
+        grid = torch.cartesian_prod(torch.tensor(rows), torch.tensor(columns)).to(positions)
+        votes = soft_votes(grid, positions, angles, (height**2 + width**2) ** 0.5, settings)
         return grid[int(votes.argmax())] if votes.max() > 0 else None
 
     last, step = max(1, round(settings.max_row * height)), settings.step
@@ -274,8 +274,8 @@ def colour_difference(image: Tensor, point: Tensor, settings: BorderSettings) ->
     moments = sides[:, 1:] / count.clamp_min(1)
     mean = moments[:, :3]
     variance = (moments[:, 3:] - mean.square()).clamp_min(0)
-    far = (mean[0] - mean[1]).abs() / (variance[0] + variance[1] + 1e-6).sqrt()
-    return far.amax(0).where((count > 0).all(0)[0], 0)
+    difference = (mean[0] - mean[1]).abs() / (variance[0] + variance[1] + 1e-6).sqrt()
+    return difference.amax(0).where((count > 0).all(0)[0], 0)
 
 
 def border_strength(
@@ -305,17 +305,17 @@ def find_borders(
         settings: settings of the borders.
     """
     first = RAY_ANGLES[int(border_strength(image, orientation, point, settings).argmax())]
-    far = angle_between(RAY_ANGLES, first) > MIN_ANGLE
+    distinct = angle_between(RAY_ANGLES, first) > MIN_ANGLE
     turn = first.deg2rad()
     steps = torch.arange(0, image.shape[1], POINT_STEP, device=point.device)[:, None]
     points = point + steps * torch.stack([turn.sin(), turn.cos()]).to(point)
     points = points[
         (points[:, 0] < image.shape[1]) & (points[:, 1] >= 0) & (points[:, 1] < image.shape[2])
     ]
-    runs = ray_consistency(points, orientation, settings)[:, far]
+    runs = ray_consistency(points, orientation, settings)[:, distinct]
     moved = points[int(runs.topk(BEST_RAYS).values.sum(1).argmax())]
     strength = border_strength(image, orientation, moved, settings)
-    second = RAY_ANGLES[far][int(strength[far].argmax())]
+    second = RAY_ANGLES[distinct][int(strength[distinct].argmax())]
     return Borders(moved, int(first), int(second))
 
 
