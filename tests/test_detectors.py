@@ -1,4 +1,4 @@
-"""What every registered detector keeps to, on any device, and the door that leads to them."""
+"""Contract of every registered detector, on any device, and the catalogue."""
 
 import json
 import os
@@ -102,7 +102,7 @@ MANY = DetectorGrid("many:<gain>:<kind>", "many of them")
 
 @pytest.fixture
 def catalogue(monkeypatch: pytest.MonkeyPatch) -> dict[str, Entry]:
-    """The catalogue of this test alone."""
+    """Replace the catalogue by an empty one."""
     entries: dict[str, Entry] = {}
     monkeypatch.setattr(catalogue_module, "_catalogue", lambda: entries)
     return entries
@@ -110,7 +110,7 @@ def catalogue(monkeypatch: pytest.MonkeyPatch) -> dict[str, Entry]:
 
 @pytest.fixture
 def with_grid(catalogue: dict[str, Entry]) -> None:
-    """A detector, a grid of four in two families of names, and one that follows in order."""
+    """Register a detector, a grid of four, and a detector that follows in order."""
     for name in ("bright", "many:2:b", "many:2:a", "many:1:b", "many:1:a", "zebra"):
         grid = MANY if ":" in name else None
         catalogue[name] = Entry(name, "", Simple, Brightness, grid)
@@ -226,7 +226,7 @@ class Point:
 
 
 def offered(monkeypatch: pytest.MonkeyPatch, *points: Any) -> list[str]:
-    """The detectors on offer when other packages have these entry points."""
+    """List the detectors when other packages have these entry points."""
     monkeypatch.setattr(roadtorch.base.plugins, "entry_points", lambda group: points)
     return sorted(catalogue_module._catalogue.__wrapped__())
 
@@ -247,16 +247,16 @@ def test_a_broken_package_costs_only_its_own_even_if_it_ends_the_process(
     assert {"theirs", "theirs:2", "prior:rows"} <= set(names)
 
 
-@pytest.mark.parametrize("own", [KeyboardInterrupt, ImportError, None])
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, ImportError, None])
 def test_a_ctrl_c_while_a_package_is_imported_is_not_the_packages_own(
-    own: type[BaseException] | None, monkeypatch: pytest.MonkeyPatch
+    raised: type[BaseException] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def load() -> object:
         try:
             os.kill(os.getpid(), signal.SIGINT)
         except KeyboardInterrupt:  # some packages catch everything
-            if own is not None:
-                raise own from None
+            if raised is not None:
+                raise raised from None
         return FOREIGN
 
     with pytest.raises(KeyboardInterrupt):
@@ -283,10 +283,10 @@ def test_likelihoods_not_finite_are_refused(value: float, settings: type[Detecto
 
 @pytest.fixture
 def two_threads() -> Iterator[None]:
-    before = torch.get_num_threads()
+    threads = torch.get_num_threads()
     torch.set_num_threads(2)
     yield
-    torch.set_num_threads(before)
+    torch.set_num_threads(threads)
 
 
 def threads_of_a_new_one() -> int:
@@ -301,10 +301,10 @@ def test_in_several_threads_the_bytes_are_the_same() -> None:
         alone = detector.detect(image)
 
     with ThreadPoolExecutor(3) as pool:
-        beside = [detector.detect(image), *pool.map(detector.detect, [image] * 3)]
+        parallel = [detector.detect(image), *pool.map(detector.detect, [image] * 3)]
         kept = set(pool.map(lambda _: torch.get_num_threads(), range(9)))
 
-    for detection in beside:
+    for detection in parallel:
         assert torch.equal(detection.likelihood, alone.likelihood)
         assert torch.equal(detection.cues["layout"], alone.cues["layout"])
     assert kept == {2}
@@ -315,14 +315,14 @@ def test_in_several_threads_the_bytes_are_the_same() -> None:
 def test_inside_the_block_this_thread_alone_has_one_whatever_goes_wrong() -> None:
     @one_thread()
     def fails() -> None:
-        seen.append((torch.get_num_threads(), threads_of_a_new_one()))
+        counts.append((torch.get_num_threads(), threads_of_a_new_one()))
         raise ValueError("inside")
 
-    seen: list[tuple[int, int]] = []
+    counts: list[tuple[int, int]] = []
     with pytest.raises(ValueError, match="inside"):
         one_thread()(fails)()
 
-    assert seen == [(1, 2)]
+    assert counts == [(1, 2)]
     assert (torch.get_num_threads(), threads_of_a_new_one()) == (2, 2)
 
 
@@ -334,21 +334,23 @@ IMAGE = render_scene(5, 48, 64).image
 
 @pytest.mark.parametrize("name", ways_of_working())
 def test_a_detector_works_on_another_device(name: str) -> None:
-    here = load_detector(name, **quick(name)).detect(IMAGE)
+    result = load_detector(name, **quick(name)).detect(IMAGE)
     detector = moved(load_detector(name, **quick(name)))
 
     with PretendedDevice():
-        there = detector.detect(Pretended(IMAGE))  # type: ignore[attr-defined]
+        on_device = detector.detect(Pretended(IMAGE))  # type: ignore[attr-defined]
 
-    assert isinstance(there.likelihood, Pretended)
-    assert isinstance(there.mask, Pretended)
+    assert isinstance(on_device.likelihood, Pretended)
+    assert isinstance(on_device.mask, Pretended)
     # On the CPU it is OpenCV that resizes: equal but for rounding, which deep networks magnify.
     rounding = 5e-5 if name.startswith("fusion") else 1e-6
-    np.testing.assert_allclose(there.likelihood.inner, here.likelihood, atol=rounding, rtol=0)
-    assert torch.equal(there.mask.inner, here.mask)
-    assert there.trust == (None if here.trust is None else pytest.approx(here.trust, abs=1e-4))
-    assert there.doubt == here.doubt
-    assert set(there.cues) == set(here.cues)
+    np.testing.assert_allclose(on_device.likelihood.inner, result.likelihood, atol=rounding, rtol=0)
+    assert torch.equal(on_device.mask.inner, result.mask)
+    assert on_device.trust == (
+        None if result.trust is None else pytest.approx(result.trust, abs=1e-4)
+    )
+    assert on_device.doubt == result.doubt
+    assert set(on_device.cues) == set(result.cues)
 
 
 def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
@@ -356,9 +358,9 @@ def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
     detector.device = "meta"  # type: ignore[assignment]
 
     with PretendedDevice():
-        there = detector([IMAGE.numpy().transpose(1, 2, 0)], order="rgb")[0]  # type: ignore[operator]
+        on_device = detector([IMAGE.numpy().transpose(1, 2, 0)], order="rgb")[0]  # type: ignore[operator]
 
-    assert isinstance(there.likelihood, Pretended)
+    assert isinstance(on_device.likelihood, Pretended)
 
 
 @pytest.mark.parametrize(
@@ -411,10 +413,10 @@ def test_every_detector_says_what_it_said() -> None:
     # Other tests of this process may have put detectors of theirs into the catalogue.
     names = [name for name in freeze.detectors() if not name.startswith("test-")]
 
-    now = freeze.thumbnails(names)
+    current = freeze.thumbnails(names)
 
-    assert list(now) == list(FROZEN)
-    before, after = (np.array(list(maps.values())) for maps in (FROZEN, now))
-    assert after.shape == (len(FROZEN), 2, 6 * 8)
-    away = abs(after - before).mean((1, 2))
+    assert list(current) == list(FROZEN)
+    frozen, new = (np.array(list(maps.values())) for maps in (FROZEN, current))
+    assert new.shape == (len(FROZEN), 2, 6 * 8)
+    away = abs(new - frozen).mean((1, 2))
     assert [name for name, share in zip(FROZEN, away, strict=True) if share > AWAY] == []

@@ -40,7 +40,7 @@ from roadtorch.road.fusion import (
     fused_log_odds,
     likelihood_product,
     log_odds,
-    position_prior,
+    road_position_prior,
     seed_log_odds,
     segment_road,
 )
@@ -325,7 +325,7 @@ def seen_from(
         "fused_plane": fused,
         "saturated": clipped,
         "distance": paint(distance, labels),
-        "place": paint(position_prior(segments.row, segments.column), labels),
+        "place": paint(road_position_prior(segments.row, segments.column), labels),
         "segments": labels,
     }
     return distance, texture, cues

@@ -23,7 +23,7 @@ from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
     fused_uniformity,
-    quantise,
+    quantise_plane,
     similarity,
     uniform_patterns,
     uniformity,
@@ -107,7 +107,7 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
 def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str, Tensor]:
     """Compute the uniformity of the grey image over superpixels, P2's baseline without fusion."""
     labels = settings.superpixels.cut(image)
-    levels = quantise(plane(image, "grey"), settings.bins, 0, 1)
+    levels = quantise_plane(plane(image, "grey"), settings.bins, 0, 1)
     counts = segment_histogram(levels, labels, int(labels.max()) + 1, settings.bins)
     painted = paint(uniformity(counts), labels)
     likelihood = uniformity_likelihood(painted, settings.midpoint)

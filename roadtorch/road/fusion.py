@@ -106,7 +106,9 @@ def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> T
     return total
 
 
-def position_prior(row: Tensor, column: Tensor, position: RoadPosition = RULES.position) -> Tensor:
+def road_position_prior(
+    row: Tensor, column: Tensor, position: RoadPosition = RULES.position
+) -> Tensor:
     """Return the prior p(road) at rows and columns in [0, 1]: a soft triangle ahead (ours)."""
     half = position.narrow + position.spread * (row - position.apex).clamp_min(0)
     return ((half - (column - 0.5).abs()) / position.softness).sigmoid()
@@ -114,7 +116,7 @@ def position_prior(row: Tensor, column: Tensor, position: RoadPosition = RULES.p
 
 def seed_log_odds(segments: Segments, ground: Tensor) -> Tensor:
     """Return the log odds (n,) of road of segments, by position and layout's ground (n,) alone."""
-    prior = position_prior(segments.row, segments.column)
+    prior = road_position_prior(segments.row, segments.column)
     return fused_log_odds([ground, prior], [RULES.exponents.layout, RULES.position.weight])
 
 
@@ -140,7 +142,7 @@ def segment_road(
         rules: weights and constants.
     """
     exponents = rules.exponents
-    position = position_prior(segments.row, segments.column, rules.position)
+    position = road_position_prior(segments.row, segments.column, rules.position)
     fixed = (
         rules.bias
         + further

@@ -73,7 +73,7 @@ def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, floa
     return order_statistic(values, skipped), order_statistic(values, count - 1 - skipped)
 
 
-def quantise(plane: Tensor, bins: int, low: float, high: float) -> Tensor:
+def quantise_plane(plane: Tensor, bins: int, low: float, high: float) -> Tensor:
     """Quantise a plane to levels 0…bins-1 (int64) in equal steps from low to high, clamped.
 
     A range below ``MIN_RANGE`` is widened to it.
@@ -183,7 +183,7 @@ def fused_uniformity(
     weights = minimum_variance_weights(seed_planes.T, settings.ridge)
     fused = fused_plane(each_plane(image, settings.planes), weights)
     low, high = value_range(fused, usable, settings.tail)
-    levels = quantise(fused, settings.bins, low, high)
+    levels = quantise_plane(fused, settings.bins, low, high)
     count = int(labels.max()) + 1
     return fused, uniformity(segment_histogram(levels, labels, count, settings.bins, usable))
 

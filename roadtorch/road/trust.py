@@ -81,14 +81,14 @@ def signs_of(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> Si
     """
     free = float_mask(~cues["ego"])
     inside = free * float_mask(mask)
-    low, high = (weighted_sum(float_mask(above(likelihood, level)), free) for level in LOW_AND_HIGH)
-    road, right = (weighted_sum(likelihood, area) for area in (free, inside))
+    low, high = (masked_sum(float_mask(above(likelihood, level)), free) for level in LOW_AND_HIGH)
+    road, right = (masked_sum(likelihood, area) for area in (free, inside))
     seed = float_mask(cues["seed_area"])
     features: list[Any] = [
         high / low.clamp(min=1),
-        2 * right / (weighted_sum(inside, inside) + road).clamp(min=1),
-        weighted_sum(cues["learned_road"], seed) / weighted_sum(seed, seed).clamp(min=1),
-        weighted_sum(entropy(likelihood), free) / weighted_sum(free, free),
+        2 * right / (masked_sum(inside, inside) + road).clamp(min=1),
+        masked_sum(cues["learned_road"], seed) / masked_sum(seed, seed).clamp(min=1),
+        masked_sum(entropy(likelihood), free) / masked_sum(free, free),
     ]
     return Signs(*(features if torch.compiler.is_exporting() else map(float, features)))
 
@@ -100,11 +100,11 @@ def float_mask(area: Tensor) -> Tensor:
     return torch.from_numpy(area.cpu().numpy().astype(np.float32)).to(area.device)
 
 
-def weighted_sum(values: Tensor, weights: Tensor) -> Tensor:
-    """Return the sum of values (H, W) times weights (H, W), as a float64 scalar."""
+def masked_sum(values: Tensor, mask: Tensor) -> Tensor:
+    """Return the sum of values (H, W) over a float mask (H, W), as a float64 scalar."""
     if torch.compiler.is_exporting():
-        return (values * weights).sum((-2, -1))
-    return values.reshape(-1).dot(weights.reshape(-1)).double()
+        return (values * mask).sum((-2, -1))
+    return values.reshape(-1).dot(mask.reshape(-1)).double()
 
 
 def entropy(likelihood: Tensor) -> Tensor:

@@ -47,10 +47,10 @@ THINGS = (
 
 def test_most_things_without_road_have_no_mask_or_no_trust() -> None:
     detector = load_detector("fusion")
-    found = {name: detector.detect(getattr(skimage.data, name)(), "rgb") for name in THINGS}
+    detections = {name: detector.detect(getattr(skimage.data, name)(), "rgb") for name in THINGS}
 
     believed = {
-        name for name, each in found.items() if each.mask.any() and (each.trust or 0) >= 0.3
+        name for name, each in detections.items() if each.mask.any() and (each.trust or 0) >= 0.3
     }
 
     assert len(believed) <= 2, believed

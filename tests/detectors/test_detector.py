@@ -104,12 +104,12 @@ def test_a_network_can_be_compiled_and_a_detector_says_so() -> None:
     image, detector = scene(1, 48, 64).image, load_detector("fusion")
     with pytest.raises(ConfigError, match=r"torch\.compile: takes no detector"):
         torch.compile(detector, backend="eager")(image)
-    before = detector(image)
+    uncompiled = detector(image)
 
     analysis: Any = detector.analysis
     analysis.network = torch.compile(analysis.network, backend="eager")
 
-    assert same(detector(image), before)
+    assert same(detector(image), uncompiled)
 
 
 # --- images in --------------------------------------------------------------------------
@@ -121,9 +121,9 @@ BGR = [
 """Images of four sizes, as OpenCV has them."""
 
 
-def same(one: Detection, other: Detection) -> bool:
-    return one.trust == other.trust and all(
-        map(np.array_equal, one.numpy().values(), other.numpy().values())
+def same(first: Detection, second: Detection) -> bool:
+    return first.trust == second.trust and all(
+        map(np.array_equal, first.numpy().values(), second.numpy().values())
     )
 
 
@@ -150,31 +150,31 @@ def test_the_bytes_of_a_file_and_the_open_file_are_images(tmp_path: Path) -> Non
     write_image(path, scene(1, 48, 64))
 
     with path.open("rb") as file:
-        found = [
+        detections = [
             detector(path.read_bytes()),
             detector(file),
             *detector([io.BytesIO(path.read_bytes())]),
         ]
 
-    assert all(same(detection, detector(path)) for detection in found)
+    assert all(same(detection, detector(path)) for detection in detections)
 
 
 def test_a_generator_is_asked_when_a_image_is_needed_and_left_where_one_is_wrong() -> None:
-    asked = []
+    requested = []
 
     def images() -> Iterator[Any]:
         for number, image in enumerate([*BGR[:2], None, BGR[3]]):
-            asked.append(number)
+            requested.append(number)
             yield image
 
-    found = load_detector("prior:rows", order="bgr").detect_many(images())
+    detections = load_detector("prior:rows", order="bgr").detect_many(images())
 
-    assert asked == []
-    assert [next(found).mask.shape[1], next(found).mask.shape[1]] == [64, 60]
-    assert asked == [0, 1]
+    assert requested == []
+    assert [next(detections).mask.shape[1], next(detections).mask.shape[1]] == [64, 60]
+    assert requested == [0, 1]
     with pytest.raises(InputError, match=r"images\[2\]: is None"):
-        next(found)
-    assert asked == [0, 1, 2]
+        next(detections)
+    assert requested == [0, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -224,52 +224,54 @@ def test_the_line_of_a_detector_has_the_settings_that_differ_from_its_own() -> N
 
 
 @pytest.fixture(scope="module")
-def found() -> Detection:
+def trusted() -> Detection:
     detection = load_detector("prior:rows", ego={"bottom": 0.1}).detect(scene(1, 48, 64).image)
     return replace(detection, trust=0.75)
 
 
-def test_a_detection_is_saved_as_its_name_says(found: Detection, tmp_path: Path) -> None:
+def test_a_detection_is_saved_as_its_name_says(trusted: Detection, tmp_path: Path) -> None:
     for end in ("mask.png", "likelihood.png", "overlay.jpg", "overlay.png", "npz"):
-        found.save(tmp_path / f"street.{end}")
+        trusted.save(tmp_path / f"street.{end}")
 
-    assert found.image is not None
-    drawn = overlay_pixels(found.image, found.mask, found.cues["ego"], "trust 0.75")  # as infer
-    assert np.array_equal(found.overlay(), drawn)
-    assert torch.equal(read_image(tmp_path / "street.mask.png")[0] == 1, found.mask)
+    assert trusted.image is not None
+    overlaid = overlay_pixels(
+        trusted.image, trusted.mask, trusted.cues["ego"], "trust 0.75"
+    )  # as infer
+    assert np.array_equal(trusted.overlay(), overlaid)
+    assert torch.equal(read_image(tmp_path / "street.mask.png")[0] == 1, trusted.mask)
     levels = read_image(tmp_path / "street.likelihood.png")[0]
-    np.testing.assert_allclose(levels, found.likelihood, rtol=0, atol=0.5001 / 255)
+    np.testing.assert_allclose(levels, trusted.likelihood, rtol=0, atol=0.5001 / 255)
     with Image.open(tmp_path / "street.overlay.png") as overlay:
-        assert np.array_equal(np.array(overlay), found.overlay())
+        assert np.array_equal(np.array(overlay), trusted.overlay())
     with Image.open(tmp_path / "street.overlay.jpg") as overlay:
         assert overlay.format == "JPEG"
     with np.load(tmp_path / "street.npz") as stored:
-        assert set(stored) == {"likelihood", "mask", "trust", *found.cues}
-        assert all(np.array_equal(stored[name], map) for name, map in found.numpy().items())
+        assert set(stored) == {"likelihood", "mask", "trust", *trusted.cues}
+        assert all(np.array_equal(stored[name], map) for name, map in trusted.numpy().items())
     with pytest.raises(ConfigError, match=r"street\.png: has no known ending \(end it with"):
-        found.save(tmp_path / "street.png")
+        trusted.save(tmp_path / "street.png")
 
 
-def test_a_detection_shows_itself(found: Detection, monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: list[object] = []
+def test_a_detection_shows_itself(trusted: Detection, monkeypatch: pytest.MonkeyPatch) -> None:
+    windows: list[object] = []
 
     class Window(ImageShow.Viewer):
         def show(self, image: Image.Image, **_: Any) -> int:
-            shown.append(np.asarray(image))
+            windows.append(np.asarray(image))
             return 1
 
     monkeypatch.setattr(ImageShow, "_viewers", [Window()])
-    found.show()
-    assert np.array_equal(shown.pop(), found.overlay())  # type: ignore[arg-type]
+    trusted.show()
+    assert np.array_equal(windows.pop(), trusted.overlay())  # type: ignore[arg-type]
 
     monkeypatch.setattr(ImageShow, "_viewers", [])
     with pytest.raises(InputError, match=r"show\(\): finds no display \(use save\(\)"):
-        found.show()
+        trusted.show()
 
     monkeypatch.setitem(sys.modules, "ipykernel", SimpleNamespace())
-    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=shown.append))
-    found.show()
-    assert shown == [found]
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=windows.append))
+    trusted.show()
+    assert windows == [trusted]
 
 
 def test_a_detection_without_its_image_has_no_overlay() -> None:
@@ -282,11 +284,11 @@ def test_a_detection_without_its_image_has_no_overlay() -> None:
 
 def test_notebooks_show_a_line_and_the_overlay() -> None:
     detection = load_detector("prior:rows").detect(torch.full((3, 40, 2000), 0.4))
-    shown = detection._repr_png_()
+    png = detection._repr_png_()
 
     assert re.fullmatch(r"<Detection 2000×40, road \d+%>", repr(detection))
-    assert shown is not None
-    assert Image.open(io.BytesIO(shown)).size == (960, 19)
+    assert png is not None
+    assert Image.open(io.BytesIO(png)).size == (960, 19)
     doubtful = replace(detection, trust=0.314, doubt="no road found")
     assert repr(doubtful).endswith(", trust 0.31 (no road found)>")
 

@@ -48,12 +48,12 @@ def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.Monk
     rules = RULES._replace(rounds=0, bias=0.5, temperature=2.0, position=place, exponents=exponents)
     monkeypatch.setattr(fusion, "segment_road", partial(segment_road, rules=rules))
 
-    found = load_detector("fusion:untrained").detect(street())
+    detection = load_detector("fusion:untrained").detect(street())
 
-    cues = found.cues
+    cues = detection.cues
     odds = 0.5 + 0.3 * log_odds(cues["place"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
     odds = odds + 1.3 * log_odds(cues["distance"]) + 0.6 * log_odds(cues["texture"])
-    np.testing.assert_allclose(found.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
+    np.testing.assert_allclose(detection.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
 
 
 def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> None:
@@ -75,15 +75,15 @@ def test_the_likelihood_is_the_mean_of_the_looks_of_the_network_calibrated(crops
     image, network = street(), load_network(shipped_weights(FOR_IMAGES))
     assert isinstance(network, BackboneNetwork)
 
-    found = load_detector("fusion", crops=crops, **plain).detect(image)
+    detection = load_detector("fusion", crops=crops, **plain).detect(image)
 
     mean = network.cues(image)["road"].clone()
     for _ in crops:
         upper = image.shape[-2] // 4
         mean[upper:] = (mean[upper:] + network.cues(image[:, upper:])["road"]) / 2
-    wanted = calibrated_likelihood(log_odds(mean), RoadCalibration(**usual))
-    free = ~found.cues["ego"]
-    np.testing.assert_allclose(found.likelihood[free], wanted[free], atol=2e-3, rtol=0.0)
+    expected = calibrated_likelihood(log_odds(mean), RoadCalibration(**usual))
+    free = ~detection.cues["ego"]
+    np.testing.assert_allclose(detection.likelihood[free], expected[free], atol=2e-3, rtol=0.0)
 
 
 def test_a_second_network_has_its_share_of_the_mean() -> None:
@@ -91,29 +91,31 @@ def test_a_second_network_has_its_share_of_the_mean() -> None:
     plain = {"outlines": "smooth", "working": {"pixels": 96 * 128}}
 
     alone = load_detector("fusion", **plain).detect(image).cues
-    other = load_detector("fusion", weights={"file": "layout-free"}, **plain).detect(image).cues
+    second_alone = (
+        load_detector("fusion", weights={"file": "layout-free"}, **plain).detect(image).cues
+    )
     second = {"file": "layout-free", "weight": 0.25}
-    both = load_detector("fusion", second=second, **plain).detect(image).cues
+    pair = load_detector("fusion", second=second, **plain).detect(image).cues
 
-    assert torch.equal(both["ego"], alone["ego"])
+    assert torch.equal(pair["ego"], alone["ego"])
     for name in ("layout", "learned_road"):
-        wanted = 0.75 * alone[name] + 0.25 * other[name]
-        free = ~(alone["ego"] | other["ego"])
-        np.testing.assert_allclose(both[name][..., free], wanted[..., free], atol=1e-4, rtol=0.0)
+        expected = 0.75 * alone[name] + 0.25 * second_alone[name]
+        free = ~(alone["ego"] | second_alone["ego"])
+        np.testing.assert_allclose(pair[name][..., free], expected[..., free], atol=1e-4, rtol=0.0)
 
 
 def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
     usual = load_detector("fusion:paper").detect(street())
 
-    other = load_detector("fusion:paper", descriptor="cpf:v2").detect(street())
+    v2_descriptor = load_detector("fusion:paper", descriptor="cpf:v2").detect(street())
     placed = load_detector("fusion:paper", prior="rows").detect(street())
 
     v2 = load_detector("cpf:v2").detect(street())
-    assert torch.equal(other.cues["uniformity"], v2.cues["uniformity"])
-    assert not torch.equal(other.cues["uniformity"], usual.cues["uniformity"])
+    assert torch.equal(v2_descriptor.cues["uniformity"], v2.cues["uniformity"])
+    assert not torch.equal(v2_descriptor.cues["uniformity"], usual.cues["uniformity"])
     rows = prior_rows(*street().shape[1:])
-    wanted = usual.likelihood * rows / rows.max()
-    np.testing.assert_allclose(placed.likelihood, wanted, atol=1e-6, rtol=0.0)
+    expected = usual.likelihood * rows / rows.max()
+    np.testing.assert_allclose(placed.likelihood, expected, atol=1e-6, rtol=0.0)
 
 
 def test_weights_for_patches_are_refused() -> None:
@@ -122,9 +124,9 @@ def test_weights_for_patches_are_refused() -> None:
 
 
 def test_the_labeller_as_a_detector_answers_with_its_ground() -> None:
-    found = load_detector("labeller").detect(street())
+    detection = load_detector("labeller").detect(street())
 
     layout = label_layout(street())
-    assert set(found.cues) == {"layout", "layout_labels"}
-    assert torch.equal(found.likelihood, layout.potentials[HORIZONTAL])
-    assert torch.equal(found.cues["layout_labels"], layout.labels)
+    assert set(detection.cues) == {"layout", "layout_labels"}
+    assert torch.equal(detection.likelihood, layout.potentials[HORIZONTAL])
+    assert torch.equal(detection.cues["layout_labels"], layout.labels)

@@ -29,8 +29,8 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fusion(path: Path, **settings: Any) -> Detector:
     # Superpixels of a size at which these small streets fall apart as the tests need it.
     wide = {"pixels": 256}
-    given = {"superpixels": wide, "outlines": "smooth", **settings}
-    return load_detector("fusion:scratch", weights={"file": str(path)}, **given)
+    changes = {"superpixels": wide, "outlines": "smooth", **settings}
+    return load_detector("fusion:scratch", weights={"file": str(path)}, **changes)
 
 
 def street() -> Tensor:
@@ -56,11 +56,11 @@ def test_the_ego_car_is_where_the_network_sees_it_below_road(detected: Detection
 
 
 def test_an_ego_car_that_is_told_counts_beside_the_one_found(weights: Path) -> None:
-    left = Ego(outline=(0.0, 0.0, 1.0, 1.0))
+    left_half = Ego(outline=(0.0, 0.0, 1.0, 1.0))
 
-    detection = fusion(weights, ego=left.model_dump(), threshold=0.0).detect(street())
+    detection = fusion(weights, ego=left_half.model_dump(), threshold=0.0).detect(street())
 
-    expected = car(96, 128) | ego_car(street(), left)
+    expected = car(96, 128) | ego_car(street(), left_half)
     assert torch.equal(detection.cues["ego"], expected)
     assert torch.equal(detection.mask, ~expected)
     assert not detection.likelihood[expected].any()
@@ -86,8 +86,8 @@ def test_road_that_does_not_reach_the_ego_car_is_isolated(seed: int, weights: Pa
     )
 
     assert (dropped & ~kept).sum() == 0
-    regions, found = cv2.connectedComponents(dropped.byte().numpy(), connectivity=4)
-    assert {*found[last].tolist()} >= {*range(1, regions)}
+    regions, numbers = cv2.connectedComponents(dropped.byte().numpy(), connectivity=4)
+    assert {*numbers[last].tolist()} >= {*range(1, regions)}
     assert (kept & ~dropped).any()
 
 

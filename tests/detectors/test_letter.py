@@ -27,7 +27,7 @@ IMAGES = {"motorway": np.s_[18:198, 40:280], "street": np.s_[256:496, :320]}
 
 @cache
 def real_image(name: str, width: int, height: int) -> Tensor:
-    """A real image with 8-bit levels: float64 (3,H,W)."""
+    """Return a real image with 8-bit levels, float64 (3, H, W)."""
     steps = cv2.imread(str(STEPS))
     assert steps is not None
     small = cv2.resize(steps[IMAGES[name]], (width, height), interpolation=cv2.INTER_AREA)
@@ -38,11 +38,11 @@ def test_ufl_paper_is_the_text_of_zhang_et_al() -> None:
     image = real_image("motorway", 80, 60)
     start = start_dictionary(torch.zeros(1, 108).double(), DictionarySettings())
 
-    found = load_detector("ufl:paper", working={"rows": 60}).analysis(image)["likelihood"] >= 0.5
+    result = load_detector("ufl:paper", working={"rows": 60}).analysis(image)["likelihood"] >= 0.5
 
     literal = torch.from_numpy(zhang2016.road(image.numpy(), start.numpy()))
     assert 0.1 < literal.double().mean() < 0.6
-    assert torch.equal(found, literal)
+    assert torch.equal(result, literal)
 
 
 @pytest.mark.parametrize(("name", "seed"), [("fusion:paper", 0), ("layout:paper", 1)])
@@ -51,25 +51,25 @@ def test_equation_4_and_cnn_7_of_alvarez_et_al_at_single_pixels(name: str, seed:
     detector = load_detector(name)
     network = detector.analysis.get_submodule("network")
     assert isinstance(network, PatchNetwork)
-    weights = {name: one.double().numpy() for name, one in network.state_dict().items()}
+    weights = {name: value.double().numpy() for name, value in network.state_dict().items()}
     places = np.random.default_rng(seed).integers((0, 0), (72, 96), (40, 2))
 
-    found = detector.detect(image.float())
+    result = detector.detect(image.float())
 
     if name == "fusion:paper":
         pixels = normalise(image, network.settings.normalisation).pixels.numpy()
-        segments = found.cues["segments"].numpy()
+        segments = result.cues["segments"].numpy()
         literal = alvarez2012.road(image.numpy(), pixels, weights, segments, places)
     else:
         pixels = ((image - 0.5) * 4).numpy()  # (level - ½)·4, which P2 leaves open
         literal = [alvarez2012.ground(pixels, weights, *place) for place in places.tolist()]
-    at_places = found.likelihood[tuple(places.T)].double().numpy()
+    at_places = result.likelihood[tuple(places.T)].double().numpy()
     assert literal == pytest.approx(at_places, abs=1e-4)
     assert np.ptp(literal) > 0.3
 
 
 @pytest.mark.parametrize(
-    ("literal", "settings", "same"),
+    ("literal", "settings", "agreement"),
     [
         (alvarez2014.robust_gaussian, {}, 0.995),
         (alvarez2014.mog2, {}, 0.995),
@@ -83,7 +83,7 @@ def test_equation_4_and_cnn_7_of_alvarez_et_al_at_single_pixels(name: str, seed:
 def test_oneclass_paper_is_the_text_of_alvarez_et_al(
     literal: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, float]],
     settings: dict[str, int],
-    same: float,
+    agreement: float,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(mixture, "LIKELIHOOD_TOLERANCE", 0.0)  # both run to convergence
@@ -92,9 +92,9 @@ def test_oneclass_paper_is_the_text_of_alvarez_et_al(
 
     name = f"oneclass:{literal.__name__}:RGB:paper"
 
-    found = load_detector(name, classifier=settings).detect(image.float())
+    result = load_detector(name, classifier=settings).detect(image.float())
 
     distances, boundary = literal(samples, image.flatten(1).T[::7].numpy())
-    ranks = rankdata(distances), rankdata(-found.likelihood.flatten()[::7].numpy())
+    ranks = rankdata(distances), rankdata(-result.likelihood.flatten()[::7].numpy())
     assert np.corrcoef(*ranks)[0, 1] > 0.9995
-    assert np.mean((distances <= boundary) == found.mask.flatten()[::7].numpy()) > same
+    assert np.mean((distances <= boundary) == result.mask.flatten()[::7].numpy()) > agreement

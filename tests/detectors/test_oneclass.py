@@ -97,20 +97,20 @@ def test_maps_are_those_of_the_classifier_fitted_by_hand(name: str) -> None:
     kind, representation, *letter = name.split(":")[1:]
     names, classifier = REPRESENTATIONS[representation], CLASSIFIERS[kind]
     every = AllSampleSettings() if kind.startswith("hist") else SampleSettings()
-    own = classifier.settings.model_validate(classifier.paper if letter else {})
+    defaults = classifier.settings.model_validate(classifier.paper if letter else {})
 
-    found = detected(name)
+    detection = detected(name)
 
-    fitted = fit(classifier, road_samples(street(), names, every), axes_of(names), own)
+    fitted = fit(classifier, road_samples(street(), names, every), axes_of(names), defaults)
     likelihood = fitted.likelihood(planes(street(), names).flatten(1).T).view(120, 160)
     # Planes of the distinct colours may differ from planes of the pixels in the last digit.
-    close = torch.isclose(found.likelihood, likelihood, atol=2e-3)
+    close = torch.isclose(detection.likelihood, likelihood, atol=2e-3)
     assert close.float().mean() > 0.995
-    assert torch.equal(found.mask, found.likelihood >= 0.5)
-    assert set(found.cues) == {"distance", "seed_area"}
-    assert found.cues["distance"].isfinite().all()
-    assert found.cues["seed_area"].sum() == 16 * 50  # 66 of 480 rows, 201 of 640 columns
-    assert found.cues["seed_area"][-1, 80]
+    assert torch.equal(detection.mask, detection.likelihood >= 0.5)
+    assert set(detection.cues) == {"distance", "seed_area"}
+    assert detection.cues["distance"].isfinite().all()
+    assert detection.cues["seed_area"].sum() == 16 * 50  # 66 of 480 rows, 201 of 640 columns
+    assert detection.cues["seed_area"][-1, 80]
 
 
 # --- the image cache ----------------------------------------------------------------------------
@@ -123,13 +123,13 @@ def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
         patch.object(samples, "plane", wraps=samples.plane) as made,
         image_cache(),
     ):
-        found = {name: detector(name).detect(street()) for name in names}
+        detections = {name: detector(name).detect(street()) for name in names}
 
     assert cut.call_count == 1
-    asked = [call.args[1] for call in made.call_args_list]
-    assert max(asked.count(name) for name in asked) <= 2  # by colours, and by distinct values
+    planes = [call.args[1] for call in made.call_args_list]
+    assert max(planes.count(name) for name in planes) <= 2  # by colours, and by distinct values
     for name in names:
-        assert torch.equal(found[name].likelihood, detected(name).likelihood)
+        assert torch.equal(detections[name].likelihood, detected(name).likelihood)
 
 
 @pytest.mark.parametrize("planes", ["R", "V"])
@@ -152,8 +152,8 @@ def test_of_a_byte_plane_no_more_than_its_levels_are_scored(planes: str) -> None
 
 
 def auc_of(name: str, values: dict[str, float]) -> float:
-    found = detector(name, classifier=values).detect(street())
-    counts = metrics.count_levels(found.likelihood, SCENE.road, ~SCENE.void)
+    detection = detector(name, classifier=values).detect(street())
+    counts = metrics.count_levels(detection.likelihood, SCENE.road, ~SCENE.void)
     return float(metrics.auc(counts))
 
 

@@ -33,7 +33,7 @@ GRID = "oneclass"
 
 
 def one_of_each() -> list[str]:
-    """Every way of working that can be set, of the one-class grid one for each classifier."""
+    """List every way of working that can be set; of the one-class grid one for each classifier."""
     names = [name for name in ways_of_working() if name.partition(":")[0] not in ("prior", GRID)]
     cells = [f"{GRID}:{name}:{'HSV' if name == 'pca' else 'HS'}" for name in CLASSIFIERS]
     return names + cells
@@ -76,11 +76,11 @@ KNOWN: dict[tuple[str, ...], Any] = {
 
 
 def leaves(tree: dict, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], object]]:
-    """The values of nested settings with their paths."""
+    """Return the values of nested settings with their paths."""
     values: list[tuple[tuple[str, ...], object]] = []
     for key, value in tree.items():
-        here = (*path, key)
-        values += leaves(value, here) if isinstance(value, dict) else [(here, value)]
+        full = (*path, key)
+        values += leaves(value, full) if isinstance(value, dict) else [(full, value)]
     return values
 
 
@@ -92,9 +92,9 @@ def nested(path: tuple[str, ...], value: object) -> dict:
 
 
 def declared_in(kind: type[Settings], path: tuple[str, ...]) -> type:
-    """The class that declares a setting: where detectors share it, so do they share its code."""
+    """Return the class that declares a setting; detectors that share it share its code."""
     group = group_at(kind, path[:-1])
-    return next(one for one in group.__mro__ if path[-1] in get_annotations(one))
+    return next(kind for kind in group.__mro__ if path[-1] in get_annotations(kind))
 
 
 def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
@@ -121,7 +121,7 @@ def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
 
 @cache
 def images() -> tuple[Tensor, ...]:
-    """The street, and coloured blocks, in which whatever is found lies scattered."""
+    """Return the street, and coloured blocks, in which all results are scattered."""
     blocks = (torch.rand(3, 8, 8, generator=torch.Generator().manual_seed(seed)) for seed in (1, 3))
     return street(), *(block.repeat_interleave(8, 1).repeat_interleave(8, 2) for block in blocks)
 
@@ -133,7 +133,7 @@ def maps(name: str, number: int, values: dict) -> list[Tensor]:
 
 
 def need_of(name: str, path: tuple[str, ...]) -> str:
-    """The key of ``NEEDS`` that a setting falls under; "" where it needs nothing."""
+    """Return the key of ``NEEDS`` for a setting; "" where it needs nothing."""
     keys = (key for key in NEEDS if ".".join(path).startswith(key))
     return next(keys, "") if name in USUAL else ""
 
@@ -155,15 +155,15 @@ def usual(name: str, number: int, need: str, threshold: float) -> list[Tensor]:
 
 
 def reaches(name: str, path: tuple[str, ...], value: Any) -> bool:
-    """Whether a value changes what a detector finds, in one of the images, at one threshold."""
+    """Return whether a value changes a detector's result in an image at a threshold."""
     need = need_of(name, path)
 
     def changes(number: int, threshold: float) -> bool:
-        before = usual(name, number, need, threshold)
+        unchanged = usual(name, number, need, threshold)
         settings = usual_settings(name, need) | {"threshold": threshold}
-        after = maps(name, number, merge(settings, nested(path, value)))
-        pairs = zip(before, after, strict=False)
-        return len(before) != len(after) or not all(torch.equal(*pair) for pair in pairs)
+        changed = maps(name, number, merge(settings, nested(path, value)))
+        pairs = zip(unchanged, changed, strict=False)
+        return len(unchanged) != len(changed) or not all(torch.equal(*pair) for pair in pairs)
 
     # What the mask alone depends on shows where there are several regions.
     of_mask = path[0] in ("isolated", "seed_area")
@@ -190,13 +190,12 @@ Claim = dict[tuple[str, ...], Any]
 
 
 def claims() -> dict[str, list[Claim]]:
-    """By detector: each setting alone, but those that an earlier detector has shown as one group.
+    """Return by detector each setting alone; those of a group that an earlier one covers, together.
 
-    What they do inside is the same code; what can still be wrong is that the group is not
-    handed on.
+    Inside they share the code; only that the group is passed on remains to be tested.
     """
-    shown: set[type] = set()
-    found: dict[str, list[Claim]] = {}
+    covered: set[type] = set()
+    by_detector: dict[str, list[Claim]] = {}
     for name in one_of_each():
         kind = detector_entry(name).settings
         groups: dict[type, Claim] = {}
@@ -205,12 +204,12 @@ def claims() -> dict[str, list[Claim]]:
                 continue
             if name == SHOWS_ALL or "oneclass" not in name or path[0] == "classifier":
                 groups.setdefault(declared_in(kind, path), {})[path] = default
-        found[name] = []
+        by_detector[name] = []
         for owner, claim in groups.items():
             one_by_one = [{path: default} for path, default in claim.items()]
-            found[name] += [claim] if owner in shown else one_by_one
-        shown |= groups.keys()
-    return found
+            by_detector[name] += [claim] if owner in covered else one_by_one
+        covered |= groups.keys()
+    return by_detector
 
 
 CLAIMS = claims()

@@ -15,7 +15,7 @@ from roadtorch.road.texture import (
     Saturation,
     TextureSettings,
     fused_uniformity,
-    quantise,
+    quantise_plane,
     unsaturated_uniformity,
     value_range,
 )
@@ -28,7 +28,7 @@ def street() -> Tensor:
 
 
 def per_segment(cue: Tensor, segments: Tensor) -> Tensor:
-    """The value (n,) of a cue that is constant in each segment; fails where it is not."""
+    """Return the value (n,) of a cue in each segment; fail where it is not constant."""
     values = [cue[segments == number].unique() for number in segments.unique()]
     assert {len(each) for each in values} == {1}
     return torch.cat(values)
@@ -61,11 +61,11 @@ def test_the_likelihood_is_one_per_segment_by_its_uniformity(name: str, midpoint
 
 
 def test_grey_uniformity_is_that_of_the_grey_levels_of_each_segment() -> None:
-    found = load_detector("grey-uniformity", bins=32).detect(street())
+    detection = load_detector("grey-uniformity", bins=32).detect(street())
 
-    segments = found.cues["segments"]
+    segments = detection.cues["segments"]
     levels = (plane(street(), "grey") * 32).long().clamp(0, 31)
-    for number, value in enumerate(per_segment(found.cues["uniformity"], segments)):
+    for number, value in enumerate(per_segment(detection.cues["uniformity"], segments)):
         shares = levels[segments == number].bincount(minlength=32) / (segments == number).sum()
         assert float(value) == pytest.approx(float(shares.square().sum()), abs=1e-5)
 
@@ -88,26 +88,26 @@ def test_segments_with_the_texture_of_the_seed_area_are_more_likely_road_by_lbp(
     image = 0.5 + 0.1 * torch.randn(3, 64, 64, generator=generator).clamp(-4, 4)
     image[:, :32] = 0.2 + 0.4 * torch.arange(32)[:, None] / 32  # smooth above, rough below
 
-    found = load_detector("lbp").detect(image.clamp(0, 1))
+    detection = load_detector("lbp").detect(image.clamp(0, 1))
 
-    assert found.likelihood[40:].mean() > found.likelihood[:24].mean() + 0.3
+    assert detection.likelihood[40:].mean() > detection.likelihood[:24].mean() + 0.3
 
 
 # --- CPFv2 --------------------------------------------------------------------------------
 
 
 def test_segments_that_are_mostly_saturated_have_no_uniformity_and_are_not_road() -> None:
-    found = load_detector("cpf:v2").detect(street())
+    detection = load_detector("cpf:v2").detect(street())
 
-    segments, clipped = found.cues["segments"], found.cues["saturated"]
+    segments, clipped = detection.cues["segments"], detection.cues["saturated"]
     assert clipped[60:72, 20:44].all()
     clipped_share = torch.tensor(
         [float(clipped[segments == number].float().mean()) for number in segments.unique()]
     )
-    values = per_segment(found.cues["uniformity"], segments)
+    values = per_segment(detection.cues["uniformity"], segments)
     assert (clipped_share > 0.5).any()
     assert torch.equal(values == 0, clipped_share > 0.5)
-    assert not found.mask[62:70, 24:40].any()
+    assert not detection.mask[62:70, 24:40].any()
 
 
 def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:
@@ -121,11 +121,11 @@ def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:
     )
 
     assert torch.equal(clipped, (spoilt == 1.0).all(0))
-    levels = quantise(fused, settings.bins, *value_range(fused, ~clipped, settings.tail))
+    levels = quantise_plane(fused, settings.bins, *value_range(fused, ~clipped, settings.tail))
     for number in (0, 1):
         counts = levels[(labels == number) & ~clipped].bincount(minlength=settings.bins)
-        wanted = (counts / counts.sum()).square().sum()
-        assert float(values[number]) == pytest.approx(float(wanted), abs=1e-6)
+        expected = (counts / counts.sum()).square().sum()
+        assert float(values[number]) == pytest.approx(float(expected), abs=1e-6)
 
 
 def test_a_seed_area_without_enough_usable_pixels_gives_the_weights_with_all_of_them() -> None:

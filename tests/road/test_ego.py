@@ -135,13 +135,13 @@ def test_no_pixel_of_the_ego_car_changes_anything(name: str) -> None:
     detector = load_detector(name, ego={"outline": outline}, threshold=0.0)
     car = ego_car(image, detector.settings.ego)
 
-    one, other = (detector.detect(torch.where(car, paint, image)) for paint in (0.0, 1.0))
+    black, white = (detector.detect(torch.where(car, paint, image)) for paint in (0.0, 1.0))
 
-    assert one.likelihood.equal(other.likelihood)
-    assert one.cues["ego"][car].all()  # a detector may see more of it
-    assert not one.mask[car].any()
-    assert not one.likelihood[car].any()
-    assert one.mask.any()
+    assert black.likelihood.equal(white.likelihood)
+    assert black.cues["ego"][car].all()  # a detector may see more of it
+    assert not black.mask[car].any()
+    assert not black.likelihood[car].any()
+    assert black.mask.any()
 
 
 def test_road_that_reaches_the_ego_car_is_not_isolated() -> None:
@@ -176,7 +176,7 @@ LIT[33:36, 20:30] = 0.2
 
 
 @pytest.mark.parametrize(
-    ("seen", "car"),
+    ("evidence", "car"),
     [
         pytest.param(potential(BONNET), [BONNET], id="down to the lower edge"),
         pytest.param(LIT, [BONNET], id="light on it leaves no hole"),
@@ -194,8 +194,10 @@ LIT[33:36, 20:30] = 0.2
         pytest.param(0.85 * potential((slice(20, None), EVERY)), []),
     ],
 )
-def test_the_ego_car_reaches_the_lower_edge(seen: Tensor, car: list[tuple[slice, slice]]) -> None:
-    assert torch.equal(ego_found(seen), potential(*car) > 0.5)
+def test_the_ego_car_reaches_the_lower_edge(
+    evidence: Tensor, car: list[tuple[slice, slice]]
+) -> None:
+    assert torch.equal(ego_found(evidence), potential(*car) > 0.5)
 
 
 @given(st.integers(0, 2**31), st.floats(0.1, 0.9))

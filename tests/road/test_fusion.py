@@ -17,8 +17,8 @@ from roadtorch.road.fusion import (
     RoadRules,
     fused_log_odds,
     likelihood_product,
-    position_prior,
     prior_rows,
+    road_position_prior,
     segment_road,
 )
 from roadtorch.road.seed_area import MIN_CONTRAST, seed_area, seed_distance
@@ -39,8 +39,8 @@ def test_naive_bayes_normalises_the_product(prior: float, cues: list[tuple[float
 
     road = fused_log_odds(maps, [1.0, *weights]).sigmoid()
 
-    wanted = reference.naive_bayes(prior, likelihoods, weights)
-    assert road.flatten().tolist() == pytest.approx([wanted] * 4, abs=1e-9)
+    expected = reference.naive_bayes(prior, likelihoods, weights)
+    assert road.flatten().tolist() == pytest.approx([expected] * 4, abs=1e-9)
 
 
 def test_equation_four_by_hand_and_odds_that_rank_pixels_the_other_way_round() -> None:
@@ -75,7 +75,7 @@ def test_extreme_cues_stay_finite_and_can_be_outvoted(dtype: torch.dtype, extrem
 def test_the_place_of_the_road_is_a_triangle_that_widens_downwards() -> None:
     row, column = torch.linspace(0, 1, 21)[:, None], torch.linspace(0, 1, 41)
 
-    prior = position_prior(row, column, RoadPosition())
+    prior = road_position_prior(row, column, RoadPosition())
 
     assert torch.allclose(prior, prior.flip(1), atol=1e-5)
     assert (prior[:, 20:].diff(dim=1) <= 0).all()
@@ -84,7 +84,7 @@ def test_the_place_of_the_road_is_a_triangle_that_widens_downwards() -> None:
     assert prior[0, 0] < 0.05
     # It is even at the half width.
     place = RoadPosition(apex=0.5, narrow=0.1, spread=0.4, softness=0.03)
-    even = position_prior(torch.tensor([0.3, 0.5, 1.0]), torch.tensor([0.6, 0.4, 0.8]), place)
+    even = road_position_prior(torch.tensor([0.3, 0.5, 1.0]), torch.tensor([0.6, 0.4, 0.8]), place)
     assert even.tolist() == pytest.approx([0.5] * 3, abs=1e-5)
 
 
@@ -117,25 +117,30 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
 
     road = segment_road(segments, layout, distance, texture, rules=chosen)
 
-    known = torch.full((len(road),), chosen.bias, dtype=torch.float64)  # before it learns
+    fixed = torch.full((len(road),), chosen.bias, dtype=torch.float64)  # before it learns
     for weight, cue in (
-        (chosen.position.weight, position_prior(segments.row, segments.column, chosen.position)),
+        (
+            chosen.position.weight,
+            road_position_prior(segments.row, segments.column, chosen.position),
+        ),
         (trusted.layout, layout),
         (trusted.distance, distance),
         (trusted.texture, texture),
     ):
-        known += weight * torch.tensor([reference.log_odds(value) for value in cue.tolist()])
+        fixed += weight * torch.tensor([reference.log_odds(value) for value in cue.tolist()])
     scores = reference.learned_scores(
-        known.tolist(),
+        fixed.tolist(),
         likeness(segments, chosen.bandwidths).tolist(),
         segments.size.tolist(),
-        reference.neighbours([(one, two) for one, two in segments.pairs.T.tolist()], len(road)),
+        reference.neighbours(
+            [(first, second) for first, second in segments.pairs.T.tolist()], len(road)
+        ),
         (trusted.appearance, MAX_APPEARANCE),
         trusted.neighbours,
         rounds,
     )
-    wanted = (torch.tensor(scores) / 2).sigmoid()
-    assert (road - wanted).abs().max() < 2e-3
+    expected = (torch.tensor(scores) / 2).sigmoid()
+    assert (road - expected).abs().max() < 2e-3
 
 
 # --- priors -------------------------------------------------------------------------------

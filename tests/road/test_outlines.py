@@ -47,20 +47,20 @@ def test_what_is_an_affine_function_of_colour_stays_itself() -> None:
     image = resized(torch.rand(3, 15, 20, generator=torch.Generator().manual_seed(0)), (120, 160))
     function = 0.2 + 0.3 * image[0] + 0.4 * image[2]
 
-    found = followed(function, image, image)
+    refined = followed(function, image, image)
 
-    assert (found - function).abs().max() < 0.06  # the ridge flattens it a little
+    assert (refined - function).abs().max() < 0.06  # the ridge flattens it a little
 
 
 @given(st.integers(16, 70), st.integers(16, 70), st.floats(0, 1), st.integers(0, 99))
 def test_what_says_the_same_everywhere_says_it_in_any_image(height, width, value, seed):
     image = torch.rand(3, height, width, generator=torch.Generator().manual_seed(seed))
 
-    found = followed(torch.full((height, width), value), image, image)
+    refined = followed(torch.full((height, width), value), image, image)
 
-    assert found.shape == (height, width)
-    assert 0 <= float(found.min()) <= float(found.max()) <= 1
-    np.testing.assert_allclose(found, torch.full_like(found, value), atol=1e-3, rtol=0.0)
+    assert refined.shape == (height, width)
+    assert 0 <= float(refined.min()) <= float(refined.max()) <= 1
+    np.testing.assert_allclose(refined, torch.full_like(refined, value), atol=1e-3, rtol=0.0)
 
 
 def test_what_the_ego_car_map_leaves_of_a_bonnet_like_the_road_stays_no_road() -> None:
@@ -74,10 +74,10 @@ def test_what_the_ego_car_map_leaves_of_a_bonnet_like_the_road_stays_no_road() -
     ego = below > missed
     likelihood = continued(0.9 - 0.8 * (below / 12 + 0.5).clamp(0, 1), ego)
 
-    found = outlined({"likelihood": likelihood, "ego": ego}, small, image, working, 0.5)
+    refined = outlined({"likelihood": likelihood, "ego": ego}, small, image, working, 0.5)
 
-    assert (found[begins : begins + missed] > 0.5).double().mean() < 0.05
-    assert (found[: begins - 12] > 0.5).double().mean() > 0.99
+    assert (refined[begins : begins + missed] > 0.5).double().mean() < 0.05
+    assert (refined[: begins - 12] > 0.5).double().mean() > 0.99
 
 
 ROAD_LEVEL, OTHER_LEVEL = 0.8, 0.1

@@ -43,7 +43,7 @@ def mask_of(rows: str) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(
-    ("mask", "seed", "left"),
+    ("mask", "seed", "expected"),
     [
         (
             "##.... ....## ..#..# ..##..",
@@ -58,11 +58,11 @@ def mask_of(rows: str) -> torch.Tensor:
         (".. .. ..", ".. .. .#", ".. .. .."),
     ],
 )
-def test_only_regions_that_touch_the_seed_area_stay(mask, seed, left):
-    given = mask_of(mask)
+def test_only_regions_that_touch_the_seed_area_stay(mask, seed, expected):
+    regions = mask_of(mask)
 
-    assert torch.equal(remove_isolated(given, mask_of(seed)), mask_of(left))
-    assert torch.equal(given, mask_of(mask))  # what is handed in is not changed
+    assert torch.equal(remove_isolated(regions, mask_of(seed)), mask_of(expected))
+    assert torch.equal(regions, mask_of(mask))  # what is handed in is not changed
 
 
 @pytest.mark.parametrize(
@@ -76,10 +76,10 @@ def test_only_regions_that_touch_the_seed_area_stay(mask, seed, left):
     ],
 )
 def test_segments_with_half_of_their_pixels_in_the_seed_area_are_road(labels, segments):
-    found = segments_inside(labels, seed_rectangle(labels.shape))
+    result = segments_inside(labels, seed_rectangle(labels.shape))
 
-    assert found.tolist() == segments
-    assert found.dtype == torch.int64
+    assert result.tolist() == segments
+    assert result.dtype == torch.int64
 
 
 SMALL = st.integers(16, 60)
@@ -89,10 +89,10 @@ SMALL = st.integers(16, 60)
 def test_there_is_a_seed_segment_and_each_is_in_the_seed_area(height, width, size, tall, wide):
     labels, seed = squares(height, width, size), SeedArea(height=tall, width=wide)
 
-    found = segments_inside(labels, seed_rectangle((height, width), seed))
+    result = segments_inside(labels, seed_rectangle((height, width), seed))
 
-    assert len(found) >= 1
-    assert set(found.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
+    assert len(result) >= 1
+    assert set(result.tolist()) <= set(labels[seed_area(height, width, seed)].flatten().tolist())
 
 
 @pytest.mark.parametrize(
@@ -108,9 +108,9 @@ def test_there_is_a_seed_segment_and_each_is_in_the_seed_area(height, width, siz
 def test_a_likely_seed_is_where_road_is_likeliest(evidence, row, share, seed):
     size = torch.full((len(row),), 0.2)
 
-    found = likely_seed(torch.tensor(evidence), torch.tensor(row), size, share)
+    result = likely_seed(torch.tensor(evidence), torch.tensor(row), size, share)
 
-    assert found.nonzero()[:, 0].tolist() == seed
+    assert result.nonzero()[:, 0].tolist() == seed
 
 
 # --- how far a segment is from it -----------------------------------------------------
@@ -120,7 +120,7 @@ def test_a_likely_seed_is_where_road_is_likeliest(evidence, row, share, seed):
 def graphs(draw):
     """Pairs (2,E), each once, steps (E,), some of them 0, sources (k,), and how many nodes."""
     count = draw(st.integers(1, 9))
-    every = [(one, two) for one in range(count) for two in range(one + 1, count)]
+    every = [(i, j) for i in range(count) for j in range(i + 1, count)]
     pairs = draw(st.lists(st.sampled_from(every), unique=True)) if every else []
     step = st.sampled_from([0.0, 1e-6, 0.5, 1.0, 2.5, 40.0])
     steps = draw(st.lists(step, min_size=len(pairs), max_size=len(pairs)))
@@ -134,11 +134,11 @@ def graphs(draw):
 def test_distances_are_those_of_bellman_and_ford(graph):
     pairs, steps, sources, count = graph
 
-    found = shortest_paths(pairs, steps, sources, count)
+    result = shortest_paths(pairs, steps, sources, count)
 
-    wanted = [0.0 if node in sources.tolist() else float("inf") for node in range(count)]
+    expected = [0.0 if node in sources.tolist() else float("inf") for node in range(count)]
     for _ in range(count):
-        for (one, two), step in zip(pairs.T.tolist(), steps.tolist(), strict=True):
-            wanted[two] = min(wanted[two], wanted[one] + step)
-            wanted[one] = min(wanted[one], wanted[two] + step)
-    np.testing.assert_allclose(found, torch.tensor(wanted), atol=1e-6, rtol=1e-6)
+        for (i, j), step in zip(pairs.T.tolist(), steps.tolist(), strict=True):
+            expected[j] = min(expected[j], expected[i] + step)
+            expected[i] = min(expected[i], expected[j] + step)
+    np.testing.assert_allclose(result, torch.tensor(expected), atol=1e-6, rtol=1e-6)

@@ -30,7 +30,7 @@ def noisy(frames: int) -> Tensor:
 def steadied(
     likelihoods: Iterable[Tensor], steady: Steady | None = None, image: Tensor = STREET
 ) -> list[Tensor]:
-    """The likelihoods of a still image."""
+    """Return the smoothed likelihoods of a still image."""
     steady = steadier() if steady is None else steady
     return [steady(image, likelihood) for likelihood in likelihoods]
 
@@ -68,13 +68,13 @@ def test_what_moves_with_the_image_stays_where_it_belongs() -> None:
     generator = torch.Generator().manual_seed(0)
 
     for number in range(12):
-        seen = slice(number * shift, number * shift + 160)
-        odds = 4.0 * wide.road[:, seen] - 2 + 2 * torch.randn(120, 160, generator=generator)
+        columns = slice(number * shift, number * shift + 160)
+        odds = 4.0 * wide.road[:, columns] - 2 + 2 * torch.randn(120, 160, generator=generator)
         likelihood = odds.sigmoid()
-        found = steady(wide.image[..., seen].contiguous(), likelihood)
+        smooth = steady(wide.image[..., columns].contiguous(), likelihood)
 
-    truth = wide.road[:, seen]
-    wrong, wrong_alone = ((each >= 0.5) != truth for each in (found, likelihood))
+    truth = wide.road[:, columns]
+    wrong, wrong_alone = ((each >= 0.5) != truth for each in (smooth, likelihood))
     assert wrong_alone.float().mean() > 0.1
     assert wrong[:, :150].float().mean() < 0.03  # the last columns came into view just now
 
@@ -107,8 +107,8 @@ def test_what_one_frame_hides_is_remembered() -> None:
     steadied([ROAD] * 4, steady)
 
     for _ in range(3):  # a shadow that is taken for an ego car
-        found = steady(STREET, ROAD.masked_fill(EGO, 0.0), EGO)
-        assert torch.allclose(found, ROAD, atol=1e-2)
+        smooth = steady(STREET, ROAD.masked_fill(EGO, 0.0), EGO)
+        assert torch.allclose(smooth, ROAD, atol=1e-2)
         assert steady.hidden is not None
         assert not steady.hidden.any()
 
@@ -121,12 +121,12 @@ def test_an_ego_car_is_never_road_not_even_where_a_frame_misses_it() -> None:
     assert steady.hidden is None  # before the first frame nothing is known
     for number in range(12):
         hidden = EGO & (number % 3 != 2)
-        found = steady(STREET, ROAD.masked_fill(hidden, 0.0), hidden)
+        smooth = steady(STREET, ROAD.masked_fill(hidden, 0.0), hidden)
         assert steady.hidden is not None
         assert torch.equal(steady.hidden, EGO)
-        assert (found[EGO] == 0).all()
+        assert (smooth[EGO] == 0).all()
 
-    assert torch.allclose(found[~EGO], ROAD[~EGO], atol=1e-3)
+    assert torch.allclose(smooth[~EGO], ROAD[~EGO], atol=1e-3)
 
 
 # --- by the frames before and after -----------------------------------------------------------
@@ -140,8 +140,8 @@ def test_smoothed_frames_are_means_up_to_a_cut(images: list[Tensor], of: list[ra
     odds = [log_odds(likelihood) for likelihood in noisy(4)]
     greys = [flow_image(image, 160) for image in images]
 
-    found = smoothed(greys, odds, SteadySettings(memory=20.0))
+    smooth = smoothed(greys, odds, SteadySettings(memory=20.0))
 
     for frame, alike in {0: of[0], 3: of[-1]}.items():
         mean = torch.stack([odds[number] for number in alike]).mean(0)
-        assert torch.allclose(found[frame], mean, atol=1e-3)
+        assert torch.allclose(smooth[frame], mean, atol=1e-3)

@@ -12,7 +12,7 @@ from roadtorch.road.texture import (
     TextureSettings,
     fused_plane,
     minimum_variance_weights,
-    quantise,
+    quantise_plane,
     saturation_mask,
     similarity,
     uniform_patterns,
@@ -24,7 +24,7 @@ from tests.reference import texture as reference
 
 
 def correlated_samples(count: int = 400, planes: int = 4, seed: int = 0) -> torch.Tensor:
-    """Samples (count, planes) with correlated planes of different variance."""
+    """Return samples (count, planes) with correlated planes of different variance."""
     return random(count, planes, seed=seed) @ (random(planes, planes, seed=seed + 1) - 0.3)
 
 
@@ -78,10 +78,10 @@ FLAT = 0.3 + 1e-7 * random(20, 20, dtype=torch.float32)
     ],
 )
 def test_levels_are_equal_steps(values, bins, low, high, levels):
-    found = quantise(values, bins, low, high)
+    result = quantise_plane(values, bins, low, high)
 
-    assert found.dtype == torch.int64
-    assert found.flatten().tolist() == levels
+    assert result.dtype == torch.int64
+    assert result.flatten().tolist() == levels
 
 
 def test_the_range_skips_the_tails_of_the_usable_pixels():
@@ -139,6 +139,6 @@ def test_patterns_are_those_of_scikit_image_and_turn_with_the_image():
 def test_similarity_is_one_minus_half_chi_square(pairs):
     first, second = (np.array(side, dtype=float) + 0.5 for side in zip(*pairs, strict=True))
 
-    found = similarity(torch.from_numpy(first), torch.from_numpy(second)).item()
+    result = similarity(torch.from_numpy(first), torch.from_numpy(second)).item()
 
-    assert found == pytest.approx(1 - reference.chi_square(first, second) / 2, abs=1e-9)
+    assert result == pytest.approx(1 - reference.chi_square(first, second) / 2, abs=1e-9)
