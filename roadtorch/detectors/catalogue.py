@@ -63,14 +63,13 @@ def load_detector(
     Raises:
         ConfigError: Unknown name or key, value that is not allowed, or unavailable device.
 
-    Example:
-        >>> from roadtorch import load_detector
-        >>> detector = load_detector("fusion", threshold=0.6)
-        >>> detection = detector("street.jpg")
-        >>> detection.likelihood.shape  # torch tensors, as is the mask
-        torch.Size([240, 320])
-        >>> detection.mask.numpy().dtype
-        dtype('bool')
+    >>> from roadtorch import load_detector
+    >>> detector = load_detector("fusion", threshold=0.6)
+    >>> detection = detector("street.jpg")
+    >>> detection.likelihood.shape  # torch tensors, as is the mask
+    torch.Size([240, 320])
+    >>> detection.mask.numpy().dtype
+    dtype('bool')
     """
     if positional or not isinstance(name, str | os.PathLike):
         where, value = ("settings", positional[0]) if positional else ("name", name)
@@ -99,10 +98,9 @@ def list_detectors(pattern: str | None = None) -> list[str]:
     Raises:
         ConfigError: No detector matches.
 
-    Example:
-        >>> from roadtorch import list_detectors
-        >>> list_detectors("prior:t*")
-        ['prior:triangle']
+    >>> from roadtorch import list_detectors
+    >>> list_detectors("prior:t*")
+    ['prior:triangle']
     """
     if pattern is None:
         return list(detector_groups())
@@ -173,18 +171,17 @@ def register_detector(
     Raises:
         ConfigError: The name is taken, or the settings are not derived from DetectorSettings.
 
-    Example:
-        >>> from roadtorch import load_detector, register_detector
-        >>> from torch import nn
-        >>> @register_detector("bright")
-        ... class Bright(nn.Module):
-        ...     '''Brighter is more road.'''
-        ...     def __init__(self, settings):
-        ...         super().__init__()
-        ...     def forward(self, image):
-        ...         return {"likelihood": image.mean(0)}
-        >>> load_detector("bright", threshold=0.4)
-        <Detector bright, threshold=0.4>
+    >>> from roadtorch import load_detector, register_detector
+    >>> from torch import nn
+    >>> @register_detector("bright")
+    ... class Bright(nn.Module):
+    ...     '''Brighter is more road.'''
+    ...     def __init__(self, settings):
+    ...         super().__init__()
+    ...     def forward(self, image):
+    ...         return {"likelihood": image.mean(0)}
+    >>> load_detector("bright", threshold=0.4)
+    <Detector bright, threshold=0.4>
     """
     if not isinstance(name, str):
         hint = 'write @register_detector("name", YourSettings) above the class'

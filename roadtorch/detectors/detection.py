@@ -59,16 +59,15 @@ class Detection:
         seconds: time of the frame since its source began.
         image: the image in [0, 1], shape (3, H, W); None for a Detection made without one.
 
-    Example:
-        >>> from roadtorch import load_detector
-        >>> detection = load_detector("prior:rows")("street.jpg")
-        >>> detection
-        <Detection 320×240, road 50%>
-        >>> detection.mask.numpy().shape  # of one map; numpy() converts all
-        (240, 320)
-        >>> sorted(detection.numpy())
-        ['likelihood', 'mask']
-        >>> detection.save("street.mask.png")
+    >>> from roadtorch import load_detector
+    >>> detection = load_detector("prior:rows")("street.jpg")
+    >>> detection
+    <Detection 320×240, road 50%>
+    >>> detection.mask.numpy().shape  # of one map; numpy() converts all
+    (240, 320)
+    >>> sorted(detection.numpy())
+    ['likelihood', 'mask']
+    >>> detection.save("street.mask.png")
     """
 
     likelihood: Tensor

@@ -139,11 +139,10 @@ class Entry:
         baseline: whether it ignores the image.
         values: its defaults where they differ from those of the class, nested.
 
-    Example:
-        >>> from roadtorch import Entry
-        >>> from roadtorch.detectors.catalogue import detector_entry
-        >>> isinstance(detector_entry("cpf"), Entry)
-        True
+    >>> from roadtorch import Entry
+    >>> from roadtorch.detectors.catalogue import detector_entry
+    >>> isinstance(detector_entry("cpf"), Entry)
+    True
     """
 
     name: str
@@ -169,13 +168,12 @@ class Detector(nn.Module):
         device: device to which images are moved; None: they stay where they are.
         analysis: module that computes the cues, with its networks as attributes.
 
-    Example:
-        >>> from roadtorch import load_detector
-        >>> detector = load_detector("fusion", threshold=0.6)
-        >>> detector
-        <Detector fusion, threshold=0.6>
-        >>> detector("street.jpg").mask.numpy().shape
-        (240, 320)
+    >>> from roadtorch import load_detector
+    >>> detector = load_detector("fusion", threshold=0.6)
+    >>> detector
+    <Detector fusion, threshold=0.6>
+    >>> detector("street.jpg").mask.numpy().shape
+    (240, 320)
     """
 
     def __init__(
@@ -265,13 +263,12 @@ class Detector(nn.Module):
         Raises:
             InputError: As in ``detect``, naming the image ``images[3]``; the generator ends there.
 
-        Example:
-            >>> import numpy
-            >>> from roadtorch import load_detector
-            >>> detector = load_detector("prior:rows", order="bgr")
-            >>> frames = (numpy.zeros((60, 80 + n, 3), numpy.uint8) for n in range(2))
-            >>> [detection.mask.shape[1] for detection in detector.detect_many(frames)]
-            [80, 81]
+        >>> import numpy
+        >>> from roadtorch import load_detector
+        >>> detector = load_detector("prior:rows", order="bgr")
+        >>> frames = (numpy.zeros((60, 80 + n, 3), numpy.uint8) for n in range(2))
+        >>> [detection.mask.shape[1] for detection in detector.detect_many(frames)]
+        [80, 81]
         """
         if order is not None:
             checked_order(order)
@@ -312,11 +309,10 @@ class Detector(nn.Module):
             limit: largest number of frames.
             topic: topic of the images in a bag, if it has several.
 
-        Example:
-            >>> from roadtorch import load_detector
-            >>> for detection in load_detector("prior:rows").stream("street.jpg"):
-            ...     print(detection.name, detection)
-            street <Detection 320×240, road 50%>
+        >>> from roadtorch import load_detector
+        >>> for detection in load_detector("prior:rows").stream("street.jpg"):
+        ...     print(detection.name, detection)
+        street <Detection 320×240, road 50%>
         """
         from roadtorch.run.loop import Selection, detect_stream  # a layer above: see pyproject.toml
 

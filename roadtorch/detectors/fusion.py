@@ -123,7 +123,10 @@ class LearnedRoad(Settings):
         default=1.0, ge=0, le=10, description="weight of the network's road in each superpixel"
     )
     detail: float = Field(
-        default=0.5, ge=0, le=10, description="weight of the network's road in each pixel, at last"
+        default=0.5,
+        ge=0,
+        le=10,
+        description="weight of the network's road in each pixel, added last",
     )
 
 

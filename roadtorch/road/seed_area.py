@@ -33,10 +33,10 @@ class SeedArea(Settings):
     """
 
     height: float = Field(
-        default=30, ge=1, le=FRAME[0], description="height in rows, if the image has 240; scaled"
+        default=30, ge=1, le=FRAME[0], description="height, in rows per 240 rows of the image"
     )
     width: float = Field(
-        default=80, ge=1, le=FRAME[1], description="width in columns, if the image has 320; scaled"
+        default=80, ge=1, le=FRAME[1], description="width, in columns per 320 columns of the image"
     )
 
     @property

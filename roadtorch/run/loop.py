@@ -282,11 +282,10 @@ def detect_stream(
     Raises:
         InputError: The source cannot be opened; or it is cut, after its last frame.
 
-    Example:
-        >>> from roadtorch import detect_stream, load_detector
-        >>> for detection in detect_stream("street.jpg", load_detector("prior:rows")):
-        ...     print(detection.name, detection)
-        street <Detection 320×240, road 50%>
+    >>> from roadtorch import detect_stream, load_detector
+    >>> for detection in detect_stream("street.jpg", load_detector("prior:rows")):
+    ...     print(detection.name, detection)
+    street <Detection 320×240, road 50%>
     """
     if not isinstance(detector, Detector):
         hint = "write detect_stream(source, detector)"
