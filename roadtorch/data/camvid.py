@@ -19,7 +19,7 @@ from roadtorch.data.dataset import Dataset, Kind, LabelledItem
 from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
-DRIVE_LETTERS = 6  # CamVid names begin with the drive: 0001TP, 0006R0, 0016E5, Seq05V
+DRIVE_NAME_LENGTH = 6  # CamVid names begin with the drive: 0001TP, 0006R0, 0016E5, Seq05V
 
 # --- eleven classes ---------------------------------------------------------------------
 
@@ -49,22 +49,22 @@ def open_camvid(root: Path, split: str) -> Dataset:
     The test split, which P2's Figs. 4 and 6 show, is not part of ``dev`` and may be missing.
     """
     items = tuple(
-        _item(image, label)
+        _make_item(image, label)
         for part in CAMVID_SPLITS[split]
         for image, label in pairs(root / part, root / f"{part}annot")
     )
     return Dataset("camvid", root, split, items, CAMVID_LABELS)
 
 
-def _item(image: Path, label: Path) -> LabelledItem:
-    return LabelledItem(image.stem, image, label, group=image.stem[:DRIVE_LETTERS])
+def _make_item(image: Path, label: Path) -> LabelledItem:
+    return LabelledItem(image.stem, image, label, group=image.stem[:DRIVE_NAME_LENGTH])
 
 
 # --- 32 colours -------------------------------------------------------------------------
 
-# Colour, name, and the class it became in the 480×360 release: measured by laying the
-# full-size labels of 66 frames over it, as published groupings of the 32 contradict each
-# other and the release (road shoulder is road there, and seven rare entries are void).
+# Colour, name, and class in the 480×360 release: measured by comparing it with the full-size
+# labels of 66 frames, as published groupings of the 32 contradict each other and the release
+# (road shoulder is road there, and seven rare entries are void).
 COLOURS32 = (
     ((64, 128, 64), "Animal", "void"),
     ((192, 0, 128), "Archway", "void"),
@@ -105,19 +105,19 @@ NAMES32 = tuple(name for _, name, _ in COLOURS32)
 LITERAL_LAYOUT = {"Sky": SKY, "Road": HORIZONTAL, "Sidewalk": HORIZONTAL}
 
 
-def _through_classes() -> NumberLabels:
+def _map_by_class() -> NumberLabels:
     """Map the colours through the 11 classes, by which lane markings and shoulders are road."""
-    became = [CLASSES11.index(name) for _, _, name in COLOURS32]
-    values = range(len(became))
+    classes = [CLASSES11.index(name) for _, _, name in COLOURS32]
+    values = range(len(classes))
     return NumberLabels(
-        road=tuple(i for i in values if became[i] in CAMVID_LABELS.road),
-        void=tuple(i for i in values if became[i] in CAMVID_LABELS.void),
+        road=tuple(i for i in values if classes[i] in CAMVID_LABELS.road),
+        void=tuple(i for i in values if classes[i] in CAMVID_LABELS.void),
         values=tuple(values),
-        layout=tuple(CAMVID_LABELS.layout[index] for index in became),
+        layout=tuple(CAMVID_LABELS.layout[index] for index in classes),
     )
 
 
-def _literal(void: tuple[str, ...]) -> NumberLabels:
+def _map_literally(void: tuple[str, ...]) -> NumberLabels:
     """Map the colours as P2 writes (ECCV 2012, §6.1): only ``Road`` is road."""
     layout = [
         UNLABELLED if name in void else LITERAL_LAYOUT.get(name, VERTICAL) for name in NAMES32
@@ -131,12 +131,12 @@ def _literal(void: tuple[str, ...]) -> NumberLabels:
 
 
 READINGS = {
-    "camvid32": _through_classes(),
-    "camvid32:literal": _literal(void=()),
-    "camvid32:literal-ignore": _literal(void=("Void",)),
+    "camvid32": _map_by_class(),
+    "camvid32:literal": _map_literally(void=()),
+    "camvid32:literal-ignore": _map_literally(void=("Void",)),
 }
 
-# Where copies keep the images and their labels.
+# Folders of images and of labels in the copies of CamVid that people have.
 FOLDERS32 = (
     ("images", "labels"),
     ("701_StillsRaw_full", "LabeledApproved_full"),
@@ -147,7 +147,7 @@ FOLDERS32 = (
 SPLITS32 = {"all": ("train", "val", "test"), **CAMVID_SPLITS}
 
 
-def split_of(name: str) -> str:
+def segnet_split(name: str) -> str:
     """Return the split of SegNet's division (367, 101, 233 frames) that a frame's name belongs to.
 
     Raises DatasetError for a name that is not one of CamVid's.
@@ -169,30 +169,32 @@ def open_camvid32(root: Path, split: str, name: str = "camvid32") -> Dataset:
     ROOT/train_labels and so on are read too. The frames' names decide on the split, not their
     folders. name: a key of ``READINGS``.
     """
-    items = tuple(item for item in _items32(root) if split_of(item.name) in SPLITS32[split])
-    numbers = READINGS[name]
-    return Dataset(
-        name, root, split, items, ColourLabels(tuple(c for c, _, _ in COLOURS32), numbers)
+    items = tuple(
+        item for item in _find_items32(root) if segnet_split(item.name) in SPLITS32[split]
     )
+    labels = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), READINGS[name])
+    return Dataset(name, root, split, items, labels)
 
 
-def _items32(root: Path) -> Iterator[LabelledItem]:
+def _find_items32(root: Path) -> Iterator[LabelledItem]:
     present = [
         (root / images, root / labels)
         for images, labels in FOLDERS32
         if (root / images).is_dir() and (root / labels).is_dir()
     ]
     if not present:
-        known = ", ".join(f"{images} + {labels}" for images, labels in FOLDERS32)
-        raise DatasetError(root, "holds no CamVid in 32 colours", f"known folders: {known}")
-    # A folder that holds the published one is not a folder of images itself.
+        folders = ", ".join(f"{images} + {labels}" for images, labels in FOLDERS32)
+        raise DatasetError(root, "holds no CamVid in 32 colours", f"known folders: {folders}")
+    # A folder that holds the published folder is not a folder of images itself.
     nested = {images.parent for images, _ in present}
     for images, labels in present:
         if images not in nested:
-            yield from (_item(image, label) for image, label in pairs(images, labels, "_L.png"))
+            yield from (
+                _make_item(image, label) for image, label in pairs(images, labels, "_L.png")
+            )
 
 
-KINDS = {
+CAMVID_FORMATS = {
     "camvid": Kind(tuple(CAMVID_SPLITS), open_camvid),
     **{name: Kind(tuple(SPLITS32), partial(open_camvid32, name=name)) for name in READINGS},
 }

@@ -18,13 +18,13 @@ from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
 ENTRY_POINT_GROUP = "roadtorch.datasets"
 
 
-KINDS: Mapping[str, Kind] = {
-    **camvid.KINDS,
+DATASET_FORMATS: Mapping[str, Kind] = {
+    **camvid.CAMVID_FORMATS,
     "corrections": Kind(("all",), open_corrections),
     "cityscapes": Kind(("val", "train"), open_cityscapes),
     "folder": Kind(("all",), open_folder),
     "idd-lite": Kind(("all",), open_idd_lite),
-    kitti.NAME: Kind(kitti.SPLITS, kitti.open_kitti_road),
+    kitti.KITTI_NAME: Kind(kitti.KITTI_SPLITS, kitti.open_kitti_road),
 }
 
 
@@ -40,7 +40,7 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
         ConfigError: for an unknown name or split.
         DatasetError: for an incomplete or empty data set.
     """
-    kind = dataset_kind(name)
+    kind = find_dataset_format(name)
     if split is not None and split not in kind.splits:
         raise unknown_name(f"split of {name}", split, kind.splits)
     if not root.is_dir():
@@ -57,8 +57,8 @@ def open_named(text: str) -> Dataset:
 
     Raises ConfigError for any other text, DatasetError for an incomplete data set.
     """
-    known = sorted(list_datasets(), key=len, reverse=True)
-    name = next((name for name in known if text.startswith(f"{name}:")), None)
+    longest_first = sorted(list_datasets(), key=len, reverse=True)
+    name = next((name for name in longest_first if text.startswith(f"{name}:")), None)
     if name is None:
         message = "does not begin with a data set and a colon"
         raise ConfigError(text, message, "write NAME:ROOT, for example camvid:data/camvid")
@@ -70,7 +70,7 @@ def list_datasets() -> list[str]:
     return sorted(_catalogue())
 
 
-def dataset_kind(name: str) -> Kind:
+def find_dataset_format(name: str) -> Kind:
     """Return the format of a data set; ConfigError with the nearest names for an unknown one."""
     kinds = _catalogue()
     if name not in kinds:
@@ -80,7 +80,7 @@ def dataset_kind(name: str) -> Kind:
 
 @cache
 def _catalogue() -> dict[str, Kind]:
-    kinds = dict(KINDS)
+    kinds = dict(DATASET_FORMATS)
 
     def add(name: str, kind: object) -> None:
         if name in kinds:

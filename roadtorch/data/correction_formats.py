@@ -20,7 +20,7 @@ from roadtorch.data.events import LABELS
 from roadtorch.data.labels import read_labels
 from roadtorch.data.polygons import coco_region
 
-Sizes = Mapping[str, tuple[int, int]]
+ImageSizes = Mapping[str, tuple[int, int]]
 """(height, width) of images by their relative name with extension."""
 
 
@@ -33,17 +33,17 @@ class CorrectionFormat(NamedTuple):
     """
 
     write: Callable[[Sequence[Correction], Path], None]
-    read: Callable[[Path, Sizes], dict[str, np.ndarray]]
+    read: Callable[[Path, ImageSizes], dict[str, np.ndarray]]
 
 
-def _check_stems(names: Iterable[str]) -> None:
+def _require_unique_stems(names: Iterable[str]) -> None:
     """Raise DatasetError for two images whose names differ in the extension alone."""
     owners: dict[str, str] = {}
     for name in names:
         stem = PurePath(name).with_suffix("").as_posix()
-        if (other := owners.setdefault(stem, name)) != name:
+        if (owner := owners.setdefault(stem, name)) != name:
             message = f"have one file, {stem}, in this format"
-            raise DatasetError(f"{other} and {name}", message, "rename one of the images")
+            raise DatasetError(f"{owner} and {name}", message, "rename one of the images")
 
 
 # --- label images -----------------------------------------------------------------------
@@ -54,7 +54,7 @@ def write_png(corrections: Sequence[Correction], folder: Path) -> None:
 
     In road 0 is not road, 1 road, 255 void or untouched; in layout 255 is unknown.
     """
-    _check_stems(correction.name for correction in corrections)
+    _require_unique_stems(correction.name for correction in corrections)
     for correction in corrections:
         road = np.where(correction.road > 1, 255, correction.road)
         layers = {"labels": correction.labels, "road": road, "layout": correction.layout}
@@ -64,7 +64,7 @@ def write_png(corrections: Sequence[Correction], folder: Path) -> None:
             write_labels(path, torch.from_numpy(values))
 
 
-def read_png(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
+def read_png(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
     """Read labels uint8 (H, W) by image from PATH/labels/NAME.png.
 
     Raises DatasetError for other numbers or sizes, two images of one name, and an empty folder.
@@ -74,11 +74,11 @@ def read_png(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
     if not present:
         hint = "give the folder that holds the labels"
         raise DatasetError(path / "labels", "has no file for any of the images", hint)
-    _check_stems(present)
-    return {name: read_numbers(file, sizes[name]) for name, file in present.items()}
+    _require_unique_stems(present)
+    return {name: read_label_numbers(file, sizes[name]) for name, file in present.items()}
 
 
-def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
+def read_label_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
     """Read numbers of ``LABELS``, uint8 (H, W); DatasetError for other numbers or another size."""
     labels = read_labels(path, size)
     if not np.isin(labels, range(len(LABELS))).all():
@@ -89,17 +89,17 @@ def read_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 # --- COCO -------------------------------------------------------------------------------
 
-# Labels are regions of eight categories, which CVAT and Label Studio read and write. A region is a
+# Labels are regions of seven categories, which CVAT and Label Studio read and write. A region is a
 # list of polygons, of pixel edges: column x reaches from x to x + 1. Or it is a list of counts,
-# pixels outside and inside in turn, column by column. Pixels of no region are untouched.
+# pixels outside and inside in turn, column by column. Pixels without a region are untouched.
 
-COCO_FILE = "coco.json"
+_COCO_FILE = "coco.json"
 
 _UPLOAD = re.compile(r"[0-9a-f]{8}-(.+)")
 """File name of an image uploaded to Label Studio, which drops sub-folders."""
 
 
-def write_coco(corrections: Sequence[Correction], folder: Path) -> None:
+def write_coco_labels(corrections: Sequence[Correction], folder: Path) -> None:
     """Write FOLDER/coco.json with one region for each label of each image."""
     images, regions = [], []
     for image, correction in enumerate(corrections, 1):
@@ -120,7 +120,7 @@ def write_coco(corrections: Sequence[Correction], folder: Path) -> None:
         "annotations": regions,
     }
     make_folder(folder)
-    write_text(folder / COCO_FILE, json.dumps(document) + "\n")
+    write_text(folder / _COCO_FILE, json.dumps(document) + "\n")
 
 
 class _CocoImage(ForeignDocument):
@@ -157,7 +157,7 @@ class _CocoFile(ForeignDocument):
     annotations: tuple[_CocoRegion, ...]
 
 
-def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
+def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
     """Read labels uint8 (H, W) by the name of the image, for the images of ``sizes``.
 
     path: a folder with coco.json, or a file of any name. Later regions cover earlier ones.
@@ -165,12 +165,12 @@ def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
     image, an image of another size, a region that does not fit its image, and a category that is
     not one of ``LABELS``.
     """
-    path = path / COCO_FILE if path.is_dir() else path
+    path = path / _COCO_FILE if path.is_dir() else path
     with read_document(path, "export it anew, as COCO") as data:
         document = _CocoFile.model_validate_json(data)
         names: dict[int, str] = {}
         for image in document.images:
-            if (name := image_of(image.file_name, sizes)) is None:
+            if (name := match_image_name(image.file_name, sizes)) is None:
                 continue
             if name in names.values():
                 raise ValueError(f"two images are {name}")
@@ -189,16 +189,16 @@ def read_coco(path: Path, sizes: Sizes) -> dict[str, np.ndarray]:
                 category = categories.get(region.category_id, "")
                 if category not in LABELS[1:]:
                     raise ValueError(
-                        f"the category {category!r} on {name} says nothing about the road: "
+                        f"the category {category!r} on {name} is not a label: "
                         f"use {', '.join(LABELS[1:])}"
                     )
                 if not region.segmentation:
                     raise ValueError(f"a region on {name} has no area: draw it as a polygon")
-                _paint(labels[name], region.segmentation, LABELS.index(category))
+                _fill_region(labels[name], region.segmentation, LABELS.index(category))
     return labels
 
 
-def image_of(file: str, names: Collection[str]) -> str | None:
+def match_image_name(file: str, names: Collection[str]) -> str | None:
     """Return the image whose name is the end of a file's path, in whole parts; None without one.
 
     Raises ValueError for an upload to Label Studio that could be either of two images.
@@ -209,13 +209,13 @@ def image_of(file: str, names: Collection[str]) -> str | None:
         return name
     if (upload := _UPLOAD.fullmatch(parts[-1])) is None:
         return None
-    fitting = sorted(name for name in names if PurePosixPath(name).name == upload[1])
-    if len(fitting) > 1:
-        raise ValueError(f"the upload {upload[1]} could be {' or '.join(fitting[:2])}")
-    return fitting[0] if fitting else None
+    candidates = sorted(name for name in names if PurePosixPath(name).name == upload[1])
+    if len(candidates) > 1:
+        raise ValueError(f"the upload {upload[1]} could be {' or '.join(candidates[:2])}")
+    return candidates[0] if candidates else None
 
 
-def _paint(labels: np.ndarray, segmentation: _Counts | _Polygons, number: int) -> None:
+def _fill_region(labels: np.ndarray, segmentation: _Counts | _Polygons, number: int) -> None:
     height, width = labels.shape
     if isinstance(segmentation, _Counts):
         counts = segmentation.counts
@@ -238,19 +238,19 @@ def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
     limits = [canvas.shape[1], canvas.shape[0]]
     left, top = points.min(0).clip(0, limits).astype(int).tolist()
     right, bottom = np.ceil(points.max(0)).clip(0, limits).astype(int).tolist()
-    crossed = np.zeros((bottom - top, right - left + 1), np.bool_)
+    crossings = np.zeros((bottom - top, right - left + 1), np.bool_)
     corners = (points - [left + 0.5, top + 0.5]).tolist()  # to pixel centres
     for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
         first, last = sorted((math.ceil(y1), math.ceil(y2)))
         rows = np.arange(max(first, 0), min(last, bottom - top))
         if len(rows):
-            across = x1 + (rows - y1) * ((x2 - x1) / (y2 - y1))
-            crossed[rows, np.ceil(across).clip(0, right - left).astype(int)] ^= True
-    inside = np.logical_xor.accumulate(crossed, axis=1)[:, :-1]
+            columns = x1 + (rows - y1) * ((x2 - x1) / (y2 - y1))
+            crossings[rows, np.ceil(columns).clip(0, right - left).astype(int)] ^= True
+    inside = np.logical_xor.accumulate(crossings, axis=1)[:, :-1]
     canvas[top:bottom, left:right][inside] = value
 
 
 FORMATS: Mapping[str, CorrectionFormat] = {
     "png": CorrectionFormat(write_png, read_png),
-    "coco": CorrectionFormat(write_coco, read_coco),
+    "coco": CorrectionFormat(write_coco_labels, read_coco_labels),
 }

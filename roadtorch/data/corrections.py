@@ -31,7 +31,7 @@ from roadtorch.data.events import (
     ROAD_SAID,
     AnyEvent,
     Confirm,
-    LastingEvent,
+    LabelEvent,
     Redo,
     Undo,
     apply_event,
@@ -46,7 +46,7 @@ from roadtorch.layout.classes import UNLABELLED
 
 ENDING = ".strokes.jsonl"
 
-TURNED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
+TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 # --- logs -------------------------------------------------------------------------------
 
@@ -85,7 +85,7 @@ class EventLog:
         return self.head.height, self.head.width
 
     @property
-    def effective_events(self) -> list[LastingEvent]:
+    def effective_events(self) -> list[LabelEvent]:
         """Events that have not been undone."""
         return effective_events(self.events)
 
@@ -113,7 +113,7 @@ class EventLog:
 
         Raises InputError for one that does not fit the image, UnwritableError for a full disk.
         """
-        if any(event.id == known.id for known in self.events):
+        if any(event.id == previous.id for previous in self.events):
             return
         if isinstance(event, Undo | Redo):
             labels = replay([*self.events, event], self.size)
@@ -132,12 +132,12 @@ class EventLog:
         make_folder(self.path.parent, "give a folder that you may write to with --out")
         try:
             with self.path.open("ab+", buffering=0) as file:
-                size = _drop_half_line(file)
+                size = _truncate_partial_line(file)
                 head = [] if size else [self.head.model_dump_json()]
                 try:
-                    left = memoryview("\n".join([*head, event.model_dump_json(), ""]).encode())
-                    while left:
-                        left = left[file.write(left) :]
+                    lines = memoryview("\n".join([*head, event.model_dump_json(), ""]).encode())
+                    while lines:
+                        lines = lines[file.write(lines) :]
                     os.fsync(file.fileno())
                     if not size:
                         _sync_folder(self.path.parent)
@@ -147,11 +147,11 @@ class EventLog:
                     raise
         except OSError as error:
             message = f"cannot be written: {error.strerror or error}"
-            hint = "make room, or give another folder with --out"
+            hint = "free disk space, or give another folder with --out"
             raise UnwritableError(self.path, message, hint) from None
 
 
-def _drop_half_line(file: FileIO) -> int:
+def _truncate_partial_line(file: FileIO) -> int:
     """Truncate an incomplete last line that a crash left; return the remaining size in bytes."""
     size = file.seek(0, os.SEEK_END)
     if size:
@@ -191,7 +191,7 @@ def read_log(path: Path) -> EventLog | None:
     try:
         events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], 2)]
     except InputError as error:
-        raise DatasetError(error.where, error.problem, "mend or remove that line") from None
+        raise DatasetError(error.where, error.problem, "fix or remove that line") from None
     return EventLog(path, head, events)
 
 
@@ -280,8 +280,8 @@ def image_size(path: Path) -> tuple[int, int]:
     """Read (height, width) of an image from its header, after EXIF rotation; DatasetError else."""
     try:
         with open_image(read_regular(path)) as image, without_warnings():
-            turned = image.getexif().get(ExifTag.Orientation) in TURNED
-            return (image.width, image.height) if turned else (image.height, image.width)
+            transposed = image.getexif().get(ExifTag.Orientation) in TRANSPOSED
+            return (image.width, image.height) if transposed else (image.height, image.width)
     except Exception as error:
         message = f"cannot be opened: {reason(error)}"
         raise DatasetError(path, message, "replace the file") from None
@@ -319,5 +319,5 @@ def open_corrections(folder: Path, split: str = "all") -> Dataset:
             name = PurePosixPath(correction.name).with_suffix("").as_posix()
             items.append(LabelledItem(name, correction.image, correction.log))
     if not items:
-        raise DatasetError(folder, "says nothing of the road", "correct some images")
+        raise DatasetError(folder, "has no road labels", "correct some images")
     return Dataset("corrections", folder, split, tuple(items), CorrectionLabels())

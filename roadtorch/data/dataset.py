@@ -132,13 +132,13 @@ def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
     Raises:
         ConfigError: for an unknown group, and when no group is left.
     """
-    left_out, known = frozenset(groups), dataset.groups()
-    if left_out and not known:
+    left_out, all_groups = frozenset(groups), dataset.groups()
+    if left_out and not all_groups:
         message = f"is not for {dataset.name} at {dataset.root}, which has no groups"
         raise ConfigError("--leave-out", message, "leave it out")
-    for name in sorted(left_out - set(known)):
-        raise unknown_name(f"group of {dataset.name}", name, known)
-    if left_out and left_out == set(known):
+    for name in sorted(left_out - set(all_groups)):
+        raise unknown_name(f"group of {dataset.name}", name, all_groups)
+    if left_out and left_out == set(all_groups):
         raise ConfigError("--leave-out", "leaves out every group", "keep one at least")
     return replace(dataset, left_out=left_out)
 

@@ -27,7 +27,7 @@ from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 NOT_ROAD, ROAD_SAID, VOID_SAID, OPEN = 0, 1, 254, 255
 """Values of ``road_layer``; ``OPEN`` means that the road is not labelled."""
 
-_MEANING = {
+_LAYERS = {
     "untouched": (OPEN, UNLABELLED),
     "road": (ROAD_SAID, HORIZONTAL),
     "not_road": (NOT_ROAD, UNLABELLED),
@@ -38,17 +38,17 @@ _MEANING = {
     "not_road_horizontal": (NOT_ROAD, HORIZONTAL),
 }
 
-LABELS = tuple(_MEANING)
+LABELS = tuple(_LAYERS)
 """Names of the labels; a label's number is its index."""
 
-SAYINGS = LABELS[1:7]
+STROKE_LABELS = LABELS[1:7]
 """Labels that strokes apply; the last of ``LABELS`` (a pavement, a verge) takes two strokes."""
 
-_ROAD, _LAYOUT = np.array(list(_MEANING.values()), np.uint8).T
+_ROAD, _LAYOUT = np.array(list(_LAYERS.values()), np.uint8).T
 
-# The label after a saying, by the label before. Road, void, sky and vertical replace what was
-# there; "not road" leaves a layout that agrees with it, "horizontal" a road or a "not road".
-_AFTER = {
+# Resulting label by previous label, for each label that a stroke applies. Road, void, sky and
+# vertical replace it; "not road" keeps a consistent layout, "horizontal" a road or a "not road".
+_TRANSITIONS = {
     "road": (1,) * 8,
     "not_road": (2, 2, 2, 2, 4, 5, 7, 7),
     "void": (3,) * 8,
@@ -69,25 +69,23 @@ def layout_layer(labels: np.ndarray) -> np.ndarray:
 
 
 def relabel(labels: np.ndarray, saying: str) -> np.ndarray:
-    """Return the labels, uint8 of any shape, after one of ``SAYINGS`` was applied to each."""
-    return np.array(_AFTER[saying], np.uint8)[labels]
+    """Return the labels, uint8 of any shape, after one of ``STROKE_LABELS`` was applied to each."""
+    return np.array(_TRANSITIONS[saying], np.uint8)[labels]
 
 
 # --- events -----------------------------------------------------------------------------
 
-MAX_POINTS = 20_000  # of one stroke; ours: a hand draws some hundreds
+MAX_POINTS = 20_000  # points of a stroke; ours: drawn by hand, it has some hundreds
+MAX_RADIUS = 2000  # radius of a brush, pixels
+MAX_SECONDS = 600.0  # working time of one event; the page does not count idle minutes
 
-MAX_RADIUS = 2000  # pixels of a brush
-
-MAX_SECONDS = 600.0  # seconds that one event may have taken; the page counts no idle minute
-
-Position = Annotated[float, Field(ge=-1e5, le=1e5)]
-Point = tuple[Position, Position]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-Saying = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
-Number = Annotated[int, Field(ge=0, lt=2**31)]  # of a pixel or a superpixel
-Runs = Annotated[tuple[Number, ...], Field(description="start, length, …")]
-Label = Annotated[str, Field(pattern=f"^({'|'.join(LABELS)})$")]
+_Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+_Point = tuple[_Coordinate, _Coordinate]
+_EventId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+_StrokeLabel = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
+_Index = Annotated[int, Field(ge=0, lt=2**31)]  # of a pixel or a superpixel
+_Runs = Annotated[tuple[_Index, ...], Field(description="start, length, …")]
+_LabelName = Annotated[str, Field(pattern=f"^({'|'.join(LABELS)})$")]
 
 
 class Event(Settings):
@@ -97,7 +95,7 @@ class Event(Settings):
     1970. seconds: working time.
     """
 
-    id: Name
+    id: _EventId
     time: float = Field(default=0.0, ge=0)
     seconds: float = Field(default=0.0, ge=0, le=MAX_SECONDS)
 
@@ -106,25 +104,25 @@ class SuperpixelStroke(Event):
     """Superpixels clicked or dragged over; ``runs``: their pixels, valid for any segmentation."""
 
     kind: Literal["superpixel"]
-    saying: Saying
-    segments: tuple[Number, ...]
-    runs: Runs = ()
+    saying: _StrokeLabel
+    segments: tuple[_Index, ...]
+    runs: _Runs = ()
 
 
 class PolygonStroke(Event):
     """A closed polygon, including its border."""
 
     kind: Literal["polygon"]
-    saying: Saying
-    points: tuple[Point, ...] = Field(min_length=3, max_length=MAX_POINTS)
+    saying: _StrokeLabel
+    points: tuple[_Point, ...] = Field(min_length=3, max_length=MAX_POINTS)
 
 
 class BrushStroke(Event):
     """A line drawn with a round brush."""
 
     kind: Literal["brush"]
-    saying: Saying
-    points: tuple[Point, ...] = Field(min_length=1, max_length=MAX_POINTS)
+    saying: _StrokeLabel
+    points: tuple[_Point, ...] = Field(min_length=1, max_length=MAX_POINTS)
     radius: float = Field(gt=0, le=MAX_RADIUS)
 
 
@@ -132,33 +130,33 @@ class Confirm(Event):
     """Confirmation of the remaining pixels as shown; ``runs`` are the pixels shown as road."""
 
     kind: Literal["right"]
-    runs: Runs = ()
+    runs: _Runs = ()
 
 
 class Import(Event):
     """Labels from another program: the runs of each label, by its name."""
 
     kind: Literal["brought"]
-    labels: dict[Label, Runs]
+    labels: dict[_LabelName, _Runs]
 
 
 class Undo(Event):
     """Undo of the event with id ``of``."""
 
     kind: Literal["undo"]
-    of: Name
+    of: _EventId
 
 
 class Redo(Event):
     """Redo of an undone event."""
 
     kind: Literal["redo"]
-    of: Name
+    of: _EventId
 
 
 Stroke = SuperpixelStroke | PolygonStroke | BrushStroke
-LastingEvent = Stroke | Confirm | Import
-AnyEvent = LastingEvent | Undo | Redo
+LabelEvent = Stroke | Confirm | Import
+AnyEvent = LabelEvent | Undo | Redo
 
 _ADAPTER: pydantic.TypeAdapter[AnyEvent] = pydantic.TypeAdapter(
     Annotated[AnyEvent, Field(discriminator="kind")]
@@ -170,8 +168,8 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
     try:
         return _ADAPTER.validate_json(text)
     except pydantic.ValidationError as error:
-        message = f"is no event of a correction: {first_mistake(error)}"
-        raise InputError(where, message, "give one as docs/annotate.md has it") from None
+        message = f"is not a correction event: {first_mistake(error)}"
+        raise InputError(where, message, "see the format in docs/annotate.md") from None
 
 
 # --- regions ----------------------------------------------------------------------------
@@ -184,22 +182,22 @@ def runs_of(mask: np.ndarray) -> tuple[int, ...]:
     return tuple(np.stack([starts, ends - starts], 1).reshape(-1).tolist())
 
 
-def mask_of(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
+def decode_runs(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
     """Return the mask bool (H, W) of runs; InputError where they overlap or exceed the image."""
     if len(runs) % 2:
         raise InputError("runs", "have an odd number of values", "give start, length, …")
-    borders = np.array(runs, np.int64).reshape(-1, 2).cumsum(1).reshape(-1)
-    lengths = np.diff(borders, prepend=0, append=size[0] * size[1])
+    bounds = np.array(runs, np.int64).reshape(-1, 2).cumsum(1).reshape(-1)
+    lengths = np.diff(bounds, prepend=0, append=size[0] * size[1])
     if (lengths < 0).any():
-        message = f"overlap, or reach beyond {size[0] * size[1]} pixels"
-        raise InputError("runs", message, "give those of this image, in order")
+        message = f"overlap, or exceed {size[0] * size[1]} pixels"
+        raise InputError("runs", message, "give runs of this image, in order")
     return np.repeat(np.arange(len(lengths)) % 2 == 1, lengths).reshape(size)
 
 
 def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
     """Return the mask bool (H, W) of a stroke, clipped to the image."""
     if isinstance(stroke, SuperpixelStroke):
-        return mask_of(stroke.runs, size)
+        return decode_runs(stroke.runs, size)
     height, width = size
     points = np.array(stroke.points, np.float64)
     points = points.clip([-width, -height], [2 * width, 2 * height])
@@ -217,9 +215,9 @@ def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
 # --- replay -----------------------------------------------------------------------------
 
 
-def effective_events(events: Iterable[AnyEvent]) -> list[LastingEvent]:
+def effective_events(events: Iterable[AnyEvent]) -> list[LabelEvent]:
     """Return the events that were not undone, in order, each once."""
-    lasting: dict[str, LastingEvent] = {}
+    by_id: dict[str, LabelEvent] = {}
     undone: set[str] = set()
     for event in events:
         if isinstance(event, Undo):
@@ -227,16 +225,16 @@ def effective_events(events: Iterable[AnyEvent]) -> list[LastingEvent]:
         elif isinstance(event, Redo):
             undone.discard(event.of)
         else:
-            lasting.setdefault(event.id, event)
-    return [event for event in lasting.values() if event.id not in undone]
+            by_id.setdefault(event.id, event)
+    return [event for event in by_id.values() if event.id not in undone]
 
 
 def redoable(events: Iterable[AnyEvent]) -> list[str]:
     """Return the ids of the undone events, the latest last; empty after a new event."""
     stack: list[str] = []
     for event in events:
-        of = event.of if isinstance(event, Undo | Redo) else None
-        stack = [identity for identity in stack if identity != of] if of else []
+        target = event.of if isinstance(event, Undo | Redo) else None
+        stack = [event_id for event_id in stack if event_id != target] if target else []
         if isinstance(event, Undo):
             stack.append(event.of)
     return stack
@@ -247,19 +245,19 @@ def click_count(events: Iterable[Event]) -> int:
     return len({event.id for event in events if isinstance(event, Stroke)})
 
 
-def apply_event(labels: np.ndarray, event: LastingEvent) -> None:
+def apply_event(labels: np.ndarray, event: LabelEvent) -> None:
     """Apply one event to labels uint8 (H, W) in place; InputError if it does not fit the image."""
     size = (labels.shape[0], labels.shape[1])
     match event:
         case Confirm():
-            road = mask_of(event.runs, size)
-            for silent, other in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
-                is_silent = labels == LABELS.index(silent)
-                labels[is_silent & road] = LABELS.index("road")
-                labels[is_silent & ~road] = LABELS.index(other)
+            road = decode_runs(event.runs, size)
+            for name, new in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
+                is_open = labels == LABELS.index(name)
+                labels[is_open & road] = LABELS.index("road")
+                labels[is_open & ~road] = LABELS.index(new)
         case Import():
             for name, runs in event.labels.items():
-                labels[mask_of(runs, size)] = LABELS.index(name)
+                labels[decode_runs(runs, size)] = LABELS.index(name)
         case SuperpixelStroke() | PolygonStroke() | BrushStroke():
             mask = stroke_mask(event, size)
             labels[mask] = relabel(labels[mask], event.saying)

@@ -13,7 +13,7 @@ from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.labels import (
     NumberLabels,
     decode_labels,
-    is_image,
+    is_image_file,
     pairs,
     read_labels,
     require_labels,
@@ -22,15 +22,15 @@ from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 # --- folder -----------------------------------------------------------------------------
 
-MASKS = NumberLabels(
+MASK_CODING = NumberLabels(
     road=(1, 255), void=(127, 128), values=(0, 1, 127, 128, 255), exclusive=(1, 255)
 )
-ROAD = NumberLabels(
+ROAD_CODING = NumberLabels(
     road=(1,),
     void=(255,),
     values=(0, 1, 255),
 )
-LAYOUT = NumberLabels(
+LAYOUT_CODING = NumberLabels(
     road=(),
     void=(UNLABELLED,),
     values=(SKY, VERTICAL, HORIZONTAL, UNLABELLED),
@@ -48,14 +48,14 @@ class FolderLabels:
 
     def truth(self, item: LabelledItem) -> Truth:
         """Read the item's labels; DatasetError naming and counting unknown numbers."""
-        truth = (ROAD if item.label.parent.name == "road" else MASKS).truth(item)
+        truth = (ROAD_CODING if item.label.parent.name == "road" else MASK_CODING).truth(item)
         for path in item.extra:
             labels = read_labels(path)
             if labels.shape != truth.road.shape:
                 size = f"{labels.shape[1]} by {labels.shape[0]} pixels"
                 hint = "labels must have the size of the image"
                 raise DatasetError(path, f"is {size}, unlike {item.label.name}", hint)
-            truth = replace(truth, layout=decode_labels(labels, LAYOUT, path).layout)
+            truth = replace(truth, layout=decode_labels(labels, LAYOUT_CODING, path).layout)
         return truth
 
 
@@ -66,19 +66,19 @@ def open_folder(root: Path, split: str) -> Dataset:
     Raises DatasetError naming a missing file, or a mistake in that table.
     """
     if (root / "images").is_dir():
-        items = tuple(_labelled(root, None))
+        items = tuple(_find_items(root, None))
     else:
         groups = [path.parent for path in sorted(root.glob("*/images")) if path.is_dir()]
-        items = tuple(item for group in groups for item in _labelled(group, group.name))
+        items = tuple(item for group in groups for item in _find_items(group, group.name))
     if not items:
         message = "has no folder images, nor folders that have one"
         raise DatasetError(root, message, "check the folder's layout")
     dataset = Dataset("folder", root, split, items, FolderLabels())
-    table = root / CONDITIONS
+    table = root / CONDITIONS_FILE
     return with_conditions(dataset, table) if table.is_file() else dataset
 
 
-def _labelled(folder: Path, group: str | None) -> Iterator[LabelledItem]:
+def _find_items(folder: Path, group: str | None) -> Iterator[LabelledItem]:
     labels = "road" if not (folder / "masks").is_dir() and (folder / "road").is_dir() else "masks"
     for image, label in pairs(folder / "images", folder / labels):
         name = f"{group}/{image.stem}" if group else image.stem
@@ -88,13 +88,13 @@ def _labelled(folder: Path, group: str | None) -> Iterator[LabelledItem]:
 
 # --- conditions -------------------------------------------------------------------------
 
-# A table beside a set is CSV with the columns ``file`` (the image's file name), ``condition``
+# A table of conditions is CSV with the columns ``file`` (the image's file name), ``condition``
 # (words, any number of them: "night rain") and, for a set with groups, ``name`` (the group). Other
-# columns are passed over; images that it does not list have no condition.
+# columns are ignored; images that it does not list have no condition.
 
-CONDITIONS = "pictures.csv"  # in the folder of a set
+CONDITIONS_FILE = "pictures.csv"  # in the folder of a set
 
-Key = tuple[str, str]
+_ItemKey = tuple[str, str]
 """Group of an image ("" in a set without groups) and its file name."""
 
 
@@ -104,40 +104,42 @@ def with_conditions(dataset: Dataset, path: Path) -> Dataset:
     Raises DatasetError naming the table, and the line where there is one, for a file that cannot be
     read, lacks a column, names an image that the set does not have, or names one twice.
     """
-    images = {_key_of(item): item for item in dataset.items}
+    images = {_item_key(item): item for item in dataset.items}
     columns = ["name", "file", "condition"] if dataset.groups() else ["file", "condition"]
-    conditions: dict[Key, tuple[str, ...]] = {}
-    for line, row in _rows(path, columns):
+    conditions: dict[_ItemKey, tuple[str, ...]] = {}
+    for line, row in _read_rows(path, columns):
         key = (row["name"] if dataset.groups() else "", row["file"])
-        where, name = f"{path}, line {line}", _shown(key)
+        where, name = f"{path}, line {line}", _format_key(key)
         if key not in images:
-            near = difflib.get_close_matches(name, map(_shown, images), n=3, cutoff=0.5)
-            hint = f"did you mean {', '.join(near)}?" if near else "mend the line or remove it"
+            near = difflib.get_close_matches(name, map(_format_key, images), n=3, cutoff=0.5)
+            hint = f"did you mean {', '.join(near)}?" if near else "fix or remove that line"
             raise DatasetError(where, f"there is no image {name}", hint)
         if key in conditions:
             raise DatasetError(where, f"names {name} a second time", "keep one of the two lines")
         conditions[key] = tuple(dict.fromkeys(row["condition"].split()))
-    items = (replace(item, conditions=conditions.get(_key_of(item), ())) for item in dataset.items)
+    items = (
+        replace(item, conditions=conditions.get(_item_key(item), ())) for item in dataset.items
+    )
     return replace(dataset, items=tuple(items))
 
 
-def _key_of(item: LabelledItem) -> Key:
+def _item_key(item: LabelledItem) -> _ItemKey:
     return item.group or "", item.image.name
 
 
-def _shown(key: Key) -> str:
+def _format_key(key: _ItemKey) -> str:
     return "/".join(filter(None, key))
 
 
-def _rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
+def _read_rows(path: Path, columns: list[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
     """Yield line number and cells of each row below the header."""
     try:
         text = read_regular(path).decode("utf-8-sig")
         table = csv.DictReader(io.StringIO(text, newline=""), restval="")
         missing = [name for name in columns if name not in (table.fieldnames or ())]
         if missing:
-            message = f"has no column {' and none '.join(missing)}"
-            raise DatasetError(path, message, f"its first line has to name {', '.join(columns)}")
+            message = f"has no column {' and no column '.join(missing)}"
+            raise DatasetError(path, message, f"its first line must name {', '.join(columns)}")
         for row in table:
             yield table.line_num, row
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -166,12 +168,12 @@ def open_idd_lite(root: Path, split: str) -> Dataset:
 
 # --- Cityscapes -------------------------------------------------------------------------
 
-# Cordts et al., CVPR 2016; numbers, names and what is left out as in its own scripts.
+# Cordts et al., CVPR 2016; numbers, names and unscored classes as in its own scripts.
 # -1, the licence plate, would be 255 in a byte.
 CITYSCAPES_VOID = (*range(7), 9, 10, 14, 15, 16, 18, 29, 30, 255)
 
 # Road, sidewalk and terrain: "all kinds of horizontal vegetation, soil or sand" by its
-# definition. Parking and rail track would be horizontal too, but are left out of scoring.
+# definition. Parking and rail track would be horizontal too, but are not scored.
 CITYSCAPES_LAYOUT = {7: HORIZONTAL, 8: HORIZONTAL, 22: HORIZONTAL, 23: SKY}
 
 CITYSCAPES_VALUES = (*range(34), 255)
@@ -186,7 +188,7 @@ CITYSCAPES_LABELS = NumberLabels(
     ),
 )
 
-IMAGE_ENDING, LABEL_ENDING = "_leftImg8bit", "_gtFine_labelIds.png"
+CITYSCAPES_IMAGE_ENDING, CITYSCAPES_LABEL_ENDING = "_leftImg8bit", "_gtFine_labelIds.png"
 
 
 def open_cityscapes(root: Path, split: str) -> Dataset:
@@ -199,11 +201,15 @@ def open_cityscapes(root: Path, split: str) -> Dataset:
         if not folder.is_dir():
             raise DatasetError(folder, "does not exist", "check the folder's layout")
     items = []
-    for image in filter(is_image, sorted(images.glob(f"*/*{IMAGE_ENDING}.*"))):
-        name, city = image.stem.removesuffix(IMAGE_ENDING), image.parent.name
-        items.append(LabelledItem(name, image, labels / city / f"{name}{LABEL_ENDING}", group=city))
+    for image in filter(is_image_file, sorted(images.glob(f"*/*{CITYSCAPES_IMAGE_ENDING}.*"))):
+        name, city = image.stem.removesuffix(CITYSCAPES_IMAGE_ENDING), image.parent.name
+        items.append(
+            LabelledItem(
+                name, image, labels / city / f"{name}{CITYSCAPES_LABEL_ENDING}", group=city
+            )
+        )
     if not items:
-        message = f"holds no images CITY/*{IMAGE_ENDING}.png"
+        message = f"holds no images CITY/*{CITYSCAPES_IMAGE_ENDING}.png"
         raise DatasetError(images, message, "check the folder's layout")
     require_labels([item.label for item in items])
     return Dataset("cityscapes", root, split, tuple(items), CITYSCAPES_LABELS)

@@ -15,9 +15,9 @@ from roadtorch.base.image import SUFFIXES
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.layout.classes import UNLABELLED
 
-SHOWN = 5  # unknown values or colours named in an error
+MAX_LISTED = 5  # unknown values or colours named in an error
 
-CODES = 256  # label numbers fit one byte
+BYTE_VALUES = 256  # label numbers fit one byte
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,9 @@ class NumberLabels:
     exclusive: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if not {*self.road, *self.void, *self.exclusive} <= set(self.values) <= set(range(CODES)):
-            message = "has numbers of road or void that are not among its values, or none of 0…255"
+        values = set(self.values)
+        if not {*self.road, *self.void, *self.exclusive} <= values <= set(range(BYTE_VALUES)):
+            message = "has numbers that are not among its values, or values outside 0 to 255"
             raise ConfigError("NumberLabels", message, "list every number in values")
         if set(self.road) & set(self.void):
             raise ConfigError("NumberLabels", "has a number that is road and void", "choose one")
@@ -67,23 +68,22 @@ class ColourLabels:
 
     def truth(self, item: LabelledItem) -> Truth:
         """Read the item's label image; DatasetError naming and counting unknown colours."""
-        return decode_labels(
-            self.places(_read(item.label, "RGB"), item.label), self.numbers, item.label
-        )
+        indices = self.colour_indices(_read_pixels(item.label, "RGB"), item.label)
+        return decode_labels(indices, self.numbers, item.label)
 
-    def places(self, pixels: np.ndarray, path: Path) -> np.ndarray:
+    def colour_indices(self, pixels: np.ndarray, path: Path) -> np.ndarray:
         """Return the index in ``colours`` of each pixel: uint8 (H, W) from colours uint8 (H, W, 3).
 
         Raises DatasetError naming unknown colours as "r g b" and counting their pixels.
         """
-        codes = _codes(pixels)
-        places = _colour_table(self.colours)[codes]
-        if (is_unknown := places == len(self.colours)).any():
+        codes = _pack_colours(pixels)
+        indices = _colour_table(self.colours)[codes]
+        if (is_unknown := indices == len(self.colours)).any():
             values, counts = np.unique(codes[is_unknown], return_counts=True)
             names = [f"{code >> 16} {code >> 8 & 255} {code & 255}" for code in values.tolist()]
-            hint = f"the set has {len(self.colours)} colours, given as red green blue"
-            raise DatasetError(path, f"has unknown colours {_counted(names, counts)}", hint)
-        return places
+            hint = f"the set has {len(self.colours)} colours, written red green blue"
+            raise DatasetError(path, f"has unknown colours {_list_counts(names, counts)}", hint)
+        return indices
 
 
 # --- finding ----------------------------------------------------------------------------
@@ -99,7 +99,7 @@ def pairs(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Pa
         if not folder.is_dir():
             raise DatasetError(folder, "does not exist", "check the folder's layout")
     by_label: dict[Path, Path] = {}
-    for path in filter(is_image, sorted(images.iterdir())):
+    for path in filter(is_image_file, sorted(images.iterdir())):
         first = by_label.setdefault(labels / f"{path.stem}{ending}", path)
         if first != path:
             raise DatasetError(path, f"has the name of {first.name}", "one image a name")
@@ -117,7 +117,7 @@ def require_labels(paths: Sequence[Path]) -> None:
         raise DatasetError(missing[0], message, "every image needs its label file")
 
 
-def is_image(path: Path) -> bool:
+def is_image_file(path: Path) -> bool:
     """Return whether a file has the extension of an image and is not hidden."""
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
 
@@ -131,7 +131,7 @@ def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     size: required (height, width), checked before decoding. Raises DatasetError for a file of
     another size, that cannot be decoded or is coloured.
     """
-    labels = _read(path, None, size)
+    labels = _read_pixels(path, None, size)
     if labels.ndim == 3:
         grey = labels[..., 0]
         opaque = labels.shape[2] % 2 == 1 or (labels[..., -1] == 255).all()
@@ -142,7 +142,7 @@ def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     return labels.astype(np.uint8) if labels.dtype == np.bool_ else labels
 
 
-def _read(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> np.ndarray:
+def _read_pixels(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> np.ndarray:
     try:
         with open_image(read_regular(path)) as image, without_warnings():
             if size not in (None, (image.height, image.width)):
@@ -164,33 +164,33 @@ def _read(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> 
 def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth:
     """Return the ground truth of label numbers (H, W); DatasetError counting unknown numbers."""
     if labels.dtype == np.uint8:  # without sorting
-        counts = np.bincount(labels.ravel(), minlength=CODES)
+        counts = np.bincount(labels.ravel(), minlength=BYTE_VALUES)
         values = counts.nonzero()[0]
         counts = counts[values]
     else:
         values, counts = np.unique(labels, return_counts=True)
     is_unknown = ~np.isin(values, coding.values)
     if is_unknown.any():
-        names = _counted([str(value) for value in values[is_unknown]], counts[is_unknown])
-        known = ", ".join(map(str, coding.values))
-        raise DatasetError(path, f"has unknown values {names}", f"known: {known}")
+        names = _list_counts([str(value) for value in values[is_unknown]], counts[is_unknown])
+        hint = f"known: {', '.join(map(str, coding.values))}"
+        raise DatasetError(path, f"has unknown values {names}", hint)
     mixed = [value for value in coding.exclusive if value in values]
     if len(mixed) > 1:
         void = " or ".join(map(str, coding.void)) or "not known"
-        message = f"has both {mixed[0]} and {mixed[1]}, each of which means road"
+        message = f"has both {mixed[0]} and {mixed[1]}, and both mean road"
         raise DatasetError(path, message, f"use one of them; void is {void}")
-    road, valid, layout = (torch.from_numpy(table.take(labels)) for table in _tables(coding))
+    road, valid, layout = (torch.from_numpy(table.take(labels)) for table in _lookup_tables(coding))
     return Truth(road, valid, layout if coding.layout else None)
 
 
-def _counted(names: list[str], counts: np.ndarray) -> str:
+def _list_counts(names: list[str], counts: np.ndarray) -> str:
     """List the most frequent names with their numbers of pixels."""
-    order = np.argsort(-counts, kind="stable")[:SHOWN]
-    text = ", ".join(f"{names[place]} ({counts[place]} pixels)" for place in order)
-    return text + (f" and {len(names) - SHOWN} others" if len(names) > SHOWN else "")
+    order = np.argsort(-counts, kind="stable")[:MAX_LISTED]
+    text = ", ".join(f"{names[index]} ({counts[index]} pixels)" for index in order)
+    return text + (f" and {len(names) - MAX_LISTED} others" if len(names) > MAX_LISTED else "")
 
 
-def _codes(colours: np.ndarray) -> np.ndarray:
+def _pack_colours(colours: np.ndarray) -> np.ndarray:
     """Pack each colour uint8 (..., 3) into one int32 (...)."""
     red, green, blue = np.moveaxis(colours.astype(np.int32), -1, 0)
     return red << 16 | green << 8 | blue
@@ -200,16 +200,16 @@ def _codes(colours: np.ndarray) -> np.ndarray:
 def _colour_table(colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
     """Return the index of each of 2²⁴ colours, uint8; ``len(colours)`` for unknown ones."""
     table = np.full(2**24, len(colours), np.uint8)
-    table[_codes(np.array(colours, np.uint8))] = np.arange(len(colours))
+    table[_pack_colours(np.array(colours, np.uint8))] = np.arange(len(colours))
     return table
 
 
 @lru_cache
-def _tables(coding: NumberLabels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _lookup_tables(coding: NumberLabels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return lookup tables over the numbers 0 to 255: is road, is valid, layout class."""
-    road = np.zeros(CODES, np.bool_)
-    valid = np.ones(CODES, np.bool_)
-    layout = np.full(CODES, UNLABELLED, np.uint8)
+    road = np.zeros(BYTE_VALUES, np.bool_)
+    valid = np.ones(BYTE_VALUES, np.bool_)
+    layout = np.full(BYTE_VALUES, UNLABELLED, np.uint8)
     road[list(coding.road)] = True
     valid[list(coding.void)] = False
     if coding.layout:

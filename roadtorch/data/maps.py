@@ -14,15 +14,15 @@ from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.detectors.detector import DetectorSettings, decide
 
-ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
+MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
-LEVEL = 1 / 255
+TOLERANCE = 1 / 255
 """Largest difference between a map of 8 bits and the same map in another format."""
 
 CONFIG, MASK = "config.toml", ".mask.png"
 """Settings that ``infer`` writes beside its maps, and the file name's end of its masks."""
 
-DECIDING = ("threshold", "isolated", "seed_area")
+DECISION_KEYS = ("threshold", "isolated", "seed_area")
 """Settings that turn a likelihood into a mask."""
 
 
@@ -63,8 +63,8 @@ def deciding_settings(folder: Path) -> DetectorSettings:
         return DetectorSettings()
     values = read_settings_file(folder / CONFIG)
     try:
-        own = {key: values[key] for key in DECIDING if key in values}
-        return build_settings(DetectorSettings, own)
+        settings = {key: values[key] for key in DECISION_KEYS if key in values}
+        return build_settings(DetectorSettings, settings)
     except ConfigError as error:
         message = f"{error.where}: {error.problem}"
         raise ConfigError(folder / CONFIG, message, error.hint) from None
@@ -84,7 +84,7 @@ def map_mask(
             mask = read_map(path) >= 0.5
             if mask.shape != likelihood.shape:
                 hint = "make mask and likelihood in one run"
-                raise InputError(path, "is not of the size of its likelihood", hint)
+                raise InputError(path, "differs in size from its likelihood", hint)
             return mask
     return decide(likelihood, settings)
 
@@ -97,22 +97,22 @@ def map_likelihood(
     names: possible stems of the file. Raises InputError naming the file when it is missing, of
     another size, not grey, or has values outside [0, 1], and when two files of the image differ.
     """
-    paths = [folder / f"{name}{ending}" for name in names for ending in ENDINGS]
+    paths = [folder / f"{name}{ending}" for name in names for ending in MAP_ENDINGS]
     present = [path for path in paths if path.is_file()]
     if not present:
-        hint = f"every image needs a map, {' or '.join(ENDINGS)}"
+        hint = f"every image needs a map, {' or '.join(MAP_ENDINGS)}"
         raise InputError(paths[0], "is missing", hint)
-    path, *others = present
+    path, *duplicates = present
     likelihood = read_map(path)
     if tuple(likelihood.shape) not in sizes:
         height, width = likelihood.shape
-        wanted = " or ".join(dict.fromkeys(f"{columns} by {rows}" for rows, columns in sizes))
-        raise InputError(path, f"is {width} by {height} pixels", f"it should be {wanted}")
+        allowed = " or ".join(dict.fromkeys(f"{columns} by {rows}" for rows, columns in sizes))
+        raise InputError(path, f"is {width} by {height} pixels", f"it should be {allowed}")
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
     if not (low >= 0 and high <= 1):  # also true of NaN
         raise InputError(path, f"has values from {low:g} to {high:g}", "keep to [0, 1]")
-    for other in others:
-        values = read_map(other)
-        if values.shape != likelihood.shape or not (values - likelihood).abs().max() <= LEVEL:
-            raise InputError(other, f"says otherwise than {path.name}", "remove one of them")
+    for duplicate in duplicates:
+        values = read_map(duplicate)
+        if values.shape != likelihood.shape or not (values - likelihood).abs().max() <= TOLERANCE:
+            raise InputError(duplicate, f"differs from {path.name}", "remove one of them")
     return likelihood

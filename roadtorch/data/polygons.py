@@ -15,9 +15,9 @@ from pydantic import Field
 
 from roadtorch.base.documents import Coordinate, ForeignDocument, Side, read_document
 
-CORNERS = 3  # a polygon needs as many, even that of one pixel
+MIN_CORNERS = 3  # of a polygon, even of one pixel
 
-NAMES = ("not road", "road")
+OUTLINE_LABELS = ("not road", "road")
 """Labels of outlines; a hole follows the road around it and overwrites it."""
 
 
@@ -30,16 +30,16 @@ def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
     low = np.minimum(corners.min(0), 0)
     # OpenCV moves borders that leave its canvas, hence one that holds every corner.
     width, height = np.maximum(corners.max(0) + 1, canvas.shape[::-1]) - low
-    wide = np.zeros((height, width), np.uint8)
-    cv2.fillPoly(wide, [corners - low], 1)
+    padded = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(padded, [corners - low], 1)
     rows, columns = canvas.shape
-    canvas[wide[-low[1] :, -low[0] :][:rows, :columns] > 0] = value
+    canvas[padded[-low[1] :, -low[0] :][:rows, :columns] > 0] = value
 
 
 # --- outlines ---------------------------------------------------------------------------
 
 
-def outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
+def trace_outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
     """Return the outlines that, filled in order, reproduce a mask bool (H, W) exactly.
 
     Each is 1 (road) or 0 (a hole in it), and a closed polygon int (N, 2), N ≥ 3, through centres of
@@ -49,17 +49,17 @@ def outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
     one or two pixels repeat their last corner.
     """
     polygons: list[tuple[int, np.ndarray]] = []
-    wanted, drawn = mask.astype(np.uint8), np.zeros(mask.shape, np.uint8)
-    while (missing := drawn != wanted).any():
+    target, canvas = mask.astype(np.uint8), np.zeros(mask.shape, np.uint8)
+    while (wrong := canvas != target).any():
         for label in (1, 0):
-            region = (missing & (wanted == label)).astype(np.uint8)
+            region = (wrong & (target == label)).astype(np.uint8)
             borders = cv2.findContours(region, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
             for border in sorted(borders, key=lambda border: tuple(border.reshape(-1, 2)[0])):
                 points = border.reshape(-1, 2)
-                lacking = max(CORNERS - len(points), 0)
-                points = np.concatenate([points, np.repeat(points[-1:], lacking, 0)])
+                missing = max(MIN_CORNERS - len(points), 0)
+                points = np.concatenate([points, np.repeat(points[-1:], missing, 0)])
                 polygons.append((label, points))
-                cv2.fillPoly(drawn, [border], label)
+                cv2.fillPoly(canvas, [border], label)
     return polygons
 
 
@@ -71,7 +71,7 @@ def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
     height, width = mask.shape
     shapes = [
         {
-            "label": NAMES[label],
+            "label": OUTLINE_LABELS[label],
             "points": points.tolist(),
             "group_id": None,
             "description": "",
@@ -79,7 +79,7 @@ def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
             "flags": {},
             "mask": None,
         }
-        for label, points in outlines(mask)
+        for label, points in trace_outlines(mask)
     ]
     return {
         "version": "5.5.0",
@@ -94,7 +94,7 @@ def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
 
 class _Shape(ForeignDocument):
     label: str
-    points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=CORNERS)]
+    points: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=MIN_CORNERS)]
 
 
 class _Document(ForeignDocument):
@@ -112,11 +112,11 @@ def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
     with read_document(path, "remove it and infer the image again") as data:
         document = _Document.model_validate_json(data)
         if (document.imageHeight, document.imageWidth) != size:
-            given = f"{document.imageWidth} by {document.imageHeight}"
-            raise ValueError(f"it is for {given} pixels, its image has {size[1]} by {size[0]}")
+            labelled = f"{document.imageWidth} by {document.imageHeight}"
+            raise ValueError(f"it is for {labelled} pixels, its image has {size[1]} by {size[0]}")
         for shape in document.shapes:
             points = np.array(shape.points).round().astype(np.int32)
-            cv2.fillPoly(mask, [points], int(shape.label == NAMES[1]))
+            cv2.fillPoly(mask, [points], int(shape.label == OUTLINE_LABELS[1]))
     return mask > 0
 
 
@@ -150,10 +150,10 @@ class _Piece:
         rows = [(self.top + at + step, run) for at, run in enumerate(self.runs) for step in (0, 1)]
         points = [(end, row) for row, (_, end) in rows]
         points += [(start, row) for row, (start, _) in reversed(rows)]
-        around = np.array([points[-1], *points, points[0]])
-        moves = np.abs(np.diff(around, axis=0))
-        is_bend = (moves[:-1] + moves[1:] > 0).all(1)  # neither straight down nor along a row
-        return around[1:-1][is_bend].reshape(-1).tolist()
+        closed = np.array([points[-1], *points, points[0]])
+        moves = np.abs(np.diff(closed, axis=0))
+        is_corner = (moves[:-1] + moves[1:] > 0).all(1)  # neither straight down nor along a row
+        return closed[1:-1][is_corner].reshape(-1).tolist()
 
 
 def coco_polygons(mask: np.ndarray) -> list[list[int]]:
@@ -168,15 +168,14 @@ def coco_polygons(mask: np.ndarray) -> list[list[int]]:
         steps = np.flatnonzero(np.diff(line.astype(np.int8), prepend=0, append=0)).tolist()
         runs = list(zip(steps[::2], steps[1::2], strict=True))  # where road begins and ends
         last = [piece.runs[-1] for piece in open_pieces]
-        under = [[run for run in runs if run[0] < end and start < run[1]] for start, end in last]
-        goes_on: dict[tuple[int, int], _Piece] = {}
-        for piece, touched in zip(open_pieces, under, strict=True):
-            alone = len(touched) == 1 and sum(touched[0] in others for others in under) == 1
-            if alone:
-                goes_on[touched[0]] = piece
+        below = [[run for run in runs if run[0] < end and start < run[1]] for start, end in last]
+        continued: dict[tuple[int, int], _Piece] = {}
+        for piece, touching in zip(open_pieces, below, strict=True):
+            if len(touching) == 1 and sum(touching[0] in runs_below for runs_below in below) == 1:
+                continued[touching[0]] = piece
             else:
                 done.append(piece)
-        open_pieces = [goes_on.get(run) or _Piece(row) for run in runs]
+        open_pieces = [continued.get(run) or _Piece(row) for run in runs]
         for piece, run in zip(open_pieces, runs, strict=True):
             piece.runs.append(run)
     return [piece.polygon() for piece in [*done, *open_pieces]]

@@ -192,7 +192,7 @@ TOO_LONG = json.dumps(click(segments=[1] * (MAX_BODY // 3 + 1)))
         ),
         (f"/api/event?{WHICH}", TOO_LONG, 413, f"more than {MAX_BODY:,} bytes"),
         *(
-            (f"/api/event?{WHICH}", body, 400, "stroke: is no event of a correction")
+            (f"/api/event?{WHICH}", body, 400, "stroke: is not a correction event")
             for body in ("", "{", "[]", json.dumps(click(saying="cat")))
         ),
     ],

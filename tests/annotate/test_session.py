@@ -156,7 +156,7 @@ def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:
     session.add(NAME, superpixel("a", "road", 0))
     with (session.out / f"{NAME}.strokes.jsonl").open("a") as file:
         file.write("nonsense\n")
-    with pytest.raises(DatasetError, match=r"jsonl:3: is no event"):
+    with pytest.raises(DatasetError, match=r"jsonl:3: is not a correction event"):
         reopened(session)
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from roadtorch.base.errors import DatasetError
-from roadtorch.data.camvid import CLASSES11, COLOURS32, split_of
+from roadtorch.data.camvid import CLASSES11, COLOURS32, segnet_split
 from roadtorch.data.catalogue import open_dataset
 from tests.data.conftest import write
 from tests.streets import scene, write_camvid, write_drives
@@ -37,11 +37,11 @@ def camvid(tmp_path):
 
 
 def test_camvid_dev_is_train_and_val_by_drive(camvid):
-    found = open_dataset("camvid", camvid)
+    dataset = open_dataset("camvid", camvid)
 
-    assert found.split == "dev"
-    assert [item.name for item in found.items] == ["0001TP_0", "0006R0_1", "0016E5_7959"]
-    assert found.groups() == ["0001TP", "0006R0", "0016E5"]
+    assert dataset.split == "dev"
+    assert [item.name for item in dataset.items] == ["0001TP_0", "0006R0_1", "0016E5_7959"]
+    assert dataset.groups() == ["0001TP", "0006R0", "0016E5"]
     assert len(open_dataset("camvid", camvid, "val").items) == 1
 
 
@@ -50,9 +50,9 @@ def test_camvid_test_is_read_where_it_is_and_is_no_part_of_dev(camvid):
         open_dataset("camvid", camvid, "test")
     write_camvid(camvid, "test", {"Seq05VD_1": scene(3, 24, 32)})
 
-    found = open_dataset("camvid", camvid, "test")
+    dataset = open_dataset("camvid", camvid, "test")
 
-    assert [(item.name, item.group) for item in found.items] == [("Seq05VD_1", "Seq05V")]
+    assert [(item.name, item.group) for item in dataset.items] == [("Seq05VD_1", "Seq05V")]
     assert "Seq05V" not in open_dataset("camvid", camvid).groups()
 
 
@@ -68,7 +68,7 @@ VOID = RARE | {"Void", "Animal", "Train", "Tunnel"}
     ("name", "road", "horizontal", "vertical", "void"),
     [
         ("camvid32", ROAD, ROAD | {"Sidewalk", "ParkingBlock"}, 15, VOID),
-        # the paper's sentence to the letter
+        # by the paper's sentence
         ("camvid32:literal", {"Road"}, {"Road", "Sidewalk"}, 29, set()),
         ("camvid32:literal-ignore", {"Road"}, {"Road", "Sidewalk"}, 28, {"Void"}),
     ],
@@ -108,12 +108,12 @@ def test_splits_go_by_the_frames_names(tmp_path):
     for name in frames:
         write_frame(tmp_path, name)
 
-    found = {
+    splits = {
         split: [frames.index(item.name) for item in open_dataset("camvid32", tmp_path, split).items]
         for split in ("all", "dev", "train", "val", "test")
     }
 
-    assert found == {
+    assert splits == {
         "all": [0, 1, 2, 3, 4],
         "dev": [0, 2, 3],
         "train": [0, 3],
@@ -132,7 +132,7 @@ def test_the_table_is_the_measured_one(data_root):
     with (data_root / "camvid_full/colors32.csv").open() as file:
         colours = {row["name"]: tuple(int(row[c]) for c in "rgb") for row in csv.DictReader(file)}
 
-    assert {name: became for _, name, became in COLOURS32} == measured
+    assert {name: label for _, name, label in COLOURS32} == measured
     assert {name: colour for colour, name, _ in COLOURS32} == colours
 
 
@@ -140,4 +140,4 @@ def test_the_table_is_the_measured_one(data_root):
 def test_names_tell_the_splits_of_the_release(data_root):
     for split in ("train", "val"):
         items = open_dataset("camvid", data_root / "camvid", split).items
-        assert {split_of(item.name) for item in items} == {split}
+        assert {segnet_split(item.name) for item in items} == {split}

@@ -9,7 +9,7 @@ import pytest
 
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.correction_formats import FORMATS, image_of
+from roadtorch.data.correction_formats import FORMATS, match_image_name
 from roadtorch.data.corrections import Correction
 from roadtorch.data.events import LABELS
 from tests.data.conftest import write
@@ -148,9 +148,9 @@ def test_a_coco_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
     ],
 )
 def test_the_image_of_a_whole_name(file: str, names: list[str], expected: str | None) -> None:
-    assert image_of(file, names) == expected
+    assert match_image_name(file, names) == expected
 
 
 def test_an_upload_of_two_images_of_one_name_is_refused() -> None:
     with pytest.raises(ValueError, match=r"1\.jpg could be a/1\.jpg or b/1\.jpg"):
-        image_of("images/1f2e3d4c-1.jpg", ["b/1.jpg", "a/1.jpg"])
+        match_image_name("images/1f2e3d4c-1.jpg", ["b/1.jpg", "a/1.jpg"])

@@ -9,15 +9,15 @@ from roadtorch.base.errors import InputError
 from roadtorch.data.corrections import EventLog, LogHead, log_path, read_corrections, read_log
 from roadtorch.data.events import (
     LABELS,
-    SAYINGS,
+    STROKE_LABELS,
     AnyEvent,
     BrushStroke,
     Confirm,
     PolygonStroke,
     Redo,
     Undo,
+    decode_runs,
     layout_layer,
-    mask_of,
     parse_event,
     relabel,
     replay,
@@ -29,11 +29,11 @@ from roadtorch.data.events import (
 SIZE = (20, 30)
 
 
-def box(identity: str, saying: str, left: int, top: int, right: int, bottom: int) -> PolygonStroke:
-    corners = ((left, top), (right, top), (right, bottom), (left, bottom))
+def box(event_id: str, label: str, x1: int, y1: int, x2: int, y2: int) -> PolygonStroke:
+    corners = ((x1, y1), (x2, y1), (x2, y2), (x1, y2))
     points = tuple((float(x), float(y)) for x, y in corners)
     return PolygonStroke.model_validate(
-        {"kind": "polygon", "id": identity, "saying": saying, "points": points}
+        {"kind": "polygon", "id": event_id, "saying": label, "points": points}
     )
 
 
@@ -48,11 +48,11 @@ def log(folder: Path, image: str, *events: AnyEvent) -> Path:
 # --- labels -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("saying", SAYINGS)
-@pytest.mark.parametrize("before", range(len(LABELS)))
-def test_a_saying_holds_whatever_was_there(saying: str, before: int) -> None:
-    after = relabel(np.array([before], np.uint8), saying)
-    road, layout = int(road_layer(after)[0]), int(layout_layer(after)[0])
+@pytest.mark.parametrize("label", STROKE_LABELS)
+@pytest.mark.parametrize("previous", range(len(LABELS)))
+def test_a_label_holds_whatever_it_replaces(label: str, previous: int) -> None:
+    labels = relabel(np.array([previous], np.uint8), label)
+    road, layout = int(road_layer(labels)[0]), int(layout_layer(labels)[0])
     expected = {
         "road": (1, 2),
         "not_road": (0, layout),
@@ -61,10 +61,11 @@ def test_a_saying_holds_whatever_was_there(saying: str, before: int) -> None:
         "vertical": (0, 1),
         "horizontal": (road, 2),
     }
-    assert (road, layout) == expected[saying]
-    if saying == "horizontal":  # it takes back no verdict on a road, only what sky or wall implied
-        kept = int(road_layer(np.array([before], np.uint8))[0])
-        assert road == (kept if LABELS[before] in ("road", "not_road") or before == 7 else 255)
+    assert (road, layout) == expected[label]
+    if label == "horizontal":  # it keeps road and not road, but not what sky and wall imply
+        previous_road = int(road_layer(np.array([previous], np.uint8))[0])
+        keeps = LABELS[previous] in ("road", "not_road") or previous == 7
+        assert road == (previous_road if keeps else 255)
 
 
 # --- events -------------------------------------------------------------------------------
@@ -72,7 +73,7 @@ def test_a_saying_holds_whatever_was_there(saying: str, before: int) -> None:
 
 def test_runs_are_the_mask() -> None:
     mask = np.random.default_rng(0).random(SIZE) > 0.5
-    assert (mask_of(runs_of(mask), SIZE) == mask).all()
+    assert (decode_runs(runs_of(mask), SIZE) == mask).all()
     assert runs_of(np.zeros(SIZE, np.bool_)) == ()
 
 
@@ -81,7 +82,7 @@ def test_runs_are_the_mask() -> None:
 )
 def test_runs_of_another_image_are_refused(runs: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="runs"):
-        mask_of(runs, SIZE)
+        decode_runs(runs, SIZE)
 
 
 def test_a_brush_is_round_and_stays_in_the_image() -> None:
@@ -95,16 +96,16 @@ def test_a_brush_is_round_and_stays_in_the_image() -> None:
 
 def test_undo_and_redo_are_events_of_their_own_and_each_counts_once() -> None:
     first, second = box("a", "road", 0, 0, 9, 9), box("b", "not_road", 5, 0, 9, 9)
-    both = replay([first, second], SIZE)
-    assert both[0, 4] == LABELS.index("road")
-    assert both[0, 5] == LABELS.index("not_road")
-    assert (replay([first, second, first], SIZE) == both).all()  # sent twice
+    labels = replay([first, second], SIZE)
+    assert labels[0, 4] == LABELS.index("road")
+    assert labels[0, 5] == LABELS.index("not_road")
+    assert (replay([first, second, first], SIZE) == labels).all()  # sent twice
     undone = [first, second, Undo(kind="undo", id="c", of="b")]
     assert (replay(undone, SIZE) == replay([first], SIZE)).all()
-    assert (replay([*undone, Redo(kind="redo", id="d", of="b")], SIZE) == both).all()
+    assert (replay([*undone, Redo(kind="redo", id="d", of="b")], SIZE) == labels).all()
 
 
-def test_right_as_it_is_settles_what_is_open() -> None:
+def test_confirming_labels_the_remaining_pixels() -> None:
     road = np.zeros(SIZE, np.bool_)
     road[10:] = True
     events = [
@@ -132,8 +133,8 @@ def test_right_as_it_is_settles_what_is_open() -> None:
         '{"kind":"brought","id":"a","labels":{"cat":[0,1]}}',
     ],
 )
-def test_what_is_no_event_is_refused_in_a_line(text: str) -> None:
-    with pytest.raises(InputError, match=r"^stroke: is no event") as caught:
+def test_invalid_events_are_refused_in_one_line(text: str) -> None:
+    with pytest.raises(InputError, match=r"^stroke: is not a correction event") as caught:
         parse_event(text, "stroke")
     assert "\n" not in str(caught.value)
 
@@ -142,9 +143,9 @@ def test_what_is_no_event_is_refused_in_a_line(text: str) -> None:
 
 
 def ids(path: Path) -> list[str]:
-    found = read_log(path)
-    assert found is not None
-    return [event.id for event in found.events]
+    event_log = read_log(path)
+    assert event_log is not None
+    return [event.id for event in event_log.events]
 
 
 @pytest.mark.parametrize("torn", [b'{"kind":"pol', b""])
@@ -160,7 +161,7 @@ def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path, torn:
 # --- corrections ------------------------------------------------------------------------
 
 
-def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
+def test_corrections_have_what_training_needs(tmp_path: Path) -> None:
     stroke = box("a", "road", 0, 10, 29, 19).model_copy(update={"seconds": 4.0})
     log(tmp_path / "corrections", "sub/a.jpg", stroke, box("b", "sky", 0, 0, 29, 4))
     (correction,) = read_corrections(tmp_path / "corrections")
@@ -174,6 +175,6 @@ def test_corrections_say_what_training_needs(tmp_path: Path) -> None:
     assert moved.image == tmp_path / "elsewhere/sub/a.jpg"
 
 
-def test_a_image_on_which_all_was_taken_back_is_left_out(tmp_path: Path) -> None:
+def test_an_image_without_effective_events_is_left_out(tmp_path: Path) -> None:
     log(tmp_path, "a.jpg", box("a", "road", 0, 0, 9, 9), Undo(kind="undo", id="b", of="a"))
     assert read_corrections(tmp_path) == []

@@ -11,7 +11,7 @@ import torch
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.data.kitti import BirdsEye, birds_eye, open_kitti_road, result_name
+from roadtorch.data.kitti import BirdsEyeView, birds_eye, open_kitti_road, result_name
 from roadtorch.evaluation.metrics import average_precision, count_levels, max_f
 from tests.data.conftest import write
 from tests.reference import bev as reference
@@ -69,7 +69,7 @@ def test_the_archives_own_folder_is_found(kitti, tmp_path):
     dataset = open_kitti_road(tmp_path, "road")
 
     assert len(dataset.items) == 4
-    assert birds_eye(dataset).view == BirdsEye(tmp_path / "training/calib")
+    assert birds_eye(dataset).view == BirdsEyeView(tmp_path / "training/calib")
 
 
 def test_lanes_are_those_of_um(kitti):
@@ -112,7 +112,7 @@ def test_cells_without_a_pixel_are_void(kitti):
 
 def test_a_missing_calibration_costs_its_image_only(kitti, tmp_path):
     first, second, *_ = open_kitti_road(kitti, "road").items
-    view, values = BirdsEye(tmp_path), torch.zeros(HEIGHT, WIDTH)
+    view, values = BirdsEyeView(tmp_path), torch.zeros(HEIGHT, WIDTH)
     write(tmp_path / "um_000000.txt", (kitti / "calib/um_000000.txt").read_bytes())
 
     assert view(first, values).shape == (800, 400)
@@ -132,12 +132,12 @@ def test_kittis_frames_have_the_kits_counts_and_scores(data_root):
     vectors = data_root.parent / "reference/kitti_vectors.json"
     if not vectors.is_file():
         pytest.skip("the benchmark's vectors are not beside the repository (../shared/reference)")
-    known = json.loads(vectors.read_text())["optional_real_ground_truth_counts"]
+    frames = json.loads(vectors.read_text())["optional_real_ground_truth_counts"]
     dataset = birds_eye(open_kitti_road(data_root / "kitti_road", "road"))
     items = {item.name: item for item in dataset.items}
     assert dataset.view is not None
 
-    for frame in known:
+    for frame in frames:
         item = items[frame["frame"]]
         image, truth = dataset.read(item)
         assert list(image.shape[1:]) == frame["size"]
@@ -145,7 +145,7 @@ def test_kittis_frames_have_the_kits_counts_and_scores(data_root):
         cells = dataset.view(item, truth.road), dataset.view(item, truth.valid)
         assert frame_counts(*cells) == list(frame["bev"].values())
         assert scores(dataset, item, truth.road.float()) == pytest.approx((1, 1), abs=1e-9)
-        upside_down = scores(dataset, item, 1 - truth.road.float())
-        share = frame["bev"]["valid_road"] / sum(list(frame["bev"].values())[:2])
-        assert upside_down[0] == pytest.approx(2 * share / (1 + share), abs=1e-9)
-        assert upside_down[1] == pytest.approx(share, abs=1e-9)
+        inverted = scores(dataset, item, 1 - truth.road.float())
+        fraction = frame["bev"]["valid_road"] / sum(list(frame["bev"].values())[:2])
+        assert inverted[0] == pytest.approx(2 * fraction / (1 + fraction), abs=1e-9)
+        assert inverted[1] == pytest.approx(fraction, abs=1e-9)

@@ -50,7 +50,7 @@ def test_what_the_numbers_mean(tmp_path, image):
 
 
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA", "1"])
-def test_grey_in_other_clothes(tmp_path, mode):
+def test_grey_images_of_several_modes(tmp_path, mode):
     truth = MASKS.truth(saved(tmp_path / "a.png", Image.fromarray(GREY).convert(mode)))
 
     assert truth.road.tolist() == [[False, True], [True, False]]
@@ -72,9 +72,10 @@ def test_pairs_in_the_order_of_their_names(tmp_path):
     for name in ("images/._a.png", "images/notes.txt"):
         (tmp_path / name).write_bytes(b"")
 
-    found = [(a.name, b.name) for a, b in pairs(tmp_path / "images", tmp_path / "labels", "_L.png")]
+    files = pairs(tmp_path / "images", tmp_path / "labels", "_L.png")
 
-    assert found == [("a.png", "a_L.png"), ("b.jpg", "b_L.png")]
+    names = [(image.name, label.name) for image, label in files]
+    assert names == [("a.png", "a_L.png"), ("b.jpg", "b_L.png")]
 
 
 # --- maps ----------------------------------------------------------------------------------------
@@ -106,40 +107,40 @@ corners = st.lists(
 Fill = Callable[[np.ndarray, np.ndarray, int], None]
 
 
-def filled(points: list[tuple[float, float]], fill: Fill = fill_polygon) -> np.ndarray:
+def draw_mask(points: list[tuple[float, float]], fill: Fill = fill_polygon) -> np.ndarray:
     canvas = np.zeros(SIZE, np.uint8)
     fill(np.array(points, np.float64), canvas, 1)
     return canvas > 0
 
 
-def box(left: float, top: float, right: float, bottom: float) -> list[tuple[float, float]]:
-    return [(left, top), (right, top), (right, bottom), (left, bottom)]
+def box(x1: float, y1: float, x2: float, y2: float) -> list[tuple[float, float]]:
+    return [(x1, y1), (x2, y1), (x2, y2), (x1, y2)]
 
 
-def square(size: tuple[int, int], has: Callable[[int, int], bool]) -> np.ndarray:
-    return np.array([[has(x, y) for x in range(size[1])] for y in range(size[0])])
+def grid(size: tuple[int, int], predicate: Callable[[int, int], bool]) -> np.ndarray:
+    return np.array([[predicate(x, y) for x in range(size[1])] for y in range(size[0])])
 
 
 @settings(max_examples=25)
 @given(corners)
 def test_a_polygon_is_its_inside_and_its_border(points):
-    found = filled(points)
+    mask = draw_mask(points)
 
-    inside = square(SIZE, lambda x, y: contains(x, y, points))
-    border = square(SIZE, lambda x, y: bool(found[y, x]) and is_on_drawn_border(x, y, points))
-    assert found[inside].all()
-    assert (found == inside | border).all()
+    inside = grid(SIZE, lambda x, y: contains(x, y, points))
+    border = grid(SIZE, lambda x, y: bool(mask[y, x]) and is_on_drawn_border(x, y, points))
+    assert mask[inside].all()
+    assert (mask == inside | border).all()
 
 
 @settings(max_examples=25)
 @given(corners)
 def test_an_area_has_the_pixels_whose_centres_are_inside(points):
-    found = filled(points, fill_area)
+    mask = draw_mask(points, fill_area)
 
     doubled = [(2 * x, 2 * y) for x, y in points]  # so that centres are at odd numbers
-    border = square(SIZE, lambda x, y: any(is_on(2 * x + 1, 2 * y + 1, e) for e in edges(doubled)))
-    inside = square(SIZE, lambda x, y: contains(2 * x + 1, 2 * y + 1, doubled))
-    assert (found == inside)[~border].all()
+    border = grid(SIZE, lambda x, y: any(is_on(2 * x + 1, 2 * y + 1, e) for e in edges(doubled)))
+    inside = grid(SIZE, lambda x, y: contains(2 * x + 1, 2 * y + 1, doubled))
+    assert (mask == inside)[~border].all()
 
 
 @pytest.mark.parametrize(
@@ -156,4 +157,4 @@ def test_an_area_has_the_pixels_whose_centres_are_inside(points):
     ],
 )
 def test_pixels_of_a_polygon(points, pixels):
-    assert filled(points).sum() == pixels
+    assert draw_mask(points).sum() == pixels

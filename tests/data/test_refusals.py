@@ -65,8 +65,8 @@ LABEL_IMAGES: Rows = [
 
 
 def first_truth(name: str, folder: Path) -> object:
-    found = open_dataset(name, folder)
-    return found.read(found.items[0])
+    dataset = open_dataset(name, folder)
+    return dataset.read(dataset.items[0])
 
 
 FRAME = {"images/0016E5_00390.png": BLACK, "labels/0016E5_00390_L.png": BLACK}
@@ -104,7 +104,7 @@ TABLE = "name,file,condition\nn,a.png,day\nf,b.png,night\n"
 CONDITIONS: Rows = [
     (partial(open_dataset, "folder"), {**CAMERAS, "pictures.csv": text}, where, problem)
     for text, where, problem in [
-        ("name,file\nn,a.png\n", "csv", r"has no column condition \(its first line has to name"),
+        ("name,file\nn,a.png\n", "csv", r"has no column condition \(its first line must name"),
         (TABLE + "f,a.jpg,day\n", "line 4", r"there is no image f/a.jpg \(did.*f/a.png"),
         (TABLE + "f,b.png,day\n", "line 4", r"names f/b.png a second time \(keep one"),
     ]
@@ -120,11 +120,11 @@ def read_format(name: str, folder: Path) -> object:
 def coco(region: Mapping[str, object] | None = None, **more: object) -> str:
     """Return a COCO file for the image a.jpg of two pixels, with or without a region."""
     image = {"id": 1, "file_name": "a.jpg", "height": 1, "width": 2}
-    known = {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]}
+    valid = {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]}
     parts = {
         "images": [image],
         "categories": [{"id": 1, "name": "road"}, {"id": 2, "name": "cat"}],
-        "annotations": [] if region is None else [known | dict(region)],
+        "annotations": [] if region is None else [valid | dict(region)],
     }
     return json.dumps(parts | more)
 
@@ -139,7 +139,7 @@ COCO: Rows = [
         (coco(images=[image("other.jpg")]), "no image for any of the images"),
         (coco(images=[image("one/a.jpg"), image("two/a.jpg")]), r"two images are a\.jpg"),
         (coco(images=[image("a.jpg", width=3)]), r"a\.jpg is for 3 by 1 pixels, .* has 2 by 1"),
-        (coco({"category_id": 2}), "category 'cat' on a.jpg says nothing .* use road"),
+        (coco({"category_id": 2}), "category 'cat' on a.jpg is not a label: use road"),
         (coco({"category_id": 3}), "category ''"),
         (coco({"segmentation": []}), r"a region on a\.jpg has no area"),  # a box
         (coco({"segmentation": [[0, 0, 1, 0, 1, 1, 1]]}), "7 coordinates, an odd number"),
@@ -160,7 +160,7 @@ LOGS: Rows = [
     (read_corrections, {LOG: text}, where, problem)
     for text, where, problem in [
         (log(HEAD | {"height": 10**6, "width": 10**6}), LOG, "more than 100 megapixels"),
-        (log({"roadtorch": 1, **HEAD}) + "nonsense\n", f"{LOG}:2", "is no event"),
+        (log({"roadtorch": 1, **HEAD}) + "nonsense\n", f"{LOG}:2", "is not a correction event"),
         (log(HEAD, BROUGHT | {"labels": {"road": [0, 9]}}), LOG, "an event that does not fit"),
         ("", "", "holds no corrections"),
     ]
@@ -196,7 +196,7 @@ MAPS: Rows = [
         read_map,
         {"m.png": (RAMP * 255).astype(np.uint8), "m.npy": 1 - RAMP},
         "m.npy",
-        r"says otherwise than m\.png",
+        r"differs from m\.png",
     ),
 ]
 

@@ -74,16 +74,16 @@ def grouped_set(root: Path) -> Dataset:
 
 
 def test_folders_of_images_and_labels_are_the_groups(tmp_path):
-    found = grouped_set(tmp_path)
+    dataset = grouped_set(tmp_path)
 
-    assert [(item.name, item.group) for item in found.items] == [
+    assert [(item.name, item.group) for item in dataset.items] == [
         ("far/a", "far"), ("far/b", "far"), ("near/a", "near")
     ]  # fmt: skip
-    for item in found.items:
-        truth = found.truth(item)
+    for item in dataset.items:
+        truth = dataset.truth(item)
         assert truth.road[0].tolist() == [False, True, False], item.name
         assert truth.valid[0].tolist() == [True, True, False], item.name
-    layouts = [found.truth(item).layout for item in found.items]
+    layouts = [dataset.truth(item).layout for item in dataset.items]
     assert layouts[0] is not None
     assert layouts[0][0].tolist() == [0, 2, 255]
     assert layouts[1:] == [None, None]
@@ -193,11 +193,11 @@ def test_the_documented_set(tmp_path):
         write(tmp_path / f"test/photos/{name}.png", np.zeros((1, 4, 3), np.uint8))
         write(tmp_path / f"test/labels/{name}.png", np.array([[0, 1, 2, 9]], np.uint8))
 
-    found = kind.open(tmp_path, kind.splits[0])
-    truth = found.read(found.items[0])[1]
+    dataset = kind.open(tmp_path, kind.splits[0])
+    truth = dataset.read(dataset.items[0])[1]
 
     assert isinstance(kind, Kind)
-    assert found.groups() == ["pass", "valley"]
+    assert dataset.groups() == ["pass", "valley"]
     assert truth.road[0].tolist() == [False, True, True, False]
     assert truth.valid[0].tolist() == [True, True, True, False]
 
@@ -226,11 +226,11 @@ NO_KIND = open_foreign
 
 def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, Kind]:
     """Register these entry points of another package and return all kinds of sets."""
-    found = [
+    entry_points = [
         EntryPoint(name, f"tests.data.test_sets:{value}", "roadtorch.datasets")
         for name, value in points.items()
     ]
-    monkeypatch.setattr(roadtorch.base.plugins, "entry_points", lambda group: found)
+    monkeypatch.setattr(roadtorch.base.plugins, "entry_points", lambda group: entry_points)
     kinds = roadtorch.data.catalogue._catalogue.__wrapped__()
     monkeypatch.setattr(roadtorch.data.catalogue, "_catalogue", lambda: kinds)
     return kinds
