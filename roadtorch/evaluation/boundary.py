@@ -36,16 +36,16 @@ def count_boundary(
     the tolerance of a true one, all predicted ones, true ones within it of a predicted one, all
     true ones.
     """
-    decided, (true, to_true) = boundary_pixels(mask, valid).numpy(), true_boundary(road, valid)
+    predicted, (true, to_true) = boundary_pixels(mask, valid).numpy(), true_boundary(road, valid)
     diagonal = math.hypot(*mask.shape)
-    near = _bounding_slices(true, math.ceil(max(tolerances) * diagonal))
-    off = to_true[decided], _distance_transform(decided[near])[true[near]]
-    # Squares are whole numbers. OpenCV's last digit, which depends on its threads, and ours
-    # would otherwise decide whether what is exactly as far as the tolerance is within it.
-    decided_off, true_off = (np.rint(np.square(distances)) for distances in off)
+    window = _bounding_slices(true, math.ceil(max(tolerances) * diagonal))
+    distances = to_true[predicted], _distance_transform(predicted[window])[true[window]]
+    # Squared distances are integers. Without rounding, OpenCV's last digit, which depends on its
+    # threads, would decide about pixels exactly at the tolerance.
+    forward, backward = (np.rint(np.square(part)) for part in distances)
     rows = [
-        [(decided_off <= reach).sum(), decided.sum(), (true_off <= reach).sum(), true.sum()]
-        for reach in ((share * diagonal) ** 2 + 1e-6 for share in tolerances)
+        [(forward <= limit).sum(), predicted.sum(), (backward <= limit).sum(), true.sum()]
+        for limit in ((tolerance * diagonal) ** 2 + 1e-6 for tolerance in tolerances)
     ]
     return torch.tensor(np.array(rows, np.int64))
 

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from roadtorch.evaluation.metrics import RoadCounts
 
-FPR_STEPS = 100  # of the false positive rate, in vertical averaging
+FPR_STEPS = 100  # intervals of the false positive rate, in vertical averaging
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ def roc(counts: RoadCounts) -> Curve:
 
     From (0, 0) to (1, 1); pixels that share a level make one point (protocols of P2 and P3).
     """
-    every = operating_points(counts)
-    kept = torch.cat([torch.ones(1, dtype=torch.bool), _nonempty_levels(counts)])
-    return Curve(every.x[kept], every.y[kept])
+    points = operating_points(counts)
+    occupied = torch.cat([torch.ones(1, dtype=torch.bool), _nonempty_levels(counts)])
+    return Curve(points.x[occupied], points.y[occupied])
 
 
 def _cumulative_counts(counts: RoadCounts) -> tuple[Tensor, Tensor]:
@@ -89,13 +89,13 @@ def vertical_sample(counts: RoadCounts, steps: int = FPR_STEPS) -> Tensor:
     """
     false, true = _cumulative_counts(counts)
     background, road = false[..., -1:], true[..., -1:]
-    scaled = torch.arange(steps + 1) * background  # steps × the false positives wanted
-    at = torch.searchsorted(false, scaled.div(steps, rounding_mode="floor"), right=True) - 1
-    after = (at + 1).clamp(max=counts.levels)
-    low, high = false.gather(-1, at), false.gather(-1, after)
-    width = (steps * (high - low)).clamp(min=1)  # 0 only at the end, where nothing is added
+    scaled = torch.arange(steps + 1) * background  # steps × the false positives at each FPR
+    index = torch.searchsorted(false, scaled.div(steps, rounding_mode="floor"), right=True) - 1
+    after = (index + 1).clamp(max=counts.levels)
+    low, high = false.gather(-1, index), false.gather(-1, after)
+    width = (steps * (high - low)).clamp(min=1)  # 0 only at the last level, where nothing is added
     fraction = (scaled - steps * low).to(torch.float64) / width
-    start = true.gather(-1, at)
+    start = true.gather(-1, index)
     hits = start + fraction * (true.gather(-1, after) - start)
     return (hits / road).where(background > 0, torch.nan)
 
@@ -129,11 +129,10 @@ def equal_error_rate(curve: Curve) -> Tensor:
     return (x_before + above / (above - below) * (x_after - x_before))[..., 0]
 
 
-# --- calibration: of pixels said to be road with p, is the share p road? -------------------
+# --- calibration: is a fraction p of the pixels with likelihood p road? --------------------
 
-# Pixels are scored by the level their likelihood was rounded to, at the default 65,536 levels less
-# than a hundred-thousandth away. Brier, Monthly Weather Review 1950; Naeini, Cooper, Hauskrecht,
-# AAAI 2015 (expected calibration error).
+# Likelihoods are those of the levels, at the default 65,536 less than 1e-5 from the pixels'. Brier,
+# Monthly Weather Review 1950; Naeini, Cooper, Hauskrecht, AAAI 2015 (expected calibration error).
 
 CALIBRATION_BINS = 20
 
@@ -143,8 +142,8 @@ class Reliability:
     """Pixels binned by likelihood, float64 (..., bins) each; NaN in bins without pixels."""
 
     predicted: Tensor  # mean likelihood
-    observed: Tensor  # share of road
-    fraction: Tensor  # of all pixels; never NaN unless nothing was counted
+    observed: Tensor  # fraction of road
+    fraction: Tensor  # of all pixels; NaN only if no pixel was counted
 
 
 def brier_score(counts: RoadCounts) -> Tensor:
@@ -161,7 +160,7 @@ def reliability(counts: RoadCounts, bins: int = CALIBRATION_BINS) -> Reliability
     """
     likelihood, road, background = _levels(counts)
     steps = counts.levels - 1
-    level = torch.arange(counts.levels)  # whole numbers, so that edges are met exactly
+    level = torch.arange(counts.levels)  # integers, so that edges are exact
     index = ((level * bins + steps - 1) // steps - 1).clamp(min=0)
     pixels, road_pixels, predicted = (
         torch.zeros((*part.shape[:-1], bins), dtype=part.dtype).index_add_(-1, index, part)

@@ -75,7 +75,7 @@ class CompareTask:
         try:
             image = read_image(item.image)
             with image_cache():
-                first, second = (look(image, item) for look in self.predictors)
+                first, second = (predict(image, item) for predict in self.predictors)
         except RoadtorchError as error:
             return Failure(item.name, None, str(error))
         parts = (first.mask & ~second.mask, second.mask & ~first.mask, first.mask, second.mask)
@@ -92,18 +92,18 @@ def disagreements(
     methods: tuple[Contender, Contender],
     jobs: int | None = None,
     quiet: bool = False,
-    **bar: str,
+    **progress: str,
 ) -> Disagreements:
     """Compare the masks of two methods on every image, each at its own threshold.
 
-    jobs: processes, None for as many as help. bar: further options of ``Progress``.
+    jobs: processes, None for as many as help. progress: further options of ``Progress``.
     """
     task = CompareTask([contender.prepare(dataset) for contender in methods])
     items = dataset.items
     results = workers_for(jobs, len(items)).map(task, items, _crash_failure)
     images, failures = list[Disagreement](), list[Failure]()
     with closing(results):
-        for result in Progress(results, total=len(items), unit="image", quiet=quiet, **bar):
+        for result in Progress(results, total=len(items), unit="image", quiet=quiet, **progress):
             if isinstance(result, Failure):
                 failures.append(result)
             else:
@@ -116,7 +116,7 @@ def _crash_failure(item: LabelledItem) -> Failure:
     return Failure(item.name, None, str(InputError(item.image, *DIED)))
 
 
-# --- what further training changed: first is before, second is after ----------------------
+# --- effect of further training: first is before, second is after -------------------------
 
 
 class Agreement(NamedTuple):
@@ -134,8 +134,8 @@ class Taught(NamedTuple):
     """Name of the teacher, and the network's agreement with it before and after training."""
 
     teacher: str
-    before: Agreement
-    after: Agreement
+    initial: Agreement
+    final: Agreement
 
 
 def most_and_spread(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:
@@ -148,7 +148,5 @@ def most_and_spread(ranked: Sequence[Disagreement], count: int) -> list[Disagree
         return list(ranked)
     largest, remaining = ranked[: count - count // 2], ranked[count - count // 2 :]
     steps = count // 2
-    return [
-        *largest,
-        *(remaining[(place + 1) * len(remaining) // steps - 1] for place in range(steps)),
-    ]
+    indices = ((step + 1) * len(remaining) // steps - 1 for step in range(steps))
+    return [*largest, *(remaining[i] for i in indices)]

@@ -72,15 +72,15 @@ def evaluate(
         entry.name: summarise(entry, tallies[entry.name], measures, images.left_out, conditions)
         for entry in entries
     }
-    draws = {name: bootstrap(tallies[name], scores[name], measures) for name in scores}
+    replicates = {name: bootstrap(tallies[name], scores[name], measures) for name in scores}
     best = max(scores, key=lambda name: scores[name].ranking_score)
     return Evaluation(
         images,
         {
-            name: replace(detector_scores, intervals=score_intervals(draws[name]))
+            name: replace(detector_scores, intervals=score_intervals(replicates[name]))
             for name, detector_scores in scores.items()
         },
-        compare_detectors(scores, draws, against or best, measures),
+        compare_detectors(scores, replicates, against or best, measures),
         failures,
         tallies,
         measures,

@@ -16,12 +16,11 @@ Scores = Mapping[str, float]
 """Values by the key of their measure: NaN where undefined, missing where it does not apply."""
 
 Formula = Callable[[Part], Tensor | float | None]
-"""Counts → their value, or (draws,) for bootstrap replicates; None where it does not apply."""
+"""Counts → their value, or (replicates,) of a bootstrap; None where it does not apply."""
 
 TableName = Literal["headline", "scores", "parts", "trust", "layout", "pairs", "compared"]
-"""Tables: first columns of the scores and the others, groups and conditions of one detector, trust,
-layout, differences between detectors. ``compared``: the difference is in metrics.json.
-"""
+"""Tables with a column for a measure: first columns of the score table, its other columns, groups
+and conditions, trust, layout, differences. ``compared``: the difference is in metrics.json."""
 
 
 @dataclass(frozen=True)

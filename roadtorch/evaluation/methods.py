@@ -30,11 +30,11 @@ from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import load_network
 
-BASELINES = ("prior:rows", "prior:triangle")  # in every run; prior:mean joins where it can
+BASELINES = ("prior:rows", "prior:triangle")  # always scored; prior:mean where it can be computed
 
-MEAN_PRIOR = "prior:mean"  # the evaluator's own
+MEAN_PRIOR = "prior:mean"  # not in the catalogue, as it needs the set
 
-MEAN_THRESHOLD = 0.5  # road at this place in at least half of the images
+MEAN_THRESHOLD = 0.5  # the pixel is road in at least half of the images
 
 DETECTOR_BY_NETWORK = {
     ImageNetwork.kind: "fusion",
@@ -46,7 +46,7 @@ DETECTOR_BY_NETWORK = {
 Look = Callable[[Tensor, LabelledItem], Detection]
 """A contender that is ready to run; it can be pickled for worker processes."""
 
-MAX_NAME_LENGTH = 60  # letters that a message tells of a name in a file
+MAX_NAME_LENGTH = 60  # letters of a name from a file in a message
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def parse_contenders(
         message = "is not a weight file, config, folder of maps or detector"
         raise ConfigError(text, message, "check the name")
     else:
-        detector, values = text, {}  # of none, which is refused
+        detector, values = text, {}  # not a detector: refused below
     entry = named_detector(detector, merge(values, settings), camera)
     by_file = f"{path.resolve().parent.name}-{path.stem}"  # many files are called weights
     return [replace(entry, name=name or printable(by_file))]
@@ -209,8 +209,8 @@ def _read_maps(
     if dataset.view is not None:
         height, width = dataset.view(item, torch.zeros(sizes[0])).shape
         sizes.append((height, width))
-    # What infer makes is named like the image, from its own folder or from that of the set;
-    # what KITTI's server takes is named like the label.
+    # Maps by infer are named like the image, relative to its folder or to that of the set; maps
+    # for KITTI's server are named like the label.
     like_image = str(PurePath(item.name).with_name(item.image.stem))
     names = list(dict.fromkeys([item.name, like_image, item.label.stem]))
     if item.image.is_relative_to(dataset.root):
@@ -219,7 +219,7 @@ def _read_maps(
     return Detection(likelihood, maps.map_mask(folder, names, likelihood, decision), {})
 
 
-# --- the baseline that data sets teach: the mean road mask of other groups ----------------
+# --- the baseline prior:mean: the mean road mask of other groups --------------------------
 
 
 def mean_masks(dataset: Dataset, mean_from: Dataset | None = None) -> dict[str, Tensor]:
@@ -237,9 +237,9 @@ def mean_masks(dataset: Dataset, mean_from: Dataset | None = None) -> dict[str, 
     if len(groups) - len(dataset.left_out) < 2:
         return {}
     frequencies = road_frequencies(dataset)
-    teachers = frequencies.keys() - dataset.left_out
+    counted = frequencies.keys() - dataset.left_out
     return {
-        group: _mean(share for name, share in frequencies.items() if name in teachers - {group})
+        group: _mean(frequencies[name] for name in frequencies if name in counted - {group})
         for group in frequencies
     }
 

@@ -27,7 +27,7 @@ from roadtorch.layout.classes import CLASSES
 
 DEFAULT_LEVELS = 65_536
 EPSILON = 1e-10  # KITTI adds it to its denominators
-RECALL_STEPS = 11  # KITTI's average precision looks at recalls 0, 0.1, …, 1
+RECALL_STEPS = 11  # of KITTI's average precision: 0, 0.1, …, 1
 
 
 # --- counts -----------------------------------------------------------------------------
@@ -112,23 +112,19 @@ def count_levels(
         raise InputError(
             "likelihood", f"has values from {low:g} to {high:g}", "return values in [0, 1]"
         )
-    # One histogram: background, then road, then a last place for void.
-    bins = quantise(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
-    counts = torch.bincount(bins.flatten(), minlength=2 * levels + 1)
+    # One histogram: background, then road, then one bin for void.
+    index = quantise(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
+    counts = torch.bincount(index.flatten(), minlength=2 * levels + 1)
     return RoadCounts(counts[levels : 2 * levels].clone(), counts[:levels].clone())
 
 
 def count_mask(mask: Tensor, road: Tensor, valid: Tensor) -> Decisions:
     """Count the valid pixels of one mask by decision and truth; all bool (H, W)."""
-    called, true = mask & valid, road & valid
-    true_positive = (called & true).sum()
-    false_positive, false_negative = called.sum() - true_positive, true.sum() - true_positive
-    return Decisions(
-        true_positive,
-        false_positive,
-        false_negative,
-        valid.sum() - true_positive - false_positive - false_negative,
-    )
+    predicted, true = mask & valid, road & valid
+    true_positive = (predicted & true).sum()
+    false_positive, false_negative = predicted.sum() - true_positive, true.sum() - true_positive
+    true_negative = valid.sum() - true_positive - false_positive - false_negative
+    return Decisions(true_positive, false_positive, false_negative, true_negative)
 
 
 def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
@@ -162,31 +158,31 @@ def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
 # P1, eq. 11 (Table I). They are not the means of the images' scores.
 
 
-def precision(outcome: Decisions) -> Tensor:
+def precision(counts: Decisions) -> Tensor:
     """Compute TP / (TP + FP), float64; NaN where nothing is predicted as road."""
-    return _ratio(outcome.true_positive, outcome.true_positive + outcome.false_positive)
+    return _ratio(counts.true_positive, counts.true_positive + counts.false_positive)
 
 
-def recall(outcome: Decisions) -> Tensor:
+def recall(counts: Decisions) -> Tensor:
     """Compute TP / (TP + FN), float64; NaN where there is no road."""
-    return _ratio(outcome.true_positive, outcome.true_positive + outcome.false_negative)
+    return _ratio(counts.true_positive, counts.true_positive + counts.false_negative)
 
 
-def iou(outcome: Decisions) -> Tensor:
+def iou(counts: Decisions) -> Tensor:
     """Compute TP / (TP + FP + FN), float64; NaN where there is neither true nor predicted road."""
-    wrong = outcome.false_positive + outcome.false_negative
-    return _ratio(outcome.true_positive, outcome.true_positive + wrong)
+    wrong = counts.false_positive + counts.false_negative
+    return _ratio(counts.true_positive, counts.true_positive + wrong)
 
 
-def f_measure(outcome: Decisions) -> Tensor:
+def f_measure(counts: Decisions) -> Tensor:
     """Compute 2 TP / (2 TP + FP + FN), the harmonic mean of precision and recall, float64."""
-    wrong = outcome.false_positive + outcome.false_negative
-    return _ratio(2 * outcome.true_positive, 2 * outcome.true_positive + wrong)
+    wrong = counts.false_positive + counts.false_negative
+    return _ratio(2 * counts.true_positive, 2 * counts.true_positive + wrong)
 
 
-def false_positive_rate(outcome: Decisions) -> Tensor:
+def false_positive_rate(counts: Decisions) -> Tensor:
     """Compute FP / (FP + TN), float64; NaN where there is no background."""
-    return _ratio(outcome.false_positive, outcome.false_positive + outcome.true_negative)
+    return _ratio(counts.false_positive, counts.false_positive + counts.true_negative)
 
 
 def _ratio(part: Tensor, whole: Tensor) -> Tensor:
@@ -257,7 +253,7 @@ def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
     return torch.bincount(pairs, minlength=(CLASSES + 1) ** 2).reshape(CLASSES + 1, CLASSES + 1)
 
 
-# The scores leave out void and unlabelled pixels and take any leading dimensions.
+# The functions below ignore void and unlabelled pixels and take any leading dimensions.
 
 
 def void_as_vertical(confusion: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ def count_image(predictor: Look, scene: LabelledImage, truth: Truth, shared: Ima
     """Run one detector on one image and count; truth: in the view of the set."""
     saved_before, start = shared.saved, time.perf_counter()
     detection = predictor(scene.image, scene.item)
-    # What others had made before it counts as this one's work, too.
+    # Parts that were cached for other detectors count as this detector's work, too.
     seconds = time.perf_counter() - start + shared.saved - saved_before
     mask, layout = scene.to_view(detection.mask), detection.cues.get("layout")
     labels = {
@@ -92,7 +92,7 @@ class ScoringTask:
             return ImageResult(item, counts)
         except RoadtorchError as error:
             return ImageResult(item, {}, f"{name}: {error}" if name else str(error))
-        except Exception as error:  # a detector's own mistake must not end a long run
+        except Exception as error:  # a bug in a detector must not end a long run
             problem = f"{type(error).__name__}: {error}"
             return ImageResult(item, {}, f"{name or item.name}: {problem}")
 

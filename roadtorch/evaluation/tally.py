@@ -16,9 +16,9 @@ from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.metrics import Decisions, RoadCounts
 
-UNGROUPED = "all"  # the one group of a set that knows no groups
-IMAGE_LEVELS = 256  # levels that are kept of each image
-INITIAL_ROWS = 64  # images that there is room for before a column grows
+UNGROUPED = "all"  # name of the only group of a set without groups
+IMAGE_LEVELS = 256  # levels of the histograms of single images
+INITIAL_ROWS = 64  # of a column, before it grows
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Score:
 
     road: RoadCounts
     mask: Decisions
-    boundary: Tensor  # int64 (tolerances,4), see boundary.py
-    layout: Tensor | None  # confusion (4,4) of the strongest potentials
-    labels: Tensor | None  # confusion (4,4) of labels that may abstain
-    seconds: float = math.nan  # for detect alone, as if nothing had been shared
-    trust: float = math.nan  # the expected F of the mask; NaN where the detector does not say
+    boundary: Tensor  # int64 (tolerances, 4), see boundary.py
+    layout: Tensor | None  # confusion (4, 4) of the strongest potentials
+    labels: Tensor | None  # confusion (4, 4) of labels that may abstain
+    seconds: float = math.nan  # of detection, with the parts that were cached for it
+    trust: float = math.nan  # predicted F of the mask; NaN where the detector gives none
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,15 @@ class ImageTable:
 
     names: Sequence[str]
     groups: Sequence[str]
-    road: RoadCounts  # int32 (n,COARSE)
-    outcomes: Tensor  # int64 (n,4), the fields of Decisions
-    boundary: Tensor  # int64 (n,tolerances,4)
-    layout: Tensor | None  # int64 (n,4,4)
-    labels: Tensor | None  # int64 (n,4,4)
+    road: RoadCounts  # int32 (n, IMAGE_LEVELS)
+    outcomes: Tensor  # int64 (n, 4), the fields of Decisions
+    boundary: Tensor  # int64 (n, tolerances, 4)
+    layout: Tensor | None  # int64 (n, 4, 4)
+    labels: Tensor | None  # int64 (n, 4, 4)
     auc: Tensor  # float64 (n,), NaN without road or background
     max_f: Tensor  # float64 (n,), NaN without road
     seconds: Tensor  # float64 (n,)
-    trust: Tensor  # float64 (n,), NaN where the detector does not say
+    trust: Tensor  # float64 (n,), NaN where the detector gives none
 
     @property
     def mask(self) -> Decisions:
@@ -98,7 +98,7 @@ class Tally:
         row = len(self.keys)
         for key in values.keys() - self.columns.keys():
             self.columns[key] = values[key].new_zeros((INITIAL_ROWS, *values[key].shape))
-        for key, column in self.columns.items():  # those as well that this image has not
+        for key, column in self.columns.items():  # also those that this image lacks
             while len(column) <= row:
                 column = torch.cat([column, torch.zeros_like(column)])
             if key in values:
@@ -132,12 +132,12 @@ class Tally:
         )
 
 
-# --- what measures are taken of ---------------------------------------------------------
+# --- pooled counts ----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Part:
-    """Pooled counts of some images, or of bootstrap replicates of them: then all have (draws, …).
+    """Pooled counts of some images, or of bootstrap replicates of them: then shape (replicates, …).
 
     at_threshold: counts at the threshold of each group; None where there is none.
     image_auc: mean of the AUCs of single images, float64 (…).

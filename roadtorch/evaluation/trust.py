@@ -20,9 +20,9 @@ from roadtorch.evaluation.measure import Measure, TableName
 from roadtorch.evaluation.metrics import f_measure
 from roadtorch.evaluation.tally import ImageTable, Part
 
-BAD = 0.6  # F below which a mask is a failure; ours: where one looks wrong at first sight
+BAD = 0.6  # F below which a mask is a failure; ours: such masks look wrong at first sight
 
-MIN_GROUP_IMAGES = 4  # images of a group that has a correlation of its own; ours
+MIN_GROUP_IMAGES = 4  # images that a group needs for a correlation; ours
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,7 @@ def trust_samples(images: ImageTable | None) -> Trusted | None:
         return None
     f = f_measure(images.mask)
     defined = ~(images.trust.isnan() | f.isnan())
-    groups = [
-        group for group, is_kept in zip(images.groups, defined.tolist(), strict=True) if is_kept
-    ]
+    groups = [images.groups[i] for i in defined.nonzero()[:, 0].tolist()]
     return Trusted(images.trust[defined], f[defined], groups)
 
 
@@ -61,13 +59,13 @@ def average_ranks(values: Tensor) -> Tensor:
     return (last - (counts - 1) / 2)[indices]
 
 
-def correlation_within(images: Trusted) -> float:
+def correlation_within(samples: Trusted) -> float:
     """Return the mean of the groups' rank correlations; NaN without a group that has one."""
     correlations = []
-    for group in sorted(set(images.groups)):
-        members = torch.tensor([name == group for name in images.groups])
+    for group in sorted(set(samples.groups)):
+        members = torch.tensor([name == group for name in samples.groups])
         if int(members.sum()) >= MIN_GROUP_IMAGES:
-            correlations.append(rank_correlation(images.trust[members], images.f[members]))
+            correlations.append(rank_correlation(samples.trust[members], samples.f[members]))
     return float(torch.tensor(correlations, dtype=torch.float64).nanmean())
 
 
@@ -79,7 +77,7 @@ def failure_auc(trust: Tensor, f: Tensor, bad: float = BAD) -> float:
     """
     failed = f < bad
     pairs = int(failed.sum()) * int((~failed).sum())
-    # Mann and Whitney: the ranks of the good ones, less those that they have among themselves.
+    # Mann-Whitney U: the ranks of the good images, less their ranks among themselves.
     good = int((~failed).sum())
     won = average_ranks(trust)[~failed].sum() - good * (good + 1) / 2
     return float(won / pairs) if pairs else float("nan")
@@ -92,10 +90,10 @@ def risk_coverage_curve(trust: Tensor, f: Tensor) -> Curve:
     """
     _, indices, counts = trust.unique(return_inverse=True, return_counts=True)
     loss = 1 - f.to(torch.float64)
-    of_equals = torch.zeros(len(counts), dtype=torch.float64).index_add_(0, indices, loss) / counts
-    kept = torch.arange(1, len(trust) + 1, dtype=torch.float64)
-    risk = of_equals.flip(0).repeat_interleave(counts.flip(0)).cumsum(0) / kept
-    return Curve(kept / len(trust), risk)
+    mean_loss = torch.zeros(len(counts), dtype=torch.float64).index_add_(0, indices, loss) / counts
+    covered = torch.arange(1, len(trust) + 1, dtype=torch.float64)
+    risk = mean_loss.flip(0).repeat_interleave(counts.flip(0)).cumsum(0) / covered
+    return Curve(covered / len(trust), risk)
 
 
 def aurc(curve: Curve) -> float:
@@ -117,8 +115,8 @@ def _measure(
     """Return a measure over the images that have a trust; it does not apply where none has."""
 
     def formula(part: Part) -> float | None:
-        images = trust_samples(part.images)
-        return None if images is None else function(images)
+        samples = trust_samples(part.images)
+        return None if samples is None else function(samples)
 
     key = f"trust/{key}"
     return Measure(key, name, meaning, formula, better, aggregate="whole", tables=tables)
@@ -129,7 +127,7 @@ TRUST_MEASURES = (
         "rank_correlation",
         "rank corr. of trust",
         "Spearman's rank correlation of trust with the F of the image's mask, over all images.",
-        lambda images: rank_correlation(images.trust, images.f),
+        lambda samples: rank_correlation(samples.trust, samples.f),
         tables=("trust", "parts"),
     ),
     _measure(
@@ -143,13 +141,13 @@ TRUST_MEASURES = (
         f"AUC for F < {BAD:g}",
         f"Fraction of pairs (an image with F < {BAD:g}, another one) in which the first has the "
         "lower trust.",
-        lambda images: failure_auc(images.trust, images.f),
+        lambda samples: failure_auc(samples.trust, samples.f),
     ),
     _measure(
         "error",
         "mean error",
         "Mean difference of trust and the F of the image's mask.",
-        lambda images: float((images.trust - images.f).abs().mean()),
+        lambda samples: float((samples.trust - samples.f).abs().mean()),
         "lower",
     ),
     _measure(
@@ -157,21 +155,21 @@ TRUST_MEASURES = (
         "AURC",
         "Area under the risk-coverage curve: mean of 1 - F over the most trusted images, averaged "
         "over all numbers of images.",
-        lambda images: aurc(risk_coverage_curve(images.trust, images.f)),
+        lambda samples: aurc(risk_coverage_curve(samples.trust, samples.f)),
         "lower",
     ),
     _measure(
         "aurc_ideal",
         "AURC, ideal",
         "AURC of a trust that orders the images by F.",
-        lambda images: aurc(risk_coverage_curve(images.f, images.f)),
+        lambda samples: aurc(risk_coverage_curve(samples.f, samples.f)),
         None,
     ),
     _measure(
         "aurc_random",
         "AURC, random",
         "AURC of a random order, which is the mean of 1 - F.",
-        lambda images: float((1 - images.f).mean()),
+        lambda samples: float((1 - samples.f).mean()),
         None,
     ),
 )

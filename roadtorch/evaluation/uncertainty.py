@@ -22,7 +22,7 @@ from roadtorch.evaluation.tally import ImageTable, Part, Tally
 
 REPLICATES = 1000
 
-BOOTSTRAP_SEED = 11  # of the draws of a run
+BOOTSTRAP_SEED = 11
 
 
 def bootstrap_weights(
@@ -33,20 +33,20 @@ def bootstrap_weights(
     return torch.zeros_like(indices).scatter_add_(1, indices, torch.ones_like(indices))
 
 
-def interval(draws: Tensor) -> Interval:
+def interval(values: Tensor) -> Interval:
     """Return the 95 % percentile interval of a score over replicates, float64 (replicates,).
 
     NaNs are ignored. For a difference of two scores over the same weights, an interval above 0
     means that the first is larger by more than the choice of images explains.
     """
-    values = draws[~draws.isnan()]
+    values = values[~values.isnan()]
     if not len(values):
         return Interval()
     low, high = torch.quantile(values, torch.tensor([0.025, 0.975], dtype=values.dtype))
     return Interval(float(low), float(high))
 
 
-# --- the scores of a run -----------------------------------------------------------------
+# --- the scores of an evaluation -----------------------------------------------------------------
 
 Replicates = Mapping[str, Tensor]
 """Headline scores of every replicate, float64 (replicates,), by measure's key."""
@@ -64,13 +64,12 @@ def bootstrap(
     thresholds = [scores.thresholds[group] for group in scores.counting]
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
     weights = [bootstrap_weights(len(group.names), generator, REPLICATES) for group in groups]
-    once = [torch.ones_like(drawing[:1]) for drawing in weights]
-    kept = [measure for measure in measures if measure.interval and measure.key in scores.headline]
-    coarse, draws = (_mean_over_groups(groups, thresholds, each, kept) for each in (once, weights))
-    return {
-        measure.key: draws[measure.key] + (measure.of(scores.headline) - float(coarse[measure.key]))
-        for measure in kept
-    }
+    ones = [torch.ones_like(counts[:1]) for counts in weights]
+    measures = [m for m in measures if m.interval and m.key in scores.headline]
+    replicates = _mean_over_groups(groups, thresholds, weights, measures)
+    coarse = _mean_over_groups(groups, thresholds, ones, measures)
+    shifts = {m.key: m.of(scores.headline) - float(coarse[m.key]) for m in measures}
+    return {key: replicates[key] + shift for key, shift in shifts.items()}
 
 
 def _mean_over_groups(
@@ -79,22 +78,21 @@ def _mean_over_groups(
     weights: Sequence[Tensor],
     measures: Sequence[Measure],
 ) -> dict[str, Tensor]:
-    """Return the scores (draws,) by key, each group's images weighted."""
+    """Return the scores (replicates,) by key, with weights for the images of each group."""
     scores: dict[str, list[Tensor]] = {measure.key: [] for measure in measures}
-    for group, threshold, drawing in zip(groups, thresholds, weights, strict=True):
-        part = pool_replicates(group, threshold, drawing)
+    for group, threshold, counts in zip(groups, thresholds, weights, strict=True):
+        part = pool_replicates(group, threshold, counts)
         for measure in measures:
             values = measure.formula(part)
             if not isinstance(values, Tensor):
-                raise TypeError(
-                    f"the formula of {measure.key} uses counts that bootstrap replicates lack"
-                )
+                problem = "uses counts that bootstrap replicates lack"
+                raise TypeError(f"the formula of {measure.key} {problem}")
             scores[measure.key].append(values)
     return {key: torch.stack(values).nanmean(0) for key, values in scores.items()}
 
 
 def pool_replicates(images: ImageTable, threshold: float, weights: Tensor) -> Part:
-    """Pool the images of one group, weighted by (draws, n), from 8-bit maps."""
+    """Pool the images of one group, with weights (replicates, n), from 8-bit maps."""
 
     def weighted_sum(counts: Tensor) -> Tensor:
         flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
@@ -106,26 +104,26 @@ def pool_replicates(images: ImageTable, threshold: float, weights: Tensor) -> Pa
     )
     counts = RoadCounts(road, background)
     defined = ~images.auc.isnan()
-    areas, of_known = images.auc[defined], weights[:, defined].to(torch.float64)
+    areas, area_weights = images.auc[defined], weights[:, defined].to(torch.float64)
     return Part(
         counts,
         Decisions(*weighted_sum(images.outcomes).unbind(1)),
         weighted_sum(images.boundary),
         None if images.layout is None else weighted_sum(images.layout),
         None if math.isnan(threshold) else metrics.decisions_at(counts, threshold),
-        (of_known @ areas) / of_known.sum(1),
+        (area_weights @ areas) / area_weights.sum(1),
     )
 
 
-def score_intervals(draws: Replicates) -> dict[str, Interval]:
+def score_intervals(replicates: Replicates) -> dict[str, Interval]:
     """Return 95 % intervals of the headline scores, clipped to [0, 1]."""
-    ends = {key: interval(values) for key, values in draws.items()}
+    ends = {key: interval(values) for key, values in replicates.items()}
     return {key: Interval(max(low, 0.0), min(high, 1.0)) for key, (low, high) in ends.items()}
 
 
 def compare_detectors(
     detectors: Mapping[str, DetectorScores],
-    draws: Mapping[str, Replicates],
+    replicates: Mapping[str, Replicates],
     against: str,
     measures: Sequence[Measure] = MEASURES,
 ) -> Comparison:
@@ -133,7 +131,7 @@ def compare_detectors(
     shared = [
         measure
         for measure in measures
-        if "compared" in measure.tables and measure.key in draws[against]
+        if "compared" in measure.tables and measure.key in replicates[against]
     ]
     reference = detectors[against].headline
     return Comparison(
@@ -142,12 +140,12 @@ def compare_detectors(
             name: {
                 measure.key: Difference(
                     measure.of(detectors[name].headline) - measure.of(reference),
-                    interval(replicates[measure.key] - draws[against][measure.key]),
+                    interval(values[measure.key] - replicates[against][measure.key]),
                 )
                 for measure in shared
-                if measure.key in replicates
+                if measure.key in values
             }
-            for name, replicates in draws.items()
+            for name, values in replicates.items()
             if name != against
         },
     )

@@ -17,14 +17,7 @@ from roadtorch.base.image_cache import image_cache
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
 from roadtorch.evaluation.measure import UNDEFINED
-from roadtorch.evaluation.report.charts import (
-    BASELINE_COLOUR,
-    COLOURS,
-    DASHES,
-    WIDTH,
-    Series,
-    svg_uri,
-)
+from roadtorch.evaluation.report.charts import COLOURS, DASHES, GREY, WIDTH, Series, svg_uri
 from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned, jpeg_uri
 from roadtorch.evaluation.report.table import (
     MINUS,
@@ -58,7 +51,7 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
     """Write the page as one self-contained file."""
     items = [image.item for image in adaptation.shown]
     caption = "blue: only before, orange: only after"
-    sheets = draw_sheets(adaptation.seen, items, caption)
+    montages = draw_montages(adaptation.seen, items, caption)
     is_part = len(items) < len(adaptation.seen.images)
     loss_chart = svg_uri(WIDTH, 260, partial(draw_losses, rows=adaptation.rows))
     differences = [image.difference for image in adaptation.seen.images]
@@ -70,7 +63,7 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
         "mean": statistics.fmean(differences),
         "median": statistics.median(differences),
         "maximum": max(differences),
-        "examples": list(zip(adaptation.shown, sheets, strict=True)),
+        "examples": list(zip(adaptation.shown, montages, strict=True)),
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
         "charts": [loss_chart, trust_chart(adaptation)],
@@ -78,27 +71,21 @@ def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> N
     write_text(path, render_page("adaptation.html", command, values))
 
 
-def draw_sheets(
-    comparison: Disagreements, items: Iterable[LabelledItem], caption: str
-) -> list[str]:
+def draw_montages(pair: Disagreements, items: Iterable[LabelledItem], caption: str) -> list[str]:
     """Return for each item a JPEG for the page: the two overlays, and their difference."""
-    predictors = {
-        contender.name: contender.prepare(comparison.dataset) for contender in comparison.methods
-    }
-    sheets = []
+    predictors = {method.name: method.prepare(pair.dataset) for method in pair.methods}
+    montages = []
     for item in items:
         image = read_image(item.image)
         with image_cache():
-            masks = {
-                name: predict(image, item).mask.numpy() for name, predict in predictors.items()
-            }
+            masks = {n: predict(image, item).mask.numpy() for n, predict in predictors.items()}
         pixels = to_pixels(image)
         tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
         tiles[caption] = difference_tile(pixels, *masks.values())
         height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
-        sheet = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
-        sheets.append(jpeg_uri(sheet))
-    return sheets
+        montage = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
+        montages.append(jpeg_uri(montage))
+    return montages
 
 
 def difference_tile(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -121,7 +108,7 @@ def summary_table(adaptation: Adaptation) -> Table:
         change = Cell(format_signed(end - start), note=f"rose on {rose}, fell on {fell} images")
         rows["trust"] = (Cell(format_number(start)), Cell(format_number(end)), change)
     if adaptation.taught is not None:
-        start, end = adaptation.taught.before, adaptation.taught.after
+        start, end = adaptation.taught.initial, adaptation.taught.final
         rows["agreement with the teacher on road"] = _row(start.road, end.road)
         rows["agreement with the teacher on layout"] = _row(start.layout, end.layout)
     table = Table("mean over the images", list(rows))
@@ -166,7 +153,7 @@ def trust_chart(adaptation: Adaptation) -> str:
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        axes.plot([0, 1], [0, 1], color=BASELINE_COLOUR, linewidth=1)
+        axes.plot([0, 1], [0, 1], color=GREY, linewidth=1)
         start, end = zip(*pairs, strict=True)
         axes.plot(start, end, "o", color=COLOURS[0], mfc="none", markersize=5)
         low = max(0.0, min(*start, *end) - 0.05)

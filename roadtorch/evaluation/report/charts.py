@@ -32,14 +32,14 @@ MAX_LABEL_LENGTH = 34  # letters of a name in a chart
 
 WIDTH = 460  # points, of one panel
 
-CHART_FPR_STEPS = 200  # of the false positive rate, in the mean over groups
+CHART_FPR_STEPS = 200  # intervals of the false positive rate, in the mean over groups
 
 COLOURS = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7"),  # blue, vermillion, green, purple
     *("#e69f00", "#56b4e9", "#000000", "#f0e442"),  # orange, sky blue, black, yellow
 )
 
-BASELINE_COLOUR, GRID, INK = "#7f7f7f", "#d9d9d9", "#1a1a1a"
+GREY, GRID, INK = "#7f7f7f", "#d9d9d9", "#1a1a1a"
 
 DASHES = ((), (7, 2), (2, 1.5), (7, 2, 1.5, 2), (4, 2), (9, 2, 4, 2), (12, 3), (5, 1.5, 1, 1.5))
 
@@ -55,7 +55,7 @@ STYLE: dict[Any, Any] = {
     "text.parse_math": False,  # a $ in a name is a $
     "text.color": INK,
     "axes.labelcolor": INK,
-    "axes.edgecolor": BASELINE_COLOUR,
+    "axes.edgecolor": GREY,
     "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -63,8 +63,8 @@ STYLE: dict[Any, Any] = {
     "axes.grid": True,
     "grid.color": GRID,
     "grid.linewidth": 0.7,
-    "xtick.color": BASELINE_COLOUR,
-    "ytick.color": BASELINE_COLOUR,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
     "legend.frameon": False,
@@ -74,7 +74,7 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "roadtorch",
 }
 
-# --- what is drawn ----------------------------------------------------------------------
+# --- charts -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def choose_series(evaluation: Evaluation) -> list[Series]:
         for name, colour, dash in zip(best, COLOURS, DASHES, strict=False)
     ]
     series += [
-        Series(name, BASELINE_COLOUR, dash, is_baseline=True)
+        Series(name, GREY, dash, is_baseline=True)
         for name, dash in zip(baselines, BASELINE_DASHES, strict=False)
     ]
     return sorted(series, key=lambda detector: ranked.index(detector.name))
@@ -163,13 +163,13 @@ def draw_reliability(figure: Figure, series: Sequence[Series], evaluation: Evalu
     upper.plot([0, 1], [0, 1], color=GRID, linewidth=1)
     for depth, detector in enumerate(series):
         groups = [curves.reliability(part) for part in group_counts(evaluation, detector.name)]
-        predicted, observed, ratio = (
+        predicted, observed, fraction = (
             torch.stack([getattr(group, key) for group in groups]).nanmean(0)
             for key in ("predicted", "observed", "fraction")
         )
         _draw_curve(upper, Curve(predicted, observed), detector, depth)
-        _draw_curve(lower, Curve(predicted, ratio), detector, depth)
-    upper.set(xlim=(-0.01, 1.01), ylim=(0, 1.01), ylabel="ratio of road")
+        _draw_curve(lower, Curve(predicted, fraction), detector, depth)
+    upper.set(xlim=(-0.01, 1.01), ylim=(0, 1.01), ylabel="fraction of road")
     lower.set(yscale="log", xlabel="likelihood", ylabel="pixels")
     lower.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g} %"))
     lower.yaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))

@@ -16,7 +16,7 @@ from roadtorch.evaluation.report.table import render_page
 from roadtorch.evaluation.report.tables import build_tables
 from roadtorch.evaluation.result import DetectorScores, Evaluation, image_f
 
-SHEET_IMAGES = 4  # images of a sheet, if nobody says
+EXAMPLES = 4  # images of a montage by default
 
 IMAGE_COLUMNS = (
     *("image", "group", "detector", "auc", "maxf", "threshold", "f", "f_mask", "iou_mask"),
@@ -24,7 +24,7 @@ IMAGE_COLUMNS = (
 )
 
 
-def write(evaluation: Evaluation, out: Path, command: str = "", images: int = SHEET_IMAGES) -> None:
+def write(evaluation: Evaluation, out: Path, command: str = "", images: int = EXAMPLES) -> None:
     """Write all files of an evaluation; the folder has to exist.
 
     command: the command line, for the record. images: number of images in the montages of the best,
@@ -34,15 +34,15 @@ def write(evaluation: Evaluation, out: Path, command: str = "", images: int = SH
     write_text(out / "images.csv", csv_text(IMAGE_COLUMNS, image_rows(evaluation)))
     tables = build_tables(evaluation)
     write_text(out / "tables.md", "\n".join(table.to_markdown() for table in tables))
-    sheets = write_montages(out, evaluation, images) if images else {}
+    montages = write_montages(out, evaluation, images) if images else {}
     parts = (values.headline for values in evaluation.detectors.values())
     keys = set(chain.from_iterable(parts))
     values = {
         "evaluation": evaluation,
         "tables": tables,
         "charts": build_charts(evaluation),
-        "sheets": sheets,
-        "measures": [one for one in evaluation.measures if one.tables and one.key in keys],
+        "montages": montages,
+        "measures": [m for m in evaluation.measures if m.tables and m.key in keys],
     }
     write_text(out / "report.html", render_page("report.html", command, values))
 
@@ -65,14 +65,14 @@ def image_rows(evaluation: Evaluation) -> Iterator[Mapping[str, str]]:
             "iou_mask": metrics.iou(table.mask).tolist(),
             "trust": table.trust.tolist(),
         }
-        for place, (image, group) in enumerate(zip(table.names, table.groups, strict=True)):
-            values = {key: column[place] for key, column in columns.items()}
+        for row, (image, group) in enumerate(zip(table.names, table.groups, strict=True)):
+            values = {key: column[row] for key, column in columns.items()}
             yield {
                 "image": image,
                 "group": group,
                 "detector": name,
                 **{key: "" if isnan(value) else f"{value:.6f}" for key, value in values.items()},
-                "ms": f"{1000 * float(table.seconds[place]):.2f}",
+                "ms": f"{1000 * float(table.seconds[row]):.2f}",
                 "status": "left out" if group in left_out else "ok",
             }
     for failure in evaluation.failures:

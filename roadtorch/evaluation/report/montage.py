@@ -19,15 +19,15 @@ from roadtorch.evaluation.scoring import LabelledImage
 from roadtorch.evaluation.tally import UNGROUPED
 from roadtorch.layout.classes import layout_colours
 
-MAX_DETECTORS = 8  # detectors with sheets
+MAX_DETECTORS = 8  # detectors with montages
 
 TILE_WIDTH = 320  # pixels
 
-CAPTION_HEIGHT = 18  # pixels of height
+CAPTION_HEIGHT = 18  # pixels
 
-MAX_PAGE_WIDTH = 1200  # pixels of a sheet on the page; ours: as wide as it is shown
+MAX_PAGE_WIDTH = 1200  # pixels on the page; ours: the width at which it is displayed
 
-JPEG_QUALITY = 80  # on pages; ours: no artefact is seen at the size they are shown
+JPEG_QUALITY = 80  # on pages; ours: no artefact is visible at that size
 
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
 
@@ -40,7 +40,7 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
     """
     detectors = evaluation.detectors
     ranked = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
-    sheets: dict[str, dict[str, str]] = {}
+    montages: dict[str, dict[str, str]] = {}
     for name in ranked[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
         predictor = detectors[name].contender.prepare(evaluation.dataset)
@@ -48,13 +48,13 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
         for part, images in select_examples(order, count).items():
             if images:
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
-                pixels = draw_sheet(evaluation.dataset, predictor, images, thresholds)
+                pixels = draw_montage(evaluation.dataset, predictor, images, thresholds)
                 write_pixels(path, pixels)
-                sheets.setdefault(name, {})[part] = jpeg_uri(_shrink(pixels))
-    return sheets
+                montages.setdefault(name, {})[part] = jpeg_uri(_shrink(pixels))
+    return montages
 
 
-def draw_sheet(
+def draw_montage(
     dataset: Dataset,
     predictor: Look,
     chosen: Sequence[tuple[float, str]],
@@ -66,14 +66,14 @@ def draw_sheet(
     for value, name in chosen:
         item = by_name[name]
         rows.append(
-            draw_sheet_row(dataset, predictor, item, thresholds[item.group or UNGROUPED], value)
+            draw_montage_row(dataset, predictor, item, thresholds[item.group or UNGROUPED], value)
         )
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
     return np.concatenate(rows)
 
 
-def draw_sheet_row(
+def draw_montage_row(
     dataset: Dataset, predictor: Look, item: LabelledItem, threshold: float, value: float
 ) -> np.ndarray:
     """Draw image, layout, uniformity, likelihood and decision of one item side by side.
@@ -140,10 +140,10 @@ def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
     return canvas
 
 
-def _shrink(sheet: np.ndarray) -> np.ndarray:
+def _shrink(montage: np.ndarray) -> np.ndarray:
     """Return a montage, uint8 RGB (H, W, 3), at most as wide as the page shows it."""
-    scale = min(1.0, MAX_PAGE_WIDTH / sheet.shape[1])
-    return cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    scale = min(1.0, MAX_PAGE_WIDTH / montage.shape[1])
+    return cv2.resize(montage, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def jpeg_uri(pixels: np.ndarray) -> str:

@@ -12,7 +12,7 @@ from roadtorch.evaluation.measure import UNDEFINED, Measure, Scores
 
 MINUS = "\N{MINUS SIGN}"
 
-MAX_NAME_LENGTH = 48  # letters of a name on a screen of limited width
+MAX_ROW_NAME = 48  # letters of a name on a screen of limited width
 
 
 def format_number(value: float) -> str:
@@ -61,16 +61,12 @@ class Table:
         self.columns.append(list(cells))
 
     def add_measure(
-        self,
-        measure: Measure,
-        scores_by_row: Iterable[Scores],
-        header: str = "",
-        is_ranked: bool = True,
+        self, measure: Measure, rows: Iterable[Scores], header: str = "", is_ranked: bool = True
     ) -> None:
         """Add a column of a measure, the best value bold; nothing if no row has the measure."""
-        scores = list(scores_by_row)
-        if any(measure.key in values for values in scores):
-            values = [measure.of(values) for values in scores]
+        parts = list(rows)
+        if any(measure.key in scores for scores in parts):
+            values = [measure.of(scores) for scores in parts]
             is_alone = sum(not math.isnan(value) for value in values) < 2
             best = measure.best(values) if is_ranked and not is_alone else None
             cells = (Cell(measure.format(value), value == best) for value in values)
@@ -84,21 +80,18 @@ class Table:
     def text(self, width: float = math.inf) -> str:
         """Return the table for a screen; notes, which are intervals, have their own columns.
 
-        width: letters in a line; where there is one, long names are shortened, and the last columns
-        that are not required are left out.
+        width: letters in a line; to fit, long names are shortened, and the last columns that are
+        not required are left out.
         """
         names = [self.title, *self.names]
         if width < math.inf:
-            names = [shorten(name, MAX_NAME_LENGTH) for name in names]
-        pairs = zip(self.headers, self.columns, strict=True)
-        blocks = [(header, _screen_columns(header, cells)) for header, cells in pairs]
-        while True:
-            columns = [names, *(column for _, block in blocks for column in block)]
-            text = aligned(list(zip(*columns, strict=True)))
-            optional = [i for i, (header, _) in enumerate(blocks) if header not in self.required]
-            if not optional or max(map(len, text.splitlines())) <= width:
-                break
-            del blocks[optional[-1]]
+            names = [shorten(name, MAX_ROW_NAME) for name in names]
+        pairs = list(zip(self.headers, self.columns, strict=True))
+        optional = [pair for pair in pairs if pair[0] not in self.required]
+        text = _aligned_columns(names, pairs)
+        while optional and max(map(len, text.splitlines())) > width:
+            pairs.remove(optional.pop())
+            text = _aligned_columns(names, pairs)
         return (
             f"{text}\n{self.omitted} more rows: metrics.json (--out DIR)" if self.omitted else text
         )
@@ -114,11 +107,13 @@ class Table:
         return "".join(f"| {' | '.join(map(_escape, cells))} |\n" for cells in lines)
 
 
-def _screen_columns(header: str, cells: Sequence[Cell]) -> list[list[str]]:
-    columns = [[header, *(_to_ascii(cell.text) for cell in cells)]]
-    if any(cell.note for cell in cells):
-        columns.append(["95 %", *(_to_ascii(cell.note) for cell in cells)])
-    return columns
+def _aligned_columns(names: list[str], pairs: Sequence[tuple[str, list[Cell]]]) -> str:
+    columns = [names]
+    for header, cells in pairs:
+        columns.append([header, *(_to_ascii(cell.text) for cell in cells)])
+        if any(cell.note for cell in cells):
+            columns.append(["95 %", *(_to_ascii(cell.note) for cell in cells)])
+    return aligned(list(zip(*columns, strict=True)))
 
 
 def _to_ascii(text: str) -> str:

@@ -9,20 +9,15 @@ from roadtorch.evaluation.measures import F_MASK, MAXF
 from roadtorch.evaluation.report.table import Cell, Table, format_number, format_signed
 from roadtorch.evaluation.result import Difference, Evaluation
 
-MAX_LISTED = 40
-"""Detectors beside the baselines; a grid has 310."""
+SCREEN_WIDTH = 100  # letters in a line of the screen
 
-MAX_GROUP_COLUMNS = 6
-"""Groups with a column of their own."""
+MAX_LISTED = 40  # detectors beside the baselines; a grid has 310
 
-MAX_PART_TABLES = 3
-"""Best detectors with a table by group and one by condition."""
+MAX_GROUP_COLUMNS = 6  # groups with a column of their own
 
-SCREEN_WIDTH = 100
-"""Letters in a line of the screen."""
+MAX_PART_TABLES = 3  # best detectors with a table by group and one by condition
 
-MAX_SCREEN_ROWS = 20
-"""Rows of such a table on the screen."""
+MAX_SCREEN_ROWS = 20  # rows of such a table on the screen
 
 INTERVAL, BASELINE_HEADER = "95 %", "MaxF of baseline"
 
