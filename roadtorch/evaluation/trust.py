@@ -40,7 +40,7 @@ def trust_samples(images: ImageTable | None) -> Trusted | None:
         return None
     f = f_measure(images.mask)
     defined = ~(images.trust.isnan() | f.isnan())
-    groups = [images.groups[i] for i in defined.nonzero()[:, 0].tolist()]
+    groups = [images.groups[int(i)] for i in defined.nonzero()]
     return Trusted(images.trust[defined], f[defined], groups)
 
 
