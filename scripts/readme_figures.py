@@ -148,7 +148,7 @@ class RecordsAndCode(dict[str, float | str]):
 def setting_of(detector: str, key: str) -> Any:
     """Return a setting of a detector."""
     entry = detector_entry(detector)
-    return attrgetter(key)(build_settings(entry.settings, entry.values))
+    return attrgetter(key)(build_settings(entry.settings, entry.defaults))
 
 
 def config_value(name: str, key: str) -> Any:

@@ -118,8 +118,8 @@ def with_grid(catalogue: dict[str, Entry]) -> None:
 
 @pytest.mark.usefixtures("catalogue")
 def test_a_registered_detector_is_found_set_and_run() -> None:
-    values = {"gain": 3.0, "seed_area": {"width": 40}}
-    assert register_detector("bright", Simple, values=values)(Brightness) is Brightness
+    defaults = {"gain": 3.0, "seed_area": {"width": 40}}
+    assert register_detector("bright", Simple, defaults=defaults)(Brightness) is Brightness
 
     detection = load_detector("bright", gain=2).detect(torch.full((3, 16, 16), 0.4))
     settings = load_detector("bright", seed_area={"height": 20}).settings

@@ -153,7 +153,7 @@ def register_detector(
     settings: type[DetectorSettings] = DetectorSettings,
     *,
     summary: str | None = None,
-    values: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, Any] | None = None,
     baseline: bool = False,
 ) -> Callable[[Build], Build]:
     """Register a detector in this process; a decorator of the class or function that builds it.
@@ -165,7 +165,7 @@ def register_detector(
         name: ``family[:option[:option]]``.
         settings: class of its settings.
         summary: one line for lists; None: the first line of the docstring.
-        values: defaults that differ from those of the settings, nested.
+        defaults: values that differ from those of the settings, nested.
         baseline: whether the detector ignores the image.
 
     Raises:
@@ -190,7 +190,7 @@ def register_detector(
     def decorate(build: Build) -> Build:
         line = next(iter((build.__doc__ or "").strip().splitlines()), "")
         text = line.rstrip(".") if summary is None else summary
-        entry = Entry(name, text, settings, build, None, baseline, values or {})
+        entry = Entry(name, text, settings, build, None, baseline, defaults or {})
         _add(entry, _catalogue())
         return build
 

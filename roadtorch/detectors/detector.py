@@ -137,7 +137,7 @@ class Entry:
             (C, H, W). One of them is ``likelihood``, in [0, 1], shape (H, W).
         grid: grid of detectors that it is part of.
         baseline: whether it ignores the image.
-        values: its defaults where they differ from those of the class, nested.
+        defaults: its defaults where they differ from those of the class, nested.
 
     >>> from roadtorch import Entry
     >>> from roadtorch.detectors.catalogue import detector_entry
@@ -151,11 +151,11 @@ class Entry:
     build: Callable[[Any], nn.Module]
     grid: DetectorGrid | None = None
     baseline: bool = False
-    values: Mapping[str, Any] = field(default_factory=dict)
+    defaults: Mapping[str, Any] = field(default_factory=dict)
 
     def configured(self, changes: Mapping[str, Any]) -> DetectorSettings:
         """Return its settings with changes, nested; ConfigError as ``build_settings``."""
-        return build_settings(self.settings, merge(self.values, changes))
+        return build_settings(self.settings, merge(self.defaults, changes))
 
 
 class Detector(nn.Module):
@@ -188,7 +188,7 @@ class Detector(nn.Module):
         self.order: Order | None = None if order is None else checked_order(order)
         self.name = entry.name
         self.settings = settings
-        usual = merge(type(settings).model_construct().model_dump(), entry.values)
+        usual = merge(type(settings).model_construct().model_dump(), entry.defaults)
         self._changes = dict(_changes(settings.model_dump(), usual))
         # Read once, and at once: errors in the file are reported before any image is analysed.
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None

@@ -379,7 +379,7 @@ ENTRIES = (
         "two networks, each also run on an enlarged lower crop: more accurate, slower",
         FusionSettings,
         Fusion,
-        values={
+        defaults={
             "crops": (0.3,),
             "second": {"file": "rendered-free"},
             "working": {"pixels": 352 * 256},

@@ -71,7 +71,7 @@ ENTRIES = (
         "ground of the layout by CNN-7, trained as in the paper (Álvarez 2012)",
         Cnn7Settings,
         Cnn7,
-        values={"threshold": 0.211, "weights": {"file": "cnn-7-paper"}},
+        defaults={"threshold": 0.211, "weights": {"file": "cnn-7-paper"}},
     ),
     Entry(
         "labeller",

@@ -134,8 +134,8 @@ def _entries() -> Iterator[Entry]:
         if name not in ONECLASS_GRID.invalid:
             yield Entry(name, summary, settings, build, ONECLASS_GRID)
         if f"{name}:paper" not in PAPER_GRID.invalid:
-            summary, values = f"{summary}, as in the paper", {"classifier": classifier.paper}
-            yield Entry(f"{name}:paper", summary, settings, build, PAPER_GRID, values=values)
+            summary, defaults = f"{summary}, as in the paper", {"classifier": classifier.paper}
+            yield Entry(f"{name}:paper", summary, settings, build, PAPER_GRID, defaults=defaults)
 
 
 ENTRIES = tuple(_entries())

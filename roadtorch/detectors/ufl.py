@@ -72,7 +72,7 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     }
 
 
-PAPER_VALUES = {
+PAPER_DEFAULTS = {
     "smoothing": {"target": 1.0},
     "maps": {"row_weights": "from_one", "scale": "none"},
     "tree": {"top": "left_out"},
@@ -95,13 +95,13 @@ ENTRIES = (
         UflSettings,
         UFL,
         # Chosen among the readings of the paper: docs/research/ufl.md.
-        values={
+        defaults={
             "isolated": "drop",
             "smoothing": {"target": 0.25},
             "tree": {"min_area": 25, "nodes": "regions"},
             "road": {"weight": 1.5, "position": "ahead", "dilation": 2},
         },
     ),
-    Entry("ufl:paper", "ufl as in the text of the paper", UflSettings, UFL, values=PAPER_VALUES),
+    Entry("ufl:paper", "ufl as in the text of the paper", UflSettings, UFL, defaults=PAPER_DEFAULTS),
     Entry("ufl:original", "ufl as in the authors' program", UflSettings, UFL),
 )
