@@ -102,6 +102,8 @@ ENTRIES = (
             "road": {"weight": 1.5, "position": "ahead", "dilation": 2},
         },
     ),
-    Entry("ufl:paper", "ufl as in the text of the paper", UflSettings, UFL, defaults=PAPER_DEFAULTS),
+    Entry(
+        "ufl:paper", "ufl as in the text of the paper", UflSettings, UFL, defaults=PAPER_DEFAULTS
+    ),
     Entry("ufl:original", "ufl as in the authors' program", UflSettings, UFL),
 )
