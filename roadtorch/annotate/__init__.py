@@ -1,1 +1,1 @@
-"""The page on which a person corrects machine labels."""
+"""The page for correcting machine labels, and the live view of footage."""

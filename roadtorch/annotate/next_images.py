@@ -1,7 +1,7 @@
-"""Which images to correct next: the least trusted, or at random.
+"""The order in which images are offered for correction: least trusted first, or at random.
 
-The rules are pure functions of what is known of n images. A batch does not repeat one scene:
-neighbouring frames of a recording teach a network nearly the same, and cost a person as much.
+Order rules are pure functions of the trusts and features of n images. A batch does not repeat a
+scene: neighbouring frames of a recording teach a network little more than one of them.
 """
 
 import threading
@@ -14,102 +14,102 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.annotate.machine import ImageView
+from roadtorch.annotate.views import ImageView
 from roadtorch.base.image import read_image
 from roadtorch.imaging.resize import resized
 from roadtorch.imaging.segments import paint
 from roadtorch.layout.classes import CLASSES
 
-GRID = (4, 5)
-"""Rows and columns of the cells over which an image's features are averaged."""
+FEATURE_GRID = (4, 5)
+"""Rows and columns of the grid of cells over which features are averaged."""
 
-BATCH = 20
-"""Images that have a turn; the rest follows by trust."""
+BATCH_IMAGES = 20
+"""Number of images in a batch; the remaining ones are sorted by trust."""
 
-APART = 0.5
-"""Share of the median distance between images from which two are different scenes."""
+SCENE_DISTANCE = 0.5
+"""Fraction of the median feature distance above which two images are different scenes."""
 
-SAMPLE = 1000
-"""Images of which the median distance is taken; all where there are no more."""
+DISTANCE_SAMPLE = 1000
+"""Largest number of images for the median distance."""
 
-CHUNK = 256
-"""Corrected images whose distances to all images are in memory at the same time."""
+DISTANCE_CHUNK = 256
+"""Number of corrected images whose distances to all images are in memory at a time."""
 
 
 class Candidates(NamedTuple):
-    """What is known of n images. trust: (n,), NaN unknown; features: (n,d), see below."""
+    """n images: trust (n,), NaN where unknown, and features (n, d), see ``view_features``."""
 
     trust: Tensor
     features: Tensor
 
 
 def view_features(image: Tensor, view: ImageView) -> Tensor:
-    """What an image looks like, (d,): colours of an image (3,H,W), and road and layout in it.
+    """Compute the features of an image (3, H, W), shape (d,), in [0, 1].
 
-    All in [0,1]: means over the cells of a coarse grid, so that distance is about what stands
-    where. Ours.
+    Colours, road and layout averaged over a coarse grid, so that the distance between two images
+    compares their scenes. Ours.
     """
     parts = [image, view.odds.sigmoid()[None]]
     if view.layout.shape[1] == CLASSES:
         parts.append(paint(view.layout.sigmoid().T, view.labels).float())
-    return torch.cat([resized(part, GRID).flatten() for part in parts]).float()
+    return torch.cat([resized(part, FEATURE_GRID).flatten() for part in parts]).float()
 
 
-Rule = Callable[[Candidates, Collection[int], int], list[int]]
-"""What is known, which are corrected, and how many are wanted → places, the first first."""
+OrderRule = Callable[[Candidates, Collection[int], int], list[int]]
+"""Candidates, indices of corrected images, batch size → indices of the batch, in order."""
 
 
 def random_images(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
-    """So many of those that are not corrected, at random; the rule that others have to beat."""
+    """Return ``count`` uncorrected images at random; the baseline for other rules."""
     generator = torch.Generator().manual_seed(0)
     order = torch.randperm(len(candidates.trust), generator=generator).tolist()
-    return [place for place in order if place not in corrected][:count]
+    return [index for index in order if index not in corrected][:count]
 
 
 def least_trust_first(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
-    """Those with the least trust, each another scene than those corrected or before it.
+    """Return the least trusted images of new scenes, then other images by trust.
 
-    Where scenes run out, the rest follows by trust alone; unknown trust comes last.
+    Images of unknown trust come last.
     """
     order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
-    waiting = [place for place in order if place not in corrected]
-    return new_scenes_first(waiting, candidates.features, corrected, count)
+    uncorrected = [index for index in order if index not in corrected]
+    return new_scenes_first(uncorrected, candidates.features, corrected, count)
 
 
 def new_scenes_first(
     order: Sequence[int], features: Tensor, corrected: Collection[int], count: int
 ) -> list[int]:
-    """Return the first of an order that repeat no scene, then the rest of it, ``count`` in all.
+    """Return the first images of an order whose scenes are new, then the others, ``count`` in all.
 
-    features: (n,d) of all images; no scene of ``corrected`` ones is repeated either. Memory grows
-    with n, not with its square.
+    A scene is new where its features (n, d) are far from those of corrected and chosen images.
+    Memory grows with n, not with its square.
     """
     if len(features) < 2:
         return list(order[:count])
-    apart, chosen = APART * median_distance(features), []
-    nearest = torch.full((len(features),), torch.inf)  # distance to what is corrected or chosen
-    for start in range(0, len(corrected), CHUNK):
-        places = [*corrected][start : start + CHUNK]
-        nearest = nearest.minimum(torch.cdist(features, features[places]).amin(1))
-    for place in order:
+    threshold, chosen = SCENE_DISTANCE * median_distance(features), []
+    nearest = torch.full((len(features),), torch.inf)  # distance to corrected or chosen images
+    for start in range(0, len(corrected), DISTANCE_CHUNK):
+        indices = [*corrected][start : start + DISTANCE_CHUNK]
+        nearest = nearest.minimum(torch.cdist(features, features[indices]).amin(1))
+    for index in order:
         if len(chosen) == count:
             break
-        if nearest[place] >= apart:
-            chosen.append(place)
-            nearest = nearest.minimum(torch.cdist(features, features[place : place + 1])[:, 0])
+        if nearest[index] >= threshold:
+            chosen.append(index)
+            nearest = nearest.minimum(torch.cdist(features, features[index : index + 1])[:, 0])
     repeated = set(order).difference(chosen)
-    return [*chosen, *(place for place in order if place in repeated)][:count]
+    return [*chosen, *(index for index in order if index in repeated)][:count]
 
 
 def median_distance(features: Tensor) -> float:
-    """Return the median distance between images, of at most ``SAMPLE`` evenly spaced ones."""
-    count = min(len(features), SAMPLE)
+    """Return the median feature distance of ``DISTANCE_SAMPLE`` evenly spaced images."""
+    count = min(len(features), DISTANCE_SAMPLE)
     sample = features[torch.linspace(0, len(features) - 1, count).round().long()]
     first, second = torch.triu_indices(count, count, 1)
     return float(torch.cdist(sample, sample)[first, second].median())
 
 
-RULES: Mapping[str, Rule] = {
+ORDER_RULES: Mapping[str, OrderRule] = {
     "least-trust": least_trust_first,
     "random": random_images,
 }
@@ -120,32 +120,32 @@ RULES: Mapping[str, Rule] = {
 
 @dataclass
 class ImageOrder:
-    """The order by a rule of ``RULES``; trust and features by the image's name, as they come."""
+    """The order of images by a rule of ``ORDER_RULES``; features are added with views."""
 
     rule: str
     features: dict[str, Tensor] = field(default_factory=dict)
     _turns: tuple[object, dict[str, int]] = field(default=(None, {}), repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
-    def learn(self, name: str, image: Path, view: ImageView) -> None:
-        """Keep the features of an image; InputError where it cannot be read."""
+    def add(self, name: str, image: Path, view: ImageView) -> None:
+        """Add the features of an image; InputError where it cannot be read."""
         self.features[name] = view_features(read_image(image), view)
 
     def turns(
         self, names: Collection[str], trusts: Mapping[str, float], corrected: Collection[str]
     ) -> dict[str, int]:
-        """The turn, from 0, of the images of the next batch.
+        """Return the position, from 0, of each image of the next batch.
 
-        names: of the folder. trusts: NaN where there is none. corrected: on which somebody worked.
-        Images that nobody looked at yet have no turn.
+        names: of all images. trusts: NaN where there is none. corrected: names of images with
+        corrections. Images without features are left out.
         """
-        known = [name for name in names if name in self.features]
-        done = {place for place, name in enumerate(known) if name in corrected}
-        key = (tuple(known), frozenset(done))
+        ready = [name for name in names if name in self.features]
+        done = {index for index, name in enumerate(ready) if name in corrected}
+        key = (tuple(ready), frozenset(done))
         with self._lock:
-            if known and self._turns[0] != key:
-                trust = torch.tensor([trusts.get(name, np.nan) for name in known])
-                candidates = Candidates(trust, torch.stack([self.features[name] for name in known]))
-                places = RULES[self.rule](candidates, done, BATCH)
-                self._turns = key, {known[place]: turn for turn, place in enumerate(places)}
+            if ready and self._turns[0] != key:
+                trust = torch.tensor([trusts.get(name, np.nan) for name in ready])
+                candidates = Candidates(trust, torch.stack([self.features[name] for name in ready]))
+                indices = ORDER_RULES[self.rule](candidates, done, BATCH_IMAGES)
+                self._turns = key, {ready[index]: turn for turn, index in enumerate(indices)}
             return self._turns[1]

@@ -1,9 +1,9 @@
-"""The server of the page: its port and token, its routes, who may speak and how much.
+"""The web server of the correction page: address, access control, routes and limits.
 
-It listens on the loopback interface alone, but every page that a browser shows can send requests
-there, and a foreign name can be made to point there (DNS rebinding). So: the Host header must be
-the loopback's, an Origin that a browser sends its own, the token must come with every request for
-data, and pages that we send may load nothing but what we serve.
+It listens on the loopback interface only, but any page in a browser can send requests there, and a
+foreign name can resolve to it (DNS rebinding). Therefore the Host header must name the loopback, an
+Origin header must be that of this server, every request for data must carry the token, and the
+Content-Security-Policy allows the page to load only from this server.
 """
 
 import asyncio
@@ -37,7 +37,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from roadtorch.annotate.session import Session, look_at_all
+from roadtorch.annotate.session import Session, compute_views
 from roadtorch.base.atomic import atomic
 from roadtorch.base.errors import ConfigError, RoadtorchError, UnwritableError
 from roadtorch.base.image import read_image, to_pixels
@@ -45,41 +45,40 @@ from roadtorch.base.settings import Settings
 from roadtorch.data.events import parse_event
 from roadtorch.imaging.resize import WorkingSize, resized, size_of, working_size
 
-HOST = "127.0.0.1"  # and never another one
+HOST = "127.0.0.1"  # the only interface to listen on
 
 FIRST_PORT = 8765
 
-FILE = ".session.json"
+ADDRESS_FILE = ".session.json"
 
+MEDIA_TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
 
-TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
-
-PAGE = {
+PAGE_FILES = {
     file.name: file.read_bytes()
     for file in files("roadtorch.annotate").joinpath("static").iterdir()
 }
-"""The page's files."""
+"""Static files of the page, by name."""
 
-SHOWN = WorkingSize(pixels=1600 * 1200)
-"""What is sent of an image at most; strokes are in pixels of the whole one."""
+PAGE_IMAGE_SIZE = WorkingSize(pixels=1600 * 1200)
+"""Largest size at which images are sent; strokes are in pixels of the full image."""
 
-THUMBNAIL = WorkingSize(pixels=112 * 84)
+THUMBNAIL_SIZE = WorkingSize(pixels=112 * 84)
 
-MAX_BODY = 2 * 2**20  # bytes of one event; ours: a long stroke has some ten thousand
+MAX_BODY = 2 * 2**20  # bytes of one event; ours: a long stroke has about ten thousand
 
-MAX_DRAINED = 64 * 2**20  # bytes of a refused body that are read, so that the refusal arrives
+MAX_DRAINED = 64 * 2**20  # bytes read of a body that is too long, so that the error arrives
 
-LEARN = (
+TRAIN_COMMAND = (
     "roadtorch train --config corrections --images {images} --corrections {out} "
     "--out runs/corrected"
 )
-"""What learns from the corrections, once all images are right."""
+"""Command that trains on the corrections, shown once all images are confirmed."""
 
-DECODED = 2  # images at a time: each takes some ten times its bytes
+MAX_DECODING = 2  # images decoded at a time: each takes about ten times its bytes
 
-PATIENCE = 20.0  # seconds after which a client that sends or reads nothing whole is closed
+CLIENT_TIMEOUT = 20.0  # seconds for a client to send a request or to read a response
 
-HEADERS = {
+RESPONSE_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
         "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -92,18 +91,18 @@ HEADERS = {
 }
 
 
-# --- who may speak ----------------------------------------------------------------------
+# --- access and limits ------------------------------------------------------------------
 
 
-def refusal(status: int, where: str, problem: str, hint: str) -> JSONResponse:
-    """What is wrong, as the page shows it."""
+def error_response(status: int, where: str, problem: str, hint: str) -> JSONResponse:
+    """Return an error as JSON, with the text that the page shows."""
     return JSONResponse({"error": f"{where}: {problem} ({hint})"}, status)
 
 
-class Guard:
-    """Lets requests through that name this host and bear the token; gives all answers ``HEADERS``.
+class AccessMiddleware:
+    """Middleware that checks Host, Origin and token, and adds ``RESPONSE_HEADERS``.
 
-    Who is cut off at the end of the server is told to ask again.
+    A request that is cancelled when the server stops gets a 503 response.
     """
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:
@@ -112,61 +111,67 @@ class Guard:
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
+        """Answer a request, or pass it on to the application."""
         if scope["type"] != "http":
             return await self._app(scope, receive, send)
-        begun = False
+        started = False
 
-        async def sent(message: Message) -> None:
-            nonlocal begun
+        async def send_with_headers(message: Message) -> None:
+            nonlocal started
             if message["type"] == "http.response.start":
-                begun = True
-                MutableHeaders(scope=message).update(HEADERS)
+                started = True
+                MutableHeaders(scope=message).update(RESPONSE_HEADERS)
             await send(message)
 
         try:
-            await (self._refused(Request(scope)) or self._app)(scope, receive, sent)
+            app = self._check(Request(scope)) or self._app
+            await app(scope, receive, send_with_headers)
         except asyncio.CancelledError:
-            if not begun:
-                ended = refusal(503, "server", "was ended", "start roadtorch annotate again")
-                await ended(scope, receive, sent)
+            if not started:
+                hint = "start roadtorch annotate again"
+                response = error_response(503, "server", "was stopped", hint)
+                await response(scope, receive, send_with_headers)
 
-    def _refused(self, request: Request) -> Response | None:
+    def _check(self, request: Request) -> Response | None:
+        """Return the error response to a forbidden request, None for an allowed one."""
         host = request.headers.get("host", "")
         if host not in self._hosts:
-            return refusal(421, host[:100] or "host", "is not this server", "use 127.0.0.1")
+            return error_response(421, host[:100] or "host", "is not this server", "use 127.0.0.1")
         origin = request.headers.get("origin", f"http://{host}")
         if origin != f"http://{host}":
-            return refusal(403, origin[:100], "is another page", "use the page of this server")
+            return error_response(403, origin[:100], "is another site", "use this server's page")
         if request.url.path.startswith("/static/"):
-            return None  # public code, the same for everybody
+            return None  # public code
         token = request.headers.get("x-token") or request.query_params.get("token", "")
         if secrets.compare_digest(token.encode(), self._token.encode()):
             return None
         hint = "open the address that roadtorch printed"
-        return refusal(403, "token", "is missing or wrong", hint)
+        return error_response(403, "token", "is missing or wrong", hint)
 
 
-class Impatient(H11Protocol):
-    """A connection that ends when its client neither sends a whole request nor reads its answer."""
+class SlowClientProtocol(H11Protocol):
+    """An HTTP connection that is closed when its client is too slow to send or to read.
+
+    uvicorn and Starlette have a timeout for idle connections only.
+    """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
-        """Look after it from now on."""
+        """Start the timer of a new connection."""
         super().connection_made(transport)
-        self.loop.call_later(PATIENCE, self._look, None)
+        self.loop.call_later(CLIENT_TIMEOUT, self._check_progress, None)
 
-    def _look(self, last: object) -> None:
-        """last: the request at the last look."""
+    def _check_progress(self, request: object) -> None:
+        """Close the connection if it is still at the same request; else check again later."""
         unread = self.transport.get_write_buffer_size() > 0
-        unsaid = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
-        if self.cycle is last and (unread or unsaid):
+        incomplete = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
+        if self.cycle is request and (unread or incomplete):
             self.transport.abort()
         elif unread or not self.transport.is_closing():
-            self.loop.call_later(PATIENCE, self._look, self.cycle)
+            self.loop.call_later(CLIENT_TIMEOUT, self._check_progress, self.cycle)
 
 
-async def bounded_body(request: Request) -> bytes | None:
-    """The body of a request; None for one of more than ``MAX_BODY`` bytes."""
+async def read_body(request: Request) -> bytes | None:
+    """Read the body of a request; None where it is longer than ``MAX_BODY``."""
     body, length = bytearray(), 0
     async for chunk in request.stream():
         length += len(chunk)
@@ -181,147 +186,157 @@ async def bounded_body(request: Request) -> bytes | None:
 
 
 def annotation_app(session: Session, token: str, port: int) -> Starlette:
-    """The page of a session, for those who have the token."""
-    page = Page(session)
+    """Build the web application of a session."""
+    page = SessionApi(session)
     routes = [
-        Route("/", lambda _: Response(PAGE["annotate.html"], media_type=TYPES[".html"])),
-        Route("/static/{name}", static_file),
+        Route(
+            "/", lambda _: Response(PAGE_FILES["annotate.html"], media_type=MEDIA_TYPES[".html"])
+        ),
+        Route("/static/{name}", serve_static),
         Route("/api/images", page.images),
-        Route("/api/image", partial(page.jpeg, shown_jpeg)),
-        Route("/api/thumbnail", partial(page.jpeg, thumbnail_jpeg)),
+        Route("/api/image", partial(page.jpeg, encode_image)),
+        Route("/api/thumbnail", partial(page.jpeg, encode_thumbnail)),
         Route("/api/superpixels", page.superpixels),
         Route("/api/state", page.state),
         Route("/api/event", page.event, methods=["POST"]),
     ]
-    handlers: dict[Any, Any] = {kind: partial(_refuse, status) for kind, status in STATUSES.items()}
-    handlers[OSError] = _disk
-    guard = Middleware(Guard, token=token, port=port)
-    return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
+    handlers: dict[Any, Any] = {
+        kind: partial(_handle_error, status) for kind, status in ERROR_STATUSES.items()
+    }
+    handlers[OSError] = _handle_disk_error
+    access = Middleware(AccessMiddleware, token=token, port=port)
+    return Starlette(routes=routes, middleware=[access], exception_handlers=handlers)
 
 
-def static_file(request: Request) -> Response:
-    """One of the page's files."""
+def serve_static(request: Request) -> Response:
+    """Serve a static file of the page."""
     name = request.path_params["name"]
-    if name not in PAGE:
-        return refusal(404, name, "is no file of the page", "load the page again")
-    return Response(PAGE[name], media_type=TYPES[PurePath(name).suffix])
+    if name not in PAGE_FILES:
+        return error_response(404, name, "is not a file of the page", "load the page again")
+    return Response(PAGE_FILES[name], media_type=MEDIA_TYPES[PurePath(name).suffix])
 
 
-class Page:
-    """What the page asks for, of a session; images by ``name``."""
+class SessionApi:
+    """Request handlers of the page's API; images are identified by the parameter ``name``."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._few = asyncio.Semaphore(DECODED)
+        self._decoding = asyncio.Semaphore(MAX_DECODING)
 
     def images(self, request: Request) -> Response:
-        """The list; 204 for who has this very list already."""
+        """Return the list of images; 204 where it has not changed since ``stamp``."""
         listing = self._session.listing()
-        learn = LEARN.format(images=self._session.images.root, out=self._session.out)
+        learn = TRAIN_COMMAND.format(images=self._session.images.root, out=self._session.out)
         stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
         return JSONResponse({"stamp": stamp, "images": listing, "learn": learn})
 
     async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
-        """An image as JPEG; ``encode`` makes it of the file, which was changed at a time."""
+        """Return an image as JPEG; ``encode`` takes its path and modification time."""
 
-        def encoded() -> bytes:
-            path = self._session.images.path(_given(request, "name"))
+        def read() -> bytes:
+            path = self._session.images.path(_parameter(request, "name"))
             return encode(path, path.stat().st_mtime_ns)
 
-        async with self._few:  # who waits here takes no thread from those who draw
-            return Response(await run_in_threadpool(encoded), media_type="image/jpeg")
+        async with self._decoding:  # waiting here leaves the thread pool free for strokes
+            return Response(await run_in_threadpool(read), media_type="image/jpeg")
 
     def superpixels(self, request: Request) -> Response:
-        """The number of each pixel's superpixel, uint16 (h,w), little endian, row by row."""
-        labels = self._session.view(_given(request, "name")).labels
+        """Return the superpixel of each pixel, uint16 (h, w), little endian, row by row."""
+        labels = self._session.view(_parameter(request, "name")).labels
         data = labels.numpy().astype("<u2").tobytes()
         return Response(data, media_type="application/octet-stream")
 
     def state(self, request: Request) -> Response:
-        """Return an image as it stands."""
-        return _state(self._session.state(_given(request, "name")))
+        """Return the state of an image."""
+        return _state_response(self._session.state(_parameter(request, "name")))
 
     async def event(self, request: Request) -> Response:
-        """Take what a person did, and tell how the image stands then."""
-        body = await bounded_body(request)
+        """Add an event and return the new state of its image."""
+        body = await read_body(request)
         if body is None:
             message = f"has more than {MAX_BODY:,} bytes"
-            return refusal(413, "stroke", message, "draw it in shorter strokes")
+            return error_response(413, "stroke", message, "draw it in shorter strokes")
         event = parse_event(body, "stroke")
-        return _state(await run_in_threadpool(self._session.add, _given(request, "name"), event))
+        name = _parameter(request, "name")
+        return _state_response(await run_in_threadpool(self._session.add, name, event))
 
 
-def _given(request: Request, key: str) -> str:
+def _parameter(request: Request, key: str) -> str:
     return request.query_params.get(key, "")
 
 
-def _state(state: dict[str, Any]) -> Response:
+def _state_response(state: dict[str, Any]) -> Response:
     return JSONResponse({**state, "layers": base64.b64encode(state["layers"]).decode()})
 
 
-def shown_jpeg(path: Path, changed: int, most: WorkingSize = SHOWN, quality: int = 90) -> bytes:
-    """An image at a size of at most so many pixels as JPEG; InputError if it cannot be read."""
+def encode_image(
+    path: Path, modified: int, size: WorkingSize = PAGE_IMAGE_SIZE, quality: int = 90
+) -> bytes:
+    """Encode an image of at most a size as JPEG; InputError where it cannot be read.
+
+    modified: modification time, part of the cache key of ``encode_thumbnail``.
+    """
     image = read_image(path)
-    small = resized(image, working_size(*size_of(image), most)).clamp(0, 1)
+    small = resized(image, working_size(*size_of(image), size)).clamp(0, 1)
     pixels = np.ascontiguousarray(to_pixels(small)[..., ::-1])
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-thumbnail_jpeg = lru_cache(maxsize=2000)(partial(shown_jpeg, most=THUMBNAIL, quality=80))
-"""The same, small; a file that changed has a new one."""
+encode_thumbnail = lru_cache(maxsize=2000)(partial(encode_image, size=THUMBNAIL_SIZE, quality=80))
+"""``encode_image`` for thumbnails, cached."""
 
 
-STATUSES = {RoadtorchError: 400, UnwritableError: 507}
-"""HTTP status by kind of error; the page keeps what was refused with 500 and more."""
+ERROR_STATUSES = {RoadtorchError: 400, UnwritableError: 507}
+"""HTTP status by type of error; the page retries events after 500 and above, drops others."""
 
 
-async def _refuse(status: int, _: Request, error: RoadtorchError) -> Response:
-    return refusal(status, error.where, error.problem, error.hint)
+async def _handle_error(status: int, _: Request, error: RoadtorchError) -> Response:
+    return error_response(status, error.where, error.problem, error.hint)
 
 
-async def _disk(_: Request, error: OSError) -> Response:
+async def _handle_disk_error(_: Request, error: OSError) -> Response:
     where = str(error.filename or "disk")
-    return refusal(507, where, error.strerror or str(error), "look at the disk")
+    return error_response(507, where, error.strerror or str(error), "check the disk")
 
 
-# --- its life ---------------------------------------------------------------------------
+# --- start and stop ---------------------------------------------------------------------
 
 
 class Address(Settings):
-    """Where a page was last, so that one that is open finds a server that was started again."""
+    """Port and token of a page, kept so that an open page works again after a restart."""
 
     port: int = Field(ge=1, le=65535)
     token: str = Field(min_length=20, max_length=100)
 
     @property
     def url(self) -> str:
-        """What to open in a browser."""
+        """URL to open in a browser."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
 
-def last_address(out: Path) -> Address | None:
-    """The address that was used for a folder of corrections before, if it is known."""
+def read_address(out: Path) -> Address | None:
+    """Read the last address of a folder of corrections; None where there is none."""
     try:
-        return Address.model_validate_json((out / FILE).read_bytes())
+        return Address.model_validate_json((out / ADDRESS_FILE).read_bytes())
     except (OSError, pydantic.ValidationError):
         return None
 
 
-def keep_address(out: Path, address: Address) -> None:
-    """Remember the address; the file is for its owner alone."""
-    with atomic(out / FILE) as temporary:
+def write_address(out: Path, address: Address) -> None:
+    """Write the address to a file that only its owner can read."""
+    with atomic(out / ADDRESS_FILE) as temporary:
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "w") as file:
             json.dump(address.model_dump(), file)
 
 
-def bound_socket(port: int | None, last: int | None) -> socket.socket:
-    """A listening socket on the loopback interface.
+def bind_socket(port: int | None, last: int | None) -> socket.socket:
+    """Open a listening socket on the loopback interface.
 
-    port: the one that was asked for; ConfigError where it is taken. Else the last one, the first,
-    or any that is free.
+    port: of the option --port; ConfigError where it is taken. None takes the last port,
+    ``FIRST_PORT``, or any free one.
     """
     for candidate in [last or FIRST_PORT, FIRST_PORT, 0] if port is None else [port]:
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -334,12 +349,12 @@ def bound_socket(port: int | None, last: int | None) -> socket.socket:
             listening.close()
         else:
             return listening
-    raise ConfigError("--port", f"{port} is taken", "give another one, or leave it out")
+    raise ConfigError("--port", f"{port} is taken", "give another port, or leave it out")
 
 
 @dataclass
 class PageServer:
-    """A server that is ready to run. address: where its page is."""
+    """A server that is ready to run, with the address of its page."""
 
     address: Address
     session: Session
@@ -347,33 +362,37 @@ class PageServer:
     _listening: socket.socket
 
     def run(self) -> None:
-        """Serve, and look at the images meanwhile, until interrupted or told to stop."""
+        """Serve until stopped, and compute the views of all images in the background."""
         stop = threading.Event()
-        looking = threading.Thread(target=look_at_all, args=(self.session, stop), daemon=True)
-        looking.start()
+        computing = threading.Thread(target=compute_views, args=(self.session, stop), daemon=True)
+        computing.start()
         try:
             self._server.run(sockets=[self._listening])
         finally:
             stop.set()
-            looking.join(10)
+            computing.join(10)
 
     def stop(self) -> None:
-        """End ``run``, from another thread."""
+        """Stop ``run`` from another thread."""
         self._server.should_exit = True
 
 
 def page_server(session: Session, port: int | None = None) -> PageServer:
-    """The server of a session's page, its port taken and its address kept for a restart.
+    """Create the server of a session: bind its port and keep its address for a restart.
 
     Raises ConfigError for a port that is taken.
     """
-    last = last_address(session.out)
-    listening = bound_socket(port, last.port if last else None)
+    last = read_address(session.out)
+    listening = bind_socket(port, last.port if last else None)
     token = last.token if last else secrets.token_urlsafe(24)
     address = Address(port=listening.getsockname()[1], token=token)
-    keep_address(session.out, address)
+    write_address(session.out, address)
     app = annotation_app(session, token, address.port)
     config = uvicorn.Config(
-        app, http=Impatient, log_level="error", access_log=False, timeout_graceful_shutdown=2
+        app,
+        http=SlowClientProtocol,
+        log_level="error",
+        access_log=False,
+        timeout_graceful_shutdown=2,
     )
     return PageServer(address, session, uvicorn.Server(config), listening)

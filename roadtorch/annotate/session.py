@@ -1,4 +1,4 @@
-"""A session of corrections: a folder of images, the machine's views, and the work on them."""
+"""A session of the correction page: images, the detector's views of them, and event logs."""
 
 import hashlib
 import os
@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from roadtorch.annotate.machine import (
-    VIEWS,
+from roadtorch.annotate.next_images import ImageOrder
+from roadtorch.annotate.views import (
+    VIEWS_FOLDER,
     AnnotationSettings,
     ImageView,
     ViewStore,
-    at_size,
-    mended_layout,
-    mended_odds,
-    said_of_segments,
-    shown_road,
+    corrected_layout,
+    corrected_log_odds,
+    corrected_road,
+    resize_labels,
+    segment_evidence,
 )
-from roadtorch.annotate.next_images import ImageOrder
 from roadtorch.base.atomic import remove_leftovers
 from roadtorch.base.bounded import printable
 from roadtorch.base.errors import InputError
@@ -48,32 +48,32 @@ from roadtorch.data.events import (
 from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.images import find_images
 
-HELD = 8  # logs in memory, with their labels
+MAX_LOGS = 8  # in memory, with their labels
 
-FRESH = 2.0  # seconds for which a listing holds
+LISTING_SECONDS = 2.0  # for which a listing of the folder is cached
 
-# --- what there is to correct -----------------------------------------------------------
+# --- images and logs --------------------------------------------------------------------
 
 
 @dataclass
 class ImageFolder:
-    """The images below ``root``, by their relative name with ending; ``apart`` is left out."""
+    """The images below ``root`` except those below ``out``, by relative path with suffix."""
 
     root: Path
-    apart: Path
+    out: Path
     _names: tuple[str, ...] = ()
-    _listed: float = field(default=-FRESH, repr=False)
+    _listed: float = field(default=-LISTING_SECONDS, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def __post_init__(self) -> None:
-        self.root, self.apart = self.root.resolve(), self.apart.resolve()
+        self.root, self.out = self.root.resolve(), self.out.resolve()
 
     def names(self) -> tuple[str, ...]:
-        """What is there now, sorted; looked up anew after ``FRESH`` seconds."""
+        """List the images, sorted; the listing is cached for ``LISTING_SECONDS``."""
         with self._lock:
-            if time.monotonic() - self._listed >= FRESH:
+            if time.monotonic() - self._listed >= LISTING_SECONDS:
                 try:
-                    paths = [image.path for image in find_images([self.root], self.apart)]
+                    paths = [image.path for image in find_images([self.root], self.out)]
                 except InputError:  # emptied while the page is open
                     paths = []
                 inside = [path for path in paths if path.resolve().is_relative_to(self.root)]
@@ -83,28 +83,28 @@ class ImageFolder:
             return self._names
 
     def path(self, name: str) -> Path:
-        """Return the file of a name that came from outside.
+        """Return the file of a name from a request.
 
-        Raises InputError for one that is not in ``names``, letter by letter, one that is gone, and
-        one that leads out of the folder by now.
+        Raises InputError for a name that is not exactly one of ``names``, or whose file is missing
+        or a link out of the folder.
         """
         path = self.root / name
         if name in self.names() and path.is_file() and path.resolve().is_relative_to(self.root):
             return path
-        raise InputError(name[:200], "is no image of this folder", "choose one of the list")
+        raise InputError(name[:200], "is not an image of this folder", "choose one of the list")
 
 
-def open_work(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:
-    """Open the log for an image of (height, width), or begin one.
+def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:
+    """Open or create the log of an image of (height, width).
 
     Raises DatasetError for a log that cannot be read or does not fit its image.
     """
     path = log_path(out, name)
     log = read_log(path) if path.exists() else None
     if log is None:
-        image = os.path.relpath(images.root / name, images.apart)
+        image = os.path.relpath(images.root / name, images.out)
         log = EventLog(path, LogHead(image=image, height=size[0], width=size[1]))
-    log.labels  # noqa: B018  # refused now where an event does not fit
+    log.labels  # noqa: B018  # raises where an event does not fit
     return log
 
 
@@ -113,9 +113,10 @@ def open_work(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) 
 
 @dataclass
 class Session:
-    """What the page asks for. images: their folder; views: the machine's; out: the logs.
+    """The state behind the page.
 
-    order: in which images are offered.
+    images: their folder. views: cache of the detector's views. out: folder of the logs. order: in
+    which images are offered.
     """
 
     images: ImageFolder
@@ -123,25 +124,25 @@ class Session:
     out: Path
     order: ImageOrder
     trusts: dict[str, float] = field(default_factory=dict)
-    _works: dict[str, EventLog] = field(default_factory=dict, repr=False)
+    _logs: dict[str, EventLog] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _summaries: dict[Path, tuple[int, dict[str, Any] | None]] = field(
         default_factory=dict, repr=False
     )
 
-    # --- what there is ------------------------------------------------------------------
+    # --- all images ---------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
-        """List every image: its name, trust and turn if known, its events and verdict."""
-        work, names = self._work_by_image(), self.images.names()
+        """List all images with name, trust, turn, number of events, and whether confirmed."""
+        summaries, names = self._summarise_logs(), self.images.names()
         untouched = {"events": 0, "confirmed": False, "version": 0}
-        turns = self.order.turns(names, self.trusts, work)
+        turns = self.order.turns(names, self.trusts, summaries)
         return [
             {
                 "name": name,
                 "trust": self._trust(name),
                 "turn": turns.get(name),
-                **work.get(name, untouched),
+                **summaries.get(name, untouched),
             }
             for name in names
         ]
@@ -150,13 +151,13 @@ class Session:
         trust = self.trusts.get(name)
         return None if trust is None or np.isnan(trust) else round(trust, 3)
 
-    def _work_by_image(self) -> dict[str, dict[str, Any]]:
-        """Summarise the work on each image; a log is read again when its length changed."""
-        work: dict[str, dict[str, Any]] = {}
+    def _summarise_logs(self) -> dict[str, dict[str, Any]]:
+        """Summarise the log of each image; a log is read again when its size has changed."""
+        summaries: dict[str, dict[str, Any]] = {}
         for path in sorted(self.out.rglob(f"*{ENDING}")):
             name = path.relative_to(self.out).as_posix().removesuffix(ENDING)
-            length, (known, summary) = path.stat().st_size, self._summaries.get(path, (-1, None))
-            if known != length:
+            length, (cached, summary) = path.stat().st_size, self._summaries.get(path, (-1, None))
+            if cached != length:
                 log = read_log(path)
                 summary = None
                 if log and log.events:
@@ -167,85 +168,87 @@ class Session:
                     }
                 self._summaries[path] = length, summary
             if summary:
-                work[name] = summary
-        return work
+                summaries[name] = summary
+        return summaries
 
-    # --- one image --------------------------------------------------------------------
+    # --- one image ----------------------------------------------------------------------
 
     def view(self, name: str) -> ImageView:
-        """Return the machine's view of an image; InputError where it is none of the folder."""
+        """Return the detector's view of an image; InputError where it is not in the folder."""
         view = self.views.view(name, self.images.path(name))
         self.trusts[name] = np.nan if view.trust is None else view.trust
         return view
 
     def state(self, name: str) -> dict[str, Any]:
-        """Return an image as the page shows it."""
+        """Return the state of an image for the page."""
         view = self.view(name)
         with self._lock:
-            return self._shown(name, self._work(name, view), view)
+            return self._page_state(name, self._log(name, view), view)
 
     def add(self, name: str, event: AnyEvent) -> dict[str, Any]:
-        """Take an event, have it on disk, infer the rest anew, and return the state."""
+        """Append an event to the log on disk, propagate it, and return the new state."""
         view = self.view(name)
         with self._lock:
-            work = self._work(name, view)
-            work.add(self._completed(event, work, view))
-            return self._shown(name, work, view)
+            log = self._log(name, view)
+            log.add(self._complete(event, log, view))
+            return self._page_state(name, log, view)
 
-    def _work(self, name: str, view: ImageView) -> EventLog:
-        """Return the log of an image, read anew unless it is among the last ``HELD``."""
-        work = self._works.pop(name, None)
-        if work is None:
-            work = open_work(self.images, self.out, name, view.size)
-        if work.size != view.size:
-            message = f"was corrected at {work.head.width} by {work.head.height} pixels"
-            hint = f"it has another size now; move {work.path.name} away"
+    def _log(self, name: str, view: ImageView) -> EventLog:
+        """Return the log of an image; the last ``MAX_LOGS`` are kept in memory."""
+        log = self._logs.pop(name, None)
+        if log is None:
+            log = open_log(self.images, self.out, name, view.size)
+        if log.size != view.size:
+            message = f"was corrected at {log.head.width} by {log.head.height} pixels"
+            hint = f"its size has changed; move {log.path.name} away"
             raise InputError(name, message, hint)
-        self._works[name] = work
-        if len(self._works) > HELD:
-            del self._works[next(iter(self._works))]
-        return work
+        self._logs[name] = log
+        if len(self._logs) > MAX_LOGS:
+            del self._logs[next(iter(self._logs))]
+        return log
 
-    def _completed(self, event: AnyEvent, work: EventLog, view: ImageView) -> AnyEvent:
-        """The event with its time and with the pixels that it is about."""
+    def _complete(self, event: AnyEvent, log: EventLog, view: ImageView) -> AnyEvent:
+        """Return an event with its time and the runs of pixels that it labels."""
         changes: dict[str, Any] = {"time": round(time.time(), 3)}
         if isinstance(event, SuperpixelStroke):
             count = len(view.segment_odds)
             if any(number >= count for number in event.segments):
-                message = f"has {count} superpixels, and one of a higher number was clicked"
-                raise InputError(work.path.name, message, "load the page again")
+                message = f"has {count} superpixels, and a higher number was clicked"
+                raise InputError(log.path.name, message, "load the page again")
             chosen = np.isin(view.labels.numpy(), event.segments)
-            changes["runs"] = runs_of(at_size(chosen, view.size))
+            changes["runs"] = runs_of(resize_labels(chosen, view.size))
         if isinstance(event, Confirm):
-            changes["runs"] = runs_of(shown_road(self._odds(work, view), work.labels, view.size))
+            changes["runs"] = runs_of(
+                corrected_road(self._log_odds(log, view), log.labels, view.size)
+            )
         return event.model_copy(update=changes)
 
-    def _odds(self, work: EventLog, view: ImageView) -> Any:
+    def _log_odds(self, log: EventLog, view: ImageView) -> Any:
         settings = self.views.settings
-        said = said_of_segments(work.labels, view, settings)
-        return mended_odds(view, said, settings.propagation)
+        evidence = segment_evidence(log.labels, view, settings)
+        return corrected_log_odds(view, evidence, settings.propagation)
 
-    def _shown(self, name: str, work: EventLog, view: ImageView) -> dict[str, Any]:
-        road = shown_road(self._odds(work, view), work.labels, view.shape)
-        layout = np.minimum(mended_layout(view, work.labels, self.views.settings), 3)
-        layers = at_size(work.labels, view.shape) | road.astype(np.uint8) << 3 | layout << 4
+    def _page_state(self, name: str, log: EventLog, view: ImageView) -> dict[str, Any]:
+        road = corrected_road(self._log_odds(log, view), log.labels, view.shape)
+        layout = np.minimum(corrected_layout(view, log.labels, self.views.settings), 3)
+        layers = resize_labels(log.labels, view.shape) | road.astype(np.uint8) << 3 | layout << 4
         return {
             "name": name,
             "size": [view.size[1], view.size[0]],
             "shape": [view.shape[1], view.shape[0]],
             "trust": self._trust(name),
-            "version": len(work.events),
-            "events": [event.id for event in work.effective_events],
-            "redo": redoable(work.events),
-            "confirmed": work.confirmed,
-            "seconds": round(work.seconds, 1),
-            "clicks": click_count(work.events),
+            "version": len(log.events),
+            "events": [event.id for event in log.effective_events],
+            "redo": redoable(log.events),
+            "confirmed": log.confirmed,
+            "seconds": round(log.seconds, 1),
+            "clicks": click_count(log.events),
             "layers": layers.astype(np.uint8).tobytes(),
         }
 
 
-def look_at_all(session: Session, stop: threading.Event) -> None:
-    """Look at every image, one after the other, until told to stop; new ones as they come."""
+def compute_views(session: Session, stop: threading.Event) -> None:
+    """Compute the views of all images, and of new ones, until ``stop`` is set."""
     failed: set[str] = set()
     while not stop.is_set():
         for name in session.images.names():
@@ -255,7 +258,7 @@ def look_at_all(session: Session, stop: threading.Event) -> None:
                 continue
             try:
                 path = session.images.path(name)
-                session.order.learn(name, path, session.view(name))
+                session.order.add(name, path, session.view(name))
             except (InputError, OSError):
                 failed.add(name)
         stop.wait(2)
@@ -267,37 +270,37 @@ def opened_session(
     detector: Detector,
     order: ImageOrder | None = None,
 ) -> Session:
-    """A session for a folder; DatasetError where a log in ``out`` cannot be read.
+    """Open a session on a folder; DatasetError where a log in ``out`` cannot be read.
 
-    What killed ones left half-written is removed, so no other may be at work there.
+    Removes half-written files of killed sessions, so ``out`` must be locked.
     """
     read_logs(out)
-    remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS))
-    views = ViewStore(out / VIEWS, detector, AnnotationSettings())
+    remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS_FOLDER))
+    views = ViewStore(out / VIEWS_FOLDER, detector, AnnotationSettings())
     order = order or ImageOrder("least-trust")
     return Session(ImageFolder(folder, out), views, out, order)
 
 
-# --- labels of other programs -----------------------------------------------------------
+# --- import -----------------------------------------------------------------------------
 
 
 def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
-    """Add the labels of a format in ``origin`` to the logs; return how many images had some.
+    """Import labels of a format from ``origin`` into the logs; return the number of images.
 
-    Raises DatasetError for what cannot be read; then nothing was added.
+    Raises DatasetError where something cannot be read; then nothing is imported.
     """
     images = ImageFolder(folder, out)
     sizes = {image: image_size(images.path(image)) for image in images.names()}
     by_image = FORMATS[name].read(origin, sizes)
     for image, labels in by_image.items():
-        work = open_work(images, out, image, sizes[image])
-        if not work.events or (work.labels != labels).any():  # else they were brought in before
-            work.add(import_event(labels, len(work.events)))
+        log = open_log(images, out, image, sizes[image])
+        if not log.events or (log.labels != labels).any():  # else they are already imported
+            log.add(import_event(labels, len(log.events)))
     return len(by_image)
 
 
 def import_event(labels: np.ndarray, number: int = 0) -> Import:
-    """The event of a number that makes labels uint8 (H,W) what they are here."""
+    """Return the import event that sets labels, uint8 (H, W); number: of earlier events."""
     runs = {LABELS[label]: runs_of(labels == label) for label in np.unique(labels).tolist()}
     identity = hashlib.sha256(f"{number} {runs}".encode()).hexdigest()[:32]
     return Import(kind="brought", id=identity, time=round(time.time(), 3), labels=runs)

@@ -1,4 +1,4 @@
-"""The newest frame of footage on a page of this computer alone, with its trust and the rate."""
+"""A page on localhost that shows the newest frame of footage, its trust and the frame rate."""
 
 import secrets
 import time
@@ -17,45 +17,46 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from roadtorch.annotate.server import (
-    PAGE,
-    TYPES,
+    MEDIA_TYPES,
+    PAGE_FILES,
+    AccessMiddleware,
     Address,
-    Guard,
-    Impatient,
-    bound_socket,
-    static_file,
+    SlowClientProtocol,
+    bind_socket,
+    serve_static,
 )
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 
-NEXT = 5.0  # seconds that a request waits for a newer frame
+FRAME_TIMEOUT = 5.0  # seconds that a request waits for a newer frame
 
-RATED = 30  # frames over which the rate is measured
+RATE_FRAMES = 30  # frames over which the rate is measured
 
-ENDING = 2.0  # seconds for pages that are still being answered
+PAGE_TIMEOUT = 2.0  # seconds for open requests when the page closes
 
 
 class Viewer:
-    """A page that shows each frame as it is written, while the block runs.
-
-    address: what to open.
-    """
+    """A page that shows each frame as it is written, while the block runs, at ``address``."""
 
     def __init__(self) -> None:
-        self._listening, token = bound_socket(None, None), secrets.token_urlsafe(24)
+        self._listening, token = bind_socket(None, None), secrets.token_urlsafe(24)
         self.address = Address(port=self._listening.getsockname()[1], token=token)
         self._changed, self._number, self._ended = Condition(), 0, False
         self._newest: tuple[Item, Detection] | None = None
-        self._times = deque[float](maxlen=RATED)
+        self._times = deque[float](maxlen=RATE_FRAMES)
         routes = [
-            Route("/", lambda _: Response(PAGE["view.html"], media_type=TYPES[".html"])),
-            Route("/static/{name}", static_file),
+            Route(
+                "/", lambda _: Response(PAGE_FILES["view.html"], media_type=MEDIA_TYPES[".html"])
+            ),
+            Route("/static/{name}", serve_static),
             Route("/api/frame", self._frame),
         ]
-        guard = Middleware(Guard, token=token, port=self.address.port)
-        app = Starlette(routes=routes, middleware=[guard])
+        access = Middleware(AccessMiddleware, token=token, port=self.address.port)
+        app = Starlette(routes=routes, middleware=[access])
         self._server = uvicorn.Server(
-            uvicorn.Config(app, http=Impatient, log_level="error", timeout_graceful_shutdown=1)
+            uvicorn.Config(
+                app, http=SlowClientProtocol, log_level="error", timeout_graceful_shutdown=1
+            )
         )
         sockets = {"sockets": [self._listening]}
         self._thread = Thread(target=self._server.run, kwargs=sockets, daemon=True)
@@ -65,12 +66,12 @@ class Viewer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Tell open pages that this was the last frame, and end."""
+        """Answer waiting requests with the end of the stream, and stop the server."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
         self._server.should_exit = True
-        self._thread.join(ENDING)
+        self._thread.join(PAGE_TIMEOUT)
         self._listening.close()
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
@@ -82,23 +83,23 @@ class Viewer:
         return {}
 
     def close(self) -> None:
-        """Of the source; the page outlives it."""
+        """Do nothing at the end of a source: the page stays open for the next one."""
 
     def _frame(self, request: Request) -> Response:
-        """The newest frame as JPEG, once it is newer than ``after``; 204: not yet, 410: no more."""
-        seen = request.query_params.get("after", "")
+        """Wait for a frame newer than ``after`` and send it as JPEG; 204: none yet, 410: ended."""
+        after = request.query_params.get("after", "")
         with self._changed:
-            self._changed.wait_for(lambda: self._ended or str(self._number) != seen, NEXT)
+            self._changed.wait_for(lambda: self._ended or str(self._number) != after, FRAME_TIMEOUT)
             newest, number, times = self._newest, str(self._number), [*self._times]
-        if number == seen or newest is None:
+        if number == after or newest is None:
             return Response(status_code=410 if self._ended else 204)
-        (item, detection), behind = newest, times[-1] - times[0]
-        about = {
+        (item, detection), seconds = newest, times[-1] - times[0]
+        headers = {
             "X-Number": number,
             "X-Frame": str(item.number),
             "X-Trust": "" if detection.trust is None else f"{detection.trust:.2f}",
-            "X-Rate": f"{(len(times) - 1) / behind:.1f}" if behind else "",
+            "X-Rate": f"{(len(times) - 1) / seconds:.1f}" if seconds else "",
         }
-        pixels = np.ascontiguousarray(detection.overlay()[..., ::-1])  # drawn for who looks alone
+        pixels = np.ascontiguousarray(detection.overlay()[..., ::-1])  # drawn only on request
         data = cv2.imencode(".jpg", pixels)[1].tobytes()
-        return Response(data, headers=about, media_type="image/jpeg")
+        return Response(data, headers=headers, media_type="image/jpeg")

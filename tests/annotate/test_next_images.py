@@ -9,9 +9,15 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from roadtorch.annotate.machine import ImageView
-from roadtorch.annotate.next_images import APART, RULES, Candidates, ImageOrder, view_features
-from roadtorch.annotate.session import Session, look_at_all
+from roadtorch.annotate.next_images import (
+    ORDER_RULES,
+    SCENE_DISTANCE,
+    Candidates,
+    ImageOrder,
+    view_features,
+)
+from roadtorch.annotate.session import Session, compute_views
+from roadtorch.annotate.views import ImageView
 from roadtorch.data.events import Confirm
 
 
@@ -23,22 +29,22 @@ def candidates(count: int, seed: int = 0) -> Candidates:
 
 
 @settings(max_examples=40)
-@given(st.sampled_from(sorted(RULES)), st.integers(0, 30), st.integers(0, 40), st.data())
+@given(st.sampled_from(sorted(ORDER_RULES)), st.integers(0, 30), st.integers(0, 40), st.data())
 def test_a_batch_has_no_image_twice_and_none_that_is_corrected(
     rule: str, images: int, count: int, data: st.DataObject
 ) -> None:
     corrected = data.draw(st.sets(st.integers(0, images - 1))) if images else set()
-    found = RULES[rule](candidates(images), corrected, count)
+    found = ORDER_RULES[rule](candidates(images), corrected, count)
     assert len(found) == min(count, images - len(corrected)) == len(set(found))
     assert not set(found) & corrected
-    assert found == RULES[rule](candidates(images), corrected, count)
+    assert found == ORDER_RULES[rule](candidates(images), corrected, count)
 
 
 def from_all_distances(known: Candidates, corrected: list[int], count: int) -> list[int]:
     """The same order, from a table of all distances."""
     distance = torch.cdist(known.features, known.features)
     first, second = torch.triu_indices(len(distance), len(distance), 1)
-    apart = APART * distance[first, second].median()
+    apart = SCENE_DISTANCE * distance[first, second].median()
     order = known.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
     order = [place for place in order if place not in corrected]
     chosen: list[int] = []
@@ -54,7 +60,7 @@ def test_the_order_is_that_of_all_distances(corrected: list[int]) -> None:
     known = candidates(300)
     for count in (20, 300):
         expected = from_all_distances(known, corrected, count)
-        assert RULES["least-trust"](known, corrected, count) == expected
+        assert ORDER_RULES["least-trust"](known, corrected, count) == expected
 
 
 class Largest(TorchDispatchMode):
@@ -71,11 +77,11 @@ class Largest(TorchDispatchMode):
         return result
 
 
-@pytest.mark.parametrize("rule", sorted(RULES))
+@pytest.mark.parametrize("rule", sorted(ORDER_RULES))
 @pytest.mark.parametrize("corrected", [[], [*range(0, 6000, 2)]])
 def test_memory_grows_with_images_not_with_their_pairs(rule: str, corrected: list[int]) -> None:
     with Largest() as largest:
-        assert len(RULES[rule](candidates(6000), corrected, 20)) == 20
+        assert len(ORDER_RULES[rule](candidates(6000), corrected, 20)) == 20
     assert largest.elements < 6000**2 / 20
 
 
@@ -103,7 +109,7 @@ def test_the_page_is_told_turns_once_images_were_looked_at(session: Session) -> 
 
         def wait(self, _: float) -> None: ...
 
-    look_at_all(session, Once())  # type: ignore[arg-type]
+    compute_views(session, Once())  # type: ignore[arg-type]
 
     assert sorted(one["turn"] for one in session.listing()) == [0, 1, 2]
     session.add("street_1.png", Confirm(kind="right", id="a"))

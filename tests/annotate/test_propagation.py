@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.annotate.machine import (
+from roadtorch.annotate.propagation import PropagationSettings, propagate, segment_graph
+from roadtorch.annotate.views import (
     AnnotationSettings,
     ImageView,
-    look_at_image,
-    mended_layout,
-    mended_odds,
-    said_of_segments,
-    shown_road,
+    compute_view,
+    corrected_layout,
+    corrected_log_odds,
+    corrected_road,
+    segment_evidence,
 )
-from roadtorch.annotate.propagation import PropagationSettings, propagated, segment_graph
 from roadtorch.data.events import LABELS
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
@@ -38,7 +38,7 @@ def test_one_click_mends_the_pavement_and_leaves_the_rest() -> None:
     odds = torch.where(strip == 2, -2.0, 2.0)  # the machine takes the pavement for road
     said = torch.zeros(len(odds))
     said[(strip == 1).nonzero()[0, 0]] = -1
-    after = odds + propagated(odds, said, segment_graph(segments, SETTINGS), SETTINGS)
+    after = odds + propagate(odds, said, segment_graph(segments, SETTINGS), SETTINGS)
     assert (after[strip == 1] < 0).all()
     assert (after[strip == 0] > 0).all()
     assert (after[strip == 2] < 0).all()
@@ -49,14 +49,16 @@ def test_what_was_said_is_held_and_nothing_said_changes_nothing() -> None:
     odds = torch.linspace(-6, 6, len(segments.size))
     graph = segment_graph(segments, SETTINGS)
     said = torch.zeros(len(odds))
-    assert (propagated(odds, said, graph, SETTINGS) == 0).all()
+    assert (propagate(odds, said, graph, SETTINGS) == 0).all()
     said[0], said[1], said[-1] = 1, -1, 1
-    after = odds + propagated(odds, said, graph, SETTINGS)
-    assert after[0] == pytest.approx(SETTINGS.sure)
-    assert after[1] == pytest.approx(float(min(odds[1], torch.tensor(-SETTINGS.sure))), abs=1e-5)
+    after = odds + propagate(odds, said, graph, SETTINGS)
+    assert after[0] == pytest.approx(SETTINGS.corrected)
+    assert after[1] == pytest.approx(
+        float(min(odds[1], torch.tensor(-SETTINGS.corrected))), abs=1e-5
+    )
     assert after[-1] == pytest.approx(6)
-    moved = propagated(odds * 0, torch.ones_like(odds), graph, SETTINGS)  # nothing is left
-    assert torch.allclose(moved, torch.full_like(odds, SETTINGS.sure))
+    moved = propagate(odds * 0, torch.ones_like(odds), graph, SETTINGS)  # nothing is left
+    assert torch.allclose(moved, torch.full_like(odds, SETTINGS.corrected))
 
 
 def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
@@ -66,8 +68,8 @@ def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
     said = torch.zeros(len(odds))
     said[3], said[40] = 1, -1
     graph = segment_graph(segments, SETTINGS)
-    moved = propagated(odds, said, graph, SETTINGS).double().numpy()
-    pull = SETTINGS.anchor + SETTINGS.trust * odds.abs().double().numpy()
+    moved = propagate(odds, said, graph, SETTINGS).double().numpy()
+    pull = SETTINGS.anchor + SETTINGS.confidence * odds.abs().double().numpy()
 
     def energy(field: np.ndarray) -> float:
         return float(field @ (graph @ field) + (pull * field**2).sum())
@@ -88,7 +90,7 @@ def detector() -> Detector:
 
 @pytest.fixture(scope="module")
 def view(detector: Detector) -> ImageView:
-    return look_at_image(scene(0, 48, 64).image, detector, AnnotationSettings())
+    return compute_view(scene(0, 48, 64).image, detector, AnnotationSettings())
 
 
 def labels_of(**rows: slice) -> np.ndarray:
@@ -105,8 +107,8 @@ def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
     view: ImageView, detector: Detector, rows: dict[str, slice]
 ) -> None:
     labels = labels_of(**rows)
-    said = said_of_segments(labels, view, AnnotationSettings())
-    road = shown_road(mended_odds(view, said, SETTINGS), labels, (48, 64))
+    said = segment_evidence(labels, view, AnnotationSettings())
+    road = corrected_road(corrected_log_odds(view, said, SETTINGS), labels, (48, 64))
     if not rows:
         assert not said.any()
         mask = detector.detect(scene(0, 48, 64).image).mask
@@ -117,8 +119,8 @@ def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
 
 def test_the_layout_is_inferred_too(view: ImageView) -> None:
     settings = AnnotationSettings()
-    assert set(np.unique(mended_layout(view, labels_of(), settings))) <= {0, 1, 2}
-    assert (mended_layout(view, labels_of(sky=slice(None)), settings) == 0).all()
+    assert set(np.unique(corrected_layout(view, labels_of(), settings))) <= {0, 1, 2}
+    assert (corrected_layout(view, labels_of(sky=slice(None)), settings) == 0).all()
     image = scene(0, 48, 64).image
-    without = look_at_image(image, load_detector("prior:rows"), settings)
-    assert (mended_layout(without, labels_of(), settings) == 255).all()
+    without = compute_view(image, load_detector("prior:rows"), settings)
+    assert (corrected_layout(without, labels_of(), settings) == 255).all()

@@ -18,7 +18,13 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from roadtorch.annotate.server import MAX_BODY, PAGE, Guard, Impatient, annotation_app
+from roadtorch.annotate.server import (
+    MAX_BODY,
+    PAGE_FILES,
+    AccessMiddleware,
+    SlowClientProtocol,
+    annotation_app,
+)
 from roadtorch.annotate.session import Session
 from roadtorch.data.corrections import log_path, read_log
 
@@ -104,7 +110,7 @@ def test_who_is_cut_off_at_the_end_is_told_to_ask_again() -> None:
         await asyncio.sleep(60)
 
     async def answered() -> httpx.Response:
-        transport = httpx.ASGITransport(Guard(endless, TOKEN, 8765))  # pyright: ignore
+        transport = httpx.ASGITransport(AccessMiddleware(endless, TOKEN, 8765))  # pyright: ignore
         async with httpx.AsyncClient(transport=transport, base_url=HERE) as client:
             asked = asyncio.create_task(client.get("/", headers={"x-token": TOKEN}))
             await asyncio.sleep(0.05)
@@ -139,7 +145,7 @@ def test_who_keeps_the_server_waiting_is_closed(
         loop, state = asyncio.get_running_loop(), ServerState()
         config = uvicorn.Config(app, lifespan="off", log_level="critical")
         path = str(tmp_path / "socket")
-        server = await loop.create_unix_server(lambda: Impatient(config, state, {}), path)
+        server = await loop.create_unix_server(lambda: SlowClientProtocol(config, state, {}), path)
         reader, writer = await asyncio.open_unix_connection(path, limit=2**12)
         writer.write(sent)
         while not state.connections:
@@ -156,7 +162,7 @@ def test_who_keeps_the_server_waiting_is_closed(
         await asyncio.sleep(0.05)  # until both ends know
         return line.strip()
 
-    monkeypatch.setattr("roadtorch.annotate.server.PATIENCE", 0.1)
+    monkeypatch.setattr("roadtorch.annotate.server.CLIENT_TIMEOUT", 0.1)
     assert asyncio.run(asyncio.wait_for(served(), 10)) == expected
 
 
@@ -169,7 +175,7 @@ def test_every_answer_has_its_policy(client: Client) -> None:
 
 def test_the_page_asks_nobody_else_and_has_no_script_inside(client: Client) -> None:
     page = client.get(f"/?token={TOKEN}").text
-    texts = [page, *(client.get(f"/static/{name}").text for name in PAGE)]
+    texts = [page, *(client.get(f"/static/{name}").text for name in PAGE_FILES)]
     assert not any("http://" in text or "https://" in text for text in texts)
     assert page.count("<script") == page.count('<script type="module" src="/static/')
     assert "style=" not in page
@@ -182,11 +188,11 @@ TOO_LONG = json.dumps(click(segments=[1] * (MAX_BODY // 3 + 1)))
     ("path", "body", "status", "message"),
     [
         *(
-            (f"/static/{name}", None, 404, "is no file of the page|Not Found")
+            (f"/static/{name}", None, 404, "is not a file of the page|Not Found")
             for name in ("../server.py", "%2e%2e%2fserver.py", "x")
         ),
         *(
-            (f"/api/{call}?name={name}", None, 400, "is no image of this folder")
+            (f"/api/{call}?name={name}", None, 400, "is not an image of this folder")
             for call in ("image", "thumbnail", "superpixels", "state")
             for name in ("../x.png", "%2e%2e%2fx.png", "/etc/passwd", "", "street_2.png")
         ),

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from roadtorch.annotate.report import corrections_report
-from roadtorch.annotate.server import Address, bound_socket, keep_address, last_address
-from roadtorch.annotate.session import Session, look_at_all, opened_session
+from roadtorch.annotate.server import Address, bind_socket, read_address, write_address
+from roadtorch.annotate.session import Session, compute_views, opened_session
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import Confirm, Redo, SuperpixelStroke, Undo
@@ -75,7 +75,7 @@ OTHER_SPELLINGS = ("nosuch/../{}", "./{}", "../streets/{}", "/{}", "{}/", "a\0{}
 def test_names_that_are_none_begin_no_log(session: Session, tmp_path: Path, name: str) -> None:
     shutil.copy(session.images.root / NAME, tmp_path / "secret.png")
     (session.images.root / "link.png").symlink_to(tmp_path / "secret.png")
-    with pytest.raises(InputError, match="is no image of this folder"):
+    with pytest.raises(InputError, match="is not an image of this folder"):
         session.add(name, superpixel("a", "road", 0))
     assert "link.png" not in session.images.names()
     assert not list(tmp_path.rglob("*.jsonl"))
@@ -130,7 +130,7 @@ def test_many_at_once_lose_nothing(session: Session) -> None:
 def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
     (session.images.root / "broken.png").write_bytes(b"no image")
     stop = threading.Event()
-    thread = threading.Thread(target=look_at_all, args=(session, stop))
+    thread = threading.Thread(target=compute_views, args=(session, stop))
     thread.start()
     for _ in range(300):
         if len(session.trusts) == 3:
@@ -144,8 +144,8 @@ def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
 
 def test_a_folder_that_changes_is_seen(session: Session) -> None:
     names = session.images.names()
-    session.images.apart = session.images.root / "corrections"
-    session.images.apart.mkdir()
+    session.images.out = session.images.root / "corrections"
+    session.images.out.mkdir()
     for other in ("zz.png", "corrections/a.png"):
         shutil.copy(session.images.root / NAME, session.images.root / other)
     session.images._listed -= 10
@@ -171,29 +171,29 @@ def test_the_report_says_what_the_time_bought(session: Session) -> None:
     assert lines[1].split()[:3] == [NAME, "1", "60"]
     assert "1 images, 1 confirmed; 1 clicks, 1.0 minutes" in lines[3]
     assert "mean F" in lines[5]
-    assert lines[6].startswith("ten minutes buy 10.0 confirmed images, 10 clicks")
+    assert lines[6].startswith("per ten minutes: 10.0 confirmed images, 10 clicks")
 
 
 # --- addresses --------------------------------------------------------------------------
 
 
 def test_the_address_is_found_again_and_is_the_owners_alone(tmp_path: Path) -> None:
-    assert last_address(tmp_path) is None
+    assert read_address(tmp_path) is None
     address = Address(port=8765, token="t" * 30)
-    keep_address(tmp_path, address)
-    assert last_address(tmp_path) == address
+    write_address(tmp_path, address)
+    assert read_address(tmp_path) == address
     assert (tmp_path / ".session.json").stat().st_mode & 0o077 == 0
     (tmp_path / ".session.json").write_text("{")
-    assert last_address(tmp_path) is None
+    assert read_address(tmp_path) is None
 
 
 def test_a_port_that_is_taken_is_told_or_passed_over() -> None:
-    taken = bound_socket(None, None)
+    taken = bind_socket(None, None)
     port = taken.getsockname()[1]
     try:
         with pytest.raises(ConfigError, match=f"--port: {port} is taken"):
-            bound_socket(port, None)
-        other = bound_socket(None, port)
+            bind_socket(port, None)
+        other = bind_socket(None, port)
         assert other.getsockname()[1] != port
         assert other.getsockname()[0] == "127.0.0.1"
         other.close()

@@ -1,4 +1,4 @@
-"""What the machine says about one image before anybody corrects it, and after."""
+"""The detector's view of one image, and its road and layout after corrections."""
 
 import threading
 from collections import OrderedDict
@@ -13,9 +13,9 @@ from scipy import sparse
 from torch import Tensor
 
 from roadtorch.annotate.propagation import (
-    Graph,
     PropagationSettings,
-    propagated,
+    SegmentGraph,
+    propagate,
     segment_graph,
 )
 from roadtorch.base.image import read_image
@@ -37,51 +37,52 @@ from roadtorch.layout.classes import CLASSES, UNLABELLED
 from roadtorch.road.fusion import log_odds
 from roadtorch.run.memo import keep, kept, key_of
 
-BARELY = 0.05
-"""Log odds of what the threshold says road and the mask leaves out, so that it stays out."""
+EXCLUDED_LOG_ODDS = 0.05
+"""Log odds of pixels above the threshold that the mask excludes: just below zero."""
 
-VIEWS = ".machine"
-"""The folder of views in the folder of corrections."""
+VIEWS_FOLDER = ".machine"
+"""Name of the folder of views in the folder of corrections."""
 
-HELD = 12  # views in memory; each has some megabytes
+MAX_VIEWS = 12  # in memory; each takes a few megabytes
 
 
 class AnnotationSettings(Settings):
-    """What the page works with: an image's working size, its superpixels, and the inference."""
+    """Settings of the page: working size, superpixels and propagation of corrections."""
 
     working: WorkingSize = WorkingSize(pixels=640 * 480)
     superpixels: Superpixels = Superpixels(pixels=64)
     propagation: PropagationSettings = PropagationSettings()
-    spoken: float = Field(
-        default=0.5, gt=0, le=1, description="share of a superpixel said before it counts as said"
+    min_labelled: float = Field(
+        default=0.5, gt=0, le=1, description="fraction of a superpixel labelled for it to count"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class ImageView:
-    """One image as the machine sees it, at the page's working size (h,w).
+    """The detector's result on one image, at the page's working size (h, w).
 
-    size: (H,W) of the image. odds: float32 (h,w), log odds of road, 0 at the threshold. labels:
-    int64 (h,w), the superpixels. segment_odds: (n,). graph: of the n superpixels. layout: (n,3),
-    log odds of the classes, (n,0) where the machine has none. trust: the expected F, if known.
+    size: (H, W) of the image. odds: log odds of road, float32 (h, w), 0 at the threshold. labels:
+    n superpixels, int64 (h, w). segment_odds: mean log odds of each superpixel, (n,). graph: of the
+    superpixels. layout: log odds of the classes of each superpixel, (n, 3), or (n, 0) where the
+    detector has no layout. trust: predicted F-score of the mask, 0 to 1, if any.
     """
 
     size: tuple[int, int]
     odds: Tensor
     labels: Tensor
     segment_odds: Tensor
-    graph: Graph
+    graph: SegmentGraph
     layout: Tensor
     trust: float | None
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(h,w) of the page's working size."""
+        """Working size (h, w)."""
         return self.labels.shape[0], self.labels.shape[1]
 
 
-def look_at_image(image: Tensor, detector: Detector, settings: AnnotationSettings) -> ImageView:
-    """What a detector sees in an image (3,H,W), and the superpixels that a person clicks."""
+def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings) -> ImageView:
+    """Detect the road in an image (3, H, W), and compute its superpixels and their graph."""
     size = size_of(image)
     with image_cache():
         detection = detector.detect(image)
@@ -92,7 +93,7 @@ def look_at_image(image: Tensor, detector: Detector, settings: AnnotationSetting
     threshold = torch.tensor(detector.settings.threshold)
     odds = log_odds(resized(detection.likelihood, shape)) - log_odds(threshold)
     left_out = (odds >= 0) & ~at_image_size(detection.mask, shape)
-    odds = torch.where(left_out, -BARELY, odds)  # positive where the mask is road
+    odds = torch.where(left_out, -EXCLUDED_LOG_ODDS, odds)  # positive where the mask is road
     layout = torch.zeros(len(segments.size), 0)
     if (potentials := detection.cues.get("layout")) is not None and len(potentials) == CLASSES:
         mean = segment_mean(resized(potentials, shape), labels, segments.pixels)
@@ -102,54 +103,59 @@ def look_at_image(image: Tensor, detector: Detector, settings: AnnotationSetting
     return ImageView(size, odds, labels, mean, graph, layout, detection.trust)
 
 
-def mended_odds(view: ImageView, said: Tensor, settings: PropagationSettings) -> Tensor:
-    """Log odds (h,w) of road after the rest was inferred from what was said.
+def corrected_log_odds(view: ImageView, evidence: Tensor, settings: PropagationSettings) -> Tensor:
+    """Return the log odds of road (h, w), with evidence (n,) propagated to other superpixels.
 
-    said: (n,), 1 road, -1 not road, 0 nothing, for each superpixel.
+    evidence: 1 road, -1 not road, 0 unlabelled, of each superpixel.
     """
-    moved = propagated(view.segment_odds, said, view.graph, settings)
-    return view.odds + moved[view.labels]
+    shift = propagate(view.segment_odds, evidence, view.graph, settings)
+    return view.odds + shift[view.labels]
 
 
-def mended_layout(view: ImageView, labels: np.ndarray, settings: AnnotationSettings) -> np.ndarray:
-    """The layout uint8 (h,w), 255 where the machine has none, inferred from labels (H,W)."""
+def corrected_layout(
+    view: ImageView, labels: np.ndarray, settings: AnnotationSettings
+) -> np.ndarray:
+    """Return the layout, uint8 (h, w), with labels (H, W) propagated; 255 without a layout."""
     if not view.layout.shape[1]:
         return np.full(view.labels.shape, UNLABELLED, np.uint8)
-    layer = layout_layer(at_size(labels, view.shape))
+    layer = layout_layer(resize_labels(labels, view.shape))
     odds = []
-    for number, own in enumerate(view.layout.unbind(1)):
-        said = _said(layer == number, (layer != number) & (layer != UNLABELLED), view, settings)
-        odds.append(own + propagated(own, said, view.graph, settings.propagation))
+    for number, prior in enumerate(view.layout.unbind(1)):
+        is_other = (layer != number) & (layer != UNLABELLED)
+        evidence = _segment_votes(layer == number, is_other, view, settings)
+        odds.append(prior + propagate(prior, evidence, view.graph, settings.propagation))
     return torch.stack(odds).argmax(0)[view.labels].numpy().astype(np.uint8)
 
 
-def said_of_segments(labels: np.ndarray, view: ImageView, settings: AnnotationSettings) -> Tensor:
-    """What people's labels uint8 (H,W) say of each superpixel: (n,), 1 road, -1 not, 0 nothing."""
-    road = road_layer(at_size(labels, view.shape))
-    return _said(road == ROAD_SAID, road == NOT_ROAD, view, settings)
+def segment_evidence(labels: np.ndarray, view: ImageView, settings: AnnotationSettings) -> Tensor:
+    """Return the human label of each superpixel, (n,): 1 road, -1 not road, 0 unlabelled."""
+    road = road_layer(resize_labels(labels, view.shape))
+    return _segment_votes(road == ROAD_SAID, road == NOT_ROAD, view, settings)
 
 
-def _said(yes: np.ndarray, no: np.ndarray, view: ImageView, settings: AnnotationSettings) -> Tensor:
-    """(n,): 1 or -1 where enough of a superpixel is in the masks (h,w), by which has more."""
+def _segment_votes(
+    yes: np.ndarray, no: np.ndarray, view: ImageView, settings: AnnotationSettings
+) -> Tensor:
+    """Return 1 or -1, (n,), by majority of masks (h, w), 0 where too few pixels are labelled."""
     index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
     size = np.bincount(index, minlength=count)
     in_favour, against = (
         np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no)
     )
-    known = in_favour + against >= settings.spoken * size
-    return torch.from_numpy(np.where(known, np.where(in_favour >= against, 1.0, -1.0), 0.0))
+    is_labelled = in_favour + against >= settings.min_labelled * size
+    return torch.from_numpy(np.where(is_labelled, np.where(in_favour >= against, 1.0, -1.0), 0.0))
 
 
-def at_size(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Labels (H,W) at another size, pixel by pixel."""
+def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Resize labels (H, W) by nearest neighbour."""
     return at_image_size(torch.from_numpy(labels), size).numpy()
 
 
-def shown_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Road bool (H,W) at a size: what people said, and the odds where they said nothing."""
-    said = road_layer(at_size(labels, size))
+def corrected_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the road at a size, bool (H, W): human labels, else where log odds are positive."""
+    layer = road_layer(resize_labels(labels, size))
     road = resized(odds, size).numpy() >= 0
-    return np.where((said == OPEN) | (said == VOID_SAID), road & (said != VOID_SAID), said == 1)
+    return np.where((layer == OPEN) | (layer == VOID_SAID), road & (layer != VOID_SAID), layer == 1)
 
 
 # --- views on disk ----------------------------------------------------------------------
@@ -157,53 +163,50 @@ def shown_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.nd
 
 @dataclass
 class ViewStore:
-    """Views by the name of the image, kept in ``folder`` while image and settings are the same.
-
-    detector: the one that looks.
-    """
+    """A cache of views in memory and in ``folder``, valid while image and settings are the same."""
 
     folder: Path
     detector: Detector
     settings: AnnotationSettings
-    _held: OrderedDict[str, tuple[str, ImageView]] = field(default_factory=OrderedDict, repr=False)
+    _views: OrderedDict[str, tuple[str, ImageView]] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-    _looking: threading.RLock = field(default_factory=threading.RLock, repr=False)
+    _computing: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
     def view(self, name: str, image: Path) -> ImageView:
-        """The view of an image, looked at now if it has to be; InputError if it cannot be."""
+        """Return the view of an image, computed if necessary; InputError for an unreadable one."""
         key = self._key(image)
         with self._lock:
-            held = self._held.get(name)
-        if held is None or held[0] != key:
-            with self._looking:  # one at a time: a look takes all cores
+            entry = self._views.get(name)
+        if entry is None or entry[0] != key:
+            with self._computing:  # one image at a time: a detector uses all cores
                 view = read_view(path := view_path(self.folder, name), key)
                 if view is None:
-                    view = look_at_image(read_image(image), self.detector, self.settings)
+                    view = compute_view(read_image(image), self.detector, self.settings)
                     write_view(path, view, key)
-                held = key, view
+                entry = key, view
         with self._lock:
-            self._held[name] = held
-            self._held.move_to_end(name)
-            while len(self._held) > HELD:
-                self._held.popitem(last=False)
-        return held[1]
+            self._views[name] = entry
+            self._views.move_to_end(name)
+            while len(self._views) > MAX_VIEWS:
+                self._views.popitem(last=False)
+        return entry[1]
 
     def _key(self, image: Path) -> str:
         return key_of(self._detector_key, self.settings, image)
 
     @cached_property
     def _detector_key(self) -> str:
-        """Of the detector alone, which takes a while."""
+        """Cache key of the detector, which is slow to compute."""
         return key_of(self.detector)
 
 
 def view_path(folder: Path, name: str) -> Path:
-    """The file of an image's view in the folder of all views."""
+    """Return the file of an image's view."""
     return folder / f"{name}.npz"
 
 
 def write_view(path: Path, view: ImageView, key: str) -> None:
-    """Keep a view on disk under the key of what it was made of."""
+    """Write a view to disk with its cache key."""
     arrays = {
         "size": torch.tensor(view.size),
         "odds": view.odds.to(torch.float16),
@@ -218,7 +221,7 @@ def write_view(path: Path, view: ImageView, key: str) -> None:
 
 
 def read_view(path: Path, key: str | None = None) -> ImageView | None:
-    """The view that was kept, under this key if one is given; None where there is none."""
+    """Read a view, with this cache key if not None; None where there is none."""
     arrays = kept(path, key)
     if arrays is None:
         return None
@@ -229,5 +232,5 @@ def read_view(path: Path, key: str | None = None) -> ImageView | None:
     trust, layout = float(arrays["trust"]), arrays["layout"].to(torch.float32)
     mean = segment_mean(odds[None], labels, segment_size(labels, count))[0]
     graph = sparse.csr_matrix(parts, shape=(count, count))
-    known = None if np.isnan(trust) else trust
-    return ImageView((height, width), odds, labels, mean, graph, layout, known)
+    trust = None if np.isnan(trust) else trust
+    return ImageView((height, width), odds, labels, mean, graph, layout, trust)
