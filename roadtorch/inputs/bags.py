@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-RATE_MESSAGES = 16  # messages that tell the rate
+RATE_MESSAGES = 16  # messages from which the rate is estimated
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ def _read_messages(origin: str, bag: "AnyReader", topic: str) -> Generator[BagMe
         try:
             content: Any = bag.deserialize(data, link.msgtype)
             stamp = content.header.stamp
-        except Exception as error:  # foreign bytes make the deserialiser raise anything
+        except Exception as error:  # damaged bytes make the deserialiser raise anything
             yield BagMessage(time, None, reason(error))
         else:
             yield BagMessage(stamp.sec * 10**9 + stamp.nanosec or time, content, "")

@@ -164,7 +164,7 @@ def open_source(argument: str, selection: Selection) -> Source:
     return sources[0]
 
 
-# --- single frames ----------------------------------------------------------------------
+# --- frames by position -----------------------------------------------------------------
 
 
 class FramePosition(NamedTuple):

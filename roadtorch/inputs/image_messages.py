@@ -14,7 +14,7 @@ from roadtorch.base.image import decode_image, from_pixels, undecodable
 IMAGE_TYPE = "sensor_msgs/msg/Image"
 COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 
-PLAIN = {  # channels, bits, the places of red, green and blue
+PLAIN = {  # channels, bits, indices of red, green and blue
     **{"mono8": (1, 8, (0, 0, 0)), "8UC1": (1, 8, (0, 0, 0)), "mono16": (1, 16, (0, 0, 0))},
     **{"rgb8": (3, 8, (0, 1, 2)), "bgr8": (3, 8, (2, 1, 0)), "8UC3": (3, 8, (2, 1, 0))},
     **{"rgba8": (4, 8, (0, 1, 2)), "bgra8": (4, 8, (2, 1, 0)), "8UC4": (4, 8, (2, 1, 0))},

@@ -59,7 +59,7 @@ def list_files(
 
 def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
     """Yield the files below a folder, sorted, except those in hidden folders and ``apart``."""
-    # Path.resolve raises for a link to itself, which is a file like any other here.
+    # Path.resolve raises for a link to itself.
     left_out = os.path.realpath(apart) if apart else None
     if left_out == os.path.realpath(folder):
         left_out = None
@@ -85,7 +85,7 @@ def make_image_item(path: Path, name: str) -> Item:
     return Item(name, str(path), read, digest, path.suffix, path)
 
 
-# --- images by http ---------------------------------------------------------------------
+# --- images over HTTP -------------------------------------------------------------------
 
 
 def open_web_image(url: str) -> Item | None:
@@ -126,7 +126,7 @@ def _digest_remote(url: str) -> str:
         return ""
 
 
-# --- several ----------------------------------------------------------------------------
+# --- several images ---------------------------------------------------------------------
 
 
 def list_images(location: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:

@@ -29,9 +29,7 @@ NewestFrame = tuple[int, float, int, Callable[[], Tensor]]
 STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp", "udp", "mms")
 """URL schemes that are read as video streams."""
 
-GRACE_PERIOD = (
-    5.0  # seconds beyond the time limit, for what FFmpeg does not interrupt (names looked up)
-)
+GRACE_PERIOD = 5.0  # seconds beyond a timeout, as FFmpeg does not interrupt DNS lookups
 
 
 @dataclass(frozen=True)
@@ -134,7 +132,7 @@ def _fill_queue(
                         return
         except InputError as error:
             last = error
-        except Exception as error:  # a thread's error would be seen by nobody
+        except Exception as error:  # an error in a thread would go unnoticed
             last = InputError("stream", f"{type(error).__name__}: {error}", "report it")
         failures += 1
         if not count or failures > policy.retries:

@@ -29,7 +29,7 @@ VIDEO_SUFFIXES = (
 
 VIDEO_RESULTS = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # our results, never inputs
 
-ANSWER_TIMEOUT = 10.0  # seconds within which an address has to answer
+ANSWER_TIMEOUT = 10.0  # seconds until a URL has to answer
 
 END_TOLERANCE = 0.5
 """Tolerated gap in seconds between the last frame and the declared duration; cameras that record
@@ -116,9 +116,9 @@ def first_video_stream(path: Path | str, container: "InputContainer") -> "VideoS
         raise InputError(path, "uses a codec that FFmpeg cannot decode", "convert it to H.264")
     with undecodable(path):
         check_pixels(stream.codec_context.width, stream.codec_context.height)
-    # A frame may be larger than what the header says.
+    # A frame may be larger than the header says.
     stream.codec_context.options = {"max_pixels": f"{most_megapixels() * 1e6:.0f}"}
-    # The same images on all cores; but damaged VP8 shows what else was in memory.
+    # Threads decode the same images, except for damaged VP8, which shows stale memory.
     stream.thread_type = "NONE" if stream.codec_context.name == "vp8" else "AUTO"
     return stream
 
@@ -132,7 +132,7 @@ class StreamClock:
     """Seconds since the start of a stream, by time stamps or else by the frame rate."""
 
     def __init__(self, stream: "VideoStream") -> None:
-        # In AVI whose ticks are finer than its frames the average is that of ticks.
+        # In AVI with ticks finer than its frames the average is the rate of ticks.
         rates = filter(None, (stream.average_rate, stream.base_rate))
         rate = min(rates, default=stream.guessed_rate)
         self._base, self._zero = stream.time_base, stream.start_time
@@ -246,7 +246,7 @@ def _decode_frames(
             yield from decoded(packet.decode)
     except av.FFmpegError as error:
         errors.insert(0, error)
-        yield from decoded(partial(stream.codec_context.decode, None))  # what it still holds
+        yield from decoded(partial(stream.codec_context.decode, None))  # frames still buffered
     if errors:
         raise errors[0]
 

@@ -146,7 +146,7 @@ class Augmentation(Settings):
     ego_car: EgoCarAugmentation = EgoCarAugmentation()
 
 
-# --- frame ------------------------------------------------------------------------------
+# --- geometry ---------------------------------------------------------------------------
 
 
 def uniform(generator: torch.Generator, count: int, low: float, high: float) -> Tensor:
@@ -160,60 +160,62 @@ def sample(generator: torch.Generator, *bounds: tuple[float, float]) -> list[flo
 
 
 def sample_affine(
-    count: int, size: tuple[int, int], geometry: GeometryAugmentation, at: torch.Generator
+    count: int, size: tuple[int, int], geometry: GeometryAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Sample affine maps (n, 2, 3) from augmented to original coordinates, both in [-1, 1].
 
-    Of the whole image (mirrored, zoomed, stretched, rotated, translated), or of a lower crop of it,
-    mirrored and narrowed by less than its height is cut.
+    They show the whole image (mirrored, zoomed, stretched, rotated, translated), or a lower crop
+    of it, mirrored, whose width shrinks less than its height.
     """
-    mirror = _sample_mirrors(count, at)
-    zoom = torch.exp(uniform(at, count, -geometry.scale, geometry.scale))
-    width = zoom * torch.exp(uniform(at, count, -geometry.stretch, geometry.stretch))
-    angle = uniform(at, count, -geometry.rotation, geometry.rotation) * (math.pi / 180)
-    move = [
-        uniform(at, count, -2 * geometry.translation, 2 * geometry.translation) for _ in range(2)
+    mirror = _sample_mirrors(count, rng)
+    zoom = torch.exp(uniform(rng, count, -geometry.scale, geometry.scale))
+    width = zoom * torch.exp(uniform(rng, count, -geometry.stretch, geometry.stretch))
+    angle = uniform(rng, count, -geometry.rotation, geometry.rotation) * (math.pi / 180)
+    shift = [
+        uniform(rng, count, -2 * geometry.translation, 2 * geometry.translation) for _ in range(2)
     ]
     cos, sin, aspect = angle.cos(), angle.sin(), size[1] / size[0]
-    across = torch.stack([mirror * cos / width, -sin / (zoom * aspect), move[0]], 1)
-    down = torch.stack([mirror * sin * aspect / width, cos / zoom, move[1]], 1)
+    across = torch.stack([mirror * cos / width, -sin / (zoom * aspect), shift[0]], 1)
+    down = torch.stack([mirror * sin * aspect / width, cos / zoom, shift[1]], 1)
     whole = torch.stack([across, down], 1)
-    is_lower = torch.rand(count, generator=at) < geometry.crop_probability
-    mirror = _sample_mirrors(count, at)
-    cut = uniform(at, count, 0, geometry.max_crop)
-    width = 1 - cut * uniform(at, count, 0.3, 1)
-    offset = (1 - width) * uniform(at, count, -1, 1)
+    is_lower = torch.rand(count, generator=rng) < geometry.crop_probability
+    mirror = _sample_mirrors(count, rng)
+    crop = uniform(rng, count, 0, geometry.max_crop)
+    width = 1 - crop * uniform(rng, count, 0.3, 1)
+    offset = (1 - width) * uniform(rng, count, -1, 1)
     zero = torch.zeros(count)
     across = torch.stack([mirror * width, zero, offset], 1)
-    lower = torch.stack([across, torch.stack([zero, 1 - cut, cut], 1)], 1)
+    lower = torch.stack([across, torch.stack([zero, 1 - crop, crop], 1)], 1)
     return torch.where(is_lower[:, None, None], lower, whole)
 
 
-def _sample_mirrors(count: int, at: torch.Generator) -> Tensor:
-    return torch.randint(2, (count,), generator=at) * 2 - 1
+def _sample_mirrors(count: int, rng: torch.Generator) -> Tensor:
+    return torch.randint(2, (count,), generator=rng) * 2 - 1
 
 
-def warp_affine(maps: Tensor, frames: Tensor, outside: str) -> Tensor:
+def warp_affine(maps: Tensor, transforms: Tensor, padding: str) -> Tensor:
     """Warp maps (n, C, H, W) by affine maps (n, 2, 3); padding: "border" or "zeros"."""
-    grid = F.affine_grid(frames, list(maps.shape), align_corners=False)
-    return F.grid_sample(maps, grid, padding_mode=outside, align_corners=False)
+    grid = F.affine_grid(transforms, list(maps.shape), align_corners=False)
+    return F.grid_sample(maps, grid, padding_mode=padding, align_corners=False)
 
 
 # --- light ------------------------------------------------------------------------------
 
 
-def jitter_light(image: Tensor, light: LightAugmentation, at: torch.Generator) -> Tensor:
+def jitter_light(image: Tensor, light: LightAugmentation, rng: torch.Generator) -> Tensor:
     """Apply random gamma, gain, tint, saturation and noise to an image (1, 3, H, W) in [0, 1]."""
     adjust = import_torchvision().transforms.v2.functional
-    gamma, gain = (math.exp(sample(at, (-top, top))[0]) for top in (light.gamma, light.gain))
-    tint = torch.exp(uniform(at, 3, -light.tint, light.tint)).reshape(1, 3, 1, 1)
-    colour, noise = sample(at, (1 - light.saturation, 1 + light.saturation), (0, light.noise / 255))
+    gamma, gain = (math.exp(sample(rng, (-top, top))[0]) for top in (light.gamma, light.gain))
+    tint = torch.exp(uniform(rng, 3, -light.tint, light.tint)).reshape(1, 3, 1, 1)
+    colour, noise = sample(
+        rng, (1 - light.saturation, 1 + light.saturation), (0, light.noise / 255)
+    )
     image = adjust.adjust_saturation(adjust.adjust_gamma(image, gamma), colour)
-    return (image * gain * tint + noise * torch.randn(image.shape, generator=at)).clamp(0, 1)
+    return (image * gain * tint + noise * torch.randn(image.shape, generator=rng)).clamp(0, 1)
 
 
 def retexture_road(
-    image: Tensor, road: Tensor, ground: Tensor, surface: SurfaceAugmentation, at: torch.Generator
+    image: Tensor, road: Tensor, ground: Tensor, surface: SurfaceAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Change colour and grain of road and other ground in an image (1, 3, H, W) in [0, 1].
 
@@ -221,19 +223,19 @@ def retexture_road(
     its being grey.
     """
     for mask in (road, ground):
-        colour = torch.exp(uniform(at, 3, -surface.tint, surface.tint)).reshape(1, 3, 1, 1)
-        gain = torch.exp(uniform(at, 1, -surface.gain, surface.gain))
-        depth = uniform(at, 1, 0, surface.grain)
-        new = gain * colour * (1 + depth * sample_grain(image.shape[-2:], at))
+        colour = torch.exp(uniform(rng, 3, -surface.tint, surface.tint)).reshape(1, 3, 1, 1)
+        gain = torch.exp(uniform(rng, 1, -surface.gain, surface.gain))
+        depth = uniform(rng, 1, 0, surface.grain)
+        new = gain * colour * (1 + depth * sample_grain(image.shape[-2:], rng))
         image = image * (1 + mask * (new - 1))
     return image.clamp(0, 1)
 
 
-def sample_grain(size: Sequence[int], at: torch.Generator) -> Tensor:
+def sample_grain(size: Sequence[int], rng: torch.Generator) -> Tensor:
     """Sample noise (1, 1, H, W) at several scales, of about unit deviation."""
     layers = [
         F.interpolate(
-            torch.randn(1, 1, max(2, across * size[0] // size[1]), across, generator=at),
+            torch.randn(1, 1, max(2, across * size[0] // size[1]), across, generator=rng),
             size=(size[0], size[1]),
             mode="bilinear",
         )
@@ -242,7 +244,7 @@ def sample_grain(size: Sequence[int], at: torch.Generator) -> Tensor:
     return torch.stack(layers).sum(0)
 
 
-def add_shadow(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -> Tensor:
+def add_shadow(image: Tensor, shadow: ShadowAugmentation, rng: torch.Generator) -> Tensor:
     """Cast a hard shadow across the lower part of an image (1, 3, H, W) in [0, 1].
 
     It is a band at any angle: of a bridge or wall across the road, of a row of houses along it.
@@ -250,16 +252,16 @@ def add_shadow(image: Tensor, shadow: ShadowAugmentation, at: torch.Generator) -
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
     along = torch.linspace(-0.5, 0.5, width)
-    angle, offset, half = sample(at, (0, math.pi), (-0.3, 0.3), (0.05, shadow.max_half_width))
-    edge, horizon = sample(at, (0.002, 0.03), (0.3, 0.6))
+    angle, offset, half = sample(rng, (0, math.pi), (-0.3, 0.3), (0.05, shadow.max_half_width))
+    edge, horizon = sample(rng, (0.002, 0.03), (0.3, 0.6))
     distance = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - offset
     inside = ((half - distance.abs()) / edge).sigmoid() * ((down - horizon) / SHADOW_END).sigmoid()
-    (level,) = sample(at, (shadow.min_brightness, MAX_SHADOW_LEVEL))
+    (level,) = sample(rng, (shadow.min_brightness, MAX_SHADOW_LEVEL))
     return image * (1 - (1 - level) * inside)
 
 
 def darken_to_night(
-    image: Tensor, unlit: Tensor, night: NightAugmentation, at: torch.Generator
+    image: Tensor, unlit: Tensor, night: NightAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Darken an image (1, 3, H, W) in [0, 1] to a night lit by headlights and a few lamps.
 
@@ -270,17 +272,17 @@ def darken_to_night(
     down = torch.linspace(0, 1, height)[:, None]
     across = torch.linspace(-0.5, 0.5, width)
     ranges = (0.35, 0.55), (-0.1, 0.1), (0.4, 1.5), (0.15, 0.35)
-    horizon, offset, evenly_spaced, nearest = sample(at, *ranges)
+    horizon, offset, spread, nearest = sample(rng, *ranges)
     below = (down - horizon).clamp_min(0)
-    beam = torch.exp(-(((across - offset) / (0.06 + evenly_spaced * below)) ** 2))
+    beam = torch.exp(-(((across - offset) / (0.06 + spread * below)) ** 2))
     reach = (below / nearest) * torch.exp(1 - below / nearest)
-    ambient = float(torch.exp(uniform(at, 1, math.log(night.min_brightness), math.log(0.3))))
+    ambient = float(torch.exp(uniform(rng, 1, math.log(night.min_brightness), math.log(0.3))))
     light = ambient + (1 - ambient) * beam * reach * (1 - unlit)
-    warmth = float(uniform(at, 1, 0, 0.3))
+    warmth = float(uniform(rng, 1, 0, 0.3))
     tint = torch.tensor([1 + warmth, 1, 1 - warmth]).reshape(1, 3, 1, 1)
     lamps = torch.zeros(1, 1, height, width)
-    for _ in range(int(uniform(at, 1, 0, night.lamps))):
-        lamps = lamps + render_lamp(image.shape[-2:], horizon, at)
+    for _ in range(int(uniform(rng, 1, 0, night.lamps))):
+        lamps = lamps + render_lamp(image.shape[-2:], horizon, rng)
     return (image * light * tint + lamps * tint).clamp(0, 1)
 
 
@@ -297,11 +299,11 @@ class SceneMasks(NamedTuple):
 
 
 def add_weather(
-    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Add fog, snow, rain or a wet road to an image (1, 3, H, W) in [0, 1]."""
-    kind = (add_fog, add_snow, wet_road, add_rain)[int(torch.randint(4, (), generator=at))]
-    street = kind(image, scene, weather, at).clamp(0, 1)
+    kind = (add_fog, add_snow, wet_road, add_rain)[int(torch.randint(4, (), generator=rng))]
+    street = kind(image, scene, weather, rng).clamp(0, 1)
     return torch.lerp(street, image, scene.ego)
 
 
@@ -312,7 +314,7 @@ def ground_horizon(scene: SceneMasks) -> float:
 
 
 def add_fog(
-    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Add fog: transmission falls exponentially with distance.
 
@@ -323,59 +325,59 @@ def add_fog(
     down = torch.linspace(0, 1, height)[:, None] - ground_horizon(scene) + 0.05
     distance = scene.ground * (1 / down.clamp_min(0.02))
     distance = distance.flip(-2).cummax(-2).values.flip(-2)
-    reach = image.shape[-1] // 8  # air has no edges
+    reach = image.shape[-1] // 8  # haze has no edges
     distance = F.avg_pool2d(distance, (1, 2 * reach + 1), 1, (0, reach), count_include_pad=False)
-    density, level = sample(at, (0.02, weather.fog), (1, 2))
+    density, level = sample(rng, (0.02, weather.fog), (1, 2))
     level = min(0.9, level * float(image.mean()))
     transmission = torch.exp(-density * distance) * (1 - scene.sky)
-    tint = 1 + uniform(at, 3, -0.05, 0.05).reshape(1, 3, 1, 1)
+    tint = 1 + uniform(rng, 3, -0.05, 0.05).reshape(1, 3, 1, 1)
     return torch.lerp(level * tint.expand_as(image), image, transmission)
 
 
 def add_snow(
-    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Add patches of snow to the ground beside the road, sometimes to the road as well."""
-    on_road, amount, level = sample(at, (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0))
+    on_road, amount, level = sample(rng, (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0))
     ground = scene.ground * (1 - scene.road) + scene.road * max(on_road, 0)
-    grain = sample_grain(image.shape[-2:], at)
-    patches = (2 * grain + 2 * float(uniform(at, 1, -0.5, 2))).sigmoid()
+    grain = sample_grain(image.shape[-2:], rng)
+    patches = (2 * grain + 2 * float(uniform(rng, 1, -0.5, 2))).sigmoid()
     return torch.lerp(image, torch.full_like(image, level), amount * ground * patches)
 
 
 def wet_road(
-    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Darken the road and mirror what is beyond it in puddles."""
     height, horizon = image.shape[-2], ground_horizon(scene)
     rows = 2 * horizon * height - torch.arange(height)
     mirrored = image[..., rows.round().long().clamp(0, height - 1), :]
-    reflection, level = sample(at, (0.15, weather.reflection), (0.5, 1.0))
-    puddles = (3 * sample_grain(image.shape[-2:], at) + float(uniform(at, 1, -2, 3))).sigmoid()
+    reflection, level = sample(rng, (0.15, weather.reflection), (0.5, 1.0))
+    puddles = (3 * sample_grain(image.shape[-2:], rng) + float(uniform(rng, 1, -2, 3))).sigmoid()
     wet = scene.road * puddles
     return torch.lerp(image * (1 - wet * (1 - level)), mirrored, reflection * wet)
 
 
 def add_rain(
-    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, at: torch.Generator
+    image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Add falling streaks, drops on the glass that blur what is behind them, and a veil."""
     size, level = image.shape[-2:], float(image.mean()) * 1.3 + 0.1
-    density, veil, drops = sample(at, (0, weather.streaks), (0, 0.3), (0, 0.02))
-    starts = (torch.rand(1, 1, *size, generator=at) < density).to(image)
-    length = 2 * int(uniform(at, 1, 1, 7)) + 1
+    density, veil, drops = sample(rng, (0, weather.streaks), (0, 0.3), (0, 0.02))
+    starts = (torch.rand(1, 1, *size, generator=rng) < density).to(image)
+    length = 2 * int(uniform(rng, 1, 1, 7)) + 1
     streaks = F.max_pool2d(starts, (length, 1), 1, (length // 2, 0)) * 0.4
     blurred = F.avg_pool2d(image.flip(-2), 9, 1, 4, count_include_pad=False)
-    glass = (torch.rand(1, 1, *size, generator=at) < drops / 5).to(image)
+    glass = (torch.rand(1, 1, *size, generator=rng) < drops / 5).to(image)
     glass = F.avg_pool2d(F.max_pool2d(glass, 7, 1, 3), 3, 1, 1)
     image = torch.lerp(torch.lerp(image, torch.full_like(image, level), streaks), blurred, glass)
     return torch.lerp(image, torch.full_like(image, level), veil)
 
 
-def render_lamp(size: Sequence[int], horizon: float, at: torch.Generator) -> Tensor:
+def render_lamp(size: Sequence[int], horizon: float, rng: torch.Generator) -> Tensor:
     """Render the light (1, 1, H, W) of a lamp or of another car's headlights, above the horizon."""
     ranges = (0.1, horizon + 0.02), (0, 1), (0.003, 0.02), (0.3, MAX_LAMP)
-    row, column, radius, peak = sample(at, *ranges)
+    row, column, radius, peak = sample(rng, *ranges)
     down = torch.linspace(0, size[0] / size[1], size[0])[:, None] - row * size[0] / size[1]
     across = torch.linspace(0, 1, size[1]) - column
     return (peak * torch.exp(-(down**2 + across**2) / radius**2))[None, None]
@@ -392,32 +394,32 @@ class EgoCar(NamedTuple):
 
 
 def sample_ego_car(
-    recordings: Mapping[str, Sequence[Path]], settings: EgoCarAugmentation, at: torch.Generator
+    recordings: Mapping[str, Sequence[Path]], settings: EgoCarAugmentation, rng: torch.Generator
 ) -> EgoCar:
     """Sample an augmented ego car: a recording uniformly, then one of its frames."""
     names = sorted(recordings)
-    frames = recordings[names[int(torch.randint(len(names), (), generator=at))]]
-    path = frames[int(torch.randint(len(frames), (), generator=at))]
+    frames = recordings[names[int(torch.randint(len(names), (), generator=rng))]]
+    path = frames[int(torch.randint(len(frames), (), generator=rng))]
     arrays = read_arrays(path, "image", "ego")
     ego = from_uint8(arrays["ego"])[None, None] > 0.75  # 0.5 is unknown
     car = EgoCar(from_uint8(arrays["image"])[None], ego.to(torch.float32))
-    return jitter_ego_car(car, settings, at)
+    return jitter_ego_car(car, settings, rng)
 
 
-def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, at: torch.Generator) -> EgoCar:
+def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, rng: torch.Generator) -> EgoCar:
     """Scale, mirror and relight an ego car; its lower edge stays at the bottom of the image."""
     adjust = import_torchvision().transforms.v2.functional
-    height_scale = float(torch.exp(uniform(at, 1, -settings.shrinkage, settings.growth)))
-    width_scale = float(torch.exp(uniform(at, 1, 0, settings.widening)))  # no gap at the sides
-    mirror = 1 - 2 * int(torch.randint(2, (), generator=at))
-    offset = float(uniform(at, 1, -1, 1)) * (1 - 1 / width_scale)
-    frame = torch.tensor(
+    height_scale = float(torch.exp(uniform(rng, 1, -settings.shrinkage, settings.growth)))
+    width_scale = float(torch.exp(uniform(rng, 1, 0, settings.widening)))  # no gap at the sides
+    mirror = 1 - 2 * int(torch.randint(2, (), generator=rng))
+    offset = float(uniform(rng, 1, -1, 1)) * (1 - 1 / width_scale)
+    transform = torch.tensor(
         [[[mirror / width_scale, 0, offset], [0, 1 / height_scale, 1 - 1 / height_scale]]]
     )
-    gamma, gain, *tint = torch.exp(uniform(at, 5, -settings.light, settings.light)).tolist()
-    image = adjust.adjust_gamma(warp_affine(car.image, frame, "border"), gamma) * gain
+    gamma, gain, *tint = torch.exp(uniform(rng, 5, -settings.light, settings.light)).tolist()
+    image = adjust.adjust_gamma(warp_affine(car.image, transform, "border"), gamma) * gain
     colour = torch.tensor(tint).pow(EGO_TINT).reshape(1, 3, 1, 1)
-    return EgoCar((image * colour).clamp(0, 1), warp_affine(car.ego, frame, "border"))
+    return EgoCar((image * colour).clamp(0, 1), warp_affine(car.ego, transform, "border"))
 
 
 def paste_ego_car(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, Tensor]:

@@ -253,14 +253,14 @@ def build_training(values: dict[str, Any]) -> Training:
     Raises ConfigError for an unknown kind, and for keys and values as any settings do.
     """
     nested = dict(values)
-    kind = str(nested.pop("kind", PatchTraining.name))  # whatever it is: a list has no hash
+    kind = str(nested.pop("kind", PatchTraining.name))  # str, as a list could not be looked up
     if kind not in TRAINING_KINDS:
         raise unknown_name("kind of training", kind, TRAINING_KINDS)
     try:
         settings = build_settings(TRAINING_KINDS[kind], nested)
     except ConfigError:
         if kind == ImageTraining.name and isinstance(network := nested.get("network"), Mapping):
-            # Of two kinds pydantic reports the mistakes of both; it is a backbone's that has heads.
+            # Of a union pydantic reports the errors of both types; only a backbone's has heads.
             chosen = BackboneNetworkSettings if "heads" in network else ImageNetworkSettings
             isolated = create_model("ImageTraining", __base__=Settings, network=(chosen, chosen()))
             build_settings(isolated, {"network": network})

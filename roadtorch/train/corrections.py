@@ -19,7 +19,7 @@ from roadtorch.run.memo import Arrays, write_arrays
 from roadtorch.train.config import Descent, ImageTraining, Training
 from roadtorch.train.prepared import image_file_name
 
-# --- which ------------------------------------------------------------------------------
+# --- corrections of a run ---------------------------------------------------------------
 
 WRONG_IMAGES = "give the images that were corrected"
 
@@ -77,20 +77,20 @@ def scale_learning_rate(descent: Descent, half_rate_images: float, images: int) 
 
 
 def write_corrections(
-    folder: Path, files: Mapping[Path, Correction], shrink: Callable[[Correction], Arrays]
+    folder: Path, files: Mapping[Path, Correction], encode: Callable[[Correction], Arrays]
 ) -> dict[Path, Path]:
     """Write the corrections of prepared images at the network's size; return the written files.
 
-    shrink: converts a correction to arrays of that size.
+    encode: converts a correction to arrays of that size.
     """
     make_folder(folder)
     written = {file: folder / f"{number:06d}.npz" for number, file in enumerate(sorted(files))}
     for file, path in written.items():
-        write_arrays(path, shrink(files[file]))
+        write_arrays(path, encode(files[file]))
     return written
 
 
-# --- what fusion makes of the weights ---------------------------------------------------
+# --- config of fusion -------------------------------------------------------------------
 
 
 def write_fusion_config(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
@@ -111,7 +111,7 @@ def write_fusion_config(path: Path, weights: Path, corrections: Sequence[Correct
     return True
 
 
-# --- what the weights say of them -------------------------------------------------------
+# --- record in the weights --------------------------------------------------------------
 
 
 def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:

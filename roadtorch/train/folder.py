@@ -86,7 +86,7 @@ class RunFolder:
         The folder has no files of a run, or those of a run with the same version, settings, images
         and corrections. Raises ConfigError, InputError.
         """
-        previous = self._record()
+        previous = self._read_record()
         if previous is None:
             for name in RUN_FILES:
                 if (self.path / name).exists():
@@ -106,7 +106,7 @@ class RunFolder:
         remove_leftovers([self.path, self.path / INITIAL_LABELS])
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
-    def _record(self) -> dict[str, Any] | None:
+    def _read_record(self) -> dict[str, Any] | None:
         """Read the record of the run in the folder; None without one."""
         path = self.path / RUN
         if not path.exists():
@@ -119,11 +119,11 @@ class RunFolder:
             pass
         raise InputError(path, "is no record of a training run", OTHER_OUT)
 
-    # --- how far it is ----------------------------------------------------------------------
+    # --- checkpoint -------------------------------------------------------------------------
 
     def write_checkpoint(self, state: Mapping[str, Any]) -> None:
         """Write the state of a run atomically."""
-        data = io.BytesIO()  # a disk that is full is an error of torch's own where that writes
+        data = io.BytesIO()  # torch would raise an error of its own for a full disk
         torch.save({"format": FORMAT, **state}, data)
         with atomic(self.path / CHECKPOINT) as temporary:
             temporary.write_bytes(data.getvalue())
@@ -138,7 +138,7 @@ class RunFolder:
             return None
         try:
             regular_size(path)
-            with without_warnings():  # of what damage looks like to it
+            with without_warnings():  # about damaged files
                 state = torch.load(path, weights_only=True)
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
@@ -148,7 +148,7 @@ class RunFolder:
             raise WeightsError(path, message, "use the roadtorch that made it")
         return state
 
-    # --- what came out ----------------------------------------------------------------------
+    # --- results ----------------------------------------------------------------------------
 
     def write_images(self, prepared: Iterable[PreparedImage]) -> None:
         """Write the list of images with the reason where one was skipped."""

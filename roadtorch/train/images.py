@@ -35,7 +35,7 @@ from roadtorch.train.loop import (
     Batch,
     TrainingInputs,
     make_generator,
-    seeded,
+    seed_torch,
 )
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
@@ -96,46 +96,48 @@ class ImageSamples:
         frames = augmentation.sample_affine(len(members), size, geometry, generator)
         seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
         draws = zip(members, frames.split(1), seeds, strict=True)
-        images, targets = map(torch.cat, zip(*(self._one(*draw) for draw in draws), strict=True))
+        images, targets = map(
+            torch.cat, zip(*(self._augment(*draw) for draw in draws), strict=True)
+        )
         scales = training.scales
         scale = scales[int(torch.randint(len(scales), (), generator=generator))]
         if scale != 1:
             images, targets = (resized(maps, scaled(*size, scale)) for maps in (images, targets))
         yield Batch(images, targets, torch.ones(len(images)))
 
-    def _one(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
+    def _augment(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """Return an augmented, normalised image (1, 3, H, W) and its targets (1, 8, H, W)."""
-        training, at = self.training, torch.Generator().manual_seed(seed)
+        training, rng = self.training, torch.Generator().manual_seed(seed)
         settings = training.augmentation
-        image, targets = self._unvaried(member)
+        image, targets = self._read_sample(member)
         image = augmentation.warp_affine(image, frame, "border")
         planes = augmentation.warp_affine(torch.cat(targets, 1), frame, "zeros")
 
         def is_chosen(probability: float) -> bool:
-            return float(torch.rand((), generator=at)) < probability
+            return float(torch.rand((), generator=rng)) < probability
 
         if is_chosen(settings.surface.probability):
             parts = Targets(*planes.split(TARGET_PLANES, 1))
             ground = parts.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - parts.road)
-            image = augmentation.retexture_road(image, parts.road, ground, settings.surface, at)
+            image = augmentation.retexture_road(image, parts.road, ground, settings.surface, rng)
         if is_chosen(settings.shadow.probability):
-            image = augmentation.add_shadow(image, settings.shadow, at)
+            image = augmentation.add_shadow(image, settings.shadow, rng)
         if self.ego_cars and is_chosen(settings.ego_car.probability):
-            car = augmentation.sample_ego_car(self.ego_cars, settings.ego_car, at)
+            car = augmentation.sample_ego_car(self.ego_cars, settings.ego_car, rng)
             image, planes = augmentation.paste_ego_car(image, planes, car)
         if is_chosen(settings.weather.probability):
             parts = Targets(*planes.split(TARGET_PLANES, 1))
             sky, ground = (parts.layout[:, k : k + 1] for k in (SKY, HORIZONTAL))
             scene = augmentation.SceneMasks(sky, ground, parts.road, parts.ego * parts.ego_weight)
-            image = augmentation.add_weather(image, scene, settings.weather, at)
+            image = augmentation.add_weather(image, scene, settings.weather, rng)
         if is_chosen(settings.night.probability):
             parts = Targets(*planes.split(TARGET_PLANES, 1))
             unlit = (parts.layout[:, SKY : SKY + 1] + parts.ego).clamp_max(1)
-            image = augmentation.darken_to_night(image, unlit, settings.night, at)
-        image = augmentation.jitter_light(image, settings.light, at)
+            image = augmentation.darken_to_night(image, unlit, settings.night, rng)
+        image = augmentation.jitter_light(image, settings.light, rng)
         return normalise(image[0], training.network.normalisation).pixels[None], planes
 
-    def _unvaried(self, member: int) -> tuple[Tensor, Targets]:
+    def _read_sample(self, member: int) -> tuple[Tensor, Targets]:
         """Return a prepared image (1, 3, H, W) in [0, 1] and its targets."""
         training, file, network = self.training, self.files[member], None
         arrays = self.read(file, "image", "maps", "ego")
@@ -149,7 +151,7 @@ class ImageSamples:
         return image, targets
 
 
-def sample_members(weights: Tensor, count: int, at: torch.Generator) -> Tensor:
+def sample_members(weights: Tensor, count: int, rng: torch.Generator) -> Tensor:
     """Sample ``count`` members in random order, each in proportion to its weight; int64 (count,).
 
     Systematic sampling: a member whose expected number is 1.6 is sampled once or twice, and with
@@ -157,12 +159,12 @@ def sample_members(weights: Tensor, count: int, at: torch.Generator) -> Tensor:
     """
     expected = weights.to(torch.float64).cumsum(0)
     expected = expected / expected[-1] * count
-    steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=at)) * 0.999
+    steps = torch.arange(count, dtype=torch.float64) + float(torch.rand((), generator=rng)) * 0.999
     chosen = torch.searchsorted(expected, steps + 5e-4).clamp(max=len(weights) - 1)
-    return chosen[torch.randperm(count, generator=at)]
+    return chosen[torch.randperm(count, generator=rng)]
 
 
-# --- what people said -------------------------------------------------------------------
+# --- corrections ------------------------------------------------------------------------
 
 
 MIN_CORRECTED = 0.5
@@ -172,8 +174,8 @@ MIN_CORRECTED = 0.5
 def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
     """Replace machine targets by corrections.
 
-    planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.shrink``. Void removes both; corrected road
-    is no ego car.
+    planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.encode_correction``. Void removes both;
+    corrected road is no ego car.
     """
     road, not_road, void, layout = planes.split((1, 1, 1, CLASSES), 1)
     is_corrected, is_void = road + not_road >= MIN_CORRECTED, void > MIN_CORRECTED
@@ -233,7 +235,7 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
     return loss.mean((1, 2, 3)).sum()
 
 
-# --- a run ------------------------------------------------------------------------------
+# --- recipe -----------------------------------------------------------------------------
 
 
 TEACHER_KEYS = {"detector", "weights", "views", "working"}
@@ -265,12 +267,12 @@ class ImageRecipe:
         self._prepared, settings = folder, self._training.recordings
         self._recordings = find_ego_cars(images, folder / EGO_CARS, settings, stop, quiet)
 
-    def make(self, image: Tensor, name: str) -> Arrays:
+    def prepare(self, image: Tensor, name: str) -> Arrays:
         """Prepare an image at the network's size, with the teacher's maps and the ego car."""
         ego = read_ego(self._recordings.get(name), image)
         return prepare_image(image, ego, self._teacher, self._training)
 
-    def shrink(self, correction: Correction) -> Arrays:
+    def encode_correction(self, correction: Correction) -> Arrays:
         """Return a correction at the network's size.
 
         ``planes``: uint8 (6, h, w) in 255ths, fractions of a cell's pixels labelled road, not road,
@@ -283,18 +285,18 @@ class ImageRecipe:
         stacked = torch.stack(planes).to(torch.float32)
         return {"planes": to_uint8(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
-    def network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
+    def make_network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""
         settings = self._training.network
         if isinstance(initial, BackboneNetwork):
             return initial
         if isinstance(initial, ImageNetwork) and self._training.rounds.start == "continued":
             return initial
-        assert isinstance(settings, ImageNetworkSettings)  # a backbone has weights to start from
-        with seeded(self._training.random_seed, 0):
+        assert isinstance(settings, ImageNetworkSettings)  # a backbone needs initial weights
+        with seed_torch(self._training.random_seed, 0):
             return ImageNetwork(settings)
 
-    def samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
+    def make_samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
         """Return augmented images with their targets, and the labels of an initial network."""
         training, files, labels = self._training, inputs.files, list[Path]()
         if isinstance(inputs.initial, WholeImageNetwork):

@@ -39,14 +39,14 @@ def make_generator(seed: int, *key: int) -> torch.Generator:
 
 
 @contextmanager
-def seeded(seed: int, *key: int) -> Iterator[None]:
+def seed_torch(seed: int, *key: int) -> Iterator[None]:
     """Seed torch's global generator within the block, and restore it afterwards."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(make_generator(seed, *key).initial_seed())
         yield
 
 
-# --- the mean of the weights ------------------------------------------------------------
+# --- average of the weights -------------------------------------------------------------
 
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -66,7 +66,7 @@ class MovingAverage(Generic[Network]):
         self._ema = ema
 
     @torch.no_grad()
-    def add(self, network: nn.Module, steps: int) -> None:
+    def update(self, network: nn.Module, steps: int) -> None:
         """Update the average with the weights after ``steps`` steps."""
         decay = min(self._ema, steps / (steps + WARM_UP_STEPS))
         for mean, weight in zip(self.network.parameters(), network.parameters(), strict=True):
@@ -76,7 +76,7 @@ class MovingAverage(Generic[Network]):
 # --- steps and epochs -------------------------------------------------------------------
 
 
-SAVE_INTERVAL = 60.0  # seconds of work that a power cut may cost
+SAVE_INTERVAL = 60.0  # seconds of work that a power failure may cost
 
 
 class TrainingInputs(NamedTuple):
@@ -230,7 +230,7 @@ class Loop:
             loss += self.step(batch)
             progress.count += len(batch.inputs)
             progress.steps += 1
-            self.average.add(self.network, progress.steps)
+            self.average.update(self.network, progress.steps)
         if not math.isfinite(loss):
             message = "the loss is no longer finite"
             raise ConfigError("descent.learning_rate", message, "lower it")

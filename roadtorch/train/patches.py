@@ -35,11 +35,11 @@ from roadtorch.train.loop import (
     Batch,
     TrainingInputs,
     make_generator,
-    seeded,
+    seed_torch,
 )
 from roadtorch.train.prepared import from_uint8, to_uint8
 
-# --- where ------------------------------------------------------------------------------
+# --- centres ----------------------------------------------------------------------------
 
 
 def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
@@ -76,7 +76,7 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
     return counts.sum() / (CLASSES * counts.clamp_min(1))
 
 
-# --- where people spoke -----------------------------------------------------------------
+# --- corrections ------------------------------------------------------------------------
 
 
 CORRECTION_SPACING = 8
@@ -96,7 +96,7 @@ def merge_corrections(
 ) -> LabelledCentres:
     """Replace machine-labelled centres in corrected areas by a grid of corrected ones.
 
-    correction: of ``PatchRecipe.shrink``.
+    correction: of ``PatchRecipe.encode_correction``.
     """
     layout, is_corrected = correction["layout"], correction["known"].bool()
     rows, columns = labelled.centres.long().unbind(1)
@@ -123,7 +123,7 @@ def oversample(files: Sequence[Path], corrected: Container[Path], fraction: floa
     return [file for file in files for _ in range(times if file in corrected else 1)]
 
 
-# --- how they are cut -------------------------------------------------------------------
+# --- extraction -------------------------------------------------------------------------
 
 
 NOISE_PATCHES = 256
@@ -143,7 +143,7 @@ class Variation(NamedTuple):
     noise: Tensor
     noise_patch: Tensor
 
-    def at(self, index: Tensor) -> "Variation":
+    def select(self, index: Tensor) -> "Variation":
         """Select some of the patches."""
         return Variation(*(values[index] for values in self))
 
@@ -178,7 +178,7 @@ def sample_patches(pixels: Tensor, params: Variation, patch: int) -> Tensor:
     offsets = torch.arange(patch, dtype=torch.float32) - patch // 2
     along, aside = (f(params.turn) / params.scale for f in (torch.cos, torch.sin))
     grid = torch.empty(count, patch, patch, 2)
-    # column = sin·down + cos·across, row = cos·down - sin·across; written where they are needed
+    # column = sin·down + cos·across, row = cos·down - sin·across
     for axis, (down, across, length) in enumerate(((aside, along, width), (along, -aside, height))):
         unit = 2 / max(1, length - 1)  # from pixels to -1 (first) … 1 (last)
         start = params.centre[:, 1 - axis] * unit - 1
@@ -240,9 +240,9 @@ class PatchSamples:
         """Yield the patches of a chunk in batches of nearly the same size."""
         training = self._training
         visit, group = divmod(chunk, self._groups)
-        order = self._shuffled(len(self._files), PATCH_ORDER, epoch, visit)
+        order = self._permute(len(self._files), PATCH_ORDER, epoch, visit)
         members = order[group * training.shuffle_images :][: training.shuffle_images].tolist()
-        labelled = [self._centres_of(member, epoch, visit) for member in members]
+        labelled = [self._read_centres(member, epoch, visit) for member in members]
         generator = make_generator(training.random_seed, PATCH_VARIATION, epoch, chunk)
         centres, classes, counts = (torch.cat(parts) for parts in zip(*labelled, strict=True))
         params = sample_variation(centres, training.augmentation, generator)
@@ -254,7 +254,7 @@ class PatchSamples:
         )
         by_image = image[shuffled].argsort(stable=True)
         buffer_order = shuffled[by_image]
-        self._fill_buffer(members, image[buffer_order], params.at(buffer_order), noise)
+        self._fill_buffer(members, image[buffer_order], params.select(buffer_order), noise)
         buffer_rows = by_image.argsort().tensor_split(len(steps))
         for step, rows in zip(steps, buffer_rows, strict=True):
             if len(step):
@@ -275,10 +275,10 @@ class PatchSamples:
             pixels, gain = normalise(image, network.normalisation)
             for index in (images == number).nonzero()[:, 0].split(EXTRACTION_BLOCK):
                 if len(index):
-                    part, target = params.at(index), self._buffer[index[0] : index[-1] + 1]
+                    part, target = params.select(index), self._buffer[index[0] : index[-1] + 1]
                     add_noise(sample_patches(pixels, part, patch), part, noise, gain, target)
 
-    def _centres_of(self, member: int, epoch: int, visit: int) -> LabelledCentres:
+    def _read_centres(self, member: int, epoch: int, visit: int) -> LabelledCentres:
         """Return the patches of an image at one visit in an epoch."""
         arrays = self._read(self._files[member], "centres", "classes")
         classes = arrays["classes"]
@@ -286,11 +286,11 @@ class PatchSamples:
         if (correction := self._corrected.get(self._files[member])) is not None:
             planes = read_arrays(correction, "layout", "known")
             labelled = merge_corrections(labelled, planes, self._training.corrections.weight)
-        order = self._shuffled(len(labelled.classes), CENTRES, epoch, member)
+        order = self._permute(len(labelled.classes), CENTRES, epoch, member)
         order = order[visit :: self._training.passes]
         return LabelledCentres(*(values[order] for values in labelled))
 
-    def _shuffled(self, count: int, *key: int) -> Tensor:
+    def _permute(self, count: int, *key: int) -> Tensor:
         return torch.randperm(count, generator=make_generator(self._training.random_seed, *key))
 
 
@@ -300,7 +300,7 @@ def squared_error(network: nn.Module, batch: Batch) -> Tensor:
     return ((network(batch.inputs) - one_hot).square().sum(1) * batch.weights).sum()
 
 
-# --- a run -----------------------------------------------------------------------------
+# --- recipe ----------------------------------------------------------------------------
 
 
 class PatchRecipe:
@@ -315,12 +315,12 @@ class PatchRecipe:
 
     def key(self, image: Item) -> str:
         """Return the cache key of a prepared image."""
-        return key_of(self.preparation, image.path, None)  # of no ego car
+        return key_of(self.preparation, image.path, None)  # without an ego car
 
     def survey(self, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
         """Do nothing: patches depend on single images."""
 
-    def make(self, image: Tensor, name: str) -> Arrays:
+    def prepare(self, image: Tensor, name: str) -> Arrays:
         """Prepare an image (3, H, W): resize it, and label the centres of its patches.
 
         image: uint8 (3, h, w); centres: int16 (n, 2), row and column; classes: uint8 (n,), 0, 1, 2.
@@ -338,7 +338,7 @@ class PatchRecipe:
             "classes": classes[is_labelled].to(torch.uint8),
         }
 
-    def shrink(self, correction: Correction) -> Arrays:
+    def encode_correction(self, correction: Correction) -> Arrays:
         """Return a correction at working size.
 
         ``layout``: uint8 (h, w), 0, 1, 2, or 255 where uncorrected; ``known``: 1 where the machine
@@ -350,14 +350,14 @@ class PatchRecipe:
         void = at_image_size(torch.from_numpy(correction.road == VOID_SAID), size)
         return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
-    def network(self, initial: LayoutNetwork | None) -> LayoutNetwork:
+    def make_network(self, initial: LayoutNetwork | None) -> LayoutNetwork:
         """Return a new patch network, or the initial one."""
         if initial is not None:
             return initial
-        with seeded(self._training.random_seed, 0):
+        with seed_torch(self._training.random_seed, 0):
             return PatchNetwork(self._training.network)
 
-    def samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
+    def make_samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
         """Return the augmented patches of prepared images, corrected images oversampled."""
         fraction = self._training.corrections.fraction
         oversampled = oversample(inputs.files, inputs.corrected, fraction)

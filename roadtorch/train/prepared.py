@@ -43,29 +43,29 @@ class PreparedImage:
 class Preparation:
     """The preparation of an image in a worker.
 
-    key: hash of an image and all settings that matter. make: computes named arrays from an image
+    key: hash of an image and all settings that matter. compute: makes named arrays from an image
     (3, H, W) in [0, 1] and its name.
     """
 
     folder: Path
     key: Callable[[Item], str]
-    make: Callable[[Tensor, str], Arrays]
+    compute: Callable[[Tensor, str], Arrays]
 
     def __call__(self, image: Item) -> PreparedImage:
         """Prepare an image unless its file is up to date; ConfigError if a setting is wrong."""
         name, key = image_file_name(image), self.key(image)
         file = self.folder / f"{name}.npz"
-        if kept(file, key) is not None:  # all of it is read: damage would end the training later
+        if kept(file, key) is not None:  # read as a whole, as damage would end the training later
             return PreparedImage(name, file)
         try:
-            arrays = self.make(checked_image(image.read()), image.name)
+            arrays = self.compute(checked_image(image.read()), image.name)
         except InputError as error:
             where = image.path if error.where == "image" else error.where
             return PreparedImage(name, None, str(InputError(where, error.problem, error.hint)))
         except RoadtorchError:
-            raise  # a setting is wrong, not this image
+            raise  # a wrong setting, not a wrong image
         except Exception as error:
-            # One image that trips a detector must not cost the night's run.
+            # One image on which a detector fails must not end a long run.
             text = f"{image.path}: {type(error).__name__}: {error} (report it)"
             return PreparedImage(name, None, " ".join(text.split()))
         keep(file, key, arrays)

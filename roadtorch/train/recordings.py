@@ -65,7 +65,7 @@ def detect_ego_cars(images: Sequence[Item], min_frames: int) -> Arrays:
     """Detect the ego car bool (H, W) in images of one camera, for each aspect ratio."""
     shapes: dict[int, list[Tensor]] = {}
     for image in images:
-        with suppress(InputError):  # reported when it is made ready
+        with suppress(InputError):  # reported when it is prepared
             frame = at_work(read_image(image.path), FRAME_SIZE)
             shapes.setdefault(aspect_bin(frame), []).append(frame)
     enough = {shape: frames for shape, frames in shapes.items() if len(frames) >= min_frames}

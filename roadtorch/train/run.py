@@ -130,9 +130,9 @@ def prepare_folder(
     """Prepare images in a folder; fewer if a stop is requested."""
     with shared(folder):
         recipe.survey(images, folder, stop, quiet)
-        if stop.asked:  # nothing is made ready by half a survey
+        if stop.asked:  # an incomplete survey prepares nothing
             return []
-        preparation = Preparation(folder, recipe.key, recipe.make)
+        preparation = Preparation(folder, recipe.key, recipe.prepare)
         return prepare(images, preparation, stop, quiet)
 
 
@@ -182,17 +182,17 @@ class TrainingRun:
         if len(files) == 1 and not self.request.quiet:
             text = "roadtorch: only one image: the network will not generalise to others"
             Progress.write(text, file=sys.stderr)
-        people = {
+        human = {
             file: self.corrections[name] for file, name in files.items() if name in self.corrections
         }
-        shrink = self.recipe.shrink
-        corrected = write_corrections(path / CORRECTIONS, people, shrink) if people else {}
+        encode = self.recipe.encode_correction
+        corrected = write_corrections(path / CORRECTIONS, human, encode) if human else {}
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
         inputs = TrainingInputs(list(files), corrected, self.initial, path / INITIAL_LABELS)
         loop = self._train_epochs(inputs, progress, state)
         self._write(loop.average.network.eval(), progress, len(files), inherited)
-        if people and progress.finished and isinstance(self.training, ImageTraining):
-            write_fusion_config(path / FUSION_CONFIG, path / WEIGHTS, list(people.values()))
+        if human and progress.finished and isinstance(self.training, ImageTraining):
+            write_fusion_config(path / FUSION_CONFIG, path / WEIGHTS, list(human.values()))
         return progress.finished
 
     def _train_epochs(
@@ -201,8 +201,8 @@ class TrainingRun:
         """Train all epochs, or those after a checkpoint."""
         training = self.training
         stop, quiet = self.stop, self.request.quiet
-        samples = self.recipe.samples(inputs, stop, quiet)
-        network = self.recipe.network(self.initial)
+        samples = self.recipe.make_samples(inputs, stop, quiet)
+        network = self.recipe.make_network(self.initial)
         descent = scale_learning_rate(
             training.descent, training.corrections.half_rate_images, len(self.corrections)
         )

@@ -23,7 +23,7 @@ def header(store: Any, stamp: int, frame_id: str = "camera_optical") -> Any:
     return kind(**numbered, stamp=time(*divmod(stamp, 10**9)), frame_id=frame_id)
 
 
-def raw_image(store: Any, pixels: np.ndarray, encoding: str, stamp: int, **other: Any) -> Any:
+def raw_image(store: Any, pixels: np.ndarray, encoding: str, stamp: int, **replaced: Any) -> Any:
     """Return uint8 or uint16 (H, W[, C]) as sensor_msgs/Image, some fields replaced."""
     height, width = pixels.shape[:2]
     fields = {
@@ -35,7 +35,7 @@ def raw_image(store: Any, pixels: np.ndarray, encoding: str, stamp: int, **other
         "step": pixels[0].nbytes,
         "data": np.frombuffer(pixels.tobytes(), np.uint8),
     }
-    return store.types["sensor_msgs/msg/Image"](**(fields | other))
+    return store.types["sensor_msgs/msg/Image"](**(fields | replaced))
 
 
 def compressed_image(store: Any, data: bytes, stamp: int, form: str = "jpeg") -> Any:

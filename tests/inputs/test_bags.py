@@ -65,8 +65,8 @@ def test_gives_the_images_with_their_time_stamps_and_the_camera(tmp_path: Path, 
     assert [frame.number for frame in frames] == [1, 3]
     assert info.matrix.tolist() == [[300, 0, 32], [0, 300, 24], [0, 0, 1]]
     assert info.distortion.tolist() == [0.1, -0.2, 0, 0, 0]
-    told = (info.model, info.width, info.height, info.frame_id)
-    assert told == ("plumb_bob", 64, 48, "camera_optical")
+    calibrated = (info.model, info.width, info.height, info.frame_id)
+    assert calibrated == ("plumb_bob", 64, 48, "camera_optical")
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap"])
@@ -74,7 +74,7 @@ def test_reads_compressed_images(tmp_path: Path, form: str):
     store = store_of(form)
     data = [cv2.imencode(".png", scene(n)[..., ::-1])[1].tobytes() for n in range(2)]
     data.append(cv2.imencode(".jpg", scene(2)[..., ::-1])[1].tobytes())
-    images = [compressed_image(store, each, 0) for each in data]
+    images = [compressed_image(store, encoded, 0) for encoded in data]
     topics = {f"{TOPIC}/compressed": images, "/camera/camera_info": [calibration(store, 0)]}
     path = str(write_bag(tmp_path / ("a.bag" if form == "bag" else "a"), topics, form))
     frames = list(bag_source(path).items())
@@ -125,8 +125,8 @@ def test_what_is_not_there_or_has_to_be_chosen(
 # --- encodings --------------------------------------------------------------------------
 
 
-def decoded(pixels: np.ndarray, encoding: str, **other: Any) -> np.ndarray:
-    message = raw_image(ROS2, pixels, encoding, 0, **other)
+def decoded(pixels: np.ndarray, encoding: str, **replaced: Any) -> np.ndarray:
+    message = raw_image(ROS2, pixels, encoding, 0, **replaced)
     return image_of(message, "a frame").permute(1, 2, 0).numpy()
 
 
@@ -156,8 +156,8 @@ def test_mosaics_of_an_even_colour(pattern: str, bits: int):
     for at, letter in enumerate(pattern):
         mosaic[at // 2 :: 2, at % 2 :: 2] = colour[letter]
     deep = mosaic if bits == 8 else mosaic.astype("<u2") * 257
-    shown = decoded(deep, f"bayer_{pattern}{bits}")
-    assert np.allclose(shown, np.array([200, 90, 30]) / 255, atol=1e-5)
+    image = decoded(deep, f"bayer_{pattern}{bits}")
+    assert np.allclose(image, np.array([200, 90, 30]) / 255, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -175,12 +175,12 @@ def test_rows_with_padding():
     padded[:, : 64 * 3] = scene(3).reshape(48, -1)
     whole = padded.ravel()
     for data in (whole, whole[: -6 * 3]):  # the last row with and without its padding
-        shown = decoded(scene(3), "rgb8", step=210, data=data)
-        assert np.array_equal(shown, scene(3) / np.float32(255))
+        image = decoded(scene(3), "rgb8", step=210, data=data)
+        assert np.array_equal(image, scene(3) / np.float32(255))
 
 
 @pytest.mark.parametrize(
-    ("other", "match"),
+    ("fields", "match"),
     [
         ({"data": np.zeros(5, np.uint8)}, r"a frame: cannot be read: it has 5 bytes for 64 by 48"),
         ({"step": 7}, "7 a row"),
@@ -188,9 +188,9 @@ def test_rows_with_padding():
         ({"encoding": "32FC1"}, "has the encoding '32FC1', which is not read .record one of mono8"),
     ],
 )
-def test_a_message_that_cannot_be_an_image_is_told(other: dict[str, Any], match: str):
+def test_a_message_that_cannot_be_an_image_is_told(fields: dict[str, Any], match: str):
     with pytest.raises(InputError, match=match):
-        decoded(scene(0), other.pop("encoding", "rgb8"), **other)
+        decoded(scene(0), fields.pop("encoding", "rgb8"), **fields)
 
 
 # --- damage -----------------------------------------------------------------------------
@@ -217,12 +217,12 @@ def test_a_cut_bag_names_its_mending(tmp_path: Path, form: str, inside: bool, co
     path = written(tmp_path, form)
     file = next(path.glob("*.[dm]*[3p]")) if path.is_dir() else path
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
-    given = str(file if inside else path)
+    origin = str(file if inside else path)
 
     with pytest.raises(InputError, match=r"can(not)? be read") as caught:
-        deque(bag_source(given).items(), maxlen=0)
+        deque(bag_source(origin).items(), maxlen=0)
 
-    assert caught.value.where == given
+    assert caught.value.where == origin
     assert f"if its end is missing: {command}" in caught.value.hint
     assert "\n" not in str(caught.value)
 

@@ -92,25 +92,25 @@ def test_pipes_are_listed_and_never_opened(tmp_path: Path) -> None:
 def test_names_come_from_standard_input_and_lists(footage: Path, tmp_path: Path) -> None:
     listed = tmp_path / "list.txt"
     listed.write_text("b.png\n\nother.mp4\r\n")
-    given = ["-", f"@{listed}", str(footage / "b.jpg")]
+    arguments = ["-", f"@{listed}", str(footage / "b.jpg")]
 
-    images, sources = find_inputs(given, names=io.StringIO("0\na.jpg\n"))
+    images, sources = find_inputs(arguments, names=io.StringIO("0\na.jpg\n"))
 
-    assert [str(one.origin) for one in images] == ["a.jpg", "b.png", given[-1]]
-    assert [one.origin for one in sources] == ["camera:0", "other.mp4"]
+    assert [str(image.origin) for image in images] == ["a.jpg", "b.png", arguments[-1]]
+    assert [image.origin for image in sources] == ["camera:0", "other.mp4"]
 
 
 @pytest.mark.parametrize(
-    ("given", "text", "error"),
+    ("argument", "text", "error"),
     [
         ("@none.txt", "", "none.txt: cannot be read"),
         ("-", "\n", "-: contains no names"),
         ("-", "\udcff\udcd8\udcff\udce0\0\x10JFIF", "-: expects file names, not the"),
     ],
 )
-def test_a_list_that_is_missing_or_empty_is_told(given: str, text: str, error: str) -> None:
+def test_a_list_that_is_missing_or_empty_is_told(argument: str, text: str, error: str) -> None:
     with pytest.raises(InputError, match=error):
-        find_inputs([given], names=io.StringIO(text))
+        find_inputs([argument], names=io.StringIO(text))
 
 
 def test_a_file_named_0_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,26 +149,26 @@ def item(number: int, seconds: float | None = None) -> Item:
 
 
 @pytest.mark.parametrize(
-    ("count", "known", "expected"),
+    ("count", "counted", "expected"),
     [(100, True, [0, 33, 66]), (2, True, [0, 1]), (100, False, [0, 1, 2]), (0, True, [])],
 )
-def test_sampled_items_are_evenly_spaced(count: int, known: bool, expected: list[int]) -> None:
-    asked: list[int] = []
+def test_sampled_items_are_evenly_spaced(count: int, counted: bool, expected: list[int]) -> None:
+    numbers: list[int] = []
     closed: list[bool] = []
 
     def items() -> Iterator[Item]:
         try:
             for number in range(count):
-                asked.append(number)
+                numbers.append(number)
                 yield item(number)
         finally:
             closed.append(True)
 
     opened = items()  # held here, so that it is not closed by itself
-    source = Source("a", "a", lambda: opened, count=count if known else None)
+    source = Source("a", "a", lambda: opened, count=count if counted else None)
 
-    assert [one.number for one in source.sampled(3).items()] == expected
-    assert len(asked) <= (expected[-1] + 1 if expected else 0)
+    assert [frame.number for frame in source.sampled(3).items()] == expected
+    assert len(numbers) <= (expected[-1] + 1 if expected else 0)
     assert closed == [True]
 
 
@@ -184,7 +184,7 @@ def test_sampled_items_are_evenly_spaced(count: int, known: bool, expected: list
 def test_selections(selection: Selection, clock: bool, expected: list[int]) -> None:
     items = (item(number, number / 10 if clock else None) for number in range(6))
 
-    assert [one.number for one in selection.of(items)] == expected
+    assert [frame.number for frame in selection.of(items)] == expected
 
 
 def test_images_have_no_time_and_values_are_spread() -> None:

@@ -62,8 +62,8 @@ def test_frames_are_the_same_whatever_the_start(open_gop: str, tmp_path: Path) -
     options = {"g": "7", "bf": "2", "x264-params": f"open-gop={open_gop}:scenecut=0"}
     path = write_video(tmp_path / "drive.mkv", FORTY, options=options)
     every = {frame.number: frame for frame in chosen(path)}
-    some = chosen(path, every=4, start=1.0, end=2.5, limit=3)
-    assert [frame.number for frame in some] == [10, 14, 18]
+    selected = chosen(path, every=4, start=1.0, end=2.5, limit=3)
+    assert [frame.number for frame in selected] == [10, 14, 18]
 
     for start in (0.05, 0.7, 1.95, 3.9):
         late = chosen(path, start=start, limit=3)

@@ -29,8 +29,8 @@ def moved(handler: BaseHTTPRequestHandler) -> None:
 
 
 def locked(handler: BaseHTTPRequestHandler) -> None:
-    told = base64.b64encode(b"me:s:cret").decode()
-    if handler.headers["Authorization"] == f"Basic {told}":
+    credentials = base64.b64encode(b"me:s:cret").decode()
+    if handler.headers["Authorization"] == f"Basic {credentials}":
         send(image(), "image/png")(handler)
     else:
         handler.send_error(401)
@@ -70,11 +70,11 @@ def host() -> Iterator[str]:
     ],
 )
 def test_the_server_or_a_name_says_what_is_an_image(path: str, name: str, host: str) -> None:
-    (found,), sources = find_inputs([f"http://{host}/{path}"])
+    (item,), sources = find_inputs([f"http://{host}/{path}"])
 
     assert sources == []
-    assert found.row_name == name
-    assert torch.equal(found.read(), street_as_png())
+    assert item.row_name == name
+    assert torch.equal(item.read(), street_as_png())
 
 
 def test_detectors_and_streams_take_an_address(host: str) -> None:
@@ -93,9 +93,9 @@ def test_addresses_of_no_server_are_refused(url: str) -> None:
             find([url])
 
 
-def test_a_password_is_sent_and_told_nosend(host: str) -> None:
-    (found,), _ = find_inputs([f"http://me:s%3Acret@{host}/locked.png"])
-    assert torch.equal(found.read(), street_as_png())
+def test_a_password_is_sent_and_not_printed(host: str) -> None:
+    (item,), _ = find_inputs([f"http://me:s%3Acret@{host}/locked.png"])
+    assert torch.equal(item.read(), street_as_png())
 
     with pytest.raises(InputError) as error:
         find_inputs([f"http://me:wrong@{host}/locked.png"])

@@ -11,15 +11,17 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def test_peers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    kept: dict[str, float] = {}
-    monkeypatch.setattr(bench, "keep_records", lambda *words: kept.update(words[-1]))
+    records: dict[str, float] = {}
+    monkeypatch.setattr(bench, "keep_records", lambda *words: records.update(words[-1]))
 
     bench.main(["fusion", "--size", "64", "48", "--rounds", "1", "--write"])
 
     printed = capsys.readouterr().out
     rows = [line.split("|")[1].strip() for line in printed.splitlines()[2:4]]
     assert rows == ["fusion", bench.LRASPP]
-    assert f"| {kept['bench.fusion.ms']:.1f} | {kept['bench.fusion.of_lraspp']:.2f} |" in printed
+    assert (
+        f"| {records['bench.fusion.ms']:.1f} | {records['bench.fusion.of_lraspp']:.2f} |" in printed
+    )
 
 
 def test_contestants_take_turns_and_a_ratio_is_that_of_the_rounds() -> None:
@@ -34,13 +36,13 @@ def test_contestants_take_turns_and_a_ratio_is_that_of_the_rounds() -> None:
 
 
 def test_a_checkout_has_its_own_package_and_others_stay_loaded() -> None:
-    before = sys.modules["roadtorch"]
+    package = sys.modules["roadtorch"]
 
     detect = bench.detects_of(CHECKOUT, ["prior:rows"])["prior:rows"]
 
-    own = type(getattr(detect, "__self__"))  # noqa: B009
-    assert own is not sys.modules["roadtorch.detectors.detector"].Detector
-    assert sys.modules["roadtorch"] is before
+    detector_class = type(getattr(detect, "__self__"))  # noqa: B009
+    assert detector_class is not sys.modules["roadtorch.detectors.detector"].Detector
+    assert sys.modules["roadtorch"] is package
 
 
 def test_rates_are_those_behind_the_start(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,8 +53,8 @@ def tally_of(**drives: tuple[list[float], list[bool]]) -> Tally:
 def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baseline() -> None:
     good = ([0.9, 0.1, 0.8, 0.2], [True, False, True, False])
     base = ([0.9, 0.95, 0.8, 0.2], [True, False, True, False])
-    both = tally_of(a=good, b=([0.1, 0.9], [True, False]))
-    tallies = {p2.BASELINE: tally_of(a=base), p2.TEXTURE: tally_of(a=good), "both": both}
+    two_drives = tally_of(a=good, b=([0.1, 0.9], [True, False]))
+    tallies = {p2.BASELINE: tally_of(a=base), p2.TEXTURE: tally_of(a=good), "both": two_drives}
     tallies |= {title + p2.WHOLE: tally_of(a=base) for title in tallies}
 
     rows = p2.area_rows(tallies)

@@ -18,9 +18,9 @@ def test_every_figure_is_as_recorded_and_every_number_is_bound() -> None:
 
 
 def test_no_record_is_kept_that_no_document_uses() -> None:
-    kept = {name for name in readme_figures.records() if not name.startswith("facts.")}
+    records = {name for name in readme_figures.records() if not name.startswith("facts.")}
 
-    assert kept <= readme_figures.used()
+    assert records <= readme_figures.used()
 
 
 def test_pages_name_commits_of_the_history_and_their_dates() -> None:
@@ -124,7 +124,7 @@ def test_an_evaluation_becomes_flat_records() -> None:
 
     records = readme_figures.records_of("run", metrics | {"paired": {"detectors": {"lbp": change}}})
 
-    wanted = {
+    expected = {
         "run.images": 5,
         "run.fusion.maxf": 0.9,
         "run.fusion.maxf.low": 0.88,
@@ -138,7 +138,7 @@ def test_an_evaluation_becomes_flat_records() -> None:
         "run.lbp.maxf.less": -0.4,
         "run.lbp.maxf.less.high": -0.3,
     }
-    assert {name: records.get(name) for name in wanted} == wanted
+    assert {name: records.get(name) for name in expected} == expected
     assert records["run.fusion.auc_pooled.over_lbp"] == pytest.approx(0.2)
     assert not [name for name in records if "seed" in name or "layout.mean" in name]
 

@@ -21,13 +21,13 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of labelled images that tests share, with one folder for each kind."""
     return tmp_path_factory.mktemp("kept")
 
 
 @pytest.fixture(scope="module")
-def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
+def trained(streets: Path, cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
     """Return a function that runs a training on the streets.
 
     For example ``trained("images", "descent.ema=0.9", out="one")``; the folder is new unless
@@ -37,7 +37,7 @@ def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory)
 
     def run(kind: str, *changes: str, out: str = "", **more: Any) -> Outcome:
         folder = runs / out if out else tmp_path_factory.mktemp("run") / "run"
-        request = Request(str(streets), folder, prepared=kept / kind, quiet=True)
+        request = Request(str(streets), folder, prepared=cache / kind, quiet=True)
         return train(training_of(kind, *changes), replace(request, **more))
 
     return run
@@ -45,10 +45,10 @@ def trained(streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory)
 
 @pytest.fixture(scope="session")
 def shared_run(
-    streets: Path, kept: Path, tmp_path_factory: pytest.TempPathFactory
+    streets: Path, cache: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Training, Request]:
     training, out = training_of("patches"), tmp_path_factory.mktemp("finished") / "run"
-    request = Request(str(streets), out, prepared=kept / "patches", quiet=True)
+    request = Request(str(streets), out, prepared=cache / "patches", quiet=True)
     train(training, request)
     return training, request
 

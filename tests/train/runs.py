@@ -88,8 +88,8 @@ def write_bonnets(folder: Path, count: int) -> Path:
     paint = torch.tensor([0.25, 0.08, 0.08])[:, None, None]
     for seed in range(count):
         street = scene(seed, 60, 80, horizon=0.45)
-        seen = torch.where(bonnet(60, 80), paint, street.image)
-        write_image(folder / f"bonnet_{seed}.png", replace(street, image=seen))
+        image = torch.where(bonnet(60, 80), paint, street.image)
+        write_image(folder / f"bonnet_{seed}.png", replace(street, image=image))
     return folder
 
 

@@ -39,10 +39,10 @@ from tests.streets import scene
 STILL = GeometryAugmentation(scale=0, stretch=0, rotation=0, translation=0)
 
 
-def sides(images: list[Tensor], wanted: Tensor, atol: float = 1e-5) -> list[int]:
+def sides(images: list[Tensor], expected: Tensor, atol: float = 1e-5) -> list[int]:
     """Return for each image 1 where it is as expected, -1 where it is mirrored, else 0."""
     return [
-        int(image.allclose(wanted, atol=atol)) - int(image.allclose(wanted.flip(-1), atol=atol))
+        int(image.allclose(expected, atol=atol)) - int(image.allclose(expected.flip(-1), atol=atol))
         for image in images
     ]
 
@@ -109,14 +109,14 @@ FIRST, LAST = slice(40, 46), slice(66, 72)  # rows of the ground, far and near
 
 
 @pytest.mark.parametrize(
-    ("weather", "changed", "kept"),
+    ("weather", "changed", "unchanged"),
     [
         (add_fog, (FIRST, slice(24, 40)), (LAST, slice(24, 40))),
         (add_snow, (LAST, slice(0, 20)), (slice(0, 38), slice(None))),
         (wet_road, (LAST, slice(24, 40)), (LAST, slice(0, 20))),
     ],
 )
-def test_weather_changes_what_it_lies_on(weather, changed, kept) -> None:
+def test_weather_changes_what_it_lies_on(weather, changed, unchanged) -> None:
     image, scene = street()
     by = [
         (weather(image, scene, WeatherAugmentation(), seeded(seed)) - image).abs()
@@ -125,7 +125,10 @@ def test_weather_changes_what_it_lies_on(weather, changed, kept) -> None:
     change = torch.stack(by).mean(0)
     assert not change[..., 72:, :].any()  # the ego car
     assert change[..., changed[0], changed[1]].mean() > 0.05
-    assert change[..., kept[0], kept[1]].mean() < change[..., changed[0], changed[1]].mean() / 3
+    assert (
+        change[..., unchanged[0], unchanged[1]].mean()
+        < change[..., changed[0], changed[1]].mean() / 3
+    )
 
 
 def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:
@@ -144,9 +147,11 @@ def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
     changed = retexture_road(image, road, ground, SurfaceAugmentation(), seeded(6))
 
     assert torch.equal(changed[..., :20, :], image[..., :20, :])
-    on_road, beside = (changed[0, :, rows].mean((1, 2)) for rows in (slice(30, 40), slice(20, 30)))
+    on_road, on_ground = (
+        changed[0, :, rows].mean((1, 2)) for rows in (slice(30, 40), slice(20, 30))
+    )
     assert (on_road - 0.5).abs().max() > 0.01
-    assert (on_road - beside).abs().max() > 0.01
+    assert (on_road - on_ground).abs().max() > 0.01
     assert 0 <= changed.min() <= changed.max() <= 1
 
 

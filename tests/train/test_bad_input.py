@@ -44,29 +44,29 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
 ) -> None:
     training, request = finished
     values = training.model_dump()
-    whole, other = (
+    whole, changed = (
         build_training({"kind": "images"}),
         build_training({**values, "shuffle_images": 3}),
     )
     images = str(write_streets(tmp_path / "other", 2))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "log.csv").write_text("mine")
-    mine = Request(str(streets), tmp_path / "mine")
+    foreign = Request(str(streets), tmp_path / "mine")
     save_network(tmp_path / "network", PatchNetwork(), {})
     start = build_training({**values, "initial_weights": str(tmp_path / "network")})
     new = Request(str(streets), tmp_path / "new")
     rows: list[tuple[Training, Request, type[RoadtorchError], str]] = [
         (whole, request, ConfigError, "holds a run with other settings"),
-        (other, request, ConfigError, "holds a run with other settings"),
+        (changed, request, ConfigError, "holds a run with other settings"),
         (training, replace(request, images=images), ConfigError, "holds a run with other images"),
-        (training, mine, ConfigError, r"holds log.csv but no run.json"),
+        (training, foreign, ConfigError, r"holds log.csv but no run.json"),
         (start, new, WeightsError, "holds a network with other settings"),
     ]
-    for run, asked, error, message in rows:
-        before = contents(asked.out) if asked.out.exists() else None
+    for run, refused, error, message in rows:
+        old = contents(refused.out) if refused.out.exists() else None
         with pytest.raises(error, match=message):
-            train(run, asked)
-        assert (contents(asked.out) if asked.out.exists() else None) == before
+            train(run, refused)
+        assert (contents(refused.out) if refused.out.exists() else None) == old
     with locked(request.out), pytest.raises(InputError, match="another run is writing here"):
         train(training, request)
 
@@ -111,7 +111,7 @@ EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"probability": 0.5}}}
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
         ({"kind": "images", "shuffle_images": 3}, "shuffle_images: unknown setting"),
@@ -123,8 +123,8 @@ EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"probability": 0.5}}}
         (EGO_CARS, r"augmentation.ego_car.probability: is 0.5, .*recordings.separator"),
     ],
 )
-def test_mistakes_are_told_with_their_key(values: dict[str, object], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_mistakes_are_told_with_their_key(values: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         build_training(values)
 
 

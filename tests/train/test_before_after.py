@@ -36,8 +36,8 @@ run = partial(invoked, train_command)
 
 def words(out: Path, images: Path, *more: object) -> list[object]:
     config = write_config(out.with_suffix(".toml"), IMAGES)
-    own = ("--set", "rounds.start=continued")
-    return ["--config", config, "--images", images, "--out", out, *own, *more]
+    continued = ("--set", "rounds.start=continued")
+    return ["--config", config, "--images", images, "--out", out, *continued, *more]
 
 
 def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> None:
@@ -45,9 +45,9 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     write_image(images / "plain.png", scene(0, 60, 80))
     for name in (HOSTILE, "third"):
         shutil.copy(images / "plain.png", images / f"{name}.png")
-    given = words(tmp_path / "run", images, "--set", f"initial_weights={start}")
+    arguments = words(tmp_path / "run", images, "--set", f"initial_weights={start}")
 
-    result = run(*given)
+    result = run(*arguments)
 
     assert "before and after in" in result.output
     path = tmp_path / "run" / "adaptation.html"
@@ -65,12 +65,12 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     assert HOSTILE not in page
 
     path.unlink()  # it is written again by resuming
-    run(*given)
+    run(*arguments)
     assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
 
 
-def test_a_run_from_new_weights_has_no_before(streets: Path, kept: Path, tmp_path: Path) -> None:
-    run(*words(tmp_path / "run", streets, "--prepared", kept / "images"))
+def test_a_run_from_new_weights_has_no_before(streets: Path, cache: Path, tmp_path: Path) -> None:
+    run(*words(tmp_path / "run", streets, "--prepared", cache / "images"))
     assert not (tmp_path / "run" / "adaptation.html").exists()
 
 

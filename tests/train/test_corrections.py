@@ -48,15 +48,15 @@ def machine(size: int = 8) -> Targets:
     """Return targets: vertical, half road, all ego, each with weight 0.25."""
     layout = torch.zeros(1, 3, size, size)
     layout[:, 1] = 1
-    quarter, half, one = (torch.full((1, 1, size, size), value) for value in (0.25, 0.5, 1.0))
-    return Targets(layout, quarter, half, quarter, one, quarter)
+    quarter, half, ones = (torch.full((1, 1, size, size), value) for value in (0.25, 0.5, 1.0))
+    return Targets(layout, quarter, half, quarter, ones, quarter)
 
 
 def planes(labels: np.ndarray) -> torch.Tensor:
     """Return the correction's planes at eight by eight cells."""
     recipe = make_recipe(training_of("images", "network.height=32", "network.width=32"))
     large = labels.repeat(8, 0).repeat(8, 1)
-    return recipe.shrink(correction(large))["planes"][None, :, ::4, ::4] / 255
+    return recipe.encode_correction(correction(large))["planes"][None, :, ::4, ::4] / 255
 
 
 def test_what_was_said_replaces_the_machines_target_and_has_its_weight() -> None:
@@ -81,8 +81,8 @@ def test_void_counts_for_nothing_and_nothing_said_changes_nothing() -> None:
     assert targets.road_weight[0, 0, 4:, :4].eq(0).all()
     assert targets.layout_weight[0, 0, 4:, :4].eq(0).all()
 
-    same = corrected_targets(machine(), planes(quarters() * 0), 5.0)
-    assert all(map(torch.equal, same, machine()))
+    unchanged = corrected_targets(machine(), planes(quarters() * 0), 5.0)
+    assert all(map(torch.equal, unchanged, machine()))
 
 
 def test_corrected_images_get_their_share_of_the_visits() -> None:
@@ -109,7 +109,7 @@ def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
 def test_patches_are_taken_where_people_named_a_class() -> None:
     training = build_training({})
     assert isinstance(training, PatchTraining)
-    layout = PatchRecipe(training).shrink(correction(quarters(48, 64)))
+    layout = PatchRecipe(training).encode_correction(correction(quarters(48, 64)))
     places = torch.tensor([[2, 2], [2, 60], [40, 2], [40, 60]], dtype=torch.int16)
     machine = LabelledCentres(places, torch.ones(4, dtype=torch.uint8), torch.ones(4))
 
@@ -143,7 +143,7 @@ def test_a_run_paces_its_steps_by_the_corrected_images(
     """One corrected image and a huge half-rate count: next to no step is taken."""
     slow = trained("images", "corrections.half_rate_images=1e6", out="slow", corrections=[street])
     slowly, fast = (load_network(run.weights or "") for run in (slow, runs["images"]))
-    start = make_recipe(training_of("images")).network(None).state_dict()
+    start = make_recipe(training_of("images")).make_network(None).state_dict()
     for name, weight in start.items():
         torch.testing.assert_close(slowly.state_dict()[name], weight, atol=1e-6, rtol=0)
     assert any(not fast.state_dict()[name].allclose(weight) for name, weight in start.items())
@@ -176,13 +176,13 @@ def test_what_starts_there_is_not_label_free(trained: Trained, runs: dict[str, O
     assert people_behind(second) == people_behind(first) != []
 
 
-def test_the_command_reads_what_annotate_kept(streets: Path, kept: Path, tmp_path: Path) -> None:
+def test_the_command_reads_what_annotate_kept(streets: Path, cache: Path, tmp_path: Path) -> None:
     name, logs = "street_1.png", tmp_path / "corrections"
     head = LogHead(image=f"elsewhere/{name}", height=60, width=80)
     EventLog(log_path(logs, name), head).add(import_event(quarters(60, 80).astype(np.uint8)))
     config = write_config(tmp_path / "train.toml", PATCHES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
-    words += ["--corrections", logs, "--corrected-images", streets, "--prepared", kept / "patches"]
+    words += ["--corrections", logs, "--corrected-images", streets, "--prepared", cache / "patches"]
 
     result = CliRunner().invoke(train_command, [str(word) for word in words])
 

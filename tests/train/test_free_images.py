@@ -30,8 +30,8 @@ def test_they_are_gathered_by_recording(manifest: Path, capsys: pytest.CaptureFi
 
     assert status == 1
     assert capsys.readouterr().out.splitlines() == ["missing one_3.jpg", "1 missing"]
-    found = {path.name: path.read_bytes() for path in (manifest / "out").iterdir()}
-    assert found == {"one_0001.jpg": b"a", "one_0002.jpg": b"b", "two_0001.jpg": b"d"}
+    files = {path.name: path.read_bytes() for path in (manifest / "out").iterdir()}
+    assert files == {"one_0001.jpg": b"a", "one_0002.jpg": b"b", "two_0001.jpg": b"d"}
 
 
 def test_the_weights_to_the_letter_saw_as_many_as_the_paper_has() -> None:

@@ -62,17 +62,17 @@ def test_an_epoch_has_every_image_once(files: list[Path]) -> None:
     batches = [batch for chunk in range(samples.chunks) for batch in samples.batches(0, chunk)]
 
     levels = torch.cat([batch.inputs for batch in batches]).mean((1, 2, 3))
-    wanted = (torch.arange(5) * 40 / 255 - 0.5) * 4
-    torch.testing.assert_close(levels.sort().values, wanted, atol=1e-3, rtol=0)
+    expected = (torch.arange(5) * 40 / 255 - 0.5) * 4
+    torch.testing.assert_close(levels.sort().values, expected, atol=1e-3, rtol=0)
     assert all(batch.targets.shape[1:] == (sum(TARGET_PLANES), 32, 40) for batch in batches)
 
 
 def test_epochs_draw_differently(files: list[Path]) -> None:
-    first, same, other = (
+    first, again, second = (
         next(samples_of(files, training_of()).batches(epoch, 0)).inputs for epoch in (0, 0, 1)
     )
-    assert torch.equal(first, same)
-    assert not torch.equal(first, other)
+    assert torch.equal(first, again)
+    assert not torch.equal(first, second)
 
 
 def targets_with(files: list[Path], probability: float, shows_ego: bool = True) -> Targets:
@@ -126,7 +126,7 @@ def test_recordings_follow_from_names(balance: float, weight: float, tmp_path: P
     recipe = ImageRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
     recipe.survey([], folder, Stop(), True)
-    samples = recipe.samples(TrainingInputs(files, {}, None, tmp_path), Stop(), True)
+    samples = recipe.make_samples(TrainingInputs(files, {}, None, tmp_path), Stop(), True)
 
     assert samples.sampling_weights.tolist() == pytest.approx([weight, weight, weight, 1, 1])
     assert samples.ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
@@ -142,8 +142,8 @@ def test_the_loss_is_small_for_right_scores_and_ignores_what_does_not_count() ->
     targets = Targets(layout, ones, ones, ones, 0 * ones, ones)
     none = targets._replace(layout_weight=0 * ones, road_weight=0 * ones, ego_weight=0 * ones)
 
-    def loss(scores: torch.Tensor, road: float, ego: float, wanted: Targets = targets) -> float:
-        return float(target_loss(scores, wanted, HeadWeights(road=road, ego=ego)))
+    def loss(scores: torch.Tensor, road: float, ego: float, expected: Targets = targets) -> float:
+        return float(target_loss(scores, expected, HeadWeights(road=road, ego=ego)))
 
     assert loss(right, 1, 1) < 1e-6
     assert loss(-right, 1, 1) == pytest.approx(2 * (40 + 20 + 30), rel=0.02)
@@ -161,9 +161,9 @@ def test_targets_are_the_best_class_or_the_potentials(kind: str) -> None:
     image_loss(torch.nn.Identity(), Batch(scores, planes, torch.ones(1)), training).backward()
 
     assert scores.grad is not None
-    wanted = [1.0, 0, 0, 1.0] if kind == "hard" else [0.6, 0.3, 0.1, 0.7]
+    expected = [1.0, 0, 0, 1.0] if kind == "hard" else [0.6, 0.3, 0.1, 0.7]
     start = torch.tensor([1 / 3, 1 / 3, 1 / 3, 0.5])
-    torch.testing.assert_close(scores.grad.flatten()[:4], start - torch.tensor(wanted))
+    torch.testing.assert_close(scores.grad.flatten()[:4], start - torch.tensor(expected))
     assert scores.grad.flatten()[4] == pytest.approx(2 * (0.5 - 0.8))  # the ego car stays soft
 
 

@@ -46,8 +46,8 @@ def test_centres_are_centroids_and_places_around_them_inside_the_image() -> None
     segments[:, 11:] = 1  # centroids (4, 5) and (4, 15)
 
     centres = find_centres(segments, PatchCentres(extra=4, radius=2))
-    wanted = [[4, 5], [6, 5], [4, 7], [2, 5], [4, 3], [4, 15], [6, 15], [4, 17], [2, 15], [4, 13]]
-    assert centres.tolist() == wanted
+    expected = [[4, 5], [6, 5], [4, 7], [2, 5], [4, 3], [4, 15], [6, 15], [4, 17], [2, 15], [4, 13]]
+    assert centres.tolist() == expected
 
     far = find_centres(segments[:4, :6], PatchCentres(extra=8, radius=50))
     assert (far.amin(0).tolist(), far.amax(0).tolist()) == ([0, 0], [3, 5])
@@ -56,7 +56,7 @@ def test_centres_are_centroids_and_places_around_them_inside_the_image() -> None
 def test_a_street_gives_patches_with_the_labels_of_their_places() -> None:
     street = scene(4)
 
-    arrays = PatchRecipe(training_of()).make(street.image, "")
+    arrays = PatchRecipe(training_of()).prepare(street.image, "")
 
     rows, columns = arrays["centres"].long().T
     truth = street.layout[rows, columns]
@@ -71,9 +71,9 @@ def test_a_street_gives_patches_with_the_labels_of_their_places() -> None:
 
 
 def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 0.0) -> Variation:
-    each = torch.ones(len(centre))
+    ones = torch.ones(len(centre))
     return Variation(
-        centre.float(), each * scale, each * turn, each * noise, torch.arange(len(centre))
+        centre.float(), ones * scale, ones * turn, ones * noise, torch.arange(len(centre))
     )
 
 
@@ -81,9 +81,9 @@ def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> N
     pixels = torch.randn(3, 20, 24, generator=seeded(1))
     centres = torch.tensor([[0, 0], [19, 23], [7, 12]])
     framed = reflected(pixels, 32)
-    wanted = [framed[:, r : r + 32, c : c + 32] for r, c in centres.tolist()]
+    expected = [framed[:, r : r + 32, c : c + 32] for r, c in centres.tolist()]
     patches = sample_patches(pixels, drawn(centres), 32)
-    torch.testing.assert_close(patches, torch.stack(wanted), atol=1e-4, rtol=0)
+    torch.testing.assert_close(patches, torch.stack(expected), atol=1e-4, rtol=0)
 
 
 @settings(max_examples=15)
@@ -95,8 +95,8 @@ def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, co
 
     patch = sample_patches(pixels, drawn(centre, scale, turn), 12)[0]
 
-    wanted = reference.jittered_patch(pixels.double().numpy(), row, column, 12, scale, turn)
-    np.testing.assert_allclose(patch.numpy(), wanted, atol=2e-4)
+    expected = reference.jittered_patch(pixels.double().numpy(), row, column, 12, scale, turn)
+    np.testing.assert_allclose(patch.numpy(), expected, atol=2e-4)
 
 
 def test_variation_stays_within_its_bounds_and_fills_them() -> None:
@@ -113,8 +113,8 @@ def test_variation_stays_within_its_bounds_and_fills_them() -> None:
 
 def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
     generator = seeded(5)
-    same = PatchAugmentation(min_noise=0.8, max_noise=0.8)
-    draw = sample_variation(torch.zeros(300, 2), same, generator)
+    settings = PatchAugmentation(min_noise=0.8, max_noise=0.8)
+    draw = sample_variation(torch.zeros(300, 2), settings, generator)
 
     noise = add_noise(torch.zeros(300, 3, 32, 32), draw, sample_noise(32, generator), gain=4.0)
 
@@ -172,8 +172,8 @@ def test_the_loss_is_the_sum_of_squares_to_one_hot() -> None:
     loss = squared_error(network, Batch(inputs, targets, weights))
 
     potentials = network(inputs).detach().numpy()
-    wanted = sum(
+    expected = sum(
         float(w) * sum((potentials[i, k] - (k == t)) ** 2 for k in range(3))
         for i, (t, w) in enumerate(zip(targets.tolist(), weights.tolist(), strict=True))
     )
-    assert loss.item() == pytest.approx(wanted, rel=1e-5)
+    assert loss.item() == pytest.approx(expected, rel=1e-5)

@@ -134,8 +134,8 @@ FEW = Recordings(separator="_", min_frames=3)
 ALONE = (Stop(), True)
 
 
-def overlap(one: torch.Tensor, other: torch.Tensor) -> float:
-    return float((one & other).sum() / (one | other).sum())
+def overlap(a: torch.Tensor, b: torch.Tensor) -> float:
+    return float((a & b).sum() / (a | b).sum())
 
 
 @pytest.mark.parametrize(
@@ -188,7 +188,7 @@ def test_the_ego_car_of_a_recording_is_found_cut_to_each_size_and_not_looked_for
 
 
 @pytest.fixture
-def shown(monkeypatch: pytest.MonkeyPatch) -> list[list[torch.Tensor]]:
+def examined(monkeypatch: pytest.MonkeyPatch) -> list[list[torch.Tensor]]:
     """Return the frames in which ego cars are looked for, without finding any."""
     calls: list[list[torch.Tensor]] = []
     monkeypatch.setattr(recordings, "still_ego", calls.append)
@@ -196,18 +196,18 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[list[torch.Tensor]]:
 
 
 def test_that_there_is_none_is_kept_until_a_frame_changes(
-    footage: list[Item], shown: list[list[torch.Tensor]], tmp_path: Path
+    footage: list[Item], examined: list[list[torch.Tensor]], tmp_path: Path
 ) -> None:
     for _ in range(2):
         cars = find_ego_cars(footage, tmp_path, NUMBERED, *ALONE)
-    assert len(shown) == 1
+    assert len(examined) == 1
     assert read_ego(cars["bonnet_0"], torch.zeros(3, 60, 80)) is None
     find_ego_cars(footage[:8], tmp_path, NUMBERED, *ALONE)
-    assert len(shown) == 2
+    assert len(examined) == 2
 
 
 def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
-    shown: list[list[torch.Tensor]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    examined: list[list[torch.Tensor]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recordings, "MAX_FRAMES", 4)
     for number in range(9):
@@ -216,17 +216,17 @@ def test_of_long_recordings_evenly_spread_frames_are_looked_at_each_kept_small(
 
     find_ego_cars(find_images([str(tmp_path)]), tmp_path / "kept", FEW, *ALONE)
 
-    (frames,) = shown
+    (frames,) = examined
     assert [round(float(frame.mean()) * 255 / 20) for frame in frames] == [0, 3, 6]
     assert {tuple(frame.shape) for frame in frames} == {(3, 480, 640)}
 
 
 def test_nothing_is_looked_at_without_a_separator_or_after_a_request_to_stop(
-    footage: list[Item], shown: list[list[torch.Tensor]], tmp_path: Path
+    footage: list[Item], examined: list[list[torch.Tensor]], tmp_path: Path
 ) -> None:
     assert find_ego_cars(footage, tmp_path, Recordings(), *ALONE) == {}
     stop = Stop()
     stop.ask(15)
     find_ego_cars(footage, tmp_path, NUMBERED, stop, True)
-    assert not shown
+    assert not examined
     assert not list(tmp_path.iterdir())

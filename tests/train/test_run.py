@@ -30,7 +30,7 @@ from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
     """Return the network with which a run with these changes starts."""
-    return make_recipe(training_of(kind, *changes)).network(None)
+    return make_recipe(training_of(kind, *changes)).make_network(None)
 
 
 def folder_of(outcome: Outcome) -> Path:
@@ -96,22 +96,27 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Train
 
 def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path: Path) -> None:
     """Files that killed runs left half-written are removed from all folders of a run as well."""
-    footage, kept = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
+    footage, prepared = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
     changes = (
         "augmentation.ego_car.probability=1.0",
         "recordings.min_frames=8",
         "stopping.epochs=1",
     )
-    leftovers = [tmp_path / "run", tmp_path / "run/labels-1", kept, kept / "ego-cars/street"]
+    leftovers = [
+        tmp_path / "run",
+        tmp_path / "run/labels-1",
+        prepared,
+        prepared / "ego-cars/street",
+    ]
     for folder in leftovers:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / ".roadtorch.0123abcd.part").touch()
 
-    trained("images", *changes, images=str(footage), prepared=kept, out=tmp_path / "run")
+    trained("images", *changes, images=str(footage), prepared=prepared, out=tmp_path / "run")
 
     assert not list(tmp_path.rglob("*.part"))
     for number in range(8):
-        ego = read_arrays(kept / f"bonnet_{number}.png.npz")["ego"]
+        ego = read_arrays(prepared / f"bonnet_{number}.png.npz")["ego"]
         assert (ego[-4:] > 190).all()
         assert (ego[-4:] == 255).float().mean() > 0.9
         assert not ego[:20].any()
@@ -150,11 +155,11 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
 
 def interrupt_after(steps: int, patch: pytest.MonkeyPatch) -> None:
     """Send this process SIGTERM in the middle of its n-th step from now."""
-    original, left = Loop.step, [steps]
+    original, remaining = Loop.step, [steps]
 
     def step(loop: Loop, batch: Batch) -> float:
-        left[0] -= 1
-        if left[0] == 0:
+        remaining[0] -= 1
+        if remaining[0] == 0:
             os.kill(os.getpid(), signal.SIGTERM)
         return original(loop, batch)
 
@@ -180,11 +185,11 @@ def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
 
 
 def test_the_status_of_the_command_names_the_signal(
-    call: Call, streets: Path, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Call, streets: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, out = write_config(tmp_path / "c.toml", PATCHES), tmp_path / "run"
     interrupt_after(1, monkeypatch)
-    words = ["--config", config, "--images", streets, "--out", out, "--prepared", kept / "patches"]
+    words = ["--config", config, "--images", streets, "--out", out, "--prepared", cache / "patches"]
 
     result = call("train", *words)
 
@@ -210,13 +215,13 @@ def stepped(precision: str) -> tuple[float, ImageNetwork]:
 
 
 def test_a_step_in_bfloat16_is_that_in_float32_to_its_digits() -> None:
-    (loss, network), (coarse, other) = stepped("float32"), stepped("bfloat16")
+    (loss, network), (coarse, coarse_network) = stepped("float32"), stepped("bfloat16")
 
     assert coarse != loss
     assert coarse == pytest.approx(loss, rel=0.01)
-    for one, two in zip(network.parameters(), other.parameters(), strict=True):
-        assert two.dtype == torch.float32
-        torch.testing.assert_close(two, one, atol=2e-3, rtol=0.02)
+    for exact, rounded in zip(network.parameters(), coarse_network.parameters(), strict=True):
+        assert rounded.dtype == torch.float32
+        torch.testing.assert_close(rounded, exact, atol=2e-3, rtol=0.02)
 
 
 # --- the moving average --------------------------------------------------------------------
@@ -238,9 +243,9 @@ def test_in_the_beginning_it_keeps_as_many_steps_as_there_were_of_those_and_ten_
     network, ten = with_weight(5.0), WARM_UP_STEPS
     average = MovingAverage(network, 0.999)
 
-    average.add(with_weight(1.0), 1)
-    before = (5.0 + ten) / (1 + ten)
-    assert weight_of(average) == pytest.approx(before)
-    average.add(with_weight(3.0), 2)
-    assert weight_of(average) == pytest.approx((2 * before + ten * 3.0) / (2 + ten))
+    average.update(with_weight(1.0), 1)
+    first = (5.0 + ten) / (1 + ten)
+    assert weight_of(average) == pytest.approx(first)
+    average.update(with_weight(3.0), 2)
+    assert weight_of(average) == pytest.approx((2 * first + ten * 3.0) / (2 + ten))
     assert network.weight.item() == 5.0  # the network that is trained is not touched

@@ -64,15 +64,15 @@ def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
     odds[1] -= 3
     cameras = odds.sigmoid()
 
-    fixed, own, half = (
+    fixed, otsu, half = (
         centre_likelihood(cameras, Teacher(otsu_weight=weight)) for weight in (0.0, 1.0, 0.5)
     )
 
-    for moved, image in zip(own, map(log_odds, cameras), strict=True):
+    for moved, image in zip(otsu, map(log_odds, cameras), strict=True):
         torch.testing.assert_close(moved, (image - otsu_threshold(image)).sigmoid())
-    assert torch.equal(own[0] >= 0.5, own[1] >= 0.5)
-    assert 0.4 < (own[0] >= 0.5).float().mean() < 0.6
-    shared = (log_odds(fixed) + log_odds(own)) / 2
+    assert torch.equal(otsu[0] >= 0.5, otsu[1] >= 0.5)
+    assert 0.4 < (otsu[0] >= 0.5).float().mean() < 0.6
+    shared = (log_odds(fixed) + log_odds(otsu)) / 2
     torch.testing.assert_close(log_odds(half), shared, atol=1e-3, rtol=0)
 
 
@@ -209,11 +209,11 @@ def test_the_teacher_never_sees_the_ego_car(views: str, tmp_path: Path) -> None:
 
     arrays = prepare_image(image, ego, teacher, small_training(views=views))
 
-    seen = teacher.analysis.seen
-    assert isinstance(seen, list)
-    assert len(seen) == (1 if views == "one" else 2)
-    assert all(float(each.max()) <= 0.5 for each in seen)  # the bonnet is white
-    assert torch.equal(seen[0][:, ~ego], image[:, ~ego])
+    images = teacher.analysis.seen
+    assert isinstance(images, list)
+    assert len(images) == (1 if views == "one" else 2)
+    assert all(float(view.max()) <= 0.5 for view in images)  # the bonnet is white
+    assert torch.equal(images[0][:, ~ego], image[:, ~ego])
     assert int(arrays["maps"].max()) <= 128
     write_arrays(tmp_path / "a.npz", arrays)
     assert shows_ego_car(tmp_path / "a.npz")
@@ -255,15 +255,15 @@ def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
         names = label_with_network(files, tmp_path / "labels", network, Stop(), quiet=True)
         return [read_arrays(name, "maps")["maps"] for name in names]
 
-    first, same = labelled()
+    first, again = labelled()
     times = [file.stat().st_mtime_ns for file in (tmp_path / "labels").iterdir()]
-    assert torch.equal(first, same)
+    assert torch.equal(first, again)
     labelled()
     assert [file.stat().st_mtime_ns for file in (tmp_path / "labels").iterdir()] == times
     write_arrays(files[0], {"image": torch.full((3, 32, 40), 255, dtype=torch.uint8)})
-    other, unchanged = labelled()
-    assert not torch.equal(other, first)
-    assert torch.equal(unchanged, same)
+    changed, unchanged = labelled()
+    assert not torch.equal(changed, first)
+    assert torch.equal(unchanged, again)
     with torch.no_grad():
         next(network.parameters()).add_(1)
-    assert not torch.equal(labelled()[1], same)
+    assert not torch.equal(labelled()[1], again)

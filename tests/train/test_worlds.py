@@ -84,7 +84,7 @@ def test_framing_tells_where_the_road_leaves_the_image() -> None:
     assert framing.right_only == 0
 
     valid[:, 0] = False  # a border column that nobody labelled
-    beside = measure_framing(road, valid)
-    assert beside is not None
-    assert beside.left_only == framing.left_only
+    cropped = measure_framing(road, valid)
+    assert cropped is not None
+    assert cropped.left_only == framing.left_only
     assert measure_framing(road & False, valid) is None

@@ -81,10 +81,10 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
         write_json(list_file, {"key": key, "halves": None})
     sample = _read(list_file, folder, key)
     if sample is None:
-        for file in folder.glob("*.jpg"):  # of a run that was cut short
+        for file in folder.glob("*.jpg"):  # of an interrupted run
             file.unlink()
         sample = _write_frames(Inputs(images, sources), folder, most, quiet)
-        if sample.count < 2:  # nothing that the next run should take as it is
+        if sample.count < 2:  # not recorded, so that the next run samples again
             problem = f"has {sample.count} frames"
             raise InputError(inputs[0], problem, "give a few minutes of a drive")
         values = {"halves": sample.halves, "moving": sample.moving, "skipped": sample.skipped}
@@ -164,5 +164,5 @@ def _frames(inputs: Inputs, skipped: list[str]) -> Iterator[tuple[float | None, 
                     if frame.clock > due - 1e-3:  # times are rounded
                         due = frame.clock + FRAME_INTERVAL
                         yield frame.seconds, frame.read()
-                except RoadtorchError as error:  # behind it the frames go on, or end
+                except RoadtorchError as error:  # further frames may follow
                     skipped.append(str(error))

@@ -136,7 +136,7 @@ def fit_bias(
     if not counts:
         return 0.0
     best, threshold = max_f(reduce(add, counts))
-    if best.isnan():  # the teacher is sure of no road
+    if best.isnan():  # the teacher is certain of no road
         return 0.0
     lacking = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
     return float(lacking * settings.calibration.temperature)
@@ -150,7 +150,7 @@ def _labelled_frames(
     for image in Progress(sampled, desc=title, unit="frame", quiet=quiet):
         file = prepared / f"{image_file_name(image)}.npz"
         if not file.exists():
-            continue  # it was skipped, and reported
+            continue  # skipped and reported before
         arrays = read_arrays(file, "maps", "ego")
         maps, ego = (from_uint8(arrays[name])[None] for name in ("maps", "ego"))
         targets = make_targets(maps, ego[None], None, training.teacher, training.rounds)

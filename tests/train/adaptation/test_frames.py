@@ -20,24 +20,24 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def kept_of(footage: Path, folder: Path, most: int = 100) -> KeptFrames:
+def sample_of(footage: Path, folder: Path, most: int = 100) -> KeptFrames:
     return keep_frames([str(footage)], folder / "kept", most, quiet=True)
 
 
 def test_images_are_halved_in_their_order_once(images: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run[1]"  # no glob
-    kept = kept_of(images, folder)
+    sample = sample_of(images, folder)
 
-    assert kept.halves == (5, 5)
-    assert not kept.moving
-    names = [frame.path.stem for frame in kept.images("second")]
+    assert sample.halves == (5, 5)
+    assert not sample.moving
+    names = [frame.path.stem for frame in sample.images("second")]
     assert names == [f"second_{number:06d}" for number in range(5, 10)]
-    last, own = read_image(kept.images()[-1].path), read_image(images / "09.png")
-    assert float((last - own).abs().mean()) < 0.02  # but for JPEG
+    last, original = read_image(sample.images()[-1].path), read_image(images / "09.png")
+    assert float((last - original).abs().mean()) < 0.02  # but for JPEG
 
-    times = [frame.path.stat().st_mtime_ns for frame in kept.images()]
-    assert kept_of(images, folder) == kept
-    assert [frame.path.stat().st_mtime_ns for frame in kept.images()] == times
+    times = [frame.path.stat().st_mtime_ns for frame in sample.images()]
+    assert sample_of(images, folder) == sample
+    assert [frame.path.stat().st_mtime_ns for frame in sample.images()] == times
 
 
 def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
@@ -46,18 +46,18 @@ def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
     for number in range(60):
         write_jpeg(drive / f"{number:02d}.jpg", torch.full((3, 32, 48), number / 60))
 
-    kept = kept_of(drive, tmp_path, 20)
+    sample = sample_of(drive, tmp_path, 20)
 
-    numbers = [round(float(frame.read().mean()) * 60) for frame in kept.images()]
+    numbers = [round(float(frame.read().mean()) * 60) for frame in sample.images()]
     assert numbers == [first + step for first in (0, 10, 30, 40) for step in range(5)]
-    assert len(list((tmp_path / "kept").glob("*.jpg"))) == kept.count
+    assert len(list((tmp_path / "kept").glob("*.jpg"))) == sample.count
 
 
 def test_of_a_video_some_frames_a_second_are_kept(tmp_path: Path) -> None:
     video = write_video(tmp_path / "drive.mp4", [number / 10 for number in range(25)])
-    kept = kept_of(video, tmp_path)
-    assert kept.moving
-    assert kept.count == 7  # at 0, .4, .8 … 2.4 of its 2.5 seconds
+    sample = sample_of(video, tmp_path)
+    assert sample.moving
+    assert sample.count == 7  # at 0, .4, .8 … 2.4 of its 2.5 seconds
 
 
 def test_a_image_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> None:
@@ -65,10 +65,10 @@ def test_a_image_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> Non
         write_image(tmp_path / "drive" / name, render_scene(1, 32, 48))
     (tmp_path / "drive/01.png").write_bytes(b"no image")
 
-    kept = kept_of(tmp_path / "drive", tmp_path)
+    sample = sample_of(tmp_path / "drive", tmp_path)
 
-    assert kept.count == 2
-    (message,) = kept.skipped
+    assert sample.count == 2
+    (message,) = sample.skipped
     assert "01.png" in message
 
 
@@ -82,10 +82,10 @@ def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
 
     monkeypatch.setattr("roadtorch.train.adaptation.frames.write_jpeg", full)
     with pytest.raises(KeyboardInterrupt):
-        kept_of(images, tmp_path)
+        sample_of(images, tmp_path)
     monkeypatch.undo()
 
-    assert kept_of(images, tmp_path).count == 10
+    assert sample_of(images, tmp_path).count == 10
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == 10
 
 
@@ -96,16 +96,16 @@ def test_too_few_frames_are_not_taken_as_they_are_by_the_next_run(
         "roadtorch.train.adaptation.frames._frames", lambda *_: iter(())
     )  # all vanish
     with pytest.raises(InputError, match="has 0 frames"):
-        kept_of(images, tmp_path)
+        sample_of(images, tmp_path)
     monkeypatch.undo()
 
-    assert kept_of(images, tmp_path).count == 10
+    assert sample_of(images, tmp_path).count == 10
 
 
 def test_other_footage_and_other_files_are_refused(images: Path, tmp_path: Path) -> None:
     (tmp_path / "mine/kept").mkdir(parents=True)
     (tmp_path / "mine/kept/01.jpg").touch()
-    kept_of(images, tmp_path)
+    sample_of(images, tmp_path)
     refusals: list[tuple[Path, Path, int, type[RoadtorchError], str]] = [
         (images, tmp_path, 50, ConfigError, "other footage"),
         (images, tmp_path / "mine", 100, ConfigError, "holds files of something else"),
@@ -113,5 +113,5 @@ def test_other_footage_and_other_files_are_refused(images: Path, tmp_path: Path)
     ]
     for footage, folder, most, error, message in refusals:
         with pytest.raises(error, match=message):
-            kept_of(footage, folder, most)
+            sample_of(footage, folder, most)
     assert (tmp_path / "mine/kept/01.jpg").exists()

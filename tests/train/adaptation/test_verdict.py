@@ -53,9 +53,9 @@ def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None
     assert write_smoothed_labels(frames, looks, prepared, training, quiet=True) is None
 
     files = [sorted(folder.rglob("*.npz")) for folder in (looks, prepared)]
-    before, after = map(roads, files)
-    assert after[:4].var(0).mean() < 0.2 * before[:4].var(0).mean()
-    assert torch.allclose(after[4], before[4], atol=1 / 255)
+    single, averaged = map(roads, files)
+    assert averaged[:4].var(0).mean() < 0.2 * single[:4].var(0).mean()
+    assert torch.allclose(averaged[4], single[4], atol=1 / 255)
     look, taught = (read_arrays(names[0], "image", "ego") for names in files)
     assert all(look[name].equal(taught[name]) for name in look)
 
@@ -81,18 +81,18 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
 
 @pytest.mark.parametrize("shift", [-2.0, 2.0], ids=["timid", "bold"])
 def test_bias_undoes_shift(shift: float, streets: tuple[list[Item], Path], tmp_path: Path) -> None:
-    shifted, mended = tmp_path / "s.file", tmp_path / "m.file"
+    shifted, corrected = tmp_path / "s.file", tmp_path / "m.file"
     images, prepared = streets
     write_biased(SHIPPED, shifted, shift)
 
     bias = fit_bias(images, shifted, prepared, training_of(), quiet=True)
-    write_biased(shifted, mended, bias)
+    write_biased(shifted, corrected, bias)
 
     assert bias == pytest.approx(-shift, abs=1)
-    files = (shifted, mended, mended)
+    files = (shifted, corrected, corrected)
     judged = count_masks(images, files, prepared, training_of(), quiet=True)
-    before, after, _ = (float(f_measure(Decisions(*rows.sum(0)))) for rows in judged)
-    assert after > max(before, 0.97)
+    shifted_f, corrected_f, _ = (float(f_measure(Decisions(*rows.sum(0)))) for rows in judged)
+    assert corrected_f > max(shifted_f, 0.97)
 
 
 def test_without_evidence_none_is_shifted(streets: tuple[list[Item], Path], tmp_path: Path) -> None:
