@@ -1,4 +1,4 @@
-"""What all images of one camera share, as a file: ego car, horizon, seed row."""
+"""Camera file: ego car, horizon and seed row, which all images of one camera share."""
 
 import os
 from collections.abc import Sequence
@@ -174,16 +174,16 @@ class Camera(Settings):
             if template_similarity(self.look, gradient) < self.look.least:
                 raise InputError("image", "does not show this camera's ego car", WRONG_CAMERA_HINT)
 
-    def settings_for(self, kind: type[Settings]) -> dict[str, Any]:
-        """Return the values, nested, that a detector's settings of a class take from this camera.
+    def settings_for(self, settings_class: type[Settings]) -> dict[str, Any]:
+        """Return the values, nested, that a detector's settings take from this camera.
 
-        The ego car for every detector, and the horizon for those with a labeller.
+        Every detector takes the ego car, and those with a labeller the horizon.
         """
         values: dict[str, Any] = {}
         if is_given(self.ego):
             values["ego"] = self.ego.model_dump(exclude_defaults=True)
-        labeller = group_at(kind, ["labeller"])
-        if labeller is not kind and "horizon" in labeller.model_fields:
+        labeller = group_at(settings_class, ["labeller"])
+        if labeller is not settings_class and "horizon" in labeller.model_fields:
             values["labeller"] = {"horizon": self.horizon}
         return values
 

@@ -81,7 +81,7 @@ class Lens(Settings):
         return self.model_copy(update=changes)
 
 
-def lens_of_view(width: int, height: int, degrees: float) -> Lens:
+def pinhole_lens(width: int, height: int, degrees: float) -> Lens:
     """Return a pinhole lens with square pixels and its axis through the image centre.
 
     Args:
@@ -115,7 +115,7 @@ class Pose:
         return math.degrees(math.asin(max(-1.0, min(1.0, -self.axes[2][2]))))
 
 
-def mounted(
+def camera_pose(
     height: float, pitch: float, roll: float = 0.0, mount: tuple[float, float] = (0.0, 0.0)
 ) -> Pose:
     """Return the pose of a camera that looks ahead.

@@ -23,8 +23,8 @@ from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
     Pose,
-    lens_of_view,
-    mounted,
+    camera_pose,
+    pinhole_lens,
     pitch_from_horizon,
 )
 
@@ -51,7 +51,7 @@ class Mounting:
         if self.height is None:
             hint = "give the camera's height above the ground in metres, or --calibration"
             raise ConfigError("--height", "is missing", hint)
-        return mounted(self.height, pitch, self.roll, self.mount)
+        return camera_pose(self.height, pitch, self.roll, self.mount)
 
 
 class Pitch(NamedTuple):
@@ -111,7 +111,7 @@ class Placing:
             camera = kitti_ground_camera(self.calibration, width, height, self.mounting.mount)
             return camera, Pitch(camera.pose.pitch, "of the calibration")
         if self.lens is None:
-            lens = lens_of_view(width, height, self.mounting.fov or 0.0)
+            lens = pinhole_lens(width, height, self.mounting.fov or 0.0)
         else:
             lens = self.lens.at(width, height)
         pitch = self.pitch
@@ -154,7 +154,7 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
         raise ConfigError("grid", "the lens is not specified", hint)
     mounting.pose(mounting.pitch or 0.0)
     if mounting.fov is not None:
-        lens_of_view(2, 2, mounting.fov)
+        pinhole_lens(2, 2, mounting.fov)
     horizon = None if mounting.camera is None else Camera.read(mounting.camera).horizon
     pitch = None if mounting.pitch is None else Pitch(mounting.pitch, "as given")
     placing = Placing(mounting, None, None, horizon, pitch)

@@ -15,8 +15,8 @@ from functools import partial
 from pathlib import Path
 
 from roadtorch.base.errors import DatasetError
-from roadtorch.data.dataset import Dataset, Kind, LabelledItem
-from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
+from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem
+from roadtorch.data.labels import ColourLabels, NumberLabels, pair_files
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 DRIVE_NAME_LENGTH = 6  # CamVid names begin with the drive: 0001TP, 0006R0, 0016E5, Seq05V
@@ -51,7 +51,7 @@ def open_camvid(root: Path, split: str) -> Dataset:
     items = tuple(
         _make_item(image, label)
         for part in CAMVID_SPLITS[split]
-        for image, label in pairs(root / part, root / f"{part}annot")
+        for image, label in pair_files(root / part, root / f"{part}annot")
     )
     return Dataset("camvid", root, split, items, CAMVID_LABELS)
 
@@ -190,11 +190,13 @@ def _find_items32(root: Path) -> Iterator[LabelledItem]:
     for images, labels in present:
         if images not in nested:
             yield from (
-                _make_item(image, label) for image, label in pairs(images, labels, "_L.png")
+                _make_item(image, label) for image, label in pair_files(images, labels, "_L.png")
             )
 
 
 CAMVID_FORMATS = {
-    "camvid": Kind(tuple(CAMVID_SPLITS), open_camvid),
-    **{name: Kind(tuple(SPLITS32), partial(open_camvid32, name=name)) for name in READINGS},
+    "camvid": DatasetFormat(tuple(CAMVID_SPLITS), open_camvid),
+    **{
+        name: DatasetFormat(tuple(SPLITS32), partial(open_camvid32, name=name)) for name in READINGS
+    },
 }

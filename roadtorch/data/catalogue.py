@@ -1,7 +1,7 @@
 """Registry of the labelled data sets by name.
 
 Other packages register theirs through the entry-point group ``roadtorch.datasets``: the entry
-point has the name of the data set and refers to a ``Kind``.
+point has the name of the data set and refers to a ``DatasetFormat``.
 """
 
 from collections.abc import Mapping
@@ -12,19 +12,19 @@ from roadtorch.base.errors import ConfigError, DatasetError, unknown_name
 from roadtorch.base.plugins import load_plugins
 from roadtorch.data import camvid, kitti
 from roadtorch.data.corrections import open_corrections
-from roadtorch.data.dataset import Dataset, Kind
+from roadtorch.data.dataset import Dataset, DatasetFormat
 from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
 
 ENTRY_POINT_GROUP = "roadtorch.datasets"
 
 
-DATASET_FORMATS: Mapping[str, Kind] = {
+DATASET_FORMATS: Mapping[str, DatasetFormat] = {
     **camvid.CAMVID_FORMATS,
-    "corrections": Kind(("all",), open_corrections),
-    "cityscapes": Kind(("val", "train"), open_cityscapes),
-    "folder": Kind(("all",), open_folder),
-    "idd-lite": Kind(("all",), open_idd_lite),
-    kitti.KITTI_NAME: Kind(kitti.KITTI_SPLITS, kitti.open_kitti_road),
+    "corrections": DatasetFormat(("all",), open_corrections),
+    "cityscapes": DatasetFormat(("val", "train"), open_cityscapes),
+    "folder": DatasetFormat(("all",), open_folder),
+    "idd-lite": DatasetFormat(("all",), open_idd_lite),
+    kitti.KITTI_NAME: DatasetFormat(kitti.KITTI_SPLITS, kitti.open_kitti_road),
 }
 
 
@@ -40,13 +40,14 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
         ConfigError: for an unknown name or split.
         DatasetError: for an incomplete or empty data set.
     """
-    kind = find_dataset_format(name)
-    if split is not None and split not in kind.splits:
-        raise unknown_name(f"split of {name}", split, kind.splits)
+    dataset_format = find_dataset_format(name)
+    splits = dataset_format.splits
+    if split is not None and split not in splits:
+        raise unknown_name(f"split of {name}", split, splits)
     if not root.is_dir():
         raise DatasetError(root, "is not a folder", f"give the folder that holds {name}")
-    split = split or kind.splits[0]
-    dataset = kind.open(root, split)
+    split = split or splits[0]
+    dataset = dataset_format.open(root, split)
     if not dataset.items:
         raise DatasetError(root, f"holds no images of the split {split}", "choose another split")
     return dataset
@@ -70,24 +71,24 @@ def list_datasets() -> list[str]:
     return sorted(_catalogue())
 
 
-def find_dataset_format(name: str) -> Kind:
+def find_dataset_format(name: str) -> DatasetFormat:
     """Return the format of a data set; ConfigError with the nearest names for an unknown one."""
-    kinds = _catalogue()
-    if name not in kinds:
-        raise unknown_name("data set", name, kinds)
-    return kinds[name]
+    formats = _catalogue()
+    if name not in formats:
+        raise unknown_name("data set", name, formats)
+    return formats[name]
 
 
 @cache
-def _catalogue() -> dict[str, Kind]:
-    kinds = dict(DATASET_FORMATS)
+def _catalogue() -> dict[str, DatasetFormat]:
+    formats = dict(DATASET_FORMATS)
 
-    def add(name: str, kind: object) -> None:
-        if name in kinds:
+    def add(name: str, value: object) -> None:
+        if name in formats:
             raise ConfigError(name, "is the name of another set", "choose a new name")
-        if not isinstance(kind, Kind):
-            raise ConfigError(name, f"is {type(kind).__name__}", "name a Kind")
-        kinds[name] = kind
+        if not isinstance(value, DatasetFormat):
+            raise ConfigError(name, f"is {type(value).__name__}", "refer to a DatasetFormat")
+        formats[name] = value
 
     load_plugins(ENTRY_POINT_GROUP, "data set", add)
-    return kinds
+    return formats

@@ -144,7 +144,7 @@ def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
 
 
 @dataclass(frozen=True)
-class Kind:
+class DatasetFormat:
     """File layout of a data set and the function that opens it.
 
     Attributes:

@@ -68,9 +68,9 @@ def layout_layer(labels: np.ndarray) -> np.ndarray:
     return _LAYOUT[labels]
 
 
-def relabel(labels: np.ndarray, saying: str) -> np.ndarray:
+def relabel(labels: np.ndarray, label: str) -> np.ndarray:
     """Return the labels, uint8 of any shape, after one of ``STROKE_LABELS`` was applied to each."""
-    return np.array(_TRANSITIONS[saying], np.uint8)[labels]
+    return np.array(_TRANSITIONS[label], np.uint8)[labels]
 
 
 # --- events -----------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from roadtorch.data.labels import (
     NumberLabels,
     decode_labels,
     is_image_file,
-    pairs,
+    pair_files,
     read_labels,
     require_labels,
 )
@@ -80,7 +80,7 @@ def open_folder(root: Path, split: str) -> Dataset:
 
 def _find_items(folder: Path, group: str | None) -> Iterator[LabelledItem]:
     labels = "road" if not (folder / "masks").is_dir() and (folder / "road").is_dir() else "masks"
-    for image, label in pairs(folder / "images", folder / labels):
+    for image, label in pair_files(folder / "images", folder / labels):
         name = f"{group}/{image.stem}" if group else image.stem
         layout = folder / "layout" / label.name
         yield LabelledItem(name, image, label, group, (layout,) if layout.is_file() else ())
@@ -161,7 +161,7 @@ def open_idd_lite(root: Path, split: str) -> Dataset:
     """Open IDD Lite, seven classes: ROOT/images, ROOT/labels. Road is "drivable"."""
     items = tuple(
         LabelledItem(image.stem, image, label)
-        for image, label in pairs(root / "images", root / "labels")
+        for image, label in pair_files(root / "images", root / "labels")
     )
     return Dataset("idd-lite", root, split, items, IDD_LABELS)
 

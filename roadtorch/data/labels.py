@@ -15,7 +15,7 @@ from roadtorch.base.image import SUFFIXES
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.layout.classes import UNLABELLED
 
-MAX_LISTED = 5  # unknown values or colours named in an error
+MAX_LISTED_VALUES = 5  # unknown values or colours named in an error
 
 BYTE_VALUES = 256  # label numbers fit one byte
 
@@ -89,7 +89,7 @@ class ColourLabels:
 # --- finding ----------------------------------------------------------------------------
 
 
-def pairs(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Path, Path]]:
+def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Path, Path]]:
     """Yield every image of a folder, sorted, with its label file, whose name has another ending.
 
     Raises DatasetError naming a missing folder or label file, and for two images with one label
@@ -185,9 +185,11 @@ def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth
 
 def _list_counts(names: list[str], counts: np.ndarray) -> str:
     """List the most frequent names with their numbers of pixels."""
-    order = np.argsort(-counts, kind="stable")[:MAX_LISTED]
+    order = np.argsort(-counts, kind="stable")[:MAX_LISTED_VALUES]
     text = ", ".join(f"{names[index]} ({counts[index]} pixels)" for index in order)
-    return text + (f" and {len(names) - MAX_LISTED} others" if len(names) > MAX_LISTED else "")
+    return text + (
+        f" and {len(names) - MAX_LISTED_VALUES} others" if len(names) > MAX_LISTED_VALUES else ""
+    )
 
 
 def _pack_colours(colours: np.ndarray) -> np.ndarray:

@@ -23,16 +23,16 @@ from roadtorch.camera.calibration import (
 from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
+    camera_pose,
     distorted,
-    lens_of_view,
-    mounted,
+    pinhole_lens,
     pitch_from_horizon,
     undistort_points,
 )
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
 from tests.reference import bev as reference
 
-LENS = lens_of_view(640, 480, 60)
+LENS = pinhole_lens(640, 480, 60)
 DISTORTIONS = {
     "plumb_bob": (-0.3, 0.1, 0.001, -0.001, 0.0),
     "rational_polynomial": (0.1, 0.2, 0.0, 0.0, 0.01, 0.3, 0.1, 0.02),
@@ -57,7 +57,7 @@ def ground_points(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
 
 
 def test_a_level_camera_by_hand() -> None:
-    camera = GroundCamera(LENS, mounted(1.4, 0))
+    camera = GroundCamera(LENS, camera_pose(1.4, 0))
 
     pixels, inside = camera.project(ground((10, 0), (10, 2), (-10, 0), (1, 0)))
 
@@ -67,14 +67,14 @@ def test_a_level_camera_by_hand() -> None:
     sky = np.array([[300.0, 100.0], [300.0, 239.5]])
     assert np.isnan(ground_points(camera, sky)).all()
     # A lower right side lifts the horizon there.
-    rolled = GroundCamera(LENS, mounted(1.4, 0, roll=10))
+    rolled = GroundCamera(LENS, camera_pose(1.4, 0, roll=10))
     right_ray, left_ray = rolled.unproject(np.array([[600.0, 239.5], [40.0, 239.5]]))
     assert right_ray[2] < 0 < left_ray[2]
 
 
 @given(pitch=st.floats(-10, 60), roll=st.floats(-20, 20), x=st.floats(2, 30), y=st.floats(-5, 5))
 def test_pixels_come_back_to_their_ground(pitch: float, roll: float, x: float, y: float) -> None:
-    camera = GroundCamera(LENS, mounted(1.4, pitch, roll, (0.5, -0.2)))
+    camera = GroundCamera(LENS, camera_pose(1.4, pitch, roll, (0.5, -0.2)))
     pixels, inside = camera.project(ground((x, y)))
 
     if inside.all():
@@ -83,7 +83,7 @@ def test_pixels_come_back_to_their_ground(pitch: float, roll: float, x: float, y
 
 @pytest.mark.parametrize("model", DISTORTIONS)
 def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> None:
-    camera = GroundCamera(distorted_lens(model), mounted(1.4, 10))
+    camera = GroundCamera(distorted_lens(model), camera_pose(1.4, 10))
     pixels = np.random.default_rng(0).uniform(0, 479, (500, 2))
     points = ground((5, 1), (8, -2), (20, 3))
 
@@ -96,7 +96,7 @@ def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> Non
 
 
 def test_distortion_that_turns_back_shows_nothing() -> None:
-    camera = GroundCamera(distorted_lens("plumb_bob"), mounted(1.4, 60))
+    camera = GroundCamera(distorted_lens("plumb_bob"), camera_pose(1.4, 60))
     wide = ground((0.9, 3.0))  # 70 degrees off the axis, where the polynomial has turned
 
     pixels, inside = camera.project(wide)
@@ -231,8 +231,8 @@ def test_the_ground_points_are_those_of_the_birds_eye_view() -> None:
 
 
 WIDTH, HEIGHT = 240, 180
-CAMERA = GroundCamera(lens_of_view(WIDTH, HEIGHT, 60), mounted(1.4, 12))
-UP = GroundCamera(CAMERA.lens, mounted(1.4, -30))
+CAMERA = GroundCamera(pinhole_lens(WIDTH, HEIGHT, 60), camera_pose(1.4, 12))
+UP = GroundCamera(CAMERA.lens, camera_pose(1.4, -30))
 SETTINGS = GridSettings(resolution=0.2, range=16, side=6)
 
 
@@ -336,7 +336,7 @@ def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -
 
 
 def test_a_mount_moves_the_grid_with_the_camera() -> None:
-    camera = GroundCamera(CAMERA.lens, mounted(1.4, 12, mount=(0.6, -0.4)))
+    camera = GroundCamera(CAMERA.lens, camera_pose(1.4, 12, mount=(0.6, -0.4)))
     moved = ground_grid(draw_mask("x > 9.6", camera), camera, SETTINGS)
 
     assert moved.origin == pytest.approx((0.6, -6.4))

@@ -13,7 +13,7 @@ from PIL import Image
 
 from roadtorch.data.correction_formats import fill_area
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
+from roadtorch.data.labels import ColourLabels, NumberLabels, pair_files
 from roadtorch.data.maps import map_likelihood
 from roadtorch.data.polygons import fill_polygon
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
@@ -72,7 +72,7 @@ def test_pairs_in_the_order_of_their_names(tmp_path):
     for name in ("images/._a.png", "images/notes.txt"):
         (tmp_path / name).write_bytes(b"")
 
-    files = pairs(tmp_path / "images", tmp_path / "labels", "_L.png")
+    files = pair_files(tmp_path / "images", tmp_path / "labels", "_L.png")
 
     names = [(image.name, label.name) for image, label in files]
     assert names == [("a.png", "a_L.png"), ("b.jpg", "b_L.png")]

@@ -18,7 +18,7 @@ from roadtorch.data.correction_formats import FORMATS
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.kitti import birds_eye
-from roadtorch.data.labels import ColourLabels, NumberLabels, pairs
+from roadtorch.data.labels import ColourLabels, NumberLabels, pair_files
 from roadtorch.data.maps import map_likelihood
 from tests.data.conftest import Content, write
 
@@ -53,10 +53,10 @@ LABEL_IMAGES: Rows = [
     (partial(truth, NUMBERS), {"a.png": BLACK + GREEN}, "a.png", "a colour image"),
     (partial(truth, COLOURS), {"a.png": BLACK + GREEN}, "a.png",
      r"colours 3 9 1 \(1 pixels\)"),
-    (lambda root: [*pairs(root / "images", root / "labels", "_L.png")],
+    (lambda root: [*pair_files(root / "images", root / "labels", "_L.png")],
      {"images/a.png": BLACK, "images/b.jpg": BLACK, "labels/x": ""}, "labels/a_L.png",
      "is missing, 2 of 2"),
-    (lambda root: [*pairs(root / "images", root / "labels", "_L.png")],
+    (lambda root: [*pair_files(root / "images", root / "labels", "_L.png")],
      {"images/a.png": BLACK, "images/a.bmp": BLACK, "labels/a_L.png": BLACK}, "a.png",
      r"has the name of a\.bmp"),
 ]  # fmt: skip

@@ -14,7 +14,7 @@ import roadtorch.base.plugins
 import roadtorch.data.catalogue
 from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, Kind, LabelledItem, Truth, leave_out
+from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem, Truth, leave_out
 from roadtorch.data.folder import with_conditions
 from tests.data.conftest import write
 
@@ -188,15 +188,15 @@ def test_the_documented_set(tmp_path):
     blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
     space: dict[str, Any] = {"__name__": __name__}
     exec(next(block for block in blocks if "MOUNTAIN_ROADS" in block), space)
-    kind = space["MOUNTAIN_ROADS"]
+    dataset_format = space["MOUNTAIN_ROADS"]
     for name in ("pass-1", "pass-2", "valley-1"):
         write(tmp_path / f"test/photos/{name}.png", np.zeros((1, 4, 3), np.uint8))
         write(tmp_path / f"test/labels/{name}.png", np.array([[0, 1, 2, 9]], np.uint8))
 
-    dataset = kind.open(tmp_path, kind.splits[0])
+    dataset = dataset_format.open(tmp_path, dataset_format.splits[0])
     truth = dataset.read(dataset.items[0])[1]
 
-    assert isinstance(kind, Kind)
+    assert isinstance(dataset_format, DatasetFormat)
     assert dataset.groups() == ["pass", "valley"]
     assert truth.road[0].tolist() == [False, True, True, False]
     assert truth.valid[0].tolist() == [True, True, True, False]
@@ -220,20 +220,20 @@ def open_foreign(root: Path, split: str) -> Dataset:
     return Dataset("theirs", root, split, items, BottomHalf())
 
 
-FOREIGN = Kind(("day", "night"), open_foreign)
-NO_KIND = open_foreign
+FOREIGN = DatasetFormat(("day", "night"), open_foreign)
+NO_FORMAT = open_foreign
 
 
-def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, Kind]:
-    """Register these entry points of another package and return all kinds of sets."""
+def offer(monkeypatch: pytest.MonkeyPatch, **points: str) -> dict[str, DatasetFormat]:
+    """Register these entry points of another package and return all formats of sets."""
     entry_points = [
         EntryPoint(name, f"tests.data.test_sets:{value}", "roadtorch.datasets")
         for name, value in points.items()
     ]
     monkeypatch.setattr(roadtorch.base.plugins, "entry_points", lambda group: entry_points)
-    kinds = roadtorch.data.catalogue._catalogue.__wrapped__()
-    monkeypatch.setattr(roadtorch.data.catalogue, "_catalogue", lambda: kinds)
-    return kinds
+    formats = roadtorch.data.catalogue._catalogue.__wrapped__()
+    monkeypatch.setattr(roadtorch.data.catalogue, "_catalogue", lambda: formats)
+    return formats
 
 
 def test_other_packages_add_sets(monkeypatch, tmp_path):
@@ -254,13 +254,13 @@ def test_other_packages_add_sets(monkeypatch, tmp_path):
     ("name", "value", "message"),
     [
         ("theirs", "MISSING", "'theirs' of .* cannot be used"),
-        ("theirs", "NO_KIND", "is function .name a Kind"),
+        ("theirs", "NO_FORMAT", "is function .refer to a DatasetFormat"),
         ("camvid", "FOREIGN", "camvid: is the name of another set"),
     ],
 )
 def test_a_broken_package_costs_only_its_own(monkeypatch, name, value, message):
     with pytest.warns(RuntimeWarning, match=message):
-        kinds = offer(monkeypatch, **{name: value, "good": "FOREIGN"})
+        formats = offer(monkeypatch, **{name: value, "good": "FOREIGN"})
 
-    assert kinds["good"] is FOREIGN
-    assert kinds["camvid"] is not FOREIGN
+    assert formats["good"] is FOREIGN
+    assert formats["camvid"] is not FOREIGN
