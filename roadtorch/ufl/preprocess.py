@@ -40,16 +40,10 @@ class Smoothing(Settings):
     """Settings of blur and brightness equalisation (eqs. 1 and 2)."""
 
     sigma: float = Field(
-        default=1.5,
-        gt=0,
-        le=50,
-        description="sigma of the image's blur, pixels; 2.5 for KITTI road",
+        default=1.5, gt=0, le=50, description="sigma of the blur, pixels; 2.5 for KITTI road"
     )
     window: float = Field(
-        default=2.0,
-        ge=0,
-        le=10,
-        description="radius of the blur's window, in sigmas; rounded up",
+        default=2.0, ge=0, le=10, description="radius of the blur, in sigmas; rounded up"
     )
     light_sigma: float = Field(
         default=0.5, gt=0, le=50, description="sigma of the brightness map's blur, pixels"

@@ -115,13 +115,13 @@ def cut_road(
     bags = segment_histogram(words, regions, int(regions.max()) + 1, count)
     top = torch.zeros_like(seed)
     top[0] = True
-    road_cost, background_cost = (
+    like_road, like_background = (
         similarity(bags, torch.bincount(words[area], minlength=count).float()) * bags.sum(1)
         for area in (seed, top)
     )
     pairs, length = shared_borders(regions)
     parting = settings.border_cost * length * similarity(bags[pairs[:, 0]], bags[pairs[:, 1]])
-    return source_side(road_cost, background_cost, pairs, parting)[regions]
+    return source_side(like_road, like_background, pairs, parting)[regions]
 
 
 def source_side(source: Tensor, sink: Tensor, pairs: Tensor, between: Tensor) -> Tensor:
