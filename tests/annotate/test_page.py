@@ -184,9 +184,9 @@ def test_the_keyboard_alone_is_enough(page: "Page", server: Server) -> None:
     assert (corrected.layout == 1).any()
     for count in (1, 2):
         press_and_leave(page, "Enter")
-        tells(page, "progress", f"{count} of 3 right")
+        tells(page, "progress", f"{count} of 3 confirmed")
     press(page, "Enter")
-    tells(page, "notice", "All done: 3 of 3 right. To learn from them: roadtorch train --config")
+    tells(page, "notice", "All 3 images are confirmed. To train on them: roadtorch train --config")
     assert all(correction.confirmed for correction in server.corrections())
 
 
@@ -227,14 +227,14 @@ def test_two_windows_lose_nothing(visit: Open, page: "Page", server: Server) -> 
 def test_strokes_wait_through_a_reload_and_a_restart(page: "Page", server: Server) -> None:
     page.route("**/api/event*", lambda route: route.abort())
     click(page, 0.5, 0.9)
-    tells(page, "notice", "1 event waits here")
+    tells(page, "notice", "1 unsent event")
     page.unroute("**/api/event*")
     page.reload()
     at_version(page, 1)
     server.stop()
     press(page, "2")
     click(page, 0.5, 0.2)
-    tells(page, "notice", "1 event waits here")
+    tells(page, "notice", "1 unsent event")
     click(page, 0.2, 0.2)
     restarted = Server(server.folder, server.out)
     assert restarted.url == server.url

@@ -1,4 +1,4 @@
-// The page: images, keys and tools; what they do goes to the server as events.
+// The correction page: images, keys and tools. Corrections are sent to the server as events.
 
 import { Stage } from "/static/canvas.js";
 import { buildControls, mark, onKeys } from "/static/controls.js";
@@ -9,7 +9,7 @@ import { ImageList } from "/static/list.js";
 const by = (id) => document.getElementById(id);
 const SAYINGS = ["road", "not_road", "void", "sky", "vertical", "horizontal"];
 const TOOLS = { superpixel: "s", polygon: "p", brush: "b" };
-const IDLE = 30; // seconds without a hand on keys or pointer that count as no work
+const IDLE = 30; // seconds without a key or pointer event that do not count as work
 const POLL = 1500; // milliseconds
 
 const stage = new Stage(by("stage"));
@@ -18,14 +18,14 @@ const hand = new Hand(stage, send, () => current !== null);
 const outbox = new Outbox(acted);
 const loaded = new Map(); // images by name: promises, the last few
 
-let images = []; // what the server lists, in the order of the page
-let stamp = "";
-let learn = ""; // the command that learns from the corrections
-let current = null; // the image that is shown
-let state = null; // what the server last answered about it
-let seconds = 0; // at work since the last act
+let images = []; // the server's list, in the order of the page
+let stamp = ""; // its version
+let learn = ""; // the command that trains on the corrections
+let current = null; // the open image
+let state = null; // its last state from the server
+let seconds = 0; // of work since the last event
 let touched = performance.now();
-let wanted = null; // the image that was asked for last
+let requested = null; // name of the image that was requested last
 
 // --- images -----------------------------------------------------------------------------
 
@@ -41,31 +41,31 @@ function load(name) {
 }
 
 async function open(name) {
-  wanted = name;
+  requested = name;
   document.body.classList.remove("listing");
   by("waiting").hidden = false;
   try {
     const [[bitmap, superpixels], answer] = await Promise.all([load(name), ask("state", { name })]);
-    const found = await answer.json();
-    if (wanted !== name) return;
-    const { size, shape } = found;
+    const opened = await answer.json();
+    if (requested !== name) return;
+    const { size, shape } = opened;
     current = { name, bitmap, superpixels: new Uint16Array(superpixels), size, shape };
     seconds = 0;
     notice("");
     location.hash = encodeURIComponent(name);
     localStorage.roadtorchLast = name;
     sort();
-    show(found);
+    show(opened);
     list.reveal();
     load(following()).catch(() => {});
-  } catch (problem) {
-    if (wanted === name) failed(problem);
+  } catch (error) {
+    if (requested === name) failed(error);
   } finally {
-    if (wanted === name) by("waiting").hidden = true;
+    if (requested === name) by("waiting").hidden = true;
   }
 }
 
-// Those that are not confirmed come first: with a turn, then the least certain, then unknown ones.
+// Unconfirmed images first: by turn, then by trust, then those of unknown trust.
 function sort() {
   const key = (image) => [image.confirmed ? 1 : 0, image.turn ?? 1e9, image.trust ?? 2];
   images.sort((a, b) => {
@@ -76,40 +76,40 @@ function sort() {
 }
 
 function following(step = 1) {
-  const shown = (image) => image.name === current?.name;
-  const open = images.filter((image) => !image.confirmed || shown(image));
-  if (open.length > 1 && step > 0) return open[(open.findIndex(shown) + 1) % open.length].name;
-  return images.at((images.findIndex(shown) + step) % images.length)?.name;
+  const isCurrent = (image) => image.name === current?.name;
+  const open = images.filter((image) => !image.confirmed || isCurrent(image));
+  if (open.length > 1 && step > 0) return open[(open.findIndex(isCurrent) + 1) % open.length].name;
+  return images.at((images.findIndex(isCurrent) + step) % images.length)?.name;
 }
 
-// --- what the server answers ------------------------------------------------------------
+// --- state from the server --------------------------------------------------------------
 
-function show(found) {
-  state = found;
-  stage.show(current, Uint8Array.from(atob(found.layers), (letter) => letter.charCodeAt(0)));
+function show(answer) {
+  state = answer;
+  const { name, trust, clicks } = state;
+  stage.show(current, Uint8Array.from(atob(state.layers), (letter) => letter.charCodeAt(0)));
   stage.pending = waiting();
-  by("name").textContent = found.name;
-  document.title = `${found.name} · roadtorch`;
+  by("name").textContent = name;
+  document.title = `${name} · roadtorch`;
   const facts = [
-    found.confirmed ? "right ✓" : "",
-    found.trust === null ? "" : `trust ${found.trust.toFixed(2)}`,
-    `${found.clicks} ${found.clicks === 1 ? "click" : "clicks"}`, `${Math.round(found.seconds)} s`,
+    state.confirmed ? "confirmed ✓" : "", trust === null ? "" : `trust ${trust.toFixed(2)}`,
+    `${clicks} ${clicks === 1 ? "click" : "clicks"}`, `${Math.round(state.seconds)} s`,
   ];
   by("facts").textContent = facts.filter(Boolean).join(" · ");
-  document.body.dataset.version = found.version;
-  document.body.dataset.image = found.name;
-  by("undo").disabled = !found.events.length;
-  by("redo").disabled = !found.redo.length;
+  document.body.dataset.version = state.version;
+  document.body.dataset.image = name;
+  by("undo").disabled = !state.events.length;
+  by("redo").disabled = !state.redo.length;
 }
 
-// The acts on the shown image that the server has not acknowledged.
+// Events on the open image that the server has not acknowledged.
 function waiting() {
   return outbox.waiting.filter(({ name }) => name === current.name).map(({ act }) => act);
 }
 
-function acted(entry, found, problem) {
-  notice(problem ? `Not kept: ${problem.message}` : "");
-  if (found && current?.name === entry.name) show(found);
+function acted(entry, answer, error) {
+  notice(error ? `Not saved: ${error.message}` : "");
+  if (answer && current?.name === entry.name) show(answer);
   else if (current) {
     stage.pending = stage.pending.filter((act) => act.id !== entry.act.id);
     stage.draw();
@@ -122,11 +122,11 @@ function notice(text) {
   by("notice").hidden = !text;
 }
 
-function failed(problem) {
-  if (problem instanceof Refusal) return notice(problem.message);
+function failed(error) {
+  if (error instanceof Refusal) return notice(error.message);
   const count = outbox.waiting.length;
-  const kept = count ? `; ${count} ${count === 1 ? "event waits" : "events wait"} here` : "";
-  notice(`No answer from the server${kept}. Start roadtorch annotate again: this page goes on.`);
+  const unsent = count ? ` (${count} unsent ${count === 1 ? "event" : "events"})` : "";
+  notice(`No answer from the server${unsent}. Start roadtorch annotate again; nothing is lost.`);
 }
 
 async function refresh() {
@@ -135,36 +135,36 @@ async function refresh() {
     const answer = await ask("images", { stamp });
     if (by("notice").textContent.startsWith("No answer")) notice("");
     if (answer.status === 204) return;
-    const found = await answer.json();
-    ({ stamp, learn } = found);
-    await update(found.images);
-  } catch (problem) {
-    failed(problem);
+    const listing = await answer.json();
+    ({ stamp, learn } = listing);
+    await update(listing.images);
+  } catch (error) {
+    failed(error);
   }
 }
 
-// A new list: the order stays until the next image is opened, so that no row jumps away.
-async function update(found) {
+// Take a new list in the old order, which changes only when an image is opened: no row jumps away.
+async function update(listing) {
   const order = new Map(images.map(({ name }, index) => [name, index]));
-  const place = ({ name }) => order.get(name) ?? images.length;
+  const position = ({ name }) => order.get(name) ?? images.length;
   const first = !images.length;
-  images = found.sort((a, b) => place(a) - place(b));
+  images = listing.sort((a, b) => position(a) - position(b));
   if (first) sort();
   else list.show(images, current?.name);
-  const right = images.filter((image) => image.confirmed).length;
-  const known = images.filter((image) => image.trust !== null).length;
-  const looked = known < images.length ? `, ${known} looked at` : "";
-  by("progress").textContent = `${right} of ${images.length} right${looked}`;
+  const confirmed = images.filter((image) => image.confirmed).length;
+  const detected = images.filter((image) => image.trust !== null).length;
+  const progress = detected < images.length ? `, ${detected} detected` : "";
+  by("progress").textContent = `${confirmed} of ${images.length} confirmed${progress}`;
   if (!images.length) notice("The folder holds no images.");
   const name = current?.name;
   const listed = images.find((image) => image.name === name);
   if (name && !listed) notice(`${name} is no longer in the folder.`);
   if (!listed || !state || outbox.waiting.length || listed.version <= state.version) return;
-  const changed = await (await ask("state", { name })).json(); // in another window
+  const changed = await (await ask("state", { name })).json(); // by another window
   if (current.name === name) show(changed);
 }
 
-// --- acts -------------------------------------------------------------------------------
+// --- events -----------------------------------------------------------------------------
 
 function work() {
   const now = performance.now();
@@ -196,14 +196,14 @@ function redo() {
   if (state?.redo.length) send({ kind: "redo", of: state.redo.at(-1) });
 }
 
-async function right() {
+async function confirm() {
   if (stage.polygon.length) return hand.closePolygon();
   if (!current) return;
   const { name } = current;
   const next = following();
   const last = images.every((image) => image.confirmed || image.name === name);
   await send({ kind: "right" });
-  if (last) notice(`All done: ${images.length} of ${images.length} right. To learn from them: ${learn}`);
+  if (last) notice(`All ${images.length} images are confirmed. To train on them: ${learn}`);
   else if (next !== name) open(next);
 }
 
@@ -212,7 +212,7 @@ function go(step) {
   if (name) open(name);
 }
 
-// --- sight ------------------------------------------------------------------------------
+// --- overlay ----------------------------------------------------------------------------
 
 function fade(opacity) {
   stage.opacity = Math.min(1, Math.max(0.05, opacity));
@@ -248,22 +248,22 @@ function toList() {
   by("list").focus();
 }
 
-// Key, what it does in words, what it does; for a button its group, its text and its name.
+// Key, description, action; for a button its group, text and name.
 const CONTROLS = [
   ...SAYINGS.map((saying, index) => {
     const words = saying.replace("_", " ");
-    return [`${index + 1}`, `say ${words}`, () => say(saying), "sayings", words, saying];
+    return [`${index + 1}`, `label ${words}`, () => say(saying), "sayings", words, saying];
   }),
   ...Object.entries(TOOLS).map(([tool, key]) => [
     key, `${tool} tool`, () => choose(tool), "tools", tool, tool,
   ]),
-  ["Enter", "right as it is, and on to the next; closes a polygon", right, "acts", "right as it is"],
-  ["z", "undo (Ctrl+Z as well)", undo, "acts", "undo", "undo"],
-  ["y", "redo (Ctrl+Y as well)", redo, "acts", "redo", "redo"],
-  ["n", "next image, the least certain that waits", () => go(1), "acts", "next"],
-  ["k", "image before it in the list", () => go(-1)],
-  [" ", "click at the cross", () => hand.click()],
-  ["Escape", "drop the polygon", () => hand.drop()],
+  ["Enter", "confirm the image and open the next; closes a polygon", confirm, "acts", "confirm"],
+  ["z", "undo (or Ctrl+Z)", undo, "acts", "undo", "undo"],
+  ["y", "redo (or Ctrl+Y)", redo, "acts", "redo", "redo"],
+  ["n", "next unconfirmed image", () => go(1), "acts", "next"],
+  ["k", "previous image in the list", () => go(-1)],
+  [" ", "click at the cursor", () => hand.click()],
+  ["Escape", "discard the polygon", () => hand.drop()],
   ["-", "zoom out", () => stage.zoomBy(0.8), "sight", "−"],
   ["+", "zoom in", () => stage.zoomBy(1.25), "sight", "+"],
   ["0", "whole image", () => stage.fit(), "sight", "whole"],
@@ -271,11 +271,11 @@ const CONTROLS = [
   ["]", "larger brush", () => hand.resize(1.3)],
   ["o", "fainter overlay", () => fade(stage.opacity - 0.1)],
   ["O", "stronger overlay", () => fade(stage.opacity + 0.1)],
-  ["v", "overlay on and off", () => flip("hidden")],
-  ["g", "borders of superpixels on and off", () => flip("borders")],
-  ["l", "see road or layout", sight, "sight", "road / layout"],
-  ["m", "list of images (arrows move in it)", toList],
-  ["?", "these keys", () => by("help").showModal()],
+  ["v", "show or hide the overlay", () => flip("hidden")],
+  ["g", "show or hide superpixel borders", () => flip("borders")],
+  ["l", "show road or layout", sight, "sight", "road / layout"],
+  ["m", "list of images (arrow keys select)", toList],
+  ["?", "list of keys", () => by("help").showModal()],
 ];
 
 function listen() {
@@ -295,12 +295,12 @@ function listen() {
   });
 }
 
-// Open the image of the address, or the last one, or the least certain.
+// Open the image in the URL, or the last one, or the least trusted.
 async function resume() {
-  if (wanted || !images.length) return;
+  if (requested || !images.length) return;
   const last = [decodeURIComponent(location.hash.slice(1)), localStorage.roadtorchLast];
-  const known = last.find((name) => images.some((image) => image.name === name));
-  await open(known ?? (images.find((image) => !image.confirmed) ?? images[0]).name);
+  const listed = last.find((name) => images.some((image) => image.name === name));
+  await open(listed ?? (images.find((image) => !image.confirmed) ?? images[0]).name);
 }
 
 async function poll() {

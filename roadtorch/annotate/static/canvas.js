@@ -1,14 +1,14 @@
-// The image on the screen: where it lies, what is drawn over it, and where a pointer is on it.
+// The canvas: position and zoom of the image, overlays, and coordinates of the pointer.
 
-const SKY = [204, 121, 167]; // not blue, which is road
-const SAID = {
+const SKY = [204, 121, 167]; // blue is road
+const LABELS = {
   2: [213, 94, 0], 3: [139, 139, 139], 4: SKY, 5: [230, 159, 0], 6: [0, 120, 106], 7: [213, 94, 0],
 };
 const LAYOUT = [SKY, [230, 159, 0], [0, 120, 106]];
 const ROAD = [86, 180, 233]; // as infer draws it
 
-const TINT = 120, TINT_OF_DARK = 220; // of 255, of the machine's road
-const DARK = 60; // mean grey level of an image below which a weak tint is not seen
+const TINT = 120, TINT_OF_DARK = 220; // opacity of the detected road, of 255
+const DARK = 60; // mean grey level below which a weak tint is invisible
 
 function isDark(bitmap) {
   const pen = new OffscreenCanvas(16, 16).getContext("2d");
@@ -32,14 +32,14 @@ export class Stage {
 
   // image: {bitmap, size [W,H], shape [w,h], superpixels Uint16Array}; layers: Uint8Array.
   show(image, layers) {
-    const same = this.image === image;
+    const isNew = this.image !== image;
     Object.assign(this, { image, layers });
-    for (const one of [this.over, this.light]) {
-      if (one.width !== image.shape[0] || one.height !== image.shape[1]) {
-        [one.width, one.height] = image.shape;
+    for (const canvas of [this.over, this.light]) {
+      if (canvas.width !== image.shape[0] || canvas.height !== image.shape[1]) {
+        [canvas.width, canvas.height] = image.shape;
       }
     }
-    if (!same) {
+    if (isNew) {
       Object.assign(this, { hover: -1, drag: new Set(), drawn: [], polygon: [], pending: [] });
       this.tinted = isDark(image.bitmap) ? TINT_OF_DARK : TINT;
       this.cross = [image.size[0] / 2, image.size[1] * 0.75];
@@ -69,7 +69,7 @@ export class Stage {
     this.draw();
   }
 
-  // Zoom by a factor about a point of the canvas, by default its middle.
+  // Zoom by a factor about a point of the canvas, by default its centre.
   zoomBy(factor, x = this.canvas.width / 2, y = this.canvas.height / 2) {
     if (!this.image) return;
     const zoom = Math.min(Math.max(this.zoom * factor, 0.05), 40);
@@ -87,19 +87,19 @@ export class Stage {
     this.draw();
   }
 
-  // The canvas pixel of a pointer event.
+  // Return the canvas pixel of a pointer event.
   at(event) {
     const box = this.canvas.getBoundingClientRect();
     const ratio = this.canvas.width / box.width;
     return [(event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio];
   }
 
-  // The image's pixel, whole numbers at pixel centres, at a canvas pixel.
+  // Return image coordinates of a canvas pixel, integers at pixel centres.
   onImage([x, y]) {
     return [(x - this.left) / this.zoom - 0.5, (y - this.top) / this.zoom - 0.5];
   }
 
-  // The superpixel at an image's pixel; -1 outside.
+  // Return the superpixel at image coordinates; -1 outside.
   superpixel([x, y]) {
     const [width, height] = this.image.size;
     const [across, down] = this.image.shape;
@@ -109,26 +109,26 @@ export class Stage {
     return this.image.superpixels[row * across + column];
   }
 
-  // Colour the layers. A byte: three bits of what was said, one of road, two of layout.
+  // Colour the layers; the bits of a byte are three of the label, one of road, two of layout.
   tint() {
     const [width, height] = this.image.shape;
     const image = new ImageData(width, height);
     const { layers } = this;
     for (let i = 0; i < layers.length; i++) {
-      const said = layers[i] & 7;
+      const label = layers[i] & 7;
       const road = (layers[i] >> 3) & 1;
       let colour = null;
       let strength = 0;
       if (this.sight === "road") {
         const right = i % width < width - 1 ? (layers[i + 1] >> 3) & 1 : road;
         const below = i + width < layers.length ? (layers[i + width] >> 3) & 1 : road;
-        if (said) [colour, strength] = [SAID[said] ?? ROAD, said === 6 ? 90 : 200];
+        if (label) [colour, strength] = [LABELS[label] ?? ROAD, label === 6 ? 90 : 200];
         else if (road) [colour, strength] = [ROAD, this.tinted];
         if (road !== right || road !== below) [colour, strength] = [[255, 255, 255], 255];
       } else {
         const layout = layers[i] >> 4;
-        const spoken = { 1: 2, 4: 0, 5: 1, 6: 2, 7: 2 }[said];
-        if (spoken !== undefined) [colour, strength] = [LAYOUT[spoken], 210];
+        const labelled = { 1: 2, 4: 0, 5: 1, 6: 2, 7: 2 }[label];
+        if (labelled !== undefined) [colour, strength] = [LAYOUT[labelled], 210];
         else if (layout < 3) [colour, strength] = [LAYOUT[layout], 110];
       }
       if (colour) image.data.set([...colour, strength], 4 * i);
@@ -136,7 +136,7 @@ export class Stage {
     this.over.getContext("2d").putImageData(image, 0, 0);
   }
 
-  // Superpixels in sight: those dragged over, the one under the pointer, and all borders on demand.
+  // Highlight superpixels dragged over and under the pointer, and all borders on demand.
   lit() {
     const { superpixels, shape } = this.image;
     const [width, height] = shape;
@@ -144,10 +144,10 @@ export class Stage {
     const hover = this.tool === "superpixel" ? this.hover : -1;
     if (hover < 0 && !this.drag.size && !this.borders) return null;
     for (let i = 0; i < superpixels.length; i++) {
-      const own = superpixels[i];
-      if (this.drag.has(own)) image.data.set([255, 255, 0, 150], 4 * i);
-      else if (own === hover) image.data.set([255, 255, 255, 90], 4 * i);
-      else if (this.borders && (superpixels[i + 1] !== own || superpixels[i + width] !== own)) {
+      const label = superpixels[i];
+      if (this.drag.has(label)) image.data.set([255, 255, 0, 150], 4 * i);
+      else if (label === hover) image.data.set([255, 255, 255, 90], 4 * i);
+      else if (this.borders && (superpixels[i + 1] !== label || superpixels[i + width] !== label)) {
         image.data.set([255, 255, 255, 110], 4 * i);
       }
     }
@@ -182,7 +182,7 @@ export class Stage {
     this.mark();
   }
 
-  // A stroke that is being drawn, or is on its way to the server.
+  // Draw a stroke that is unfinished, or not yet acknowledged by the server.
   outline({ points, radius, open }) {
     if (!points?.length) return;
     const { pen } = this;
@@ -201,7 +201,7 @@ export class Stage {
     }
   }
 
-  // The cross of the keyboard, or the ring of the brush.
+  // Draw the keyboard cursor, or the ring of the brush.
   mark() {
     if (!this.cross) return;
     const { pen } = this;

@@ -1,7 +1,7 @@
-// The hand on the image: tools, and the pointers and keys that use them.
+// Drawing tools, used by pointers and keys.
 
 export class Hand {
-  // stage: what is drawn on. send(act): what a tool made. ready(): whether an image is shown.
+  // stage: canvas. send(event): sends the event of a finished stroke. ready(): whether an image is open.
   constructor(stage, send, ready) {
     Object.assign(this, { stage, send, ready, saying: "road", drawing: false, panning: false });
     this.pointers = new Map();
@@ -53,7 +53,7 @@ export class Hand {
   end() {
     const { stage, saying } = this;
     if (stage.tool === "superpixel") {
-      const segments = [...stage.drag].filter((one) => one >= 0);
+      const segments = [...stage.drag].filter((segment) => segment >= 0);
       stage.drag.clear();
       if (segments.length) this.send({ kind: "superpixel", saying, segments });
     }
@@ -105,22 +105,22 @@ export class Hand {
     const { stage, pointers } = this;
     if (!this.ready()) return;
     const point = stage.at(event);
-    const before = pointers.get(event.pointerId);
-    if (before && this.panning) return this.drag(event, point, before);
+    const last = pointers.get(event.pointerId);
+    if (last && this.panning) return this.drag(event, point, last);
     this.move(stage.onImage(point));
     if (this.drawing) this.goOn(stage.cross);
     stage.draw();
   }
 
-  // Move the image with one pointer, zoom with two.
-  drag(event, point, before) {
+  // Pan with one pointer, zoom with two.
+  drag(event, point, last) {
     const { stage, pointers } = this;
-    stage.pan((point[0] - before[0]) / pointers.size, (point[1] - before[1]) / pointers.size);
+    stage.pan((point[0] - last[0]) / pointers.size, (point[1] - last[1]) / pointers.size);
     pointers.set(event.pointerId, point);
     if (pointers.size !== 2) return;
-    const now = this.distance();
-    stage.zoomBy(now / this.spread, point[0], point[1]);
-    this.spread = now;
+    const spread = this.distance();
+    stage.zoomBy(spread / this.spread, point[0], point[1]);
+    this.spread = spread;
   }
 
   up(event) {

@@ -1,4 +1,4 @@
-// The way to the server: requests with the token, and acts that are kept until it has them.
+// Requests to the server, and a queue of events that it has not acknowledged.
 
 const TOKEN = new URLSearchParams(location.search).get("token") ?? "";
 const WINDOW = (sessionStorage.roadtorchWindow ??= crypto.randomUUID());
@@ -14,38 +14,38 @@ export function address(path, values = {}) {
   return `/api/${path}?${new URLSearchParams({ ...values, token: TOKEN })}`;
 }
 
-// The answer to a request. Refusal where the server says no; TypeError where there is none.
+// Send a request. Throws Refusal on an error response, TypeError where the server does not answer.
 export async function ask(path, values = {}, body = undefined) {
   const query = new URLSearchParams(values);
   const options = { headers: { "x-token": TOKEN }, signal: AbortSignal.timeout(60000) };
   if (body !== undefined) Object.assign(options, { method: "POST", body: JSON.stringify(body) });
   const answer = await fetch(`/api/${path}?${query}`, options);
   if (!answer.ok) {
-    const told = await answer.json().catch(() => ({ error: `the server says ${answer.status}` }));
-    throw new Refusal(answer.status, told.error);
+    const message = await answer.json().catch(() => ({ error: `HTTP status ${answer.status}` }));
+    throw new Refusal(answer.status, message.error);
   }
   return answer;
 }
 
-// Acts of this window that the server has not yet. They are in the browser's store until it has:
-// a reload, a crash or a server that is started again loses none. Sent twice, they count once.
+// Events of this window that the server has not acknowledged, kept in localStorage, so that a reload,
+// a crash or a restart of the server loses none. An event that is sent twice counts once.
 export class Outbox {
-  constructor(told) {
-    this.told = told; // told(act entry, state or null, problem or null)
+  constructor(acknowledged) {
+    this.acknowledged = acknowledged; // acknowledged(entry, state or null, error or null)
     this.key = `roadtorch-outbox:${WINDOW}`;
     this.waiting = this.adopted();
     this.keep();
     this.busy = false;
   }
 
-  // What other windows left behind is sent from here; one that is open keeps its own in mind.
+  // Take over events that closed windows left; an open window keeps its own in memory as well.
   adopted() {
-    const found = new Map();
+    const entries = new Map();
     for (const key of Object.keys(localStorage).filter((k) => k.startsWith("roadtorch-outbox:"))) {
-      for (const entry of JSON.parse(localStorage[key])) found.set(entry.act.id, entry);
+      for (const entry of JSON.parse(localStorage[key])) entries.set(entry.act.id, entry);
       if (key !== this.key) delete localStorage[key];
     }
-    return [...found.values()];
+    return [...entries.values()];
   }
 
   keep() {
@@ -59,7 +59,7 @@ export class Outbox {
     return this.send();
   }
 
-  // Send all in order. Stops where the server does not answer; what it refuses is dropped.
+  // Send all in order. Stop where the server does not answer; drop events that it rejects.
   async send() {
     if (this.busy) return;
     this.busy = true;
@@ -68,16 +68,16 @@ export class Outbox {
         const entry = this.waiting[0];
         const { name, act } = entry;
         let state = null;
-        let problem = null;
+        let rejection = null;
         try {
           state = await (await ask("event", { name }, act)).json();
         } catch (error) {
           if (!(error instanceof Refusal) || error.status >= 500 || error.status === 403) throw error;
-          problem = error;
+          rejection = error;
         }
         this.waiting.shift();
         this.keep();
-        this.told(entry, state, problem);
+        this.acknowledged(entry, state, rejection);
       }
     } finally {
       this.busy = false;

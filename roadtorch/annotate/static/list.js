@@ -1,4 +1,4 @@
-// The list of images; the browser lays out and loads only what is in sight.
+// The list of images; the browser lays out and loads only visible rows.
 
 import { address } from "/static/link.js";
 
@@ -12,7 +12,7 @@ export class ImageList {
     this.names = images.map(({ name }) => name);
     this.current = current;
     for (const image of images) {
-      if (!this.rows.has(image.name)) this.rows.set(image.name, this.made(image.name));
+      if (!this.rows.has(image.name)) this.rows.set(image.name, this.makeRow(image.name));
       const row = this.rows.get(image.name);
       row.ariaSelected = image.name === current;
       row.querySelector("small").textContent = describe(image);
@@ -24,12 +24,12 @@ export class ImageList {
     }
   }
 
-  // Have the current image in sight.
+  // Scroll to the open image.
   reveal() {
     this.rows.get(this.current)?.scrollIntoView({ block: "nearest" });
   }
 
-  made(name) {
+  makeRow(name) {
     const row = Object.assign(document.createElement("button"), {
       className: "row", type: "button", tabIndex: -1, role: "option", title: name,
     });
@@ -54,7 +54,7 @@ export class ImageList {
 }
 
 function describe({ trust, events, confirmed }) {
-  const words = [trust === null ? "not looked at" : `trust ${trust.toFixed(2)}`];
+  const words = [trust === null ? "trust unknown" : `trust ${trust.toFixed(2)}`];
   if (events) words.push(`${confirmed ? "✓ " : ""}${events} ${events === 1 ? "event" : "events"}`);
   return words.join(" · ");
 }

@@ -1,4 +1,4 @@
-// Asks for the newest frame again and again; the server answers when there is a newer one.
+// Request the newest frame repeatedly; the server answers when there is a newer one.
 const token = new URLSearchParams(location.search).get("token") ?? "";
 const frame = document.getElementById("frame"), status = document.getElementById("status");
 
@@ -8,7 +8,7 @@ for (;;) {
   try {
     answer = await fetch(`/api/frame?after=${after}`, { headers: { "X-Token": token } });
   } catch {
-    status.textContent = "roadtorch has ended.";
+    status.textContent = "roadtorch has stopped.";
     break;
   }
   if (answer.status === 204) continue;
@@ -24,6 +24,6 @@ for (;;) {
   await frame.decode().catch(() => {});
   if (last) URL.revokeObjectURL(last);
   status.textContent = [
-    `frame ${answer.headers.get("X-Frame")}`, trust && `trust ${trust}`, rate && `${rate} frames a second`,
+    `frame ${answer.headers.get("X-Frame")}`, trust && `trust ${trust}`, rate && `${rate} frames per second`,
   ].filter(Boolean).join(" · ");
 }
