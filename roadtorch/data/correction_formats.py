@@ -166,14 +166,14 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
     not one of ``LABELS``.
     """
     path = path / _COCO_FILE if path.is_dir() else path
-    with read_document(path, "export it anew, as COCO") as data:
+    with read_document(path, "export it again as COCO") as data:
         document = _CocoFile.model_validate_json(data)
         names: dict[int, str] = {}
         for image in document.images:
             if (name := match_image_name(image.file_name, sizes)) is None:
                 continue
             if name in names.values():
-                raise ValueError(f"two images are {name}")
+                raise ValueError(f"two entries are for {name}")
             if (image.height, image.width) != sizes[name]:
                 raise ValueError(
                     f"{name} is for {image.width} by {image.height} pixels, "
@@ -181,7 +181,7 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
                 )
             names[image.id] = name
         if not names:
-            raise ValueError("it has no image for any of the images")
+            raise ValueError("it lists none of the images")
         labels = {name: np.zeros(sizes[name], np.uint8) for name in names.values()}
         categories = {category.id: category.name for category in document.categories}
         for region in document.annotations:

@@ -63,7 +63,7 @@ class LogHead(Settings):
     width: Side
 
     @model_validator(mode="after")
-    def _bounded(self) -> Self:
+    def _check_size(self) -> Self:
         check_pixels(self.width, self.height)
         return self
 
@@ -198,7 +198,7 @@ def read_log(path: Path) -> EventLog | None:
 def read_logs(folder: Path) -> list[EventLog]:
     """Read all logs below a folder, sorted; DatasetError for a missing folder or a broken log."""
     if not folder.is_dir():
-        raise DatasetError(folder, "is no folder", "give the folder with corrections")
+        raise DatasetError(folder, "is not a folder", "give the folder with corrections")
     paths = sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
     return [log for path in paths if (log := read_log(path)) is not None]
 

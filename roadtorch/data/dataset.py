@@ -1,8 +1,8 @@
 """Labelled data sets of street images.
 
 A data set is a list of items (paths), a reader of their ground truth and, where scores are not
-computed in the image itself, a view. Images and labels are read one at a time, so memory does not
-grow with the number of items.
+computed in image space, a mapping into the space of the scores. Images and labels are read one at
+a time, so memory does not grow with the number of items.
 """
 
 from collections.abc import Callable, Iterable
@@ -139,7 +139,7 @@ def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
     for name in sorted(left_out - set(all_groups)):
         raise unknown_name(f"group of {dataset.name}", name, all_groups)
     if left_out and left_out == set(all_groups):
-        raise ConfigError("--leave-out", "leaves out every group", "keep one at least")
+        raise ConfigError("--leave-out", "leaves out every group", "keep at least one")
     return replace(dataset, left_out=left_out)
 
 

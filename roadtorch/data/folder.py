@@ -71,7 +71,7 @@ def open_folder(root: Path, split: str) -> Dataset:
         groups = [path.parent for path in sorted(root.glob("*/images")) if path.is_dir()]
         items = tuple(item for group in groups for item in _find_items(group, group.name))
     if not items:
-        message = "has no folder images, nor folders that have one"
+        message = "has no folder images, and no subfolder has one"
         raise DatasetError(root, message, "check the folder's layout")
     dataset = Dataset("folder", root, split, items, FolderLabels())
     table = root / CONDITIONS_FILE
@@ -203,11 +203,8 @@ def open_cityscapes(root: Path, split: str) -> Dataset:
     items = []
     for image in filter(is_image_file, sorted(images.glob(f"*/*{CITYSCAPES_IMAGE_ENDING}.*"))):
         name, city = image.stem.removesuffix(CITYSCAPES_IMAGE_ENDING), image.parent.name
-        items.append(
-            LabelledItem(
-                name, image, labels / city / f"{name}{CITYSCAPES_LABEL_ENDING}", group=city
-            )
-        )
+        label = labels / city / f"{name}{CITYSCAPES_LABEL_ENDING}"
+        items.append(LabelledItem(name, image, label, group=city))
     if not items:
         message = f"holds no images CITY/*{CITYSCAPES_IMAGE_ENDING}.png"
         raise DatasetError(images, message, "check the folder's layout")

@@ -45,7 +45,7 @@ def split_name(name: str) -> tuple[str, str]:
     """Split an image's name, as um_000012, into category and number; DatasetError for others."""
     parts = re.fullmatch(r"([a-z]+)_(\d+)", name)
     if parts is None:
-        hint = "name images CATEGORY_NUMBER, as um_000012"
+        hint = "name images CATEGORY_NUMBER, such as um_000012"
         raise DatasetError(name, "is not the name of a KITTI road image", hint)
     return parts[1], parts[2]
 
@@ -69,8 +69,8 @@ def open_kitti_road(root: Path, split: str) -> Dataset:
     """Open the training images: ROOT/image_2 and ROOT/gt_image_2, or both in ROOT/training.
 
     split: "road", every image; "lane", those of um with the ego lane as road. The groups are the
-    categories. Scored in image space (see ``birds_eye``), with the benchmark's 256 levels. Raises
-    DatasetError for a missing folder or label file.
+    categories. Scored in image space, with the benchmark's 256 levels. Raises DatasetError for a
+    missing folder or label file.
     """
     folder, items = base_folder(root, "training"), []
     for image in filter(is_image_file, sorted((folder / "image_2").iterdir())):

@@ -90,10 +90,15 @@ class ColourLabels:
 
 
 def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Path, Path]]:
-    """Yield every image of a folder, sorted, with its label file, whose name has another ending.
+    """Yield the images of a folder, sorted, each with its label file.
 
-    Raises DatasetError naming a missing folder or label file, and for two images with one label
-    file.
+    Args:
+        images: folder of the images.
+        labels: folder of the label files.
+        ending: replaces the image's extension in the name of its label file.
+
+    Raises:
+        DatasetError: naming a missing folder or label file, and for two images with one label file.
     """
     for folder in (images, labels):
         if not folder.is_dir():
@@ -102,7 +107,7 @@ def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tup
     for path in filter(is_image_file, sorted(images.iterdir())):
         first = by_label.setdefault(labels / f"{path.stem}{ending}", path)
         if first != path:
-            raise DatasetError(path, f"has the name of {first.name}", "one image a name")
+            raise DatasetError(path, f"has the name of {first.name}", "rename one of the images")
     if not by_label:
         raise DatasetError(images, "holds no images", f"known endings: {' '.join(SUFFIXES)}")
     require_labels(list(by_label))
@@ -126,10 +131,17 @@ def is_image_file(path: Path) -> bool:
 
 
 def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """Read the integers (H, W) of a label image; palette files keep their indices.
+    """Read a label image; palette files keep their indices.
 
-    size: required (height, width), checked before decoding. Raises DatasetError for a file of
-    another size, that cannot be decoded or is coloured.
+    Args:
+        path: the file.
+        size: required (height, width), checked before decoding.
+
+    Returns:
+        Integers, shape (H, W).
+
+    Raises:
+        DatasetError: for a file of another size, that cannot be decoded or is coloured.
     """
     labels = _read_pixels(path, None, size)
     if labels.ndim == 3:
@@ -137,7 +149,7 @@ def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
         opaque = labels.shape[2] % 2 == 1 or (labels[..., -1] == 255).all()
         bands = labels[..., : (labels.shape[2] - 1) | 1]  # without alpha
         if not opaque or (bands != grey[..., None]).any():
-            raise DatasetError(path, "is a colour image", "give one number a pixel")
+            raise DatasetError(path, "is a colour image", "give one number per pixel")
         labels = grey
     return labels.astype(np.uint8) if labels.dtype == np.bool_ else labels
 
@@ -187,9 +199,8 @@ def _list_counts(names: list[str], counts: np.ndarray) -> str:
     """List the most frequent names with their numbers of pixels."""
     order = np.argsort(-counts, kind="stable")[:MAX_LISTED_VALUES]
     text = ", ".join(f"{names[index]} ({counts[index]} pixels)" for index in order)
-    return text + (
-        f" and {len(names) - MAX_LISTED_VALUES} others" if len(names) > MAX_LISTED_VALUES else ""
-    )
+    unlisted = len(names) - len(order)
+    return text + (f" and {unlisted} others" if unlisted else "")
 
 
 def _pack_colours(colours: np.ndarray) -> np.ndarray:

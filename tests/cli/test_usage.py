@@ -58,7 +58,7 @@ MISTAKES = {
     "annotate . --export coco": "Missing option '--to'",
     "annotate . --import coco": "Missing option '--from'",
     "annotate . --export xml --to x": "Invalid value for '--export': 'xml' is not one of 'png', 'c",
-    "annotate . --report --out nowhere": "nowhere: is no folder",
+    "annotate . --report --out nowhere": "nowhere: is not a folder",
     "annotate . --detector prior:rows --out x.jpg": "x.jpg: cannot be created",
 }
 

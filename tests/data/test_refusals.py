@@ -136,8 +136,8 @@ def image(file: str, **more: object) -> dict[str, object]:
 COCO: Rows = [
     (partial(read_format, "coco"), {"coco.json": text}, "coco.json", problem)
     for text, problem in [
-        (coco(images=[image("other.jpg")]), "no image for any of the images"),
-        (coco(images=[image("one/a.jpg"), image("two/a.jpg")]), r"two images are a\.jpg"),
+        (coco(images=[image("other.jpg")]), "lists none of the images"),
+        (coco(images=[image("one/a.jpg"), image("two/a.jpg")]), r"two entries are for a\.jpg"),
         (coco(images=[image("a.jpg", width=3)]), r"a\.jpg is for 3 by 1 pixels, .* has 2 by 1"),
         (coco({"category_id": 2}), "category 'cat' on a.jpg is not a label: use road"),
         (coco({"category_id": 3}), "category ''"),
@@ -165,7 +165,7 @@ LOGS: Rows = [
         ("", "", "holds no corrections"),
     ]
 ] + [
-    (lambda folder: read_corrections(folder / "missing"), {}, "missing", "is no folder"),
+    (lambda folder: read_corrections(folder / "missing"), {}, "missing", "is not a folder"),
     (partial(read_format, "png"), {"labels/a.png": grey(8, 7)}, "labels/a.png",
      r"has other values than 0 to 7 \(0 is untouched, 1 road"),
     (partial(read_format, "png"), {"labels/a.png": grey(0, 0, 0)}, "labels/a.png",
