@@ -1,9 +1,9 @@
 """Docstrings of this project for Sphinx: Google style, made safe for reStructuredText.
 
 Docstrings are written to be read as they stand: paragraphs, code in double backticks, indented
-blocks, |x| for a length, sections ``Args:``, ``Returns:``, ``Raises:``. A paragraph becomes one
-line, in which only the code is marked up; an indented block and a session (``>>>``) become code;
-sections become field lists. Settings show no signature: it would be a page of types, and the
+blocks, |x| for a length, sections ``Args:``, ``Returns:``, ``Raises:``, ``Example:``. A paragraph
+becomes one line, in which only the code is marked up; an indented block and a session (``>>>``)
+become code; sections become field lists. Settings show no signature: it would be a page of types, and the
 settings reference has every field with its range and meaning.
 """
 
@@ -35,9 +35,11 @@ def as_restructured(lines: list[str]) -> list[str]:
         rows = [row for row in block.split("\n") if row.strip()]
         if not rows:
             continue
-        title = rows[0].removesuffix(":")
-        if rows[0].endswith(":") and title in {*FIELDS, *TEXTS}:
-            made += [*section(title, inspect.cleandoc("\n" + "\n".join(rows[1:])).split("\n")), ""]
+        title, body = rows[0].removesuffix(":"), inspect.cleandoc("\n" + "\n".join(rows[1:]))
+        if rows[0] in {"Example:", "Examples:"}:
+            made += [rows[0], "", *as_restructured(body.split("\n"))]
+        elif rows[0].endswith(":") and title in {*FIELDS, *TEXTS}:
+            made += [*section(title, body.split("\n")), ""]
         elif rows[0].startswith((" ", ">>>")):
             made += ["::", "", *(f"    {row}" for row in rows), ""]
         else:
