@@ -3,8 +3,8 @@
 Docstrings are written to be read as they stand: paragraphs, code in double backticks, indented
 blocks, |x| for a length, sections ``Args:``, ``Returns:``, ``Raises:``, ``Example:``. A paragraph
 becomes one line, in which only the code is marked up; an indented block and a session (``>>>``)
-become code; sections become field lists. Settings show no signature: it would be a page of types, and the
-settings reference has every field with its range and meaning.
+become code; sections become field lists. Settings show no signature: it would be a page of types,
+and the settings reference has every field with its range and meaning.
 """
 
 import inspect
