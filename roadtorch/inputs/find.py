@@ -174,8 +174,8 @@ class FramePosition(NamedTuple):
     number: int | None
 
 
-def frame_places(inputs: Sequence[str], most: int) -> list[FramePosition]:
-    """Return the positions of at most ``most`` frames, evenly spaced over images and videos.
+def frame_places(inputs: Sequence[str], limit: int) -> list[FramePosition]:
+    """Return the positions of at most ``limit`` frames, evenly spaced over images and videos.
 
     Raises:
         InputError: if an input does not exist or is no footage on disk.
@@ -188,9 +188,9 @@ def frame_places(inputs: Sequence[str], most: int) -> list[FramePosition]:
             if (path := source.path) is None:
                 raise InputError(argument, "is no footage on disk", "give images or video files")
             positions += [FramePosition(path, number) for number in range(count_frames(path))]
-    if len(positions) <= most:
+    if len(positions) <= limit:
         return positions
-    return [positions[(2 * index + 1) * len(positions) // (2 * most)] for index in range(most)]
+    return [positions[(2 * index + 1) * len(positions) // (2 * limit)] for index in range(limit)]
 
 
 def read_frames(positions: Sequence[FramePosition]) -> Iterator[Tensor]:

@@ -145,12 +145,12 @@ class Source:
         path = self._location
         return digest_of_folder(path) if path.is_dir() else digest_of(path)
 
-    def sampled(self, most: int) -> "Source":
-        """Return a source of at most ``most`` evenly spaced items, the first ones if uncounted."""
-        chosen = Selection(every=max(1, (self.count or 0) // most), limit=most)
+    def sampled(self, limit: int) -> "Source":
+        """Return a source of at most ``limit`` evenly spaced items, the first ones if uncounted."""
+        chosen = Selection(every=max(1, (self.count or 0) // limit), limit=limit)
         return replace(self, items=lambda: chosen.of(self.items()), count=None)
 
 
-def evenly_spaced(values: Sequence[_Value], most: int) -> Sequence[_Value]:
-    """Return at most ``most`` values at equal steps, beginning with the first."""
-    return values[:: max(1, -(-len(values) // most))]
+def evenly_spaced(values: Sequence[_Value], limit: int) -> Sequence[_Value]:
+    """Return at most ``limit`` values at equal steps, beginning with the first."""
+    return values[:: max(1, -(-len(values) // limit))]

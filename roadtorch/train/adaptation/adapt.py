@@ -32,7 +32,7 @@ from roadtorch.layout.weights import (
 from roadtorch.road.fusion import log_odds
 from roadtorch.road.steady import SteadySettings, smoothed
 from roadtorch.run.memo import keep, kept, read_arrays
-from roadtorch.train.adaptation.frames import HALVES, KeptFrames, keep_frames
+from roadtorch.train.adaptation.frames import HALVES, SampledFrames, sample_frames
 from roadtorch.train.adaptation.verdict import (
     Verdict,
     count_masks,
@@ -65,7 +65,7 @@ class AdaptationResult:
     missing: parts that the footage could not give, with the reason, a line each.
     """
 
-    frames: KeptFrames
+    frames: SampledFrames
     camera: Path | None
     missing: Sequence[str]
     outcome: Outcome
@@ -78,7 +78,7 @@ class AdaptationResult:
 
 
 def adapt(
-    inputs: Sequence[str], out: Path, training: ImageTraining, most: int, quiet: bool = False
+    inputs: Sequence[str], out: Path, training: ImageTraining, limit: int, quiet: bool = False
 ) -> AdaptationResult:
     """Adapt the network with the initial weights to footage; results are written to ``out``.
 
@@ -87,22 +87,22 @@ def adapt(
     """
     with RunFolder(out).lock():
         remove_leftovers([out, out / FRAMES])
-        frames = keep_frames(inputs, out / FRAMES, most, quiet)
+        frames = sample_frames(inputs, out / FRAMES, limit, quiet)
         error = _write_camera(frames, out / CAMERA_FILE, inputs[0])
         missing = [f"no {CAMERA_FILE}: {error.where} {error.problem}"] if error else []
-        if not frames.moving:
+        if not frames.has_times:
             missing.append("images have no time stamps: they are ordered by name")
-        adapted = partial(AdaptationResult, frames, None if error else out / CAMERA_FILE, missing)
+        result = partial(AdaptationResult, frames, None if error else out / CAMERA_FILE, missing)
         folders = (out / TEACHER_LABELS, out / PREPARED)
         if stopped := write_smoothed_labels(frames, *folders, training, quiet):
-            return adapted(Outcome(None, stopped, 0))
+            return result(Outcome(None, stopped, 0))
         skipped = 0
         for number, half in enumerate(HALVES, 1):
             part = (number, len(HALVES))
             request = Request(frames.glob(half), out / half, out / PREPARED, quiet, part=part)
             outcome = train(training, request)
             if outcome.interrupted:
-                return adapted(outcome)
+                return result(outcome)
             skipped += outcome.skipped
         halves = _average(frames, out, training, quiet)
         if isinstance(error, StillError):
@@ -116,11 +116,15 @@ def adapt(
                 images = frames.images(half)
                 judged.append(count_masks(images, weights, out / PREPARED, training, quiet))
             verdict = decide_verdict(judged)
-        return adapted(Outcome(out / WEIGHTS, None, skipped), verdict)
+        return result(Outcome(out / WEIGHTS, None, skipped), verdict)
 
 
 def write_smoothed_labels(
-    frames: KeptFrames, labels: Path, prepared: Path, training: ImageTraining, quiet: bool = False
+    frames: SampledFrames,
+    labels: Path,
+    prepared: Path,
+    training: ImageTraining,
+    quiet: bool = False,
 ) -> Signals | None:
     """Prepare all frames for training in ``prepared``, with labels smoothed over time. Ours.
 
@@ -135,11 +139,11 @@ def write_smoothed_labels(
     images = frames.images()
     with stop_on_signals() as stop:
         recipe = ImageRecipe(training)
-        made = prepare_folder(recipe, images, labels, stop, quiet)
+        items = prepare_folder(recipe, images, labels, stop, quiet)
         if stop.asked:
             return stop.signal or SIGTERM
     files = {
-        item.file: image for image, item in zip(images, made, strict=True) if item.file is not None
+        item.file: image for image, item in zip(images, items, strict=True) if item.file is not None
     }
     targets = {label: prepared / label.relative_to(labels) for label in files}
     keys = [recipe.key(image) for image in files.values()]
@@ -155,7 +159,7 @@ def write_smoothed_labels(
     return None
 
 
-def _average(frames: KeptFrames, out: Path, training: ImageTraining, quiet: bool) -> list[Path]:
+def _average(frames: SampledFrames, out: Path, training: ImageTraining, quiet: bool) -> list[Path]:
     """Write the average of the halves' calibrated networks, its card and its log.
 
     Returns the files of the calibrated networks, in the order of the halves.
@@ -192,7 +196,7 @@ def write_biased(learned: Path, file: Path, bias: float) -> None:
     save_network(file, network, read_origin(learned))
 
 
-def _write_camera(frames: KeptFrames, file: Path, where: str) -> InputError | None:
+def _write_camera(frames: SampledFrames, file: Path, where: str) -> InputError | None:
     """Write the camera file; return the reason where there is none."""
     sampled = evenly_spaced(frames.images(), MAX_FRAMES)
     try:

@@ -30,7 +30,7 @@ HALVES = ("first", "second")
 """Halves of the footage in order, as neighbouring frames are alike and must stay in one half."""
 
 FRAME_INTERVAL = 0.4
-"""Interval between sampled frames, in which the ground before the car stays in view."""
+"""Seconds between sampled frames, in which the ground before the car stays in view."""
 
 RUN_LENGTH = 5
 """Consecutive frames that are kept or dropped together in longer footage."""
@@ -38,16 +38,16 @@ RUN_LENGTH = 5
 FRAME_LIST = "frames.json"
 
 
-class KeptFrames(NamedTuple):
+class SampledFrames(NamedTuple):
     """The frames that were sampled from footage.
 
-    folder: contains HALF_NUMBER.jpg. halves: number of frames of each. moving: whether the frames
+    folder: contains HALF_NUMBER.jpg. halves: number of frames of each. has_times: whether they
     have times. skipped: inputs that could not be read, a line each.
     """
 
     folder: Path
     halves: tuple[int, int]
-    moving: bool
+    has_times: bool
     skipped: tuple[str, ...]
 
     @property
@@ -64,8 +64,10 @@ class KeptFrames(NamedTuple):
         return f"{glob.escape(str(self.folder))}/{half}_*.jpg"
 
 
-def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = False) -> KeptFrames:
-    """Sample at most ``most`` frames of footage into a folder; a finished sample is reused.
+def sample_frames(
+    inputs: Sequence[str], folder: Path, limit: int, quiet: bool = False
+) -> SampledFrames:
+    """Sample at most ``limit`` frames of footage into a folder; a finished sample is reused.
 
     A frame every ``FRAME_INTERVAL`` of videos and bags, all images; of long footage runs of
     ``RUN_LENGTH`` frames. Memory does not grow with the footage. Raises ConfigError if the folder
@@ -73,7 +75,7 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
     """
     images, sources = find_inputs(inputs)
     digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
-    list_file, key = folder / FRAME_LIST, key_of(digests, most)
+    list_file, key = folder / FRAME_LIST, key_of(digests, limit)
     if not list_file.exists():
         if folder.exists() and any(folder.iterdir()):
             raise ConfigError(folder, "holds files of something else", "give another --out")
@@ -83,16 +85,16 @@ def keep_frames(inputs: Sequence[str], folder: Path, most: int, quiet: bool = Fa
     if sample is None:
         for file in folder.glob("*.jpg"):  # of an interrupted run
             file.unlink()
-        sample = _write_frames(Inputs(images, sources), folder, most, quiet)
+        sample = _write_frames(Inputs(images, sources), folder, limit, quiet)
         if sample.count < 2:  # not recorded, so that the next run samples again
             problem = f"has {sample.count} frames"
             raise InputError(inputs[0], problem, "give a few minutes of a drive")
-        values = {"halves": sample.halves, "moving": sample.moving, "skipped": sample.skipped}
+        values = {"halves": sample.halves, "moving": sample.has_times, "skipped": sample.skipped}
         write_json(list_file, {"key": key, **values})
     return sample
 
 
-def _read(list_file: Path, folder: Path, key: str) -> KeptFrames | None:
+def _read(list_file: Path, folder: Path, key: str) -> SampledFrames | None:
     """Read the list of frames in a folder; None if sampling was not finished."""
     try:
         values = json.loads(read_regular(list_file).decode())
@@ -102,44 +104,44 @@ def _read(list_file: Path, folder: Path, key: str) -> KeptFrames | None:
             return None
         first, second = (int(count) for count in values["halves"])
         skipped = tuple(map(str, values["skipped"]))
-        return KeptFrames(folder, (first, second), bool(values["moving"]), skipped)
+        return SampledFrames(folder, (first, second), bool(values["moving"]), skipped)
     except (ValueError, KeyError, TypeError, OSError):
         raise InputError(list_file, "is damaged", "give another --out") from None
 
 
-def _write_frames(inputs: Inputs, folder: Path, most: int, quiet: bool) -> KeptFrames:
+def _write_frames(inputs: Inputs, folder: Path, limit: int, quiet: bool) -> SampledFrames:
     """Write frames while reading; when there are too many, drop every second run of frames."""
     numbers: list[int] = []
     skipped: list[str] = []
-    step, moving = 1, False
+    step, has_times = 1, False
     frames = Progress(_frames(inputs, skipped), desc="frames", unit="frame", quiet=quiet)
     for number, (seconds, image) in enumerate(frames):
-        moving = moving or seconds is not None
+        has_times = has_times or seconds is not None
         if number // RUN_LENGTH % step:
             continue
         write_jpeg(folder / f"{number:08d}.jpg", at_work(image, FRAME_SIZE))
         numbers.append(number)
-        if len(numbers) >= 2 * most:
+        if len(numbers) >= 2 * limit:
             step *= 2
             numbers = _thin(folder, numbers, range(0, number + 1, step))
-    if len(numbers) > most:
+    if len(numbers) > limit:
         runs = sorted({number // RUN_LENGTH for number in numbers})
-        count = math.ceil(most / RUN_LENGTH)
+        count = math.ceil(limit / RUN_LENGTH)
         chosen = [runs[index * len(runs) // count] for index in range(count)]
-        numbers = _thin(folder, numbers, chosen, most)
+        numbers = _thin(folder, numbers, chosen, limit)
     first = (len(numbers) + 1) // 2
     for index, number in enumerate(numbers):
         name = f"{HALVES[index >= first]}_{index:06d}.jpg"
         (folder / f"{number:08d}.jpg").rename(folder / name)
     counts = (first, len(numbers) - first)
-    return KeptFrames(folder, counts, moving, tuple(skipped))
+    return SampledFrames(folder, counts, has_times, tuple(skipped))
 
 
 def _thin(
-    folder: Path, numbers: list[int], runs: Sequence[int], most: int | None = None
+    folder: Path, numbers: list[int], runs: Sequence[int], limit: int | None = None
 ) -> list[int]:
     """Remove the files of frames outside some runs; return the numbers of the rest, limited."""
-    remaining = [number for number in numbers if number // RUN_LENGTH in runs][:most]
+    remaining = [number for number in numbers if number // RUN_LENGTH in runs][:limit]
     for number in set(numbers).difference(remaining):
         (folder / f"{number:08d}.jpg").unlink()
     return remaining

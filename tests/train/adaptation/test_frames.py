@@ -8,7 +8,7 @@ import torch
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import read_image, write_jpeg
 from roadtorch.testing.scenes import render_scene, write_image
-from roadtorch.train.adaptation.frames import KeptFrames, keep_frames
+from roadtorch.train.adaptation.frames import SampledFrames, sample_frames
 from tests.videos import write_video
 
 
@@ -20,8 +20,8 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def sample_of(footage: Path, folder: Path, most: int = 100) -> KeptFrames:
-    return keep_frames([str(footage)], folder / "kept", most, quiet=True)
+def sample_of(footage: Path, folder: Path, most: int = 100) -> SampledFrames:
+    return sample_frames([str(footage)], folder / "kept", most, quiet=True)
 
 
 def test_images_are_halved_in_their_order_once(images: Path, tmp_path: Path) -> None:
@@ -29,7 +29,7 @@ def test_images_are_halved_in_their_order_once(images: Path, tmp_path: Path) -> 
     sample = sample_of(images, folder)
 
     assert sample.halves == (5, 5)
-    assert not sample.moving
+    assert not sample.has_times
     names = [frame.path.stem for frame in sample.images("second")]
     assert names == [f"second_{number:06d}" for number in range(5, 10)]
     last, original = read_image(sample.images()[-1].path), read_image(images / "09.png")
@@ -56,7 +56,7 @@ def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
 def test_of_a_video_some_frames_a_second_are_kept(tmp_path: Path) -> None:
     video = write_video(tmp_path / "drive.mp4", [number / 10 for number in range(25)])
     sample = sample_of(video, tmp_path)
-    assert sample.moving
+    assert sample.has_times
     assert sample.count == 7  # at 0, .4, .8 … 2.4 of its 2.5 seconds
 
 

@@ -17,7 +17,7 @@ from roadtorch.layout.weights import weights_path
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.testing.scenes import render_scene
 from roadtorch.train.adaptation.adapt import write_biased, write_smoothed_labels
-from roadtorch.train.adaptation.frames import keep_frames
+from roadtorch.train.adaptation.frames import sample_frames
 from roadtorch.train.adaptation.verdict import MaskCounts, count_masks, decide_verdict, fit_bias
 from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.prepared import from_uint8, image_file_name, to_uint8
@@ -46,7 +46,7 @@ def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None
         noise = 0.05 * torch.randn(street.shape, generator=generator)
         write_jpeg(tmp_path / f"drive/{number}.jpg", (street + noise).clamp(0, 1))
     write_jpeg(tmp_path / "drive/4.jpg", render_scene(2, 120, 160).image)
-    frames = keep_frames([str(tmp_path / "drive")], tmp_path / "frames", 10, quiet=True)
+    frames = sample_frames([str(tmp_path / "drive")], tmp_path / "frames", 10, quiet=True)
     looks, prepared = tmp_path / "looks", tmp_path / "prepared"
     training = training_of(teacher={"views": "one", "detector": "labeller"})
 
