@@ -152,21 +152,18 @@ def register_detector(
     name: str,
     settings: type[DetectorSettings] = DetectorSettings,
     *,
-    summary: str | None = None,
+    summary: str = "",
     defaults: Mapping[str, Any] | None = None,
-    baseline: bool = False,
 ) -> Callable[[Build], Build]:
-    """Register a detector in this process; a decorator of the class or function that builds it.
+    """Register a detector in this process: decorator of the class (or function) that builds it.
 
-    The class is made from the settings, and its ``forward(image)`` returns cues by name; see
-    ``Entry``, which the entry point of a package names instead.
+    See ``Entry`` for the class; the entry points of packages name an entry instead.
 
     Args:
         name: ``family[:option[:option]]``.
         settings: class of its settings.
-        summary: one line for lists; None: the first line of the docstring.
+        summary: one line for lists; if empty, the first line of the docstring.
         defaults: values that differ from those of the settings, nested.
-        baseline: whether the detector ignores the image.
 
     Raises:
         ConfigError: The name is taken, or the settings are not derived from DetectorSettings.
@@ -188,10 +185,8 @@ def register_detector(
         raise ConfigError("name", f"is {getattr(name, '__name__', name)}", hint)
 
     def decorate(build: Build) -> Build:
-        line = next(iter((build.__doc__ or "").strip().splitlines()), "")
-        text = line.rstrip(".") if summary is None else summary
-        entry = Entry(name, text, settings, build, None, baseline, defaults or {})
-        _add(entry, _catalogue())
+        text = summary or (build.__doc__ or "").strip().partition("\n")[0].rstrip(".")
+        _add(Entry(name, text, settings, build, defaults=defaults or {}), _catalogue())
         return build
 
     return decorate

@@ -126,15 +126,15 @@ class DetectorGrid:
 
 @dataclass(frozen=True)
 class Entry:
-    """Entry of the catalogue of detectors, also what an entry point of another package names.
+    """Entry of the catalogue of detectors; the entry points of other packages name theirs.
 
     Attributes:
         name: ``family[:option[:option]]``.
         summary: one line for lists.
         settings: class of its settings.
-        build: usually a class: makes from the settings the ``nn.Module`` whose ``forward(image)``
-            takes an image, in [0, 1], shape (3, H, W), and returns cues by name, shape (H, W) or
-            (C, H, W). One of them is ``likelihood``, in [0, 1], shape (H, W).
+        build: makes from them, usually as a class, the ``nn.Module`` whose ``forward(image)`` takes
+            an image in [0, 1], shape (3, H, W), and returns cues by name, shape (H, W) or
+            (C, H, W); one of them is ``likelihood``, in [0, 1], shape (H, W).
         grid: grid of detectors that it is part of.
         baseline: whether it ignores the image.
         defaults: its defaults where they differ from those of the class, nested.
@@ -188,8 +188,8 @@ class Detector(nn.Module):
         self.order: Order | None = None if order is None else checked_order(order)
         self.name = entry.name
         self.settings = settings
-        usual = merge(type(settings).model_construct().model_dump(), entry.defaults)
-        self._changes = dict(_changes(settings.model_dump(), usual))
+        usual = type(settings).model_construct().model_dump(warnings=False)
+        self._changes = dict(_changes(settings.model_dump(), merge(usual, entry.defaults)))
         # Read once, and at once: errors in the file are reported before any image is analysed.
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
@@ -241,14 +241,12 @@ class Detector(nn.Module):
             InputError: The image cannot be used, or its likelihood is not finite.
             ConfigError: ``order`` is not a colour order.
         """
-        if order is not None:
-            checked_order(order)
+        bgr = order is not None and checked_order(order) == "bgr"
         if isinstance(image, str) and image in get_args(Order) and not os.path.exists(image):
             raise InputError("image", "is a colour order", f'write detect(image, "{image}")')
-        if order == "bgr" and isinstance(image, Tensor):
+        if bgr and isinstance(image, Tensor):
             raise InputError("order", "is for NumPy arrays; tensors are RGB", "give image.flip(0)")
-        evidence = self.find(as_image(image, order or self.order))
-        return self.conclude(evidence)
+        return self.conclude(self.find(as_image(image, order or self.order)))
 
     def detect_many(
         self, images: Iterable[ImageLike], order: Order | None = None
@@ -270,8 +268,6 @@ class Detector(nn.Module):
         >>> [detection.mask.shape[1] for detection in detector.detect_many(frames)]
         [80, 81]
         """
-        if order is not None:
-            checked_order(order)
         if isinstance(images, (str, os.PathLike, bytes)) or not isinstance(images, Iterable):
             hint = "give a list; detect takes one image"
             raise InputError("images", f"are {type(images).__name__}", hint)
@@ -287,27 +283,16 @@ class Detector(nn.Module):
                 raise InputError(f"images[{number}]", error.problem, error.hint) from None
 
     def stream(
-        self,
-        source: str | os.PathLike[str],
-        *,
-        steady: bool = True,
-        every: int = 1,
-        start: float = 0.0,
-        end: float | None = None,
-        limit: int | None = None,
-        topic: str | None = None,
+        self, source: str | os.PathLike[str], *, steady: bool = True, **selection: Any
     ) -> Generator[Detection]:
         """Detect the road in each frame of footage; ``detect_stream`` with this detector.
 
         Args:
             source: path of a video, bag or folder of images, camera number ("0"), or address.
-            steady: whether likelihoods are smoothed over time, as ``roadtorch infer`` does unless
-                it gets ``--no-steady``; images of a folder never are.
-            every: process the first of so many frames.
-            start: seconds of footage to skip.
-            end: seconds of footage at which to stop.
-            limit: largest number of frames.
-            topic: topic of the images in a bag, if it has several.
+            steady: whether likelihoods of footage are smoothed over time, as ``roadtorch infer``
+                does unless it gets ``--no-steady``.
+            **selection: frames to process: ``every=5``, ``start`` and ``end`` in seconds,
+                ``limit``; ``topic`` of a bag. See ``roadtorch.inputs.item.Selection``.
 
         >>> from roadtorch import load_detector
         >>> for detection in load_detector("prior:rows").stream("street.jpg"):
@@ -316,9 +301,7 @@ class Detector(nn.Module):
         """
         from roadtorch.run.loop import Selection, detect_stream  # a layer above: see pyproject.toml
 
-        return detect_stream(
-            source, self, Selection(every, start, end, limit, topic), steady=steady
-        )
+        return detect_stream(source, self, Selection(**selection), steady=steady)
 
     @one_thread()
     def forward(self, images: Tensor) -> Tensor:
@@ -382,10 +365,8 @@ class Detector(nn.Module):
     ) -> Detection:
         """Decide on the mask and judge it: second half of ``detect``.
 
-        Args:
-            evidence: result of ``find``. Trust is always computed from its likelihood.
-            likelihood: smoothed likelihood to decide on instead, float32 in [0, 1], shape (H, W).
-            ego: smoothed ego car to use instead, bool, shape (H, W).
+        likelihood, ego: smoothed over time, (H, W), to decide on instead of those of the evidence.
+        Trust is computed from the frame's own likelihood in any case.
         """
         outputs, seed = evidence.outputs, evidence.outputs.get("seed_area")
         ego = evidence.ego if ego is None else ego
@@ -409,9 +390,9 @@ class Detector(nn.Module):
 
     def __repr__(self) -> str:
         """Return one line: the name, and the settings that differ from the detector's defaults."""
-        options = {**self._changes, "order": self.order, "device": self.device}
-        set_ones = (f", {k}={reprlib.repr(v)}" for k, v in options.items() if v is not None)
-        return f"<Detector {self.name}{''.join(set_ones)}>"
+        values = {**self._changes, "order": self.order, "device": self.device}
+        changes = [f", {k}={reprlib.repr(v)}" for k, v in values.items() if v is not None]
+        return f"<Detector {self.name}{''.join(changes)}>"
 
 
 def _changes(
@@ -426,22 +407,21 @@ def _changes(
 
 
 def use_inference_mode(
-    analyse: Callable[..., Mapping[str, Tensor]],
+    run: Callable[..., Mapping[str, Tensor]],
 ) -> Callable[..., dict[str, Tensor]]:
-    """Run an analysis, an image and more to maps, in inference mode.
+    """Run an analysis in inference mode, on the CPU and where no gradients are enabled.
 
-    Only on the CPU and where no gradients are enabled: autograd's bookkeeping for a thousand small
-    kernels takes a fifteenth of the time. The maps are cloned, so that they are ordinary tensors.
-    For our own analyses: others may need gradients inside.
+    Autograd's bookkeeping for a thousand small kernels takes a fifteenth of the time. The maps are
+    cloned, so that they are ordinary tensors. For our own analyses: others may need gradients.
     """
 
-    @wraps(analyse)
+    @wraps(run)
     def wrapped(*arguments: Any) -> dict[str, Tensor]:
         if torch.compiler.is_exporting():
-            return dict(analyse(*arguments))
+            return dict(run(*arguments))
         on_cpu = all(item.device.type == "cpu" for item in arguments if isinstance(item, Tensor))
         with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
-            maps = analyse(*arguments)
+            maps = run(*arguments)
         return {name: map.clone() if map.is_inference() else map for name, map in maps.items()}
 
     return wrapped
@@ -450,16 +430,14 @@ def use_inference_mode(
 class Analysis(nn.Module):
     """Analysis without weights: a function of image and settings that returns the cues."""
 
-    def __init__(
-        self, analyse: Callable[[Tensor, Any], Mapping[str, Tensor]], settings: Any
-    ) -> None:
+    def __init__(self, run: Callable[[Tensor, Any], Mapping[str, Tensor]], settings: Any) -> None:
         super().__init__()
-        self.analyse = analyse
+        self.run = run
         self.settings = settings
 
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""
-        return self.analyse(image, self.settings)
+        return self.run(image, self.settings)
 
 
 def checked_image(image: Tensor) -> Tensor:
@@ -491,14 +469,9 @@ def decide(
 ) -> Tensor:
     """Return the mask, bool (H, W): likelihood ≥ threshold, isolated regions dropped if set.
 
+    seed: seed area, bool (H, W); None: the rectangle of the settings. ego: ego car, bool (H, W).
     Road may reach the seed area through the ground hidden by the ego car. Where only hidden ground
     does, no region is known to be the road, and none is dropped.
-
-    Args:
-        likelihood: in [0, 1], shape (H, W).
-        settings: threshold, isolated regions and seed area.
-        seed: seed area, bool, shape (H, W); None: the rectangle of the settings.
-        ego: ego car, bool, shape (H, W); never road.
     """
     if ego is not None and not any_pixel(ego):
         ego = None

@@ -133,13 +133,8 @@ def segment_road(
     Naive Bayes over the cues gives a first belief. Then, in rounds, kernel densities of road and
     background are learned from the belief and added as one more cue, as are the neighbours.
 
-    Args:
-        segments: n superpixels of the image.
-        layout: likelihood by the layout's ground, shape (n,).
-        distance: likelihood by distance from the seed area, shape (n,).
-        texture: likelihood by uniformity, shape (n,).
-        further: log odds of further cues, shape (n,), added as they are.
-        rules: weights and constants.
+    layout: ground of the layout. distance: from the seed area. texture: uniformity. further: log
+    odds (n,) of further cues, added as they are.
     """
     exponents = rules.exponents
     position = road_position_prior(segments.row, segments.column, rules.position)

@@ -79,18 +79,13 @@ def outlined(
 
 
 def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
-    """Enlarge a likelihood with the guided filter, the image at both sizes as the guide.
+    """Enlarge a likelihood (…, h, w) by the guided filter, with the image at both sizes as guide.
 
     In each window it is an affine function of the colour, q = a · I + b with
     a = (Σ + ε U)⁻¹ (mean(I p) - mean(I) mean(p)) and b = mean(p) - a · mean(I): He, Sun, Tang,
     "Guided Image Filtering", PAMI 35(6), 2013, eqs. 19 to 21. As in their "Fast Guided Filter",
     arXiv 1505.00996, 2015, a and b are computed in a small image and enlarged. Ours: windows are
     triangles ``WINDOW_SPACING`` apart and twice as wide, so no filter runs over all pixels.
-
-    Args:
-        likelihood: in [0, 1], shape (…, h, w).
-        image: guide of the same size, shape (…, 3, h, w).
-        larger: guide at the size of the result, shape (…, 3, H, W).
     """
     stack = resized(_stack(likelihood, image), _reduced_size(likelihood, SUBSAMPLING))
     likelihood, small = stack[..., 0, :, :], stack[..., 1:, :, :]

@@ -72,15 +72,8 @@ def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Te
 
     One at least; they need not be adjacent. Near segments show the road best, and are preferred
     by ``BOTTOM_BONUS``. Ours: the bottom of an image may be a bonnet, grass or a car ahead.
-
-    Args:
-        evidence: log odds of road, shape (…, n).
-        row: centroids, 0 at the top to 1, shape (n,).
-        size: fractions of the image, shape (n,).
-        share: fraction of the image to fill.
-
-    Returns:
-        Mask of the segments, bool, shape (…, n).
+    evidence: log odds of road, (…, n). row: centroids, 0 at the top to 1, (n,). size: fractions
+    of the image, (n,). share: fraction to fill. Returns a mask of the segments, bool (…, n).
     """
     score = evidence + BOTTOM_BONUS * row - UPPER_HALF_PENALTY * (row < 0.5)
     # The exporter to ONNX lacks ``argsort``; its ``sort`` is stable.

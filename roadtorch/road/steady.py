@@ -103,8 +103,8 @@ class Steady:
         Args:
             image: the frame, in [0, 1], shape (3, H, W).
             likelihood: of this frame alone, in [0, 1], shape (H, W).
-            hidden: ego car in this frame, bool, shape (H, W). Where most frames agree on it, the
-                result is 0; elsewhere the past's log odds are kept.
+            hidden: ego car in this frame, bool, shape (H, W); the result is 0 where half of the
+                frames agree on it.
         """
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)

@@ -165,16 +165,9 @@ def fused_uniformity(
 ) -> tuple[Tensor, Tensor]:
     """Fuse the colour planes and compute U of each segment, P2 section 4.
 
-    Args:
-        image: in [0, 1], shape (3, H, W).
-        labels: n segments, int64, shape (H, W).
-        usable: pixels that count for weights and histograms, bool, shape (H, W). Where the seed
-            area has too few, all of its pixels give the weights.
-        seed: seed area, bool, shape (H, W).
-        settings: of fusion and histograms.
-
-    Returns:
-        The fused plane, shape (H, W), and U, shape (n,).
+    labels: n segments, int64 (H, W). seed: seed area, bool (H, W). usable: pixels that count for
+    weights and histograms, bool (H, W); where the seed area has too few, all of its pixels give
+    the weights. Returns the fused plane (H, W) and U (n,).
     """
     samples = masked_pixels(image, seed & usable)
     if samples.shape[1] <= len(settings.planes):
