@@ -37,10 +37,10 @@ _Fractions = tuple[Annotated[float, Field(ge=0, le=1)], ...]
 _Components = tuple[Annotated[float, Field(ge=-1, le=1)], ...]
 
 
-class EgoLook(Settings):
+class EgoTemplate(Settings):
     """Gradient template of the ego car at some points; empty without an ego car."""
 
-    least: float = Field(
+    min_similarity: float = Field(
         default=MIN_SIMILARITY, ge=-1, le=1, description="least cosine similarity of its images"
     )
     rows: _Fractions = Field(
@@ -49,17 +49,21 @@ class EgoLook(Settings):
     columns: _Fractions = Field(
         default=(), strict=False, description="columns of the points, fractions of the width"
     )
-    across: _Components = Field(default=(), strict=False, description="mean gradients to the right")
-    down: _Components = Field(default=(), strict=False, description="mean gradients downwards")
+    gradient_x: _Components = Field(
+        default=(), strict=False, description="mean gradients to the right"
+    )
+    gradient_y: _Components = Field(
+        default=(), strict=False, description="mean gradients downwards"
+    )
 
     @model_validator(mode="after")
-    def _check_lengths(self) -> "EgoLook":
-        if len({len(self.rows), len(self.columns), len(self.across), len(self.down)}) > 1:
-            raise ValueError("Give as many rows, columns, across and down")
+    def _check_lengths(self) -> "EgoTemplate":
+        if len({len(self.rows), len(self.columns), len(self.gradient_x), len(self.gradient_y)}) > 1:
+            raise ValueError("Give as many rows, columns, gradient_x and gradient_y")
         return self
 
 
-def build_ego_template(statistics: GradientStatistics, rows: Tensor) -> EgoLook:
+def build_ego_template(statistics: GradientStatistics, rows: Tensor) -> EgoTemplate:
     """Return the template of the ego car below rows (w,) int64, at the most reliable points.
 
     Points lie apart (each is the best of 3×3 pixels), so that one long edge does not dominate.
@@ -71,12 +75,12 @@ def build_ego_template(statistics: GradientStatistics, rows: Tensor) -> EgoLook:
     peaks = torch.where(is_peak, reliability, 0).reshape(-1)
     best = peaks.sort(descending=True, stable=True).indices[:TEMPLATE_POINTS]
     best = best[peaks[best] > 0].sort().values
-    across, down = statistics.mean.flatten(1)[:, best]
-    return EgoLook(
+    gradient_x, gradient_y = statistics.mean.flatten(1)[:, best]
+    return EgoTemplate(
         rows=to_floats((best // width + 0.5) / height, 4),
         columns=to_floats((best % width + 0.5) / width, 4),
-        across=to_floats(across, 3),
-        down=to_floats(down, 3),
+        gradient_x=to_floats(gradient_x, 3),
+        gradient_y=to_floats(gradient_y, 3),
     )
 
 
@@ -85,12 +89,12 @@ def to_floats(values: Tensor, decimals: int) -> tuple[float, ...]:
     return tuple(round(value, decimals) for value in values.tolist())
 
 
-def template_similarities(template: EgoLook, gradients: Sequence[Tensor]) -> Tensor:
+def template_similarities(template: EgoTemplate, gradients: Sequence[Tensor]) -> Tensor:
     """Return the similarity (n,) of a template to each of n gradients (2, h, w) of small images."""
     return torch.tensor([template_similarity(template, gradient) for gradient in gradients])
 
 
-def template_similarity(template: EgoLook, gradient: Tensor) -> float:
+def template_similarity(template: EgoTemplate, gradient: Tensor) -> float:
     """Return the similarity of a template to the gradient (2, h, w) of a small image, from -1 to 1.
 
     The cosine similarity, maximised over small shifts; about .1 for other cameras.
@@ -98,7 +102,7 @@ def template_similarity(template: EgoLook, gradient: Tensor) -> float:
     height, width = gradient.shape[1:]
     rows = (torch.tensor(template.rows) * height).long()
     columns = (torch.tensor(template.columns) * width).long()
-    expected = torch.tensor([template.across, template.down]).reshape(-1)
+    expected = torch.tensor([template.gradient_x, template.gradient_y]).reshape(-1)
     unit, best = soft_normalize(gradient), -1.0
     for down, right in product(range(-MAX_SHIFT, MAX_SHIFT + 1), repeat=2):
         shifted = (rows + down).clamp(0, height - 1), (columns + right).clamp(0, width - 1)
@@ -133,8 +137,8 @@ class Camera(Settings):
         ge=0, le=1, description="lowest ground in the middle: top of the ego car, or 1"
     )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
-    look: EgoLook = Field(
-        default=EgoLook(), description="gradients of the ego car, to detect another camera"
+    template: EgoTemplate = Field(
+        default=EgoTemplate(), description="gradients of the ego car, to detect another camera"
     )
 
     @classmethod
@@ -169,9 +173,9 @@ class Camera(Settings):
         if not 1 / MAX_ASPECT_CHANGE <= ratio <= MAX_ASPECT_CHANGE:
             problem = f"is {width}×{height} pixels, the camera's footage {self.width}×{self.height}"
             raise InputError("image", problem, WRONG_CAMERA_HINT)
-        if self.look.rows:
+        if self.template.rows:
             gradient = sobel_gradient(small_grey(image, small_size([image])))
-            if template_similarity(self.look, gradient) < self.look.least:
+            if template_similarity(self.template, gradient) < self.template.min_similarity:
                 raise InputError("image", "does not show this camera's ego car", WRONG_CAMERA_HINT)
 
     def settings_for(self, settings_class: type[Settings]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from roadtorch.camera.camera import (
     MAX_SIMILARITY,
     MIN_SIMILARITY,
     Camera,
-    EgoLook,
+    EgoTemplate,
     build_ego_template,
     template_similarities,
     to_floats,
@@ -214,13 +214,13 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         raise StillError(where, "is static: nothing moves", "give footage of a drive")
     _require_one_camera(footage, gradients, where)
     rows = _find_ego_rows(footage)
-    look, outline = EgoLook(), ()
+    template, outline = EgoTemplate(), ()
     if rows is not None:
-        look = build_ego_template(footage.gradients, rows)
+        template = build_ego_template(footage.gradients, rows)
         # Three fifths of what four of five frames exceed, as future frames differ more than these.
-        similarity = float(template_similarities(look, gradients).quantile(0.2))
-        least = min(MAX_SIMILARITY, max(MIN_SIMILARITY, 0.6 * similarity))
-        look = look.model_copy(update={"least": round(least, 3)})
+        similarity = float(template_similarities(template, gradients).quantile(0.2))
+        threshold = min(MAX_SIMILARITY, max(MIN_SIMILARITY, 0.6 * similarity))
+        template = template.model_copy(update={"min_similarity": round(threshold, 3)})
         heights = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / size[0], OUTLINE_COLUMNS)[0]
         outline = to_floats(heights, 4)
     height, width = Counter(sizes).most_common(1)[0][0]
@@ -231,7 +231,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         horizon=round(footage.point.row, 3),
         seed_row=min(outline[MIDDLE_COLUMNS], default=1.0),
         ego=Ego(outline=outline),
-        look=look,
+        template=template,
     )
 
 

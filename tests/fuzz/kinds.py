@@ -16,7 +16,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import build_settings, parse_assignments, to_toml
 from roadtorch.camera.birds_eye import to_birds_eye
 from roadtorch.camera.calibration import read_calibration, read_camera_info
-from roadtorch.camera.camera import Camera, EgoLook
+from roadtorch.camera.camera import Camera, EgoTemplate
 from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.camvid import COLOURS32, READINGS
 from roadtorch.data.catalogue import open_dataset
@@ -179,9 +179,13 @@ def read_assignments(path: Path) -> bool:
 
 
 ROWS = (0.9, 0.92, 0.95)
-LOOK = EgoLook(rows=ROWS, columns=ROWS, across=(0.1, -0.2, 0.3), down=(0.5, 0.1, 0.0))
+TEMPLATE = EgoTemplate(
+    rows=ROWS, columns=ROWS, gradient_x=(0.1, -0.2, 0.3), gradient_y=(0.5, 0.1, 0.0)
+)
 OUTLINE = Ego(outline=(0.9, 0.8, 0.9))
-CAMERA = Camera(width=64, height=48, frames=9, horizon=0.4, seed_row=0.9, ego=OUTLINE, look=LOOK)
+CAMERA = Camera(
+    width=64, height=48, frames=9, horizon=0.4, seed_row=0.9, ego=OUTLINE, template=TEMPLATE
+)
 
 
 def read_camera(path: Path) -> bool:
