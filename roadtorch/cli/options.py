@@ -22,7 +22,7 @@ Command = Callable[..., Any]
 # --- detector ---------------------------------------------------------------------------
 
 DEFAULT_DETECTOR = "fusion"
-RUN_OPTIONS = "roadtorch.run.plan:RunOptions"
+RUN_OPTIONS_CLASS = "roadtorch.run.plan:RunOptions"
 
 
 @dataclass(frozen=True)
@@ -209,11 +209,11 @@ detector_options = _group_options(
 )
 """Options of ``DetectorOptions``, passed as ``choice``."""
 
-run_options = _group_options(RUN_OPTIONS, "run", JOBS_OPTION, OVERWRITE_OPTION, QUIET_OPTION)
+run_options = _group_options(RUN_OPTIONS_CLASS, "run", JOBS_OPTION, OVERWRITE_OPTION, QUIET_OPTION)
 """Options of ``RunOptions`` for commands without those of computing, passed as ``run``."""
 
 computing_options = _group_options(
-    RUN_OPTIONS,
+    RUN_OPTIONS_CLASS,
     "run",
     JOBS_OPTION,
     click.option(
