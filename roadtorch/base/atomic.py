@@ -114,7 +114,7 @@ def locked(folder: Path, hint: str = "wait for it, or give another folder") -> I
 
     The lock is on the folder itself (flock): it needs no file, and ends with the process and
     its workers, however they end; a run waits ``LOCK_TIMEOUT`` for those of a killed one.
-    Without locks of the operating system or the disk, nothing is excluded.
+    If the system or the disk has no locks, other runs are not excluded.
     """
     with _folder_lock(folder) as lock:
         end = monotonic() + LOCK_TIMEOUT
@@ -134,10 +134,10 @@ def locked(folder: Path, hint: str = "wait for it, or give another folder") -> I
 
 @contextmanager
 def shared(folder: Path) -> Iterator[None]:
-    """Hold a shared lock of a folder, which is made, so that several runs may write into it.
+    """Make a folder and hold its shared lock, with which several runs may write into it.
 
-    The first run to come removes the temporary files of killed runs, in subfolders too unless
-    another run holds their exclusive lock. Without locks nothing is removed.
+    A run that finds no other removes the temporary files of killed runs, also in subfolders that
+    no run has locked. Without locks nothing is removed.
     """
     make_folder(folder)
     with _folder_lock(folder) as lock:

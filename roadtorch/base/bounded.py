@@ -54,8 +54,8 @@ def reason(error: Exception) -> str:
 def printable(text: str) -> str:
     r"""Return text that can be encoded, with bytes of names that are not UTF-8 as ``\xff``.
 
-    Python reads such bytes as lone surrogates, which no encoding takes; where the system's encoding
-    is ASCII, it reads every other letter so as well, and those are restored.
+    Python reads such bytes as lone surrogates, which no encoding takes. If the system's encoding is
+    ASCII, it reads all other letters as surrogates too; they are restored here.
     """
     try:
         return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

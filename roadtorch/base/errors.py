@@ -5,7 +5,7 @@ RoadtorchError
 │   └── UnwritableError  a file or folder that cannot be written
 ├── ConfigError     a wrong setting, name or option
 ├── DatasetError    a data set that is incomplete or malformed
-│   └── UnscorableError  one whose labels do not cover road
+│   └── UnscorableError  one without labels of road
 └── WeightsError    a weight file that is damaged or foreign
 """
 
@@ -83,7 +83,7 @@ class DatasetError(RoadtorchError):
 
 
 class UnscorableError(DatasetError):
-    """A readable data set whose labels do not cover road."""
+    """A readable data set without labels of road."""
 
     exit_code = ExitCode.SOME_FAILED
 

@@ -206,7 +206,7 @@ def checked_order(order: Order) -> Order:
 
 
 def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
-    """Return pixels (H, W) or (H, W, 1, 3 or 4) as grey, RGB or RGBA, else raise InputError."""
+    """Return pixels (H, W) or (H, W, C) as grey, RGB or RGBA; raise InputError for others."""
     if pixels.dtype not in (np.uint8, np.uint16) and pixels.dtype.kind != "f":
         hint = "give uint8 from 0 to 255, or floating point from 0 to 1"
         raise InputError("image", f"is an array of {pixels.dtype}", hint)
@@ -354,7 +354,7 @@ def _to_bgr(pixels: np.ndarray) -> np.ndarray:
 
 
 def png_bytes(pixels: np.ndarray, longest: int) -> bytes:
-    """Encode RGB pixels, uint8 (H, W, 3), as PNG, shrunk to at most ``longest`` a side."""
+    """Encode RGB pixels, uint8 (H, W, 3), as PNG, scaled down to sides of ``longest`` at most."""
     height, width = pixels.shape[:2]
     scale = longest / max(height, width)
     if scale < 1:

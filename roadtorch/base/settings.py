@@ -138,8 +138,8 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     """Read the nested values of a TOML file.
 
     A string that names an existing file with a suffix in the same folder becomes its path, so that
-    the folder can be moved. Raises InputError if the file cannot be read,
-    ConfigError if it is not TOML.
+    the folder can be moved. Raises InputError for an unreadable file, ConfigError for one that is
+    not TOML.
     """
     try:
         return _resolve_files(path, tomllib.loads(read_regular(path).decode()))

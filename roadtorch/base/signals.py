@@ -112,7 +112,7 @@ def prefer_interruption() -> Iterator[None]:
 
 @contextmanager
 def interrupting_none_started() -> Iterator[None]:
-    """Start processes that never receive SIGINT; this process receives it after the block.
+    """Block SIGINT in processes started inside the block; this one receives it afterwards.
 
     A terminal sends Ctrl-C to all processes of a command; the first one handles it for them.
     """
