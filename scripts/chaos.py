@@ -63,7 +63,7 @@ import roadtorch
 from roadtorch.base.image import write_labels, write_mask
 from roadtorch.cli import main
 from roadtorch.testing.scenes import render_scene, write_image
-from roadtorch.train import loop
+from roadtorch.train import training_loop
 from scripts.freeze import settled
 from tests.videos import write_video
 
@@ -459,7 +459,7 @@ def load(kind: str) -> None:
         if not module.name.endswith("__main__"):
             with suppress(ImportError):  # of an extra that is not installed
                 importlib.import_module(module.name)
-    loop.SAVE_INTERVAL = 0.0  # save as often as that can be done
+    training_loop.SAVE_INTERVAL = 0.0  # save as often as that can be done
     if kind not in ("clock", "ros"):
         time.time = lambda: 1e9
 

@@ -41,9 +41,9 @@ from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import keep, kept, key_of
 from roadtorch.train.augmentation import warp_affine
 from roadtorch.train.config import ImageTraining, build_training
-from roadtorch.train.images import ImageRecipe
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.teachers import encode_maps
+from roadtorch.train.whole_images import ImageRecipe
 
 VOID = 255
 

@@ -28,7 +28,8 @@ from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, key_of, read_arrays
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
-from roadtorch.train.loop import (
+from roadtorch.train.prepared import from_uint8, to_uint8
+from roadtorch.train.training_loop import (
     CENTRES,
     PATCH_ORDER,
     PATCH_VARIATION,
@@ -37,7 +38,6 @@ from roadtorch.train.loop import (
     make_generator,
     seed_torch,
 )
-from roadtorch.train.prepared import from_uint8, to_uint8
 
 # --- centres ----------------------------------------------------------------------------
 

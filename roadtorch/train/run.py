@@ -44,10 +44,10 @@ from roadtorch.train.folder import (
     config_hash,
     make_record,
 )
-from roadtorch.train.images import ImageRecipe
-from roadtorch.train.loop import Loop, TrainingInputs, TrainingProgress
 from roadtorch.train.patches import PatchRecipe
 from roadtorch.train.prepared import Preparation, PreparedImage, prepare
+from roadtorch.train.training_loop import Loop, TrainingInputs, TrainingProgress
+from roadtorch.train.whole_images import ImageRecipe
 
 Recipe = PatchRecipe | ImageRecipe
 

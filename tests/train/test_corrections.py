@@ -18,10 +18,10 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import corrected_images, load_network, people_behind
 from roadtorch.train.config import PatchTraining, Training, build_training
 from roadtorch.train.corrections import write_fusion_config
-from roadtorch.train.images import corrected_targets, reweight_corrected
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, merge_corrections, oversample
 from roadtorch.train.run import FUSION_CONFIG, Outcome, Request, make_recipe, train
 from roadtorch.train.teachers import Targets
+from roadtorch.train.whole_images import corrected_targets, reweight_corrected
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, training_of, write_config
 

@@ -14,7 +14,6 @@ from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflected
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
-from roadtorch.train.loop import Batch
 from roadtorch.train.patches import (
     PatchRecipe,
     PatchSamples,
@@ -27,6 +26,7 @@ from roadtorch.train.patches import (
     sample_variation,
     squared_error,
 )
+from roadtorch.train.training_loop import Batch
 from tests.draws import seeded
 from tests.reference import network as reference
 from tests.streets import scene

@@ -18,10 +18,16 @@ from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, s
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
 from roadtorch.train.folder import RunFolder
-from roadtorch.train.images import image_loss
-from roadtorch.train.loop import WARM_UP_STEPS, Batch, Loop, MovingAverage, TrainingProgress
 from roadtorch.train.run import Outcome, Request, make_recipe, train
 from roadtorch.train.teachers import TARGET_PLANES
+from roadtorch.train.training_loop import (
+    WARM_UP_STEPS,
+    Batch,
+    Loop,
+    MovingAverage,
+    TrainingProgress,
+)
+from roadtorch.train.whole_images import image_loss
 from tests.command import Call
 from tests.draws import seeded
 from tests.train.conftest import Trained

@@ -43,10 +43,10 @@ from roadtorch.train.adaptation.verdict import (
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.corrections import format_card, inherited_corrections
 from roadtorch.train.folder import WEIGHTS, RunFolder
-from roadtorch.train.images import ImageRecipe
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import PREPARED, Outcome, Request, prepare_folder, train
+from roadtorch.train.whole_images import ImageRecipe
 
 CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "looks"
 CALIBRATED = "calibrated.safetensors"

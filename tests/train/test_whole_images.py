@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from roadtorch.base.signals import Stop
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import HeadWeights, ImageTraining, build_training
-from roadtorch.train.images import (
+from roadtorch.train.teachers import TARGET_PLANES, Targets
+from roadtorch.train.training_loop import Batch, TrainingInputs
+from roadtorch.train.whole_images import (
     ImageRecipe,
     ImageSamples,
     image_loss,
     sample_members,
     target_loss,
 )
-from roadtorch.train.loop import Batch, TrainingInputs
-from roadtorch.train.teachers import TARGET_PLANES, Targets
 from tests.draws import seeded
 
 SAME_LIGHT = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}

@@ -29,14 +29,6 @@ from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
 from roadtorch.run.memo import Arrays, cached_arrays, file_digests, key_of
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, ImageTraining
-from roadtorch.train.loop import (
-    IMAGE_ORDER,
-    IMAGE_VARIATION,
-    Batch,
-    TrainingInputs,
-    make_generator,
-    seed_torch,
-)
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
 from roadtorch.train.teachers import (
@@ -48,6 +40,14 @@ from roadtorch.train.teachers import (
     make_targets,
     prepare_image,
     shows_ego_car,
+)
+from roadtorch.train.training_loop import (
+    IMAGE_ORDER,
+    IMAGE_VARIATION,
+    Batch,
+    TrainingInputs,
+    make_generator,
+    seed_torch,
 )
 
 EGO_CARS = "ego-cars"
