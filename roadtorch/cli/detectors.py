@@ -47,7 +47,7 @@ def detectors_command(name: str | None) -> None:
         defaults = entry.configured({}).model_dump(mode="json")
         schema = entry.settings.model_json_schema()
         rows = [header, *setting_rows(schema, defaults=defaults)]
-    click.echo("\n".join(align_columns(rows)))
+    click.echo("\n".join(wrap_columns(rows)))
 
 
 def plane_tables() -> str:
@@ -61,7 +61,7 @@ def plane_tables() -> str:
     ]
     combined = [("representation", "planes")]
     combined += [(name, " ".join(parts)) for name, parts in REPRESENTATIONS.items()]
-    return "\n".join([*align_columns(rows), "", *align_columns(combined)])
+    return "\n".join([*wrap_columns(rows), "", *wrap_columns(combined)])
 
 
 def detector_rows(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:
@@ -77,7 +77,7 @@ def detector_rows(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, 
             yield f"  {option}", " ".join(dict.fromkeys(values))
 
 
-def align_columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
+def wrap_columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
     """Yield rows as lines of LINE_WIDTH with aligned columns; long cells are wrapped.
 
     The first column, names, is as wide as they are; the last one fills the line.
