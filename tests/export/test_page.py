@@ -119,8 +119,8 @@ def test_the_camera_by_keyboard_and_what_cannot_be_looked_at(page: "Page", tmp_p
     text.write_text("no image")
     Image.new("1", (11_000, 10_000)).save(large)
     for path, message in (
-        (text, "notes.jpg is no image or video that this browser reads."),
-        (large, "large.png has 110 megapixels: more than 100. Make it smaller."),
+        (text, "notes.jpg is not an image or video that this browser reads."),
+        (large, "large.png has 110 megapixels: more than 100. Reduce its size."),
     ):
         page.set_input_files("#file", path)
         wait_for_status(page, message)

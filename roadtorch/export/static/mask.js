@@ -1,13 +1,13 @@
-// What the network's graph leaves to whoever runs it: connected regions. The same steps as
-// road/outlines.py (filled) and road/seed_area.py (remove_isolated).
+// The steps on connected regions, which the network's graph lacks: thin holes are filled, isolated
+// road is removed, as by road/outlines.py and road/seed_area.py.
 
-const THIN = 11 / 640; // of the width: holes up to which are filled
+const MAX_HOLE_WIDTH = 11 / 640; // fraction of the image width
 
-// Which pixels of an area (Uint8Array) are 4-connected to a pixel of it where `start` is not 0.
-function reached(area, start, width) {
-  const kept = new Uint8Array(area.length), stack = new Int32Array(area.length);
+// Returns the pixels of an area (Uint8Array) that are 4-connected to one of its pixels in `start`.
+function reconstruct(area, start, width) {
+  const reached = new Uint8Array(area.length), stack = new Int32Array(area.length);
   let top = 0;
-  const visit = (at) => { if (area[at] && !kept[at]) { kept[at] = 1; stack[top++] = at; } };
+  const visit = (at) => { if (area[at] && !reached[at]) { reached[at] = 1; stack[top++] = at; } };
   for (let at = 0; at < area.length; at++) if (start[at]) visit(at);
   while (top) {
     const at = stack[--top], column = at % width;
@@ -16,11 +16,11 @@ function reached(area, start, width) {
     if (at >= width) visit(at - width);
     if (at + width < area.length) visit(at + width);
   }
-  return kept;
+  return reached;
 }
 
-// The minimum over `side` pixels along one axis; what is outside the image is background.
-function eroded(area, width, height, side, step, length) {
+// Erodes an area along one axis by `side` pixels; pixels outside the image are background.
+function erode(area, width, height, side, step, length) {
   const out = new Uint8Array(area.length), before = side >> 1;
   for (let line = 0; line < area.length / length; line++) {
     const start = step === 1 ? line * width : line;
@@ -35,21 +35,21 @@ function eroded(area, width, height, side, step, length) {
   return out;
 }
 
-// Fills the holes of a road mask into which no square of a line's width fits.
-function filled(mask, width, height) {
-  const side = Math.max(2, Math.round(THIN * width));
+// Fills the holes of a road mask in which no square of MAX_HOLE_WIDTH fits.
+function fillThinHoles(mask, width, height) {
+  const side = Math.max(2, Math.round(MAX_HOLE_WIDTH * width));
   const background = mask.map((road) => 1 - road);
-  const wide = eroded(eroded(background, width, height, side, 1, width), width, height, side, width, height);
+  const wide = erode(erode(background, width, height, side, 1, width), width, height, side, width, height);
   if (!wide.includes(1)) return mask;
-  return reached(background, wide, width).map((outside) => 1 - outside);
+  return reconstruct(background, wide, width).map((outside) => 1 - outside);
 }
 
-// The mask (1 is road) of the graph's maps of width × height pixels at a threshold.
-export function maskOf({ likelihood, ego, seed_area: seed, width, height }, threshold) {
+// Computes the mask (1 is road) from the graph's maps of width × height pixels and a threshold.
+export function computeMask({ likelihood, ego, seed_area: seed, width, height }, threshold) {
   let mask = Uint8Array.from(likelihood, (value) => value >= threshold);
-  mask = filled(mask, width, height);
-  for (let at = width; at < mask.length; at++) if (ego[at]) mask[at] = mask[at - width]; // the ground goes on
-  const kept = reached(mask, seed, width);
-  const shown = kept.includes(1) ? kept : mask;
-  return shown.map((road, at) => road && !ego[at] ? 1 : 0);
+  mask = fillThinHoles(mask, width, height);
+  for (let at = width; at < mask.length; at++) if (ego[at]) mask[at] = mask[at - width]; // extrapolate over the ego car
+  const connected = reconstruct(mask, seed, width);
+  const road = connected.includes(1) ? connected : mask;
+  return road.map((value, at) => value && !ego[at] ? 1 : 0);
 }

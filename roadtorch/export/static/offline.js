@@ -1,4 +1,4 @@
-// Keeps the page's files, so that it opens without a connection after the first time.
+// Caches the page's files, so that it opens offline after the first visit.
 const NAME = "roadtorch VERSION", FILES = [];
 
 self.addEventListener("install", (event) =>
@@ -11,4 +11,4 @@ self.addEventListener("activate", (event) =>
   })()));
 
 self.addEventListener("fetch", (event) =>
-  event.respondWith(caches.open(NAME).then((cache) => cache.match(event.request)).then((kept) => kept ?? fetch(event.request))));
+  event.respondWith(caches.open(NAME).then((cache) => cache.match(event.request)).then((cached) => cached ?? fetch(event.request))));

@@ -1,17 +1,17 @@
-// The page: images, videos and the camera to the worker, and what it found to the canvas.
+// Sends images, videos and the camera to the worker, and draws its results on the canvas.
 
 const MAX_MEGAPIXELS = 100; // of a file
-const STILL = 2e6, MOVING = 160e3; // pixels that are looked at: of an image, of a frame
-const TINT = [86, 180, 233, 0.5], EDGE = [230, 159, 0, 1]; // as roadtorch draws road
+const STILL = 2e6, MOVING = 160e3; // pixels that the network gets, of an image and of a frame
+const TINT = [86, 180, 233, 0.5], EDGE = [230, 159, 0, 1]; // as in roadtorch's overlays
 
 const $ = (id) => document.getElementById(id);
 const canvas = $("image"), context = canvas.getContext("2d", { willReadFrequently: true });
-let shown = null; // what is on the canvas: the image's bytes, likelihood, mask, trust
-let playing = null; // the video element that is being looked at
+let current = null; // on the canvas: the image's bytes, likelihood, mask, trust
+let playing = null; // the video element that is running
 
-function tell(text, wrong = false) {
+function setStatus(text, isError = false) {
   $("status").textContent = text;
-  $("status").classList.toggle("wrong", wrong);
+  $("status").classList.toggle("error", isError);
 }
 
 // --- the worker -------------------------------------------------------------------------
@@ -19,45 +19,45 @@ function tell(text, wrong = false) {
 const waiting = new Map();
 let worker, calls = 0;
 
-function ask(call, given) {
+function request(call, values) {
   const id = calls++;
-  worker.postMessage({ id, call, given });
+  worker.postMessage({ id, call, values });
   return new Promise((resolve, reject) => waiting.set(id, { resolve, reject }));
 }
 
 async function start() {
   if (!WebAssembly?.validate(Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)))
-    return tell("This browser has no WebAssembly SIMD, which the network needs. Take a newer one.", true);
-  tell("Loading the network (24 MB the first time)…");
-  navigator.serviceWorker?.register("offline.js").catch(() => {}); // without it the page needs its server
+    return setStatus("This browser has no WebAssembly SIMD, which the network needs. Use a newer one.", true);
+  setStatus("Loading the network (24 MB the first time)…");
+  navigator.serviceWorker?.register("offline.js").catch(() => {}); // without it the page does not open offline
   worker = new Worker("worker.js", { type: "module" });
-  worker.onmessage = ({ data: { id, answer, problem } }) => {
+  worker.onmessage = ({ data: { id, result, message } }) => {
     const { resolve, reject } = waiting.get(id);
     waiting.delete(id);
-    if (problem) reject(new Error(problem)); else resolve(answer);
+    if (message) reject(new Error(message)); else resolve(result);
   };
-  worker.onerror = () => tell("The network's worker does not start: reload, or take a newer browser.", true);
+  worker.onerror = () => setStatus("The network's worker does not start: reload the page, or use a newer browser.", true);
   try {
-    const { threads } = await ask("load");
-    tell(`Ready: ${threads === 1 ? "one thread" : `${threads} threads`}.`);
-  } catch (problem) {
-    return tell(`The network cannot be loaded: ${problem.message}`, true);
+    const { threads } = await request("load");
+    setStatus(`Ready: ${threads === 1 ? "one thread" : `${threads} threads`}.`);
+  } catch (error) {
+    return setStatus(`The network cannot be loaded: ${error.message}`, true);
   }
   for (const id of ["file", "camera", "example"]) $(id).disabled = false;
 }
 
 // --- images ---------------------------------------------------------------------------
 
-// Looks at what can be drawn, reduced to so many pixels at most.
-async function detect(drawable, width, height, most) {
-  const scale = Math.min(1, Math.sqrt(most / (width * height)));
+// Detects road in an image or frame, reduced to at most so many pixels.
+async function detect(drawable, width, height, maxPixels) {
+  const scale = Math.min(1, Math.sqrt(maxPixels / (width * height)));
   const [w, h] = [width, height].map((side) => Math.max(16, Math.round(side * scale)));
   const small = new OffscreenCanvas(w, h).getContext("2d");
   small.imageSmoothingQuality = "high";
-  small.fillRect(0, 0, w, h); // see-through pixels are black
+  small.fillRect(0, 0, w, h); // transparent pixels become black
   small.drawImage(drawable, 0, 0, w, h);
   const rgba = small.getImageData(0, 0, w, h).data;
-  shown = { rgba, ...await ask("detect", { rgba, width: w, height: h, threshold: +$("threshold").value }) };
+  current = { rgba, ...await request("detect", { rgba, width: w, height: h, threshold: +$("threshold").value }) };
   draw();
 }
 
@@ -68,16 +68,16 @@ async function openImage(file, name) {
     await new Promise((resolve, reject) => { image.onload = resolve; image.onerror = reject; });
     const pixels = image.naturalWidth * image.naturalHeight;
     if (pixels > MAX_MEGAPIXELS * 1e6)
-      return tell(`${name} has ${Math.round(pixels / 1e6)} megapixels: more than ${MAX_MEGAPIXELS}. Make it smaller.`, true);
-    tell(`Looking at ${name}…`);
+      return setStatus(`${name} has ${Math.round(pixels / 1e6)} megapixels: more than ${MAX_MEGAPIXELS}. Reduce its size.`, true);
+    setStatus(`Detecting road in ${name}…`);
     await image.decode();
     const bitmap = await createImageBitmap(file, { colorSpaceConversion: "none" });
     await detect(bitmap, bitmap.width, bitmap.height, STILL);
     bitmap.close();
-    tell(name);
-  } catch (problem) {
-    const known = problem instanceof Error && !(problem instanceof DOMException);
-    tell(known ? `${name}: ${problem.message}` : `${name} is no image or video that this browser reads.`, true);
+    setStatus(name);
+  } catch (error) {
+    const isWorkerError = error instanceof Error && !(error instanceof DOMException);
+    setStatus(isWorkerError ? `${name}: ${error.message}` : `${name} is not an image or video that this browser reads.`, true);
   } finally {
     URL.revokeObjectURL(address);
   }
@@ -101,13 +101,13 @@ async function play(video, name) {
     await video.play();
   } catch {
     if (playing === video) stop();
-    return tell(`${name} is no image or video that this browser reads.`, true);
+    return setStatus(`${name} is not an image or video that this browser reads.`, true);
   }
   $("stop").hidden = false;
-  tell(name);
+  setStatus(name);
   let last = performance.now();
   while (playing === video) {
-    if (video.videoWidth) await detect(video, video.videoWidth, video.videoHeight, MOVING).catch((problem) => { stop(); tell(problem.message, true); });
+    if (video.videoWidth) await detect(video, video.videoWidth, video.videoHeight, MOVING).catch((error) => { stop(); setStatus(error.message, true); });
     await new Promise(requestAnimationFrame);
     const now = performance.now();
     if (playing === video) $("time").textContent += ` (${(1000 / (now - last)).toFixed(1)} a second)`;
@@ -130,15 +130,15 @@ async function openCamera() {
   try {
     if (!navigator.mediaDevices) throw new Error("cameras need https, or localhost");
     video.srcObject = await navigator.mediaDevices.getUserMedia({ video: { facingMode: "environment" } });
-  } catch (problem) {
-    return tell(`No camera: ${problem.message}`, true);
+  } catch (error) {
+    return setStatus(`No camera: ${error.message}`, true);
   }
   await play(video, "Camera");
 }
 
-// --- what is shown ----------------------------------------------------------------------
+// --- drawing -------------------------------------------------------------------------------
 
-function colours({ rgba, likelihood, mask, width }, view) {
+function colour({ rgba, likelihood, mask, width }, view) {
   const pixels = new Uint8ClampedArray(rgba);
   if (view === "likelihood")
     likelihood.forEach((value, at) => pixels.fill(Math.round(value * 255), 4 * at, 4 * at + 3));
@@ -155,33 +155,33 @@ function colours({ rgba, likelihood, mask, width }, view) {
 }
 
 function draw() {
-  const { width, height, mask, trust, ms } = shown;
+  const { width, height, mask, trust, ms } = current;
   const view = document.querySelector("[name=view]:checked").value;
   Object.assign(canvas, { width, height });
-  context.putImageData(new ImageData(colours(shown, view), width, height), 0, 0);
-  const share = mask.reduce((sum, road) => sum + road, 0) / mask.length;
-  $("share").textContent = `${(100 * share).toFixed(1)} %`;
+  context.putImageData(new ImageData(colour(current, view), width, height), 0, 0);
+  const fraction = mask.reduce((sum, road) => sum + road, 0) / mask.length;
+  $("fraction").textContent = `${(100 * fraction).toFixed(1)} %`;
   $("trust").textContent = `${trust.toFixed(2)}${trust < 0.6 ? ", doubtful" : ""}`;
   $("time").textContent = `${Math.round(ms)} ms`;
-  canvas.setAttribute("aria-label", `${share ? `Road on ${Math.round(100 * share)} % of the image` : "No road found"}, trust ${trust.toFixed(2)}`);
+  canvas.setAttribute("aria-label", `${fraction ? `Road on ${Math.round(100 * fraction)} % of the image` : "No road found"}, trust ${trust.toFixed(2)}`);
 }
 
 async function changeThreshold() {
   const threshold = +$("threshold").value;
   $("level").textContent = threshold.toFixed(2);
-  if (!shown || playing) return;
-  const { likelihood } = shown, mask = await ask("mask", { threshold });
-  if (shown.likelihood === likelihood && threshold === +$("threshold").value) { shown.mask = mask; draw(); }
+  if (!current || playing) return;
+  const { likelihood } = current, mask = await request("mask", { threshold });
+  if (current.likelihood === likelihood && threshold === +$("threshold").value) { current.mask = mask; draw(); }
 }
 
-// --- what people do ---------------------------------------------------------------------
+// --- controls ---------------------------------------------------------------------------
 
 $("file").onchange = ({ target }) => { if (target.files[0]) open(target.files[0]); target.value = ""; };
 $("camera").onclick = openCamera;
-$("stop").onclick = () => { stop(); tell("Stopped."); };
+$("stop").onclick = () => { stop(); setStatus("Stopped."); };
 $("example").onclick = async () => { stop(); openImage(await (await fetch("street.jpg")).blob(), "A rendered street"); };
 $("threshold").oninput = changeThreshold;
-$("views").onchange = () => { if (shown) draw(); };
+$("views").onchange = () => { if (current) draw(); };
 addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("over"); });
 addEventListener("dragleave", () => document.body.classList.remove("over"));
 addEventListener("drop", (event) => {
@@ -189,6 +189,6 @@ addEventListener("drop", (event) => {
   document.body.classList.remove("over");
   if (event.dataTransfer.files[0] && !$("file").disabled) open(event.dataTransfer.files[0]);
 });
-window.roadtorch = { state: () => shown }; // for tests
+window.roadtorch = { state: () => current }; // for tests
 
 start();
