@@ -154,7 +154,7 @@ misused: Any = catalogue_module  # calls that a type checker refuses
 @pytest.mark.parametrize(
     ("call", "problem"),
     [
-        (lambda: registered("bright", Simple, Brightness), "bright: is the name of another d"),
+        (lambda: registered("bright", Simple, Brightness), "bright: is already the name of a d"),
         (lambda: registered("other", Settings, Brightness), "other: has settings .Settings. that"),
         (lambda: registered("other", Simple, lambda _: street), "other: builds function .build an"),
         (
@@ -165,7 +165,7 @@ misused: Any = catalogue_module  # calls that a type checker refuses
             lambda: misused.register_detector(Brightness),
             "name: is Brightness .write @register_detector",
         ),
-        (lambda: load_detector("many:<gain>:<kind>"), "stands for many detectors .name one; 'many"),
+        (lambda: load_detector("many:<gain>:<kind>"), "is a grid of many detectors .name one; 'm"),
         (lambda: list_detectors("*:1:*"), r"\*:1:\*: matches only .* many:<gain>:<kind> \(be"),
         (lambda: load_detector("0"), "known: bright, many:<gain>:<kind>, zebra"),
         (

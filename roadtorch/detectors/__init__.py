@@ -1,1 +1,1 @@
-"""The detectors that come with roadtorch, and the catalogue in which all are found by name."""
+"""Detectors of roadtorch, and the catalogue that finds them by name."""

@@ -144,7 +144,7 @@ def unknown_detector_error(name: str) -> ConfigError:
             return ConfigError(name, grid.invalid[name], f"choose another {grid.name}")
     if name in grids:
         hint = f"name one; '{grids[name].wildcard}' lists them"
-        return ConfigError(name, "stands for many detectors", hint)
+        return ConfigError(name, "is a grid of many detectors", hint)
     return unknown_name("detector", name, _catalogue(), detector_groups())
 
 
@@ -195,11 +195,11 @@ def register_detector(
 def _add(entry: object, entries: dict[str, Entry]) -> None:
     """Add an entry to others; ConfigError if its name is taken, or if it is not an entry."""
     if not isinstance(entry, Entry):
-        raise ConfigError(repr(entry), "is no Entry", "name an Entry or a sequence of them")
+        raise ConfigError(repr(entry), "is not an Entry", "name an Entry or a sequence of them")
     if entry.name in entries:
-        raise ConfigError(entry.name, "is the name of another detector", "choose a new name")
+        raise ConfigError(entry.name, "is already the name of a detector", "choose another name")
     if not issubclass(entry.settings, DetectorSettings):
-        problem = f"has settings ({entry.settings.__name__}) that are no DetectorSettings"
+        problem = f"has settings ({entry.settings.__name__}) that are not DetectorSettings"
         raise ConfigError(entry.name, problem, "derive them from roadtorch.DetectorSettings")
     entries[entry.name] = entry
 

@@ -136,7 +136,7 @@ class Detection:
             raise InputError("image", "is not part of this detection", "give Detection(image=…)")
         return overlay_pixels(self.image, self.mask, self.cues.get("ego"), self.caption)
 
-    # --- in the forms of other packages -----------------------------------------------------
+    # --- conversion for other packages ------------------------------------------------------
 
     def polygons(self) -> list[list[np.ndarray]]:
         """Return the road regions as polygons: of each its border, then those of its holes.

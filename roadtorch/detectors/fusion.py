@@ -291,8 +291,8 @@ class ScratchFusion(nn.Module):
         layout = pooled(labelled.T, means[:CLASSES], settings.layout_weight)
         network_odds = log_odds(means[CLASSES])
         evidence = network_odds + seed_log_odds(segments, layout[HORIZONTAL])
-        share = settings.seed_area.share
-        sources = likely_seed(evidence, segments.row, segments.size, share)
+        fraction = settings.seed_area.share
+        sources = likely_seed(evidence, segments.row, segments.size, fraction)
         seed = sources[labels]
         distance, texture, cues = seen_from(image, segments, seed, sources.nonzero()[:, 0])
         further = settings.learned.weight * network_odds

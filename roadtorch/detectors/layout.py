@@ -75,7 +75,7 @@ ENTRIES = (
     ),
     Entry(
         "labeller",
-        "ground of the machine-made scene layout, without training",
+        "ground of the machine labels of the scene layout, without training",
         LabellerDetectorSettings,
         partial(Analysis, labeller_road),
     ),

@@ -44,7 +44,7 @@ class Ego(Settings):
     )
     mask: str = Field(
         default="",
-        description="image file as large as the images; pixels that are not black are ego car",
+        description="image file of the images' size; pixels that are not black are ego car",
     )
     outline: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(
         default=(),
@@ -57,7 +57,7 @@ class Ego(Settings):
     @classmethod
     def _check_outline(cls, outline: tuple[float, ...]) -> tuple[float, ...]:
         if outline and sum(outline) < MIN_FREE * len(outline):
-            raise ValueError(f"{FREE_HINT}: these rows cover nearly all")
+            raise ValueError(f"{FREE_HINT}: these rows cover nearly all of it")
         return outline
 
 
@@ -69,11 +69,11 @@ def is_given(ego: Ego) -> bool:
 def read_ego_mask(path: str) -> Tensor:
     """Read an ego car mask, bool (H, W), from an image file: pixels that are not black.
 
-    Raises InputError when it cannot be read, ConfigError when it covers nearly everything.
+    Raises InputError when it cannot be read, ConfigError when nearly every pixel is ego car.
     """
     mask = read_image(Path(path)).amax(0) > 0
     if float((~mask).double().mean()) < MIN_FREE:
-        raise ConfigError(path, "covers nearly everything with ego car", FREE_HINT)
+        raise ConfigError(path, "marks nearly every pixel as ego car", FREE_HINT)
     return mask
 
 
@@ -102,7 +102,7 @@ def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
             raise InputError("image", message, "give a mask of the images' size")
         car = car | mask.to(image.device)
     if float((~car).double().mean()) < MIN_FREE:
-        raise InputError("image", "is covered nearly everywhere by the ego car", FREE_HINT)
+        raise InputError("image", "is almost completely covered by the ego car", FREE_HINT)
     return car
 
 

@@ -188,7 +188,7 @@ TRIANGLE_APEX = 0.45
 """Apex of ``prior_triangle``, as a fraction of the height from the top: a usual horizon."""
 
 TRIANGLE_BASE = 1.16
-"""Base of the triangle on the bottom edge, in image widths: the road exceeds it at the sides."""
+"""Base of the triangle on the bottom edge, in image widths: the road leaves it at the sides."""
 
 
 def prior_uniform(height: int, width: int) -> Tensor:

@@ -67,13 +67,13 @@ def seed_rectangle(shape: Sequence[int], seed: SeedArea | None = None) -> Tensor
     return area
 
 
-def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Tensor:
+def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, fraction: float) -> Tensor:
     """Select the segments of the lower half that are likeliest road, until they fill the seed area.
 
     One at least; they need not be adjacent. Near segments show the road best, and are preferred
     by ``BOTTOM_BONUS``. Ours: the bottom of an image may be a bonnet, grass or a car ahead.
     evidence: log odds of road, (…, n). row: centroids, 0 at the top to 1, (n,). size: fractions
-    of the image, (n,). share: fraction to fill. Returns a mask of the segments, bool (…, n).
+    of the image, (n,). fraction: to be filled. Returns a mask of the segments, bool (…, n).
     """
     score = evidence + BOTTOM_BONUS * row - UPPER_HALF_PENALTY * (row < 0.5)
     # The exporter to ONNX lacks ``argsort``; its ``sort`` is stable.
@@ -83,18 +83,18 @@ def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, share: float) -> Te
         else score.argsort(descending=True, stable=True)
     )
     sizes = size.expand_as(score).gather(-1, order)
-    inside = sizes.cumsum(-1) - sizes < share
+    inside = sizes.cumsum(-1) - sizes < fraction
     return torch.zeros_like(inside).scatter(-1, order, inside)
 
 
-def likely_seed_area(evidence: Tensor, share: float) -> Tensor:
+def likely_seed_area(evidence: Tensor, fraction: float) -> Tensor:
     """Select a fraction of the image as seed area, bool (…, H, W), by log odds (…, H, W)."""
     full = size_of(evidence)
     rows, columns = (whole((side(length) / SEED_CELL).ceil(), 1) for length in full)
     cells = resized(evidence, (rows, columns))
     row = ((torch.arange(rows, device=cells.device) + 0.5) / rows)[:, None].expand(rows, columns)
     size = torch.full_like(row, 1 / (rows * columns))
-    chosen = likely_seed(cells.flatten(-2), row.flatten(), size.flatten(), share)
+    chosen = likely_seed(cells.flatten(-2), row.flatten(), size.flatten(), fraction)
     return at_image_size(chosen.unflatten(-1, (rows, columns)), full)
 
 

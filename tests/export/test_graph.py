@@ -61,7 +61,7 @@ STEPS: dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]] = {
     "image": (partial(normalised, "brightened image"), (IMAGES,)),
     "ego_found": (ego_found, (EGO,)),
     "continued": (continued, (IMAGES, EGO > 0.5)),
-    "likely_seed_area": (partial(likely_seed_area, share=0.05), (log_odds(ROAD),)),
+    "likely_seed_area": (partial(likely_seed_area, fraction=0.05), (log_odds(ROAD),)),
     "followed": (followed, (ROAD, IMAGES, resized(IMAGES, (122, 160)))),
     "trust": (trust, (ROAD,)),
 }

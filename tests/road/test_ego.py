@@ -76,11 +76,11 @@ def test_the_mask_is_read_once_for_all_images(tmp_path: Path) -> None:
             lambda folder: load_detector(
                 "prior:rows", ego={"mask": mask_file(folder, torch.ones(30, 40) > 0)}
             ),
-            r"ego\.png: covers nearly everything",
+            r"ego\.png: marks nearly every pixel",
         ),
         (
             lambda _: ego_car(torch.zeros(3, 9, 9), Ego(bottom=0.85, outline=(0.0, 0.0, 1.0))),
-            "image: is covered nearly everywhere",
+            "image: is almost completely covered",
         ),
         (
             lambda _: load_detector("prior:rows", ego={"outline": (0.01, 0.05)}),
