@@ -84,7 +84,7 @@ def grid_command(
     image: bool,
     selection: "Selection",
     frame_id: str,
-    run: "RunOptions",
+    options: "RunOptions",
     **mounting: Any,
 ) -> None:
     """Map the road in images and footage onto flat ground: x forward, y left (REP 103).
@@ -126,7 +126,7 @@ def grid_command(
     todo = plan(selected, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
     effective = config_text(detector.name, detector.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
-    opened = context.with_resource(open_run(out, effective, todo.count, run))
+    run = context.with_resource(open_run(out, effective, todo.count, options))
     key = key_of(detector, effective)
     method, footage_method = Method(key, kinds), Method(key_of(key, selection, frame_id), ())
-    context.exit(opened.all(todo, Task(inference, grids, method), footage_method))
+    context.exit(run.all(todo, Task(inference, grids, method), footage_method))

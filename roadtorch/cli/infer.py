@@ -97,7 +97,7 @@ def infer_command(
     camera_file: Path | None,
     threshold: float | None,
     depth: str,
-    run: "RunOptions",
+    options: "RunOptions",
 ) -> None:
     """Find the road in images, videos, cameras, streams and bags.
 
@@ -129,7 +129,7 @@ def infer_command(
     from roadtorch.run.writers.coco import write_coco
     from roadtorch.run.writers.maps import Maps
 
-    settle(run.threads, run.device)
+    settle(options.threads, options.device)
     detector, camera = choice.load(camera_file, threshold)
     effective = config_text(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)
@@ -142,12 +142,12 @@ def infer_command(
     footage_options = {**asdict(selection), "steady": steady}
     key = key_of(detector, depth)
     method, footage_method = Method(key, kinds), Method(key_of(key, footage_options), ())
-    task = Task(Inference(detector, camera, run.device), maps, method)
-    options = {**asdict(run), **footage_options, "save": kinds, "depth": bits}
-    record = recorded(out, detector, todo.row_names, options, command_line(context))
-    with open_run(out, effective, todo.count, run, record) as opened:
+    task = Task(Inference(detector, camera, options.device), maps, method)
+    recorded_options = {**asdict(options), **footage_options, "save": kinds, "depth": bits}
+    record = recorded(out, detector, todo.row_names, recorded_options, command_line(context))
+    with open_run(out, effective, todo.count, options, record) as run:
         try:
-            code = opened.all(todo, task, footage_method, steady)
+            code = run.all(todo, task, footage_method, steady)
         finally:
             if "polygons" in kinds:
                 write_coco(out)

@@ -24,7 +24,7 @@ def label_command(
     out: Path,
     assignments: tuple[str, ...],
     overlay: bool,
-    run: "RunOptions",
+    options: "RunOptions",
 ) -> None:
     """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
 
@@ -47,7 +47,7 @@ def label_command(
     labels = Labels(out, ["labels", *["overlay"] * overlay])
     todo = plan(Inputs(find_images(inputs, out), []), out, labels.suffixes)
     effective = config_text("labeller", settings)
-    opened = context.with_resource(open_run(out, effective, todo.count, run))
+    run = context.with_resource(open_run(out, effective, todo.count, options))
     method = Method(key_of(settings), tuple(labels.kinds))
     task = Task(Labelling(settings), labels, method)
-    context.exit(opened.images(todo.images, task))
+    context.exit(run.images(todo.images, task))

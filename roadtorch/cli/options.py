@@ -209,12 +209,14 @@ detector_options = _group_options(
 )
 """Options of ``DetectorOptions``, passed as ``choice``."""
 
-run_options = _group_options(RUN_OPTIONS_CLASS, "run", JOBS_OPTION, OVERWRITE_OPTION, QUIET_OPTION)
-"""Options of ``RunOptions`` for commands without those of computing, passed as ``run``."""
+run_options = _group_options(
+    RUN_OPTIONS_CLASS, "options", JOBS_OPTION, OVERWRITE_OPTION, QUIET_OPTION
+)
+"""Options of ``RunOptions`` for commands without those of computing, passed as ``options``."""
 
 computing_options = _group_options(
     RUN_OPTIONS_CLASS,
-    "run",
+    "options",
     JOBS_OPTION,
     click.option(
         "--engine",
@@ -231,7 +233,7 @@ computing_options = _group_options(
     OVERWRITE_OPTION,
     QUIET_OPTION,
 )
-"""All options of ``RunOptions``, passed as ``run``."""
+"""All options of ``RunOptions``, passed as ``options``."""
 
 selection_options = _group_options(
     "roadtorch.inputs.item:Selection",

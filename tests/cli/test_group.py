@@ -92,6 +92,7 @@ def test_a_signal_is_reported_as_a_signal(
 
     assert result.exit_code == status
     assert result.stderr.strip() == "roadtorch: interrupted"
+    assert set(group.INTERRUPT_MESSAGES) < set(group.COMMANDS)
 
 
 def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
