@@ -86,9 +86,8 @@ def lens_of_info(
         models = ", ".join(name for name in COEFFICIENT_COUNTS if name != "pinhole")
         raise ConfigError(path, f"distortion_model {model!r} is not known", f"known: {models}")
     names = ("width", "height", "focal_x", "centre_x", "focal_y", "centre_y")
-    values: dict[str, Any] = dict(
-        zip(names, (*size, matrix[0], matrix[2], matrix[4], matrix[5]), strict=True)
-    )
+    numbers = (*size, matrix[0], matrix[2], matrix[4], matrix[5])
+    values: dict[str, Any] = dict(zip(names, numbers, strict=True))
     if any(distortion) and model != "pinhole":
         values |= {"model": model, "coefficients": tuple(distortion)}
     try:

@@ -33,8 +33,8 @@ EDGE_ROWS = 2  # rows above the ego car over which its edge is blurred, at a wid
 MAX_SHIFT = 1  # pixels by which scaling may displace an image, through rounding
 MAX_SIMILARITY, MIN_SIMILARITY = 0.5, 0.2  # bounds of the threshold; other cameras reach about .1
 
-_Fractions = tuple[Annotated[float, Field(ge=0, le=1)], ...]
-_Components = tuple[Annotated[float, Field(ge=-1, le=1)], ...]
+_Fractions = Annotated[tuple[Annotated[float, Field(ge=0, le=1)], ...], Field(strict=False)]
+_Components = Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(strict=False)]
 
 
 class EgoTemplate(Settings):
@@ -43,18 +43,10 @@ class EgoTemplate(Settings):
     min_similarity: float = Field(
         default=MIN_SIMILARITY, ge=-1, le=1, description="least cosine similarity of its images"
     )
-    rows: _Fractions = Field(
-        default=(), strict=False, description="rows of the points, fractions of the height"
-    )
-    columns: _Fractions = Field(
-        default=(), strict=False, description="columns of the points, fractions of the width"
-    )
-    gradient_x: _Components = Field(
-        default=(), strict=False, description="mean gradients to the right"
-    )
-    gradient_y: _Components = Field(
-        default=(), strict=False, description="mean gradients downwards"
-    )
+    rows: _Fractions = Field(default=(), description="rows of points, fractions of the height")
+    columns: _Fractions = Field(default=(), description="their columns, fractions of the width")
+    gradient_x: _Components = Field(default=(), description="mean gradients to the right")
+    gradient_y: _Components = Field(default=(), description="mean gradients downwards")
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "EgoTemplate":
@@ -130,16 +122,10 @@ class Camera(Settings):
     width: int = Field(ge=1, description="width of the footage in pixels")
     height: int = Field(ge=1, description="height of the footage in pixels; images may be scaled")
     frames: int = Field(ge=1, description="number of frames that it was estimated from")
-    horizon: float = Field(
-        ge=0, le=1, description="row of the vanishing point, fraction of the height"
-    )
-    seed_row: float = Field(
-        ge=0, le=1, description="lowest ground in the middle: top of the ego car, or 1"
-    )
+    horizon: float = Field(ge=0, le=1, description="vanishing point's row, fraction of the height")
+    seed_row: float = Field(ge=0, le=1, description="top of the ego car in the middle, or 1")
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
-    template: EgoTemplate = Field(
-        default=EgoTemplate(), description="gradients of the ego car, to detect another camera"
-    )
+    template: EgoTemplate = Field(default=EgoTemplate(), description="its gradients")
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Camera":
@@ -199,16 +185,9 @@ SEED_SIDES = (3 / 8, 5 / 8)  # fractions of the width between which the seed row
 
 
 def check_image(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
-    """Draw the mean of frames and their middle frame side by side, to check a camera's file.
+    """Draw the mean and the middle one of frames (3, H, W) side by side, (3, h, 1280) in [0, 1].
 
     The ego car is tinted and outlined; the horizon is a blue line, the seed row an orange one.
-
-    Args:
-        camera: the camera to draw.
-        frames: sRGB in [0, 1], shape (3, H, W) each.
-
-    Returns:
-        An image in [0, 1], shape (3, h, 1280).
     """
     size = round(CHECK_WIDTH * camera.height / camera.width), CHECK_WIDTH
     small = [resized(frame, size).clamp(0, 1) for frame in frames]

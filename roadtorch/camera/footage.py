@@ -245,10 +245,8 @@ def _require_one_camera(footage: FootageStatistics, gradients: list[Tensor], whe
         first, second = ([gradients[at] for at in half] for half in halves)
         if _lacks_ego_car(footage.point, first, second):
             numbers = ", ".join(str(at + 1) for at in halves[1][:5])
-            problem = (
-                f"is of several cameras: {len(second)} of {len(gradients)} frames do not show "
-            )
-            problem += f"the ego car of the others, such as number {numbers}"
+            problem = f"is of several cameras: {len(second)} of {len(gradients)} frames do not "
+            problem += f"show the ego car of the others, such as number {numbers}"
             raise InputError(where, problem, "give the footage of one")
 
 

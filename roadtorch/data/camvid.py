@@ -35,12 +35,7 @@ CAMVID_LABELS = NumberLabels(
     layout=(SKY, *(VERTICAL,) * 2, *(HORIZONTAL,) * 2, *(VERTICAL,) * 6, UNLABELLED),
 )
 
-CAMVID_SPLITS = {
-    "dev": ("train", "val"),
-    "train": ("train",),
-    "val": ("val",),
-    "test": ("test",),
-}
+CAMVID_SPLITS = {"dev": ("train", "val"), "train": ("train",), "val": ("val",), "test": ("test",)}
 
 
 def open_camvid(root: Path, split: str) -> Dataset:

@@ -17,7 +17,6 @@ from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
 
 ENTRY_POINT_GROUP = "roadtorch.datasets"
 
-
 DATASET_FORMATS: Mapping[str, DatasetFormat] = {
     **camvid.CAMVID_FORMATS,
     "corrections": DatasetFormat(("all",), open_corrections),

@@ -45,7 +45,6 @@ from roadtorch.data.events import (
 from roadtorch.layout.classes import UNLABELLED
 
 ENDING = ".strokes.jsonl"
-
 TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 # --- logs -------------------------------------------------------------------------------

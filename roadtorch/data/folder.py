@@ -25,11 +25,7 @@ from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 MASK_CODING = NumberLabels(
     road=(1, 255), void=(127, 128), values=(0, 1, 127, 128, 255), exclusive=(1, 255)
 )
-ROAD_CODING = NumberLabels(
-    road=(1,),
-    void=(255,),
-    values=(0, 1, 255),
-)
+ROAD_CODING = NumberLabels(road=(1,), void=(255,), values=(0, 1, 255))
 LAYOUT_CODING = NumberLabels(
     road=(),
     void=(UNLABELLED,),

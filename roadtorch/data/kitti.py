@@ -19,11 +19,8 @@ from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.data.labels import ColourLabels, NumberLabels, is_image_file, require_labels
 
 KITTI_NAME = "kitti-road"
-
-KITTI_SPLITS = ("road", "lane")  # what is road: all of it, or the car's own lane (um alone)
-
+KITTI_SPLITS = ("road", "lane")  # the whole road, or only the ego lane (category um)
 KITTI_LEVELS = 256
-
 LANE_CATEGORIES = ("um",)
 
 # Blue is road, red is valid; road outside the valid area is not scored.

@@ -16,7 +16,6 @@ from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.layout.classes import UNLABELLED
 
 MAX_LISTED_VALUES = 5  # unknown values or colours named in an error
-
 BYTE_VALUES = 256  # label numbers fit one byte
 
 
