@@ -19,7 +19,7 @@ from roadtorch.base.image import Order
 from roadtorch.base.plugins import load_plugins
 from roadtorch.base.settings import merge, read_settings_file
 from roadtorch.camera.camera import Camera
-from roadtorch.detectors import baselines, fusion, layout, oneclass, texture, ufl
+from roadtorch.detectors import baselines, fusion, illuminant, layout, oneclass, texture, ufl
 from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 
 Build = TypeVar("Build", bound=Callable[[Any], nn.Module])
@@ -34,6 +34,7 @@ ENTRIES: tuple[Entry, ...] = (
     *layout.ENTRIES,
     *texture.ENTRIES,
     *ufl.ENTRIES,
+    *illuminant.ENTRIES,
     *baselines.ENTRIES,
     *oneclass.ENTRIES,
 )
