@@ -124,6 +124,9 @@ class Camera(Settings):
     frames: int = Field(ge=1, description="number of frames that it was estimated from")
     horizon: float = Field(ge=0, le=1, description="vanishing point's row, fraction of the height")
     seed_row: float = Field(ge=0, le=1, description="top of the ego car in the middle, or 1")
+    invariant_angle: float | None = Field(
+        default=None, ge=0, lt=180, description="direction of equal log chromaticity in degrees"
+    )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
     template: EgoTemplate = Field(default=EgoTemplate(), description="its gradients")
 
@@ -167,9 +170,12 @@ class Camera(Settings):
     def settings_for(self, settings_class: type[Settings]) -> dict[str, Any]:
         """Return the values, nested, that a detector's settings take from this camera.
 
-        Every detector takes the ego car, and those with a labeller the horizon.
+        Every detector takes the ego car, those with a labeller the horizon, and
+        illuminant-invariant the invariant angle.
         """
         values: dict[str, Any] = {}
+        if "invariant_angle" in settings_class.model_fields and self.invariant_angle is not None:
+            values["invariant_angle"] = self.invariant_angle
         if is_given(self.ego):
             values["ego"] = self.ego.model_dump(exclude_defaults=True)
         labeller = group_at(settings_class, ["labeller"])

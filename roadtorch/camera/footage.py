@@ -33,6 +33,7 @@ from roadtorch.camera.gradients import (
 )
 from roadtorch.imaging.resize import at_image_size, size_of
 from roadtorch.road.ego import Ego
+from roadtorch.road.illuminant import invariant_angle, log_chromaticity, projection_entropies
 
 # --- the ego car below a static edge --------------------------------------------------
 
@@ -44,6 +45,7 @@ MAX_EDGE_DISTANCE = 0.15  # from the best path to an edge above, fraction of the
 MIN_EDGE_GAP = 3  # rows between two edges; closer ones are one blurred edge
 MIN_EGO_ROW = 0.6  # fraction of the height above which no ego car begins
 MIN_BELOW_HORIZON = 0.12  # from the vanishing point to an ego car, fraction of the height
+ENTROPY_STEP = 4  # frames to one whose entropies are computed
 MIN_EGO_HEIGHT = 0.02  # fraction of the height; a lower strip is the image's border, or noise
 
 # Fraction of slanting edges that aim at the vanishing point, from which a region is road: about
@@ -192,10 +194,12 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         InputError: for too few frames, and for several cameras (of different shapes, or with an ego
             car in one part of the frames only).
     """
-    sizes, greys = [], []
+    sizes, greys, entropies = [], [], []
     for frame in frames:
         sizes.append(size_of(frame))
         greys.append(small_grey(frame, small_size([frame])))
+        if len(entropies) * ENTROPY_STEP < len(sizes):
+            entropies.append(projection_entropies(log_chromaticity(frame)))
     if len(sizes) < MIN_CAMERA_FRAMES:
         number = "one frame" if len(sizes) == 1 else f"{len(sizes)} frames"
         raise InputError(where, f"has {number}", "give 10 or more, of different places")
@@ -230,6 +234,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         frames=footage.gradients.frames,
         horizon=round(footage.point.row, 3),
         seed_row=min(outline[MIDDLE_COLUMNS], default=1.0),
+        invariant_angle=invariant_angle(torch.stack(entropies).mean(0)),
         ego=Ego(outline=outline),
         template=template,
     )

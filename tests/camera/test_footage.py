@@ -15,6 +15,7 @@ from roadtorch.camera.gradients import estimate_horizon
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
+from roadtorch.detectors.illuminant import IlluminantSettings
 from roadtorch.imaging.resize import resized
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.testing.scenes import render_scene, sample_street
@@ -60,6 +61,8 @@ def test_its_own_images_pass_at_any_size_and_others_are_refused(camera: Camera) 
 
 def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     assert set(camera.settings_for(DetectorSettings)) == {"ego"}
+    angle = camera.settings_for(IlluminantSettings)["invariant_angle"]
+    assert 0 <= angle == camera.invariant_angle < 180
     assert camera.settings_for(UntrainedFusionSettings)["labeller"]["horizon"] == camera.horizon
     detector = load_detector("fusion:untrained", camera=camera, labeller={"horizon": 0.3})
     assert detector.settings.ego == camera.ego
