@@ -44,7 +44,16 @@ def test_a_file_and_an_image_are_written(
     assert lines[2].startswith("12 frames of 160×120 pixels; wrote ")
     assert {path.name for path in out.parent.iterdir()} == {"camera.toml", "camera.jpg"}
     keys = list(tomllib.loads(out.read_text()))
-    assert keys == ["width", "height", "frames", "horizon", "seed_row", "ego", "template"]
+    assert keys == [
+        "width",
+        "height",
+        "frames",
+        "horizon",
+        "seed_row",
+        "invariant_angle",
+        "ego",
+        "template",
+    ]
     assert read_image(out.with_name("camera.jpg")).shape == (3, 480, 1280)
     assert call("camera", street, "--out", out).exit_code == 0  # again, over its own
 

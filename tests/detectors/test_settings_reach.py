@@ -70,6 +70,7 @@ KNOWN: dict[tuple[str, ...], Any] = {
     ("ego", "outline"): [0.5, 0.8],
     ("working", "pixels"): 2000,
     ("crops",): [0.3],
+    ("invariant_angle",): 30.0,
     ("second", "file"): "rendered-free",
 }
 """Values that no type or bound tells."""
