@@ -17,7 +17,7 @@ from torch import Tensor
 
 from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name
-from roadtorch.inputs.image_messages import COMPRESSED_TYPE, IMAGE_TYPE, image_of
+from roadtorch.inputs.image_messages import COMPRESSED_TYPE, RAW_IMAGE_TYPE, image_of
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def bag_source(
     return Source(
         name=_source_name(origin),
         origin=origin,
-        items=lambda: selection.of(every()),
+        items=lambda: selection.select(every()),
         rate=images.rate and images.rate / selection.every,
         count=count,
     )
@@ -156,7 +156,9 @@ def camera_info(origin: str, topic: str | None = None) -> CameraInfo:
 def _choose_topic(origin: str, reader: "AnyReader", topic: str | None) -> str:
     """Return the name of the image topic; ConfigError or InputError that lists the topics."""
     kinds = {link.topic: link.msgtype for link in reader.connections}
-    images = sorted(name for name, kind in kinds.items() if kind in (IMAGE_TYPE, COMPRESSED_TYPE))
+    images = sorted(
+        name for name, kind in kinds.items() if kind in (RAW_IMAGE_TYPE, COMPRESSED_TYPE)
+    )
     images = [name for name in images if not name.endswith("/compressedDepth")]
     if not images:
         topics = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))

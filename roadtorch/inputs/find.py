@@ -52,7 +52,7 @@ class Inputs(NamedTuple):
 def find_inputs(
     inputs: Iterable[str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
-    apart: Path | None = None,
+    exclude: Path | None = None,
     names: TextIO | None = None,
 ) -> Inputs:
     """Resolve inputs to images and sources, in order; a folder may contain both.
@@ -60,7 +60,7 @@ def find_inputs(
     Args:
         inputs: files, folders, globs, bags, camera numbers, URLs, ``-``, ``@list.txt``.
         selection: selection of the items of each source.
-        apart: folder of results, which is not searched.
+        exclude: folder of results, which is not searched.
         names: text that ``-`` reads; standard input if None.
 
     Returns:
@@ -85,7 +85,7 @@ def find_inputs(
         elif is_bag(argument):
             sources.append(bag_source(argument, selection.topic, selection))
         else:
-            files = list_files(argument, is_footage_name, apart)
+            files = list_files(argument, is_footage_name, exclude)
             for file in [files] if isinstance(files, ListedFile) else files:
                 name = PurePosixPath(file.name).with_suffix("").as_posix()
                 if not file.name.lower().endswith(VIDEO_SUFFIXES):
@@ -102,7 +102,7 @@ def find_inputs(
 def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:
     """Resolve inputs outside ``out`` and apply a selection; raises as its two steps do."""
     images, sources = find_inputs(inputs, selection, out)
-    return Inputs(selection.of_images(images), sources)
+    return Inputs(selection.select_images(images), sources)
 
 
 def is_footage_name(name: str) -> bool:
@@ -122,9 +122,7 @@ def expand_lists(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
                 text = Path(argument[1:]).read_text(encoding="utf-8", errors="surrogateescape")
             except OSError as error:
                 problem = f"cannot be read: {error.strerror}"
-                raise InputError(
-                    argument[1:], problem, "give @ and a text file, a name a line"
-                ) from None
+                raise InputError(argument[1:], problem, "give @ and a text file") from None
             lines = text.split("\n")
         elif argument != "-":
             yield argument
@@ -155,7 +153,7 @@ def open_source(argument: str, selection: Selection) -> Source:
     images, sources = find_inputs([argument], selection)
     if not sources:
         numbered = [replace(image, number=number) for number, image in enumerate(images)]
-        chosen = list(selection.of(numbered))
+        chosen = list(selection.select(numbered))
         name = Path(argument).stem or "images"
         return Source(name, argument, lambda: iter(chosen), count=len(chosen), footage=False)
     if len(sources) != 1 or images:

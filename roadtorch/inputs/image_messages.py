@@ -11,7 +11,7 @@ from roadtorch.base.decoding import check_pixels
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import decode_image, from_pixels, undecodable
 
-IMAGE_TYPE = "sensor_msgs/msg/Image"
+RAW_IMAGE_TYPE = "sensor_msgs/msg/Image"
 COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 
 PLAIN = {  # channels, bits, indices of red, green and blue

@@ -31,11 +31,11 @@ class ListedFile(NamedTuple):
 
 
 def list_files(
-    location: str | os.PathLike[str], accepts: Callable[[str], bool], apart: Path | None = None
+    location: str | os.PathLike[str], accepts: Callable[[str], bool], exclude: Path | None = None
 ) -> list[ListedFile] | ListedFile:
     """Return the matching files of a folder or glob in a fixed order; a single file as it is.
 
-    Folders are searched recursively except for hidden ones and ``apart``. A glob stands for the
+    Folders are searched recursively except for hidden ones and ``exclude``. A glob stands for the
     files that it matches or, if none of them is wanted, for the folders. Names are relative to the
     folder, or to the part of the glob before its first wildcard. InputError for a URL.
     """
@@ -52,15 +52,15 @@ def list_files(
     else:
         return ListedFile(Path(path), basename(path))
     for folder in folders:
-        files += [file for file in _files_below(folder, apart) if accepts(basename(file))]
+        files += [file for file in _files_below(folder, exclude) if accepts(basename(file))]
     paths = map(Path, dict.fromkeys(files))
     return [ListedFile(path, path.relative_to(root).as_posix()) for path in paths]
 
 
-def _files_below(folder: str, apart: Path | None) -> Iterator[str]:
-    """Yield the files below a folder, sorted, except those in hidden folders and ``apart``."""
+def _files_below(folder: str, exclude: Path | None) -> Iterator[str]:
+    """Yield the files below a folder, sorted, except those in hidden folders and ``exclude``."""
     # Path.resolve raises for a link to itself.
-    left_out = os.path.realpath(apart) if apart else None
+    left_out = os.path.realpath(exclude) if exclude else None
     if left_out == os.path.realpath(folder):
         left_out = None
     for top, folders, names in os.walk(folder):
@@ -129,20 +129,22 @@ def _digest_remote(url: str) -> str:
 # --- several images ---------------------------------------------------------------------
 
 
-def list_images(location: str | os.PathLike[str], apart: Path | None = None) -> list[Item]:
+def list_images(location: str | os.PathLike[str], exclude: Path | None = None) -> list[Item]:
     """Return the images of a folder or glob, possibly none; a file is returned as it is."""
-    files = list_files(location, is_image_name, apart)
+    files = list_files(location, is_image_name, exclude)
     return [
         make_image_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
         for file in (files if isinstance(files, list) else [files])
     ]
 
 
-def find_images(inputs: Iterable[str | os.PathLike[str]], apart: Path | None = None) -> list[Item]:
+def find_images(
+    inputs: Iterable[str | os.PathLike[str]], exclude: Path | None = None
+) -> list[Item]:
     """Return the images that files, folders and quoted globs stand for, in a fixed order.
 
     Folders are searched recursively except for hidden names, earlier results and the folder
-    ``apart``, where new results go. A missing file stays in the list, as reading it fails
+    ``exclude``, where new results go. A missing file stays in the list, as reading it fails
     without holding up the others.
 
     Raises:
@@ -150,7 +152,7 @@ def find_images(inputs: Iterable[str | os.PathLike[str]], apart: Path | None = N
     """
     images: list[Item] = []
     for location in inputs:
-        images += (listed := list_images(location, apart))
+        images += (listed := list_images(location, exclude))
         if not listed:
             raise InputError(location, "holds no images", f"give {READABLE} files")
     return drop_duplicates(images)

@@ -85,7 +85,7 @@ class Selection:
     limit: int | None = None
     topic: str | None = None
 
-    def of(self, items: Iterable[Item]) -> Generator[Item]:
+    def select(self, items: Iterable[Item]) -> Generator[Item]:
         """Yield the selected items, reading none beyond the last; close a generator of items."""
         until = float("inf") if self.end is None else self.end
         early = takewhile(lambda item: item.clock < until, items)
@@ -97,7 +97,7 @@ class Selection:
             if isinstance(items, Generator):
                 items.close()
 
-    def of_images(self, images: Sequence[_Value]) -> Sequence[_Value]:
+    def select_images(self, images: Sequence[_Value]) -> Sequence[_Value]:
         """Return the selected images; ConfigError if a time is given, which images lack."""
         if images and (self.start or self.end is not None):
             problem = "images have no time stamps"
@@ -148,7 +148,7 @@ class Source:
     def sampled(self, limit: int) -> "Source":
         """Return a source of at most ``limit`` evenly spaced items, the first ones if uncounted."""
         chosen = Selection(every=max(1, (self.count or 0) // limit), limit=limit)
-        return replace(self, items=lambda: chosen.of(self.items()), count=None)
+        return replace(self, items=lambda: chosen.select(self.items()), count=None)
 
 
 def evenly_spaced(values: Sequence[_Value], limit: int) -> Sequence[_Value]:

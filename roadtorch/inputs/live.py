@@ -47,21 +47,14 @@ class RetryPolicy:
         return (self.retries + 1) * self.timeout + pauses + GRACE_PERIOD
 
 
-def camera_source(
-    number: int,
-    selection: Selection,
-    policy: RetryPolicy = RetryPolicy(),
-) -> Source:
+def camera_source(number: int, selection: Selection, policy: RetryPolicy = RetryPolicy()) -> Source:
     """Make a live source of OpenCV's camera of a number."""
     connect = partial(_read_camera, number)
     return live_source(connect, f"camera-{number}", f"camera:{number}", selection, policy)
 
 
 def stream_source(
-    url: str,
-    name: str,
-    selection: Selection,
-    policy: RetryPolicy = RetryPolicy(),
+    url: str, name: str, selection: Selection, policy: RetryPolicy = RetryPolicy()
 ) -> Source:
     """Make a live source of a stream's URL (RTSP, HTTP, RTMP, UDP, SRT)."""
     connect = partial(_read_stream, url, policy)
@@ -73,7 +66,7 @@ def live_source(
 ) -> Source:
     """Make a live source of a connection, which is reopened when it breaks."""
     newest = partial(newest_frames, connect, name, origin, policy)
-    return Source(name, origin, items=lambda: selection.of(newest()), live=True)
+    return Source(name, origin, items=lambda: selection.select(newest()), live=True)
 
 
 def newest_frames(

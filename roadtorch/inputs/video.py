@@ -66,7 +66,7 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
 
     def frames() -> Iterator[Item]:
         count, every = 0, video_frames(path, name, selection.start)
-        with closing(selection.of(every)) as chosen:
+        with closing(selection.select(every)) as chosen:
             for count, frame in enumerate(chosen, 1):  # noqa: B007
                 yield frame
         if not count:

@@ -89,7 +89,7 @@ def train(training: Training, request: Request) -> Outcome:
     Raises InputError without a usable image and if another run holds the folder, ConfigError and
     WeightsError if the folder holds anything else than this run.
     """
-    images = find_images([request.images], apart=request.out)
+    images = find_images([request.images], exclude=request.out)
     with stop_on_signals() as stop:
         folder = RunFolder(request.out)
         initial, recipe = load_initial_network(training), make_recipe(training)

@@ -39,7 +39,7 @@ ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
 
 
 @pytest.mark.parametrize(
-    ("ends", "apart", "images", "videos"),
+    ("ends", "exclude", "images", "videos"),
     [
         ([""], "loop.png", ALL, ["drive", "sub/late"]),
         (["[sx]*/d*/**"], "none", ["sub/deep/d"], []),
@@ -55,9 +55,9 @@ ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
     ],
 )
 def test_folders_and_globs(
-    footage: Path, ends: list[str], apart: str, images: list[str], videos: list[str]
+    footage: Path, ends: list[str], exclude: str, images: list[str], videos: list[str]
 ) -> None:
-    inputs = find_inputs([f"{footage}/{end}" for end in ends], apart=footage / apart)
+    inputs = find_inputs([f"{footage}/{end}" for end in ends], exclude=footage / exclude)
 
     assert [image.name for image in inputs.images] == images
     assert [source.name for source in inputs.sources] == videos
@@ -184,13 +184,13 @@ def test_sampled_items_are_evenly_spaced(count: int, counted: bool, expected: li
 def test_selections(selection: Selection, clock: bool, expected: list[int]) -> None:
     items = (item(number, number / 10 if clock else None) for number in range(6))
 
-    assert [frame.number for frame in selection.of(items)] == expected
+    assert [frame.number for frame in selection.select(items)] == expected
 
 
 def test_images_have_no_time_and_values_are_spread() -> None:
-    assert Selection(every=2, limit=2).of_images("abcdef") == "ac"
+    assert Selection(every=2, limit=2).select_images("abcdef") == "ac"
     with pytest.raises(ConfigError, match="images have no time stamps"):
-        Selection(start=1).of_images("abc")
+        Selection(start=1).select_images("abc")
     assert [*evenly_spaced(range(10), 3)] == [0, 4, 8]
     assert [*evenly_spaced(range(2), 3)] == [0, 1]
 
