@@ -128,7 +128,7 @@ class Camera(Settings):
         default=None, ge=0, lt=180, description="direction of equal log chromaticity in degrees"
     )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
-    template: EgoTemplate = Field(default=EgoTemplate(), description="its gradients")
+    template: EgoTemplate = Field(default=EgoTemplate(), description="gradients of the ego car")
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Camera":
