@@ -1,4 +1,4 @@
-"""What a detector takes and gives, also to other packages."""
+"""Contract of images, detections and detectors, and conversions for other packages."""
 
 import io
 import pickle

@@ -1,4 +1,4 @@
-"""What is called ``:paper`` equals the paper, written down slowly, on a real image."""
+"""Detectors called ``:paper`` equal slow implementations of the papers, on a real image."""
 
 from collections.abc import Callable
 from functools import cache
