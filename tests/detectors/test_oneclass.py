@@ -1,4 +1,4 @@
-"""The detectors of P3: their names, what they compose, what they share, what P3 observed."""
+"""One-class detectors of P3: names, composition, shared steps, and what P3 observed."""
 
 import re
 from functools import cache
@@ -55,12 +55,12 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
         if classifier != "pca" or len(names) > 1
     }
     ours = ("robust_gaussian", "mog2", "mog4", "mog_opt", "dlp", "pca")
-    letter = {f"{name}:paper" for name in expected if name.split(":")[1] in ours}
+    paper = {f"{name}:paper" for name in expected if name.split(":")[1] in ours}
 
     assert len(expected) == 17 * 19 - 13
-    assert {entry.name for entry in ENTRIES} == expected | letter
+    assert {entry.name for entry in ENTRIES} == expected | paper
     assert list_detectors("oneclass:*") == sorted(expected)
-    assert list_detectors("oneclass:*:paper") == sorted(letter)
+    assert list_detectors("oneclass:*:paper") == sorted(paper)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_all_of_them_are_registered_and_look_at_a_image() -> None:
             assert detection.likelihood.shape == detection.mask.shape == (24, 24), name
             low, high = detection.likelihood.aminmax()
             assert 0 <= low <= high <= 1, name
-            # P3's PCA has no values for two planes: to the letter it keeps both components.
+            # P3 has no values of PCA for two planes: as published, it keeps both components.
             assert low < high or re.fullmatch(r"oneclass:pca:\w+:paper", name), name
 
 
@@ -94,10 +94,10 @@ def test_all_of_them_are_registered_and_look_at_a_image() -> None:
 
 @pytest.mark.parametrize("name", ONE_OF_EACH)
 def test_maps_are_those_of_the_classifier_fitted_by_hand(name: str) -> None:
-    kind, representation, *letter = name.split(":")[1:]
+    kind, representation, *paper = name.split(":")[1:]
     names, classifier = REPRESENTATIONS[representation], CLASSIFIERS[kind]
     every = AllSampleSettings() if kind.startswith("hist") else SampleSettings()
-    defaults = classifier.settings.model_validate(classifier.paper if letter else {})
+    defaults = classifier.settings.model_validate(classifier.paper if paper else {})
 
     detection = detected(name)
 

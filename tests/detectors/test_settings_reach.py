@@ -1,4 +1,4 @@
-"""Every setting of the built-in detectors changes what they find."""
+"""Settings of the built-in detectors: every one of them changes a result."""
 
 from collections.abc import Iterator
 from functools import cache

@@ -1,4 +1,4 @@
-"""The detectors that rest on texture alone: what they compose, and what their settings reach."""
+"""Texture detectors: the steps they compose, and what their settings reach."""
 
 from functools import cache
 from typing import Any

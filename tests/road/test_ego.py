@@ -1,4 +1,4 @@
-"""The ego car told by hand: where it is, what is refused, and the ground in its place."""
+"""The ego car of the settings and of a network: masks, refusals, and extrapolated ground."""
 
 from collections.abc import Callable
 from pathlib import Path

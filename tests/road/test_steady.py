@@ -1,4 +1,4 @@
-"""Likelihoods steadied over time."""
+"""Temporal smoothing of likelihoods."""
 
 from collections.abc import Iterable
 
@@ -18,7 +18,7 @@ EGO[-40:] = True
 ROAD = torch.full((120, 160), 0.9)
 
 
-def steadier(memory: float = 6.0) -> Steady:
+def make_filter(memory: float = 6.0) -> Steady:
     return Steady(SteadySettings(memory=memory))
 
 
@@ -27,19 +27,19 @@ def noisy(frames: int) -> Tensor:
     return torch.randn(frames, 120, 160, generator=torch.Generator().manual_seed(0)).sigmoid()
 
 
-def steadied(
-    likelihoods: Iterable[Tensor], steady: Steady | None = None, image: Tensor = STREET
+def smooth_all(
+    likelihoods: Iterable[Tensor], temporal_filter: Steady | None = None, image: Tensor = STREET
 ) -> list[Tensor]:
     """Return the smoothed likelihoods of a still image."""
-    steady = steadier() if steady is None else steady
-    return [steady(image, likelihood) for likelihood in likelihoods]
+    temporal_filter = make_filter() if temporal_filter is None else temporal_filter
+    return [temporal_filter(image, likelihood) for likelihood in likelihoods]
 
 
 def test_the_first_frame_and_a_constant_stay_as_they_are_and_so_does_what_is_given() -> None:
     likelihood, image = noisy(1)[0], STREET.clone()
     kept = likelihood.clone()
 
-    first, *later = steadied([likelihood] * 12, image=image)
+    first, *later = smooth_all([likelihood] * 12, image=image)
 
     assert torch.allclose(first, likelihood, atol=1e-5)
     assert torch.allclose(later[-1], likelihood, atol=1e-4)
@@ -48,15 +48,15 @@ def test_the_first_frame_and_a_constant_stay_as_they_are_and_so_does_what_is_giv
 
 
 def test_a_still_image_averages_its_first_frames_evenly() -> None:
-    *_, last = steadied(noisy(4))
+    *_, last = smooth_all(noisy(4))
 
     assert torch.allclose(log_odds(last), log_odds(noisy(4)).mean(0), atol=1e-3)
-    assert torch.equal(last, steadied(noisy(4))[-1])  # the same frames, the same bytes
+    assert torch.equal(last, smooth_all(noisy(4))[-1])  # the same frames, the same bytes
 
 
 def test_the_variance_of_noise_falls_to_that_of_a_fading_memory() -> None:
     memory = 6.0
-    *_, last = steadied(noisy(40), steadier(memory))
+    *_, last = smooth_all(noisy(40), make_filter(memory))
 
     # Weight a = m/(m+1) of the past: variance (1-a)/(1+a) = 1/(2m+1) of that of one frame.
     assert float(log_odds(last).var()) == pytest.approx(1 / (2 * memory + 1), rel=0.05)
@@ -64,14 +64,14 @@ def test_the_variance_of_noise_falls_to_that_of_a_fading_memory() -> None:
 
 def test_what_moves_with_the_image_stays_where_it_belongs() -> None:
     wide = render_scene(1, 120, 240, noise=0.0)
-    steady, shift = steadier(), 4
+    temporal_filter, shift = make_filter(), 4
     generator = torch.Generator().manual_seed(0)
 
     for number in range(12):
         columns = slice(number * shift, number * shift + 160)
         odds = 4.0 * wide.road[:, columns] - 2 + 2 * torch.randn(120, 160, generator=generator)
         likelihood = odds.sigmoid()
-        smooth = steady(wide.image[..., columns].contiguous(), likelihood)
+        smooth = temporal_filter(wide.image[..., columns].contiguous(), likelihood)
 
     truth = wide.road[:, columns]
     wrong, wrong_alone = ((each >= 0.5) != truth for each in (smooth, likelihood))
@@ -81,10 +81,10 @@ def test_what_moves_with_the_image_stays_where_it_belongs() -> None:
 
 @pytest.mark.parametrize("image", [OTHER, STREET[:, :60, :80].contiguous()])
 def test_a_cut_and_another_size_begin_anew(image: Tensor) -> None:
-    steady, none = steadier(), torch.full(image.shape[1:], 0.1)
-    steadied([ROAD] * 8, steady)
+    temporal_filter, none = make_filter(), torch.full(image.shape[1:], 0.1)
+    smooth_all([ROAD] * 8, temporal_filter)
 
-    assert torch.allclose(steady(image, none), none, atol=1e-4)
+    assert torch.allclose(temporal_filter(image, none), none, atol=1e-4)
 
 
 def test_what_looks_different_is_not_believed_and_a_change_of_light_is_no_difference() -> None:
@@ -103,27 +103,27 @@ def test_what_looks_different_is_not_believed_and_a_change_of_light_is_no_differ
 
 
 def test_what_one_frame_hides_is_remembered() -> None:
-    steady = steadier()
-    steadied([ROAD] * 4, steady)
+    temporal_filter = make_filter()
+    smooth_all([ROAD] * 4, temporal_filter)
 
     for _ in range(3):  # a shadow that is taken for an ego car
-        smooth = steady(STREET, ROAD.masked_fill(EGO, 0.0), EGO)
+        smooth = temporal_filter(STREET, ROAD.masked_fill(EGO, 0.0), EGO)
         assert torch.allclose(smooth, ROAD, atol=1e-2)
-        assert steady.hidden is not None
-        assert not steady.hidden.any()
+        assert temporal_filter.hidden is not None
+        assert not temporal_filter.hidden.any()
 
-    assert torch.allclose(steady(STREET, ROAD), ROAD, atol=1e-2)
+    assert torch.allclose(temporal_filter(STREET, ROAD), ROAD, atol=1e-2)
 
 
 def test_an_ego_car_is_never_road_not_even_where_a_frame_misses_it() -> None:
-    steady = steadier()
+    temporal_filter = make_filter()
 
-    assert steady.hidden is None  # before the first frame nothing is known
+    assert temporal_filter.hidden is None  # before the first frame nothing is known
     for number in range(12):
         hidden = EGO & (number % 3 != 2)
-        smooth = steady(STREET, ROAD.masked_fill(hidden, 0.0), hidden)
-        assert steady.hidden is not None
-        assert torch.equal(steady.hidden, EGO)
+        smooth = temporal_filter(STREET, ROAD.masked_fill(hidden, 0.0), hidden)
+        assert temporal_filter.hidden is not None
+        assert torch.equal(temporal_filter.hidden, EGO)
         assert (smooth[EGO] == 0).all()
 
     assert torch.allclose(smooth[~EGO], ROAD[~EGO], atol=1e-3)
