@@ -48,7 +48,11 @@ myst_links_external_new_tab = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
-autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_default_options = {
+    "members": True,
+    "show-inheritance": False,
+    "exclude-members": "model_config",
+}
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 88
 
@@ -65,7 +69,7 @@ html_math_renderer = "mathml"
 html_theme_options = {
     "navbar_align": "left",
     "navbar_end": ["theme-switcher"],
-    "header_links_before_dropdown": 8,
+    "header_links_before_dropdown": 6,
     "show_prev_next": True,
     "collapse_navigation": True,
     "navigation_depth": 2,

@@ -1,5 +1,6 @@
 """The site builds whole, and its tutorials say what happens."""
 
+import re
 import subprocess
 import sys
 import zlib
@@ -56,11 +57,20 @@ def test_a_planted_fault_is_found(tmp_path: Path, body: str, wrong: str) -> None
     assert message.endswith(wrong)
 
 
-def test_there_are_no_more_pages_and_words_than_anybody_reads() -> None:
-    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
+FENCED = re.compile(r"^( *)(`{3,})[^`\n]*\n(.*?)^\1\2 *$", re.M | re.S)
 
-    assert len(pages) <= 45
-    assert sum(len(path.read_text(encoding="utf-8").split()) for path in pages) <= 27_000
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_code_fits_the_column_of_the_site(page: Path) -> None:
+    blocks = [block[3] for block in FENCED.finditer(page.read_text(encoding="utf-8"))]
+
+    assert [line for block in blocks for line in block.splitlines() if len(line) > 100] == []
+
+
+def test_there_are_no_more_pages_and_words_than_anybody_reads() -> None:
+    assert len(PAGES) <= 45
+    assert sum(len(path.read_text(encoding="utf-8").split()) for path in PAGES) <= 27_000
 
 
 # --- tutorials --------------------------------------------------------------------------
