@@ -56,8 +56,8 @@ class Variant(NamedTuple):
     layout: bool = True
     texture: bool = True
     distance: bool = True
-    place: bool = True
-    look: bool = True
+    position: bool = True
+    appearance: bool = True
     neighbours: bool = True
 
 
@@ -89,32 +89,28 @@ def compute_odds(
     segments = measure_segments(image, settings.superpixels.cut(image))
     layout_rules = segment_layout(segments, settings.labeller.rules)
     layout_network = segment_mean([*layout, road[0]], segments.labels, segments.pixels)
-    ground, odds = (
-        pooled(layout_rules.T, layout_network[:CLASSES], settings.layout_weight)[HORIZONTAL],
-        log_odds(layout_network[-1]),
-    )
-    share = settings.seed_area.share
+    weight, odds = settings.layout_weight, log_odds(layout_network[-1])
+    ground = pooled(layout_rules.T, layout_network[:CLASSES], weight)[HORIZONTAL]
     evidence = odds + seed_log_odds(segments, ground)
-    sources = likely_seed(evidence, segments.row, segments.size, share)
+    sources = likely_seed(evidence, segments.row, segments.size, settings.seed_area.share)
     seed = sources[segments.labels]
     near, even, _ = seen_from(image, segments, seed, sources.nonzero()[:, 0])
     seconds = perf_counter() - start
     nothing = torch.full_like(near, 0.5)
     for name, variant in VARIANTS.items():
         exponents = RULES.exponents._replace(
-            appearance=RULES.exponents.appearance * variant.look,
+            appearance=RULES.exponents.appearance * variant.appearance,
             neighbours=RULES.exponents.neighbours * variant.neighbours,
         )
-        position = RULES.position._replace(weight=RULES.position.weight * variant.place)
+        position = RULES.position._replace(weight=RULES.position.weight * variant.position)
         rules = RULES._replace(exponents=exponents, position=position)
         pairs = ((ground, variant.layout), (near, variant.distance), (even, variant.texture))
         likely, close, plain = (cue if on else nothing for cue, on in pairs)
         start = perf_counter()
         road_estimate = segment_road(segments, likely, close, plain, odds, rules)
         elapsed = base + seconds + perf_counter() - start
-        total = paint(log_odds(road_estimate), segments.labels) + PIXEL_WEIGHT * log_odds(
-            learned["road"]
-        )
+        total = paint(log_odds(road_estimate), segments.labels)
+        total = total + PIXEL_WEIGHT * log_odds(learned["road"])
         yield name, torch.where(ego, -torch.inf, total), elapsed
 
 
