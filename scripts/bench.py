@@ -172,7 +172,7 @@ FEW, ALL = 4, 100
 
 
 def make_inputs(data: Path, folder: Path, count: int) -> None:
-    """Link or write so many images, alone and as frames of a bag; a video, and CamVid."""
+    """Link or write ``count`` images, alone and as frames of a bag; a video, and CamVid."""
     from scripts.freeze import write_bags
 
     (folder / "images").mkdir(parents=True)

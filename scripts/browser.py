@@ -64,7 +64,7 @@ def looked_at(page: "Page", path: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print how far the masks and trusts are apart, and what an image takes."""
+    """Print the differences of masks and trust, and the time for an image."""
     from playwright.sync_api import sync_playwright
 
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])

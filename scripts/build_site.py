@@ -31,7 +31,7 @@ WITHOUT_PAGE = """<!doctype html><html lang="en"><title>roadtorch</title>
 
 
 class PageParser(HTMLParser):
-    """Collects the addresses of a page, with the tags that have them, and its anchors."""
+    """The addresses of a page, with the tags that have them, and its anchors."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ class PageParser(HTMLParser):
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note an opening tag."""
+        """Record the addresses and the anchor of an opening tag."""
         values = {name: value or "" for name, value in attrs}
         self.anchors.add(values.get("id", ""))
         if tag == "link" and not FETCHED & set(values["rel"].split()):
@@ -54,7 +54,7 @@ FETCHED = {"stylesheet", "icon", "preload", "modulepreload", "manifest", "precon
 
 
 def build(out: Path) -> None:
-    """Build docs/ into a folder; CalledProcessError where Sphinx has anything to warn of."""
+    """Build docs/ into a folder; CalledProcessError if Sphinx reports a warning."""
     words = ["-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-E", "-d", f"{out}.doctrees"]
     subprocess.run([sys.executable, *words, str(ROOT / "docs"), str(out)], check=True)
 
@@ -70,7 +70,7 @@ def add_page(out: Path, page: Path | None) -> None:
 
 
 def broken_links(site: Path) -> Iterator[str]:
-    """Yield ``PAGE: ADDRESS: what is wrong`` for each address that leads nowhere or is fetched."""
+    """Yield ``PAGE: ADDRESS: problem`` for each address without a target or that is fetched."""
     paths = [path.resolve() for path in site.rglob("*.html") if "_static" not in path.parts]
     pages = {path: PageParser(path) for path in paths}
     for path, page in sorted(pages.items()):
@@ -80,7 +80,7 @@ def broken_links(site: Path) -> Iterator[str]:
 
 
 def wrong_with(tag: str, address: str, path: Path, pages: Mapping[Path, PageParser]) -> str:
-    """Return what is wrong with an address of the page at a path; empty if nothing is."""
+    """Return the problem of an address of the page at a path; empty if there is none."""
     parts = urlsplit(address)
     if parts.scheme == "data":
         return ""

@@ -81,7 +81,7 @@ COUNTS = mmap.mmap(-1, 8 * len(CALLS))  # of each call in the last armed run, wh
 
 
 class Fault(NamedTuple):
-    """The n-th call of a kind fails with an error, and the clock is off by so many seconds."""
+    """A fault: the n-th call of a kind fails with an error, and the clock is shifted by seconds."""
 
     call: str = "open"
     number: int = 0
@@ -89,7 +89,7 @@ class Fault(NamedTuple):
     shift: int = 0
 
     def arm(self) -> None:
-        """Make this process meet the fault."""
+        """Inject the fault into this process."""
         COUNTS[:] = bytes(len(COUNTS))
         counts = (ctypes.c_long * len(CALLS)).from_buffer(COUNTS)
         long, below = ctypes.c_long, str(Path(OUT).resolve()).encode()
@@ -99,7 +99,7 @@ class Fault(NamedTuple):
 
 @dataclass
 class Case:
-    """A command in a folder of its own, and how many seconds it takes undisturbed."""
+    """A command in a folder of its own, and the seconds that it takes undisturbed."""
 
     command: Callable[[], object]
     folder: Path
@@ -108,10 +108,10 @@ class Case:
     log: str = "stderr"
 
     def start(self, fault: Fault | None = None) -> ForkProcess:
-        """Start the command, which meets a fault, in a copy of this process.
+        """Start the command, with a fault, in a forked copy of this process.
 
-        TERM and INT wait until the copy is where a process of its own would be: within fork Python
-        would report an interruption and forget it.
+        TERM and INT are blocked until the copy is where a process of its own would be: within fork
+        Python would report an interruption and forget it.
         """
         self.folder.mkdir(exist_ok=True)
         child = get_context("fork").Process(target=self.run_and_exit, args=(fault,))
@@ -144,11 +144,11 @@ class Case:
             os._exit(status)
 
     def moment(self) -> float:
-        """Draw a moment of the run, in seconds."""
+        """Sample a moment of the run, in seconds."""
         return self.chance.uniform(0, self.seconds)
 
     def finish(self, child: ForkProcess, allowed: set[int]) -> Iterator[str]:
-        """Wait for a run; yield what is wrong with its end."""
+        """Wait for a run; yield the problems of its end."""
         child.join(PATIENCE)
         status = child.exitcode
         if status is None:
@@ -164,7 +164,7 @@ class Case:
 
 
 def lost_strokes(folder: Path) -> Iterator[str]:
-    """Yield the strokes that were acknowledged and are in no whole line of a log."""
+    """Yield acknowledged strokes that are in no complete line of a log."""
     notes = folder / "acknowledged"
     logs = [path.read_bytes() for path in (folder / OUT).rglob("*.jsonl")]
     logged = {json.loads(line).get("id") for log in logs for line in log.split(b"\n")[:-1]}
@@ -173,7 +173,7 @@ def lost_strokes(folder: Path) -> Iterator[str]:
 
 
 def differences(quiet: Path, out: Path) -> Iterator[str]:
-    """Yield what sets the files of a folder apart from those of an undisturbed run."""
+    """Yield the differences between the files of a folder and those of an undisturbed run."""
     expected, present = (
         {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
         for folder in (quiet, out)
@@ -186,7 +186,7 @@ def differences(quiet: Path, out: Path) -> Iterator[str]:
 
 
 def content_of(path: Path) -> str | bytes:
-    """Read a file without times; a checkpoint by its values, as what shares memory is chance."""
+    """Read a file without times; a checkpoint by its values, as shared memory in it is random."""
     if path.suffix != ".pt":
         return settled(path)
     values = torch.load(path, weights_only=True)
@@ -221,7 +221,7 @@ COMMANDS = {
     "export": "export fusion --out out/net.onnx",
     "annotate": "annotate ../work/images_flat --detector prior:rows --out out",
 }
-"""By name the command line."""
+"""Command lines by name."""
 
 
 def annotate() -> None:
@@ -246,7 +246,7 @@ def draw(done: threading.Event) -> None:
 
 
 def draw_strokes(person: int) -> None:
-    """Send a person's strokes to the page; note what it acknowledged, and exit where it refused."""
+    """Send a person's strokes to the page; log those acknowledged, and exit if one is refused."""
     for number in range(5):
         stroke = {"kind": "brush", "id": f"s{person}-{number}", "saying": "road", "radius": 3}
         stroke["points"], status = [[10 + number, 20], [15, 30]], 0
@@ -356,7 +356,7 @@ def fail(case: Case, fault: Fault, allowed: set[int]) -> Iterator[str]:
 
 
 def faults(times: int) -> list[Fault]:
-    """Return faults of all calls of the last armed run, at most so many, evenly spread."""
+    """Return at most so many faults, evenly spaced over all calls of the last armed run."""
     everything = [
         Fault(call, number, error)
         for call, count in zip(CALLS[:-1], memoryview(COUNTS).cast("l"), strict=False)
@@ -369,7 +369,7 @@ def faults(times: int) -> list[Fault]:
 
 
 AGAIN = {"clock": Fault(shift=-86_400), "locks": Fault("lock", 1, errno.ENOLCK)}
-"""What the second run meets."""
+"""Faults of the second run."""
 
 TROUBLE: Mapping[str, Callable[[Case], Iterator[str]]] = {
     "kill": partial(interrupt, numbers=SIGNALS),
@@ -391,7 +391,7 @@ NOT_TRIED = {
 
 
 def disturb(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
-    """Try a class of trouble on a command; print how often, and list what is wrong."""
+    """Try a class of trouble on a command; print the number of attempts and return the problems."""
     kind = options.trouble
     jobs = f"--jobs {2 if kind == 'worker' else options.jobs}"
     words = COMMANDS[name].format(jobs=jobs, detector=f"--detector {options.detector}").split()
@@ -453,7 +453,7 @@ def ros(options: argparse.Namespace, folder: Path) -> list[str]:
 
 
 def load(kind: str) -> None:
-    """Import what the runs need, and stop the clock of events, as each is done twice."""
+    """Import what the runs need and stop the clock of events, as each run is repeated."""
     torch.set_num_threads(1)
     for module in pkgutil.walk_packages(roadtorch.__path__, "roadtorch."):
         if not module.name.endswith("__main__"):
@@ -465,7 +465,7 @@ def load(kind: str) -> None:
 
 
 def run_preloaded() -> int:
-    """Run this script again behind the library that replaces calls."""
+    """Run this script again with the library preloaded that replaces calls."""
     with tempfile.TemporaryDirectory() as folder:
         shim, source = f"{folder}/chaos.so", str(Path(__file__).with_suffix(".c"))
         subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", shim, source, "-ldl"], check=True)
@@ -473,7 +473,7 @@ def run_preloaded() -> int:
 
 
 def run() -> int | str:
-    """Try a class of trouble on commands; return what is wrong."""
+    """Try a class of trouble on commands; return the problems."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("trouble", choices=[*TROUBLE, "fault", "ros"])
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=[])

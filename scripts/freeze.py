@@ -188,7 +188,7 @@ def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def record(data: Path, out: Path, parts: Sequence[str]) -> None:
-    """Record parts in a folder, in place of what is there of them already."""
+    """Record parts in a folder, replacing earlier records of them."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "data").unlink(missing_ok=True)
     (out / "data").symlink_to(data.resolve())  # so that no absolute path is in what is written
@@ -205,7 +205,7 @@ def record(data: Path, out: Path, parts: Sequence[str]) -> None:
 
 
 def hashes(out: Path) -> dict[tuple[str, str], str]:
-    """Read the hash of everything that is recorded, by part and name."""
+    """Read the recorded hashes by part and name."""
     with (out / HASHES).open(newline="") as file:
         return {(part, name): value for part, name, value in csv.reader(file)}
 
@@ -226,7 +226,7 @@ UNSETTLED = (
     (r"\bin \d+(\.\d+)? s\b", "in TIME"),
     (r"(?m)^roadtorch: .*(, [\d:?]+ left| in [\d:]+)\n", ""),  # how far a long run is
 )
-"""Versions, dates and times in text, and what stands there instead."""
+"""Patterns of versions, dates and times in text, and their replacements."""
 
 
 def settled(file: Path) -> bytes:
@@ -249,7 +249,7 @@ def settled(file: Path) -> bytes:
 
 
 def differences(old_out: Path, new_out: Path) -> Iterator[str]:
-    """Yield what differs, by output and file; last, how many are equal."""
+    """Yield the differences by output and file, then the number of equal ones."""
     old, new = hashes(old_out), hashes(new_out)
     parts = {part for part, _ in old} & {part for part, _ in new}
     keys = sorted(key for key in old.keys() | new.keys() if key[0] in parts)
@@ -267,7 +267,7 @@ def differences(old_out: Path, new_out: Path) -> Iterator[str]:
 
 
 def changes(old_file: Path, new_file: Path) -> list[str]:
-    """Return the lines of a text that differ; of an array, how many numbers and by how much."""
+    """Return the differing lines of a text; of an array the number of differing values."""
     if old_file.suffix == ".npy":
         old, new = np.load(old_file).astype(float), np.load(new_file).astype(float)
         if old.shape != new.shape:

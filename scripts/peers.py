@@ -2,8 +2,8 @@
 
     python scripts/peers.py FOLDER DATA/many
 
-FOLDER holds a file NAME.py a network, with ``road_probability(rgb uint8 (H,W,3)) -> float32
-(H,W)``, and what it needs (onnxruntime, openvino). Every image is shown to all of them in turn, on
+FOLDER holds a file NAME.py a network, with ``road_probability(rgb uint8 (H, W, 3)) -> float32
+(H, W)``, and what it needs (onnxruntime, openvino). Every image is shown to all of them in turn, on
 one thread: F of the mask at .5 and MaxF by camera, and the median milliseconds. They measure;
 nothing here ever learns from what they say.
 """
@@ -33,7 +33,7 @@ from scripts.readme_figures import keep_records
 DETECTORS = ("fusion", "fusion:large")
 
 Predict = Callable[[Tensor], Tensor]
-"""An image (3,H,W) in [0,1] → how road-like each pixel is, (H,W) in [0,1]."""
+"""An image (3, H, W) in [0,1] → how road-like each pixel is, (H, W) in [0,1]."""
 
 
 def likelihood_of(detector: Detector, image: Tensor) -> Tensor:

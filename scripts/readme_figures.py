@@ -324,7 +324,7 @@ def documents() -> Iterator[Path]:
 
 
 class UsedNames(dict[str, float | str]):
-    """Records that all exist, and remember which were used."""
+    """Records that exist for every name, and remember the names used."""
 
     def __missing__(self, key: str) -> float | str:
         return self.setdefault(key, 0.0)
@@ -343,7 +343,7 @@ def used() -> set[str]:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run a task; return 1 where ``check`` finds a stale figure or a number of no record."""
+    """Run a task; return 1 if ``check`` finds a stale figure or an unrecorded number."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

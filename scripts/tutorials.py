@@ -38,7 +38,7 @@ ANYTHING = "…"
 BLOCK = re.compile(r"^```(console|python|text)\n(.*?)^```$", re.M | re.S)
 SPLIT = re.compile(r"([+\-\u2212]?(?:\d+(?:,\d{3})*(?:\.\d+)?|\.\d+))")
 TIMES = re.compile(r"^ ?(ms|s|seconds|minutes|MB|kB)\b")
-SHARE = 0.03  # of a number that it may differ by
+TOLERANCE = 0.03  # fraction of a number that it may differ by
 STEPS = 3  # of the last decimal that it may differ by
 
 
@@ -46,7 +46,7 @@ STEPS = 3  # of the last decimal that it may differ by
 
 
 def same(expected: Sequence[str], actual: Sequence[str]) -> bool:
-    """Tell whether the lines found are those expected, ``…`` being any lines."""
+    """Return whether lines are those expected, ``…`` being any lines."""
     if not expected:
         return not actual
     if expected[0].strip() == ANYTHING:
@@ -55,7 +55,7 @@ def same(expected: Sequence[str], actual: Sequence[str]) -> bool:
 
 
 def same_line(expected: str, actual: str) -> bool:
-    """Tell whether lines are the same but for spaces and numbers that differ a little."""
+    """Return whether lines are equal up to spaces and small differences of numbers."""
     if expected.rstrip().endswith(ANYTHING):
         expected = expected.rstrip().removesuffix(ANYTHING).rstrip()
         actual = " ".join(actual.split()[: len(expected.split())])  # as long as the expected line
@@ -67,14 +67,14 @@ def same_line(expected: str, actual: str) -> bool:
 
 
 def near(expected: str, actual: str) -> bool:
-    """Tell whether a number is near another: by ``SHARE``, or ``STEPS`` of its last decimal.
+    """Return whether a number is near another: by ``TOLERANCE``, or ``STEPS`` of its last decimal.
 
     Whole numbers have no decimals: below 34 they have to be equal.
     """
     a, b = (float(text.replace(",", "").replace("\u2212", "-")) for text in (expected, actual))
     decimals = len(expected.partition(".")[2])
     steps = STEPS * 10.0**-decimals if decimals else 0.0
-    return abs(a - b) <= max(SHARE * abs(a), steps) + 1e-12
+    return abs(a - b) <= max(TOLERANCE * abs(a), steps) + 1e-12
 
 
 # --- executing ---------------------------------------------------------------------------
@@ -161,7 +161,7 @@ def console_as_run(text: str) -> str:
 
 
 def output_as_shown(expected: Sequence[str], actual: Sequence[str]) -> str:
-    """Return the expected lines where the found ones are the same, the found ones otherwise."""
+    """Return the expected lines where the actual ones are the same, otherwise the actual ones."""
     lines = [line.rstrip() for line in expected]
     while lines and not lines[-1]:
         lines.pop()
@@ -170,7 +170,7 @@ def output_as_shown(expected: Sequence[str], actual: Sequence[str]) -> str:
 
 
 def shortened(expected: Sequence[str], actual: Sequence[str]) -> list[str]:
-    """Return the lines found, each ending in ``…`` where the one expected of its word does."""
+    """Return the actual lines, each ending in ``…`` where the expected line of its word does."""
     ends = [line.removesuffix(ANYTHING).split() for line in expected if line.endswith(ANYTHING)]
     words = {line[0]: len(line) for line in ends if line}
     output = []
@@ -242,7 +242,7 @@ def prepare() -> None:
 
 
 def main() -> int:
-    """Check or write the given pages; return 1 where a page differs from what happens."""
+    """Check or write the given pages; return 1 if the output of a page differs."""
     parser = argparse.ArgumentParser(description="Execute the tutorials.")
     parser.add_argument("act", choices=("check", "write"))
     parser.add_argument("pages", nargs="*", type=Path)

@@ -38,7 +38,7 @@ BENCHMARK = (
 
 
 def resize_as_p1(image: Tensor, truth: Truth) -> tuple[Tensor, Truth]:
-    """Bring an image (3,H,W) and its truth to the size at which P1 works and scores.
+    """Bring an image (3, H, W) and its truth to the size at which P1 works and scores.
 
     160x120 for images of 4:3, 397x120 for KITTI's; the label by its nearest pixel, where the
     authors' program calls road whatever a bicubic label leaves above 0.

@@ -41,7 +41,7 @@ def streets(data: Path, every: int = EVERY) -> Dataset:
 
 
 def tally_of(dataset: Dataset, contenders: Sequence[str | Contender]) -> Mapping[str, Tally]:
-    """Count what detectors find, by name; RuntimeError for an image that fails."""
+    """Count the detectors' results by name; RuntimeError for an image that fails."""
     run = evaluate(dataset, contenders, with_baselines=False, measures=(), quiet=False)
     for failure in run.failures:
         raise RuntimeError(f"{failure.image}: {failure.reason}")
@@ -110,7 +110,7 @@ def show_confusion(figure: str, name: str, dataset: Dataset, out: Path) -> None:
 
 
 def printed_ratios(counts: Tensor) -> np.ndarray:
-    """Normalise a confusion (4,4) as P2 prints it: rows sum to 1, in ``PRINTED_ORDER``."""
+    """Normalise a confusion (4, 4) as P2 prints it: rows sum to 1, in ``PRINTED_ORDER``."""
     order = list(PRINTED_ORDER.values())
     return metrics.normalised_confusion(counts)[order][:, order].numpy()
 
@@ -172,7 +172,7 @@ def _prepare_discarding(prepare: Callable[[Dataset], Look], dataset: Dataset) ->
 
 
 def reach_of_seed(likelihood: Tensor) -> Tensor:
-    """Return the highest threshold at which each pixel of a map (H,W) is joined to the seed area.
+    """Return the highest threshold at which each pixel of a map (H, W) is joined to the seed area.
 
     Thresholded, it is what is left of the map, thresholded, when isolated areas are discarded
     (P2, section 6.2): the greyscale reconstruction of the map from its seed area (Vincent 1993).

@@ -45,7 +45,7 @@ SHADE = 0.03  # grey levels of 1 that a shadow takes at least
 
 
 class Pair(NamedTuple):
-    """Two images (3,H,W), and the road bool (H,W) that is compared in each."""
+    """Two images (3, H, W), and the road bool (H, W) that is compared in each."""
 
     one: Tensor
     other: Tensor
@@ -132,7 +132,7 @@ CHANGES: Mapping[str, Change] = {
 
 
 def thirds(road: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the lowest and the highest third of the rows of road bool (H,W), each bool (H,W)."""
+    """Return the lowest and the highest third of the rows of road bool (H, W), each bool (H, W)."""
     rows = road.any(1).nonzero()[:, 0]
     top, bottom = int(rows[0]), int(rows[-1]) + 1
     third = max(1, (bottom - top) // 3)

@@ -81,7 +81,7 @@ def percents(evaluation: Evaluation) -> Mapping[Key, float]:
 
 
 def mean_lines(evaluation: Evaluation) -> Mapping[Key, np.ndarray]:
-    """Return P3's average ROC curve, mean over drives: FPR and TPR (2,points) of each cell."""
+    """Return P3's average ROC curve, mean over drives: FPR and TPR (2, points) of each cell."""
     lines = {}
     for key, name in cells(evaluation).items():
         tally, groups = evaluation.tallies[name], evaluation.detectors[name].counting

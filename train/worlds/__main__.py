@@ -90,7 +90,7 @@ def build_world(number: int, photographs: Path | None = None) -> tuple[Stage, Ro
 
 
 def render(stage: Stage, number: int, place: Path) -> np.ndarray:
-    """Render linear light float32 (288,384,3) BGR."""
+    """Render linear light float32 (288, 384, 3) BGR."""
     scene, cycles = stage.scene, stage.scene.cycles
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
@@ -105,7 +105,7 @@ def render(stage: Stage, number: int, place: Path) -> np.ndarray:
 
 
 def render_truth(stage: Stage, place: Path) -> np.ndarray:
-    """Render what each pixel is, uint8 (288,384): flat colours, several paths through each pixel.
+    """Render what each pixel is, uint8 (288, 384): flat colours, several paths through each pixel.
 
     The scene has no light any more afterwards.
     """
