@@ -1,4 +1,4 @@
-"""A folder of small rendered streets, and a session over it with a detector that is quick."""
+"""A folder of small rendered streets, and a session on it with a fast detector."""
 
 import shutil
 from pathlib import Path
@@ -12,7 +12,7 @@ from tests.streets import scene
 
 
 def write_streets(folder: Path, count: int = 3) -> Path:
-    """street_0.png and so on, 64 by 48."""
+    """Write street_0.png, street_1.png, …, 64 by 48."""
     for seed in range(count):
         write_image(folder / f"street_{seed}.png", scene(seed, 48, 64))
     return folder

@@ -1,4 +1,4 @@
-"""Which image next: two rules, and batches that do not repeat a scene."""
+"""Order of images: two rules, and batches that do not repeat a scene."""
 
 from typing import Any
 
@@ -34,18 +34,18 @@ def test_a_batch_has_no_image_twice_and_none_that_is_corrected(
     rule: str, images: int, count: int, data: st.DataObject
 ) -> None:
     corrected = data.draw(st.sets(st.integers(0, images - 1))) if images else set()
-    found = ORDER_RULES[rule](candidates(images), corrected, count)
-    assert len(found) == min(count, images - len(corrected)) == len(set(found))
-    assert not set(found) & corrected
-    assert found == ORDER_RULES[rule](candidates(images), corrected, count)
+    batch = ORDER_RULES[rule](candidates(images), corrected, count)
+    assert len(batch) == min(count, images - len(corrected)) == len(set(batch))
+    assert not set(batch) & corrected
+    assert batch == ORDER_RULES[rule](candidates(images), corrected, count)
 
 
-def from_all_distances(known: Candidates, corrected: list[int], count: int) -> list[int]:
-    """The same order, from a table of all distances."""
-    distance = torch.cdist(known.features, known.features)
+def from_all_distances(scored: Candidates, corrected: list[int], count: int) -> list[int]:
+    """Compute the same order from a table of all distances."""
+    distance = torch.cdist(scored.features, scored.features)
     first, second = torch.triu_indices(len(distance), len(distance), 1)
     apart = SCENE_DISTANCE * distance[first, second].median()
-    order = known.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
+    order = scored.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
     order = [place for place in order if place not in corrected]
     chosen: list[int] = []
     for place in order:
@@ -57,14 +57,14 @@ def from_all_distances(known: Candidates, corrected: list[int], count: int) -> l
 
 @pytest.mark.parametrize("corrected", [[], [3], [*range(0, 300, 2)]])
 def test_the_order_is_that_of_all_distances(corrected: list[int]) -> None:
-    known = candidates(300)
+    scored = candidates(300)
     for count in (20, 300):
-        expected = from_all_distances(known, corrected, count)
-        assert ORDER_RULES["least-trust"](known, corrected, count) == expected
+        expected = from_all_distances(scored, corrected, count)
+        assert ORDER_RULES["least-trust"](scored, corrected, count) == expected
 
 
 class Largest(TorchDispatchMode):
-    """Counts the elements of the largest tensor that is made in the block."""
+    """A counter of the elements of the largest tensor created in the block."""
 
     elements = 0
 
@@ -92,17 +92,17 @@ def test_features_tell_what_stands_where() -> None:
     view = ImageView(
         (40, 50), torch.zeros(8, 10), labels, labels[0], csr_matrix((80, 80)), layout, None
     )
-    same, turned = (view_features(image, view) for image in (image, image.flip(-2)))
-    assert same.shape == (7 * 20,)  # colours, road, layout in 4 by 5 cells
-    assert float((same - turned).norm()) > 1
+    features, flipped = (view_features(image, view) for image in (image, image.flip(-2)))
+    assert features.shape == (7 * 20,)  # colours, road, layout in 4 by 5 cells
+    assert float((features - flipped).norm()) > 1
 
 
 def test_the_page_is_told_turns_once_images_were_looked_at(session: Session) -> None:
     session.order = ImageOrder("random")
-    assert [one["turn"] for one in session.listing()] == [None, None, None]
+    assert [entry["turn"] for entry in session.listing()] == [None, None, None]
 
     class Once:
-        """Stops the looking after one time through all images."""
+        """A stop event that is set once all images have views."""
 
         def is_set(self) -> bool:
             return len(session.trusts) == 3
@@ -111,8 +111,8 @@ def test_the_page_is_told_turns_once_images_were_looked_at(session: Session) -> 
 
     compute_views(session, Once())  # type: ignore[arg-type]
 
-    assert sorted(one["turn"] for one in session.listing()) == [0, 1, 2]
+    assert sorted(entry["turn"] for entry in session.listing()) == [0, 1, 2]
     session.add("street_1.png", Confirm(kind="right", id="a"))
-    turns = {one["name"]: one["turn"] for one in session.listing()}
+    turns = {entry["name"]: entry["turn"] for entry in session.listing()}
     assert turns["street_1.png"] is None
     assert sorted(turn for turn in turns.values() if turn is not None) == [0, 1]

@@ -48,7 +48,7 @@ class Server:
 
 @pytest.fixture
 def server(request: pytest.FixtureRequest, streets: Path, tmp_path: Path) -> Iterator[Server]:
-    """Three images, or so many, the further ones all the same."""
+    """Run a server on three images, or as many as ``request.param``, the further ones links."""
     for number in range(3, getattr(request, "param", 3)):
         os.link(streets / "street_0.png", streets / f"street_{number}.png")
     running = Server(streets, tmp_path / "corrections")
@@ -69,7 +69,7 @@ Open = Callable[..., "Page"]
 
 @pytest.fixture
 def visit(browser: "Browser") -> Iterator[Open]:
-    """``visit(server, width, height)``: a window of its own, at the first image."""
+    """Return ``visit(server, width, height)``, which opens a window at the first image."""
     contexts: list[BrowserContext] = []
     mistakes: list[str] = []
 
@@ -119,14 +119,14 @@ def press(page: "Page", *keys: str) -> None:
 
 def press_and_leave(page: "Page", *keys: str) -> str:
     """Press keys, wait until another image is shown, and return its name."""
-    before = page.evaluate("document.body.dataset.image")
+    name = page.evaluate("document.body.dataset.image")
     press(page, *keys)
-    page.wait_for_function("before => document.body.dataset.image !== before", arg=before)
+    page.wait_for_function("before => document.body.dataset.image !== before", arg=name)
     return page.evaluate("document.body.dataset.image")
 
 
 def tells(page: "Page", identity: str, words: str) -> None:
-    """Wait until an element says these words."""
+    """Wait until an element contains a text."""
     page.wait_for_function(
         "([id, words]) => document.getElementById(id).textContent.includes(words)",
         arg=[identity, words],
@@ -212,11 +212,11 @@ def test_a_narrow_window_has_a_thousand_images_in_reach(visit: Open, server: Ser
 
 @pytest.mark.slow
 def test_two_windows_lose_nothing(visit: Open, page: "Page", server: Server) -> None:
-    other = visit(server)
+    second = visit(server)
     click(page, 0.5, 0.9, version=1)
-    at_version(other, 1)  # it comes by itself
-    press(other, "2")
-    click(other, 0.5, 0.2, version=2)
+    at_version(second, 1)  # it comes by itself
+    press(second, "2")
+    click(second, 0.5, 0.2, version=2)
     at_version(page, 2)
     (corrected,) = server.corrections()
     assert (corrected.road == 1).any()

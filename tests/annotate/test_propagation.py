@@ -1,4 +1,4 @@
-"""What a correction says about the rest: on an image of three flat regions."""
+"""Propagation of corrections on an image of three flat regions."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ SETTINGS = PropagationSettings()
 
 
 def three_strips() -> Segments:
-    """Grey road left, a red pavement in the middle, green grass on the right."""
+    """Render a grey road on the left, a red pavement in the middle, and grass on the right."""
     image = torch.zeros(3, 48, 96)
     for place, colour in enumerate(((0.4, 0.4, 0.4), (0.6, 0.35, 0.3), (0.2, 0.5, 0.15))):
         image[:, :, 32 * place : 32 * place + 32] = torch.tensor(colour)[:, None, None]
@@ -36,9 +36,9 @@ def test_one_click_mends_the_pavement_and_leaves_the_rest() -> None:
     segments = three_strips()
     strip = (segments.column * 3).long()
     odds = torch.where(strip == 2, -2.0, 2.0)  # the machine takes the pavement for road
-    said = torch.zeros(len(odds))
-    said[(strip == 1).nonzero()[0, 0]] = -1
-    after = odds + propagate(odds, said, segment_graph(segments, SETTINGS), SETTINGS)
+    evidence = torch.zeros(len(odds))
+    evidence[(strip == 1).nonzero()[0, 0]] = -1
+    after = odds + propagate(odds, evidence, segment_graph(segments, SETTINGS), SETTINGS)
     assert (after[strip == 1] < 0).all()
     assert (after[strip == 0] > 0).all()
     assert (after[strip == 2] < 0).all()
@@ -48,27 +48,27 @@ def test_what_was_said_is_held_and_nothing_said_changes_nothing() -> None:
     segments = three_strips()
     odds = torch.linspace(-6, 6, len(segments.size))
     graph = segment_graph(segments, SETTINGS)
-    said = torch.zeros(len(odds))
-    assert (propagate(odds, said, graph, SETTINGS) == 0).all()
-    said[0], said[1], said[-1] = 1, -1, 1
-    after = odds + propagate(odds, said, graph, SETTINGS)
+    evidence = torch.zeros(len(odds))
+    assert (propagate(odds, evidence, graph, SETTINGS) == 0).all()
+    evidence[0], evidence[1], evidence[-1] = 1, -1, 1
+    after = odds + propagate(odds, evidence, graph, SETTINGS)
     assert after[0] == pytest.approx(SETTINGS.corrected)
     assert after[1] == pytest.approx(
         float(min(odds[1], torch.tensor(-SETTINGS.corrected))), abs=1e-5
     )
     assert after[-1] == pytest.approx(6)
-    moved = propagate(odds * 0, torch.ones_like(odds), graph, SETTINGS)  # nothing is left
-    assert torch.allclose(moved, torch.full_like(odds, SETTINGS.corrected))
+    shift = propagate(odds * 0, torch.ones_like(odds), graph, SETTINGS)  # nothing is left
+    assert torch.allclose(shift, torch.full_like(odds, SETTINGS.corrected))
 
 
 def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
     segments = three_strips()
     generator = torch.Generator().manual_seed(0)
     odds = torch.randn(len(segments.size), generator=generator)
-    said = torch.zeros(len(odds))
-    said[3], said[40] = 1, -1
+    evidence = torch.zeros(len(odds))
+    evidence[3], evidence[40] = 1, -1
     graph = segment_graph(segments, SETTINGS)
-    moved = propagate(odds, said, graph, SETTINGS).double().numpy()
+    shift = propagate(odds, evidence, graph, SETTINGS).double().numpy()
     pull = SETTINGS.anchor + SETTINGS.confidence * odds.abs().double().numpy()
 
     def energy(field: np.ndarray) -> float:
@@ -77,7 +77,7 @@ def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
     for _ in range(20):
         step = torch.randn(len(odds), generator=generator).double().numpy() * 0.05
         step[[3, 40]] = 0
-        assert energy(moved + step) >= energy(moved) - 1e-3
+        assert energy(shift + step) >= energy(shift) - 1e-3
 
 
 # --- an image --------------------------------------------------------------------------
@@ -107,10 +107,10 @@ def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
     view: ImageView, detector: Detector, rows: dict[str, slice]
 ) -> None:
     labels = labels_of(**rows)
-    said = segment_evidence(labels, view, AnnotationSettings())
-    road = corrected_road(corrected_log_odds(view, said, SETTINGS), labels, (48, 64))
+    evidence = segment_evidence(labels, view, AnnotationSettings())
+    road = corrected_road(corrected_log_odds(view, evidence, SETTINGS), labels, (48, 64))
     if not rows:
-        assert not said.any()
+        assert not evidence.any()
         mask = detector.detect(scene(0, 48, 64).image).mask
         assert (road == mask.numpy()).all()
     for name, part in rows.items():

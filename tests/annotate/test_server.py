@@ -1,4 +1,4 @@
-"""The server: who may ask, how much may be sent, what is told."""
+"""The server: access control, limits and answers."""
 
 import asyncio
 import base64
@@ -36,19 +36,19 @@ WHICH = f"name={NAME}"
 
 @dataclass
 class Client:
-    """Asks an application without a socket, and without Starlette's client, which wants httpx2."""
+    """A client of an application without a socket; Starlette's own client needs httpx2."""
 
     app: Starlette
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def get(self, path: str, method: str = "GET", **values: Any) -> httpx.Response:
-        async def asked() -> httpx.Response:
+        async def request() -> httpx.Response:
             transport = httpx.ASGITransport(self.app)
             async with httpx.AsyncClient(transport=transport, base_url=HERE) as client:
                 headers = {**self.headers, **values.pop("headers", {})}
                 return await client.request(method, path, headers=headers, **values)
 
-        return asyncio.run(asked())
+        return asyncio.run(request())
 
     def post(self, path: str, **values: Any) -> httpx.Response:
         return self.get(path, "POST", **values)
@@ -66,15 +66,15 @@ def click(identity: str = "a", **changes: object) -> dict[str, object]:
 
 def test_a_click_is_kept_and_the_image_told_anew(client: Client, session: Session) -> None:
     answer = client.post(f"/api/event?{WHICH}", json=click())
-    told = answer.json()
-    assert (answer.status_code, told["version"], told["size"]) == (200, 1, [64, 48])
-    layers = np.frombuffer(base64.b64decode(told["layers"]), np.uint8).reshape(48, 64)
+    state = answer.json()
+    assert (answer.status_code, state["version"], state["size"]) == (200, 1, [64, 48])
+    layers = np.frombuffer(base64.b64decode(state["layers"]), np.uint8).reshape(48, 64)
     labels = np.frombuffer(client.get(f"/api/superpixels?name={NAME}").content, "<u2")
     assert ((layers & 7 == 1) == (labels.reshape(48, 64) < 2)).all()
     assert ((layers >> 3 & 1)[layers & 7 == 1] == 1).all()
-    found = read_log(log_path(session.out, NAME))
-    assert found is not None
-    assert len(found.events) == 1
+    log = read_log(log_path(session.out, NAME))
+    assert log is not None
+    assert len(log.events) == 1
 
 
 @pytest.mark.parametrize("headers", [{}, {"x-token": "foreign"}, {"x-token": TOKEN + "x"}])
@@ -91,8 +91,8 @@ def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[s
     [
         ("origin", HERE, 200),
         *(
-            ("origin", other, 403)
-            for other in ("http://localhost:8765", "https://evil.example", "null")
+            ("origin", origin, 403)
+            for origin in ("http://localhost:8765", "https://evil.example", "null")
         ),
         ("host", "evil.example:8765", 421),
     ],
@@ -112,10 +112,10 @@ def test_who_is_cut_off_at_the_end_is_told_to_ask_again() -> None:
     async def answered() -> httpx.Response:
         transport = httpx.ASGITransport(AccessMiddleware(endless, TOKEN, 8765))  # pyright: ignore
         async with httpx.AsyncClient(transport=transport, base_url=HERE) as client:
-            asked = asyncio.create_task(client.get("/", headers={"x-token": TOKEN}))
+            request = asyncio.create_task(client.get("/", headers={"x-token": TOKEN}))
             await asyncio.sleep(0.05)
-            asked.cancel()
-            return await asked
+            request.cancel()
+            return await request
 
     assert asyncio.run(answered()).status_code == 503
 
@@ -229,7 +229,7 @@ def test_a_stroke_that_finds_no_room_on_the_disk_may_be_sent_again(
 
 def test_the_list_comes_once_until_it_changes(client: Client) -> None:
     first = client.get("/api/images").json()
-    assert [one["name"] for one in first["images"]] == [f"street_{n}.png" for n in range(3)]
+    assert [entry["name"] for entry in first["images"]] == [f"street_{n}.png" for n in range(3)]
     assert client.get(f"/api/images?stamp={first['stamp']}").status_code == 204
     client.post(f"/api/event?{WHICH}", json=click())
     second = client.get(f"/api/images?stamp={first['stamp']}").json()

@@ -1,4 +1,4 @@
-"""A session without its server: views, work, what a restart finds."""
+"""A session without its server: views, logs and restarts."""
 
 import shutil
 import threading
@@ -42,11 +42,11 @@ def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
 
 
 def test_undo_and_redo_are_told(session: Session) -> None:
-    before = session.state(NAME)["layers"]
+    layers = session.state(NAME)["layers"]
     first = session.add(NAME, superpixel("a", "road", 0))
     assert session.add(NAME, superpixel("a", "road", 0))["version"] == 1  # sent again
     undone = session.add(NAME, Undo(kind="undo", id="b", of="a"))
-    assert undone["layers"] == before
+    assert undone["layers"] == layers
     assert undone["redo"] == ["a"]
     assert undone["events"] == []
     again = session.add(NAME, Redo(kind="redo", id="c", of="a"))
@@ -56,13 +56,13 @@ def test_undo_and_redo_are_told(session: Session) -> None:
 
 
 def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
-    shown = session.state(NAME)["layers"]
+    layers = session.state(NAME)["layers"]
     state = session.add(NAME, Confirm(kind="right", id="a"))
     assert state["confirmed"]
     (correction,) = read_corrections(session.out)
     assert correction.confirmed
     assert set(np.unique(correction.road)) <= {0, 1}
-    road = np.frombuffer(shown, np.uint8).reshape(48, 64) >> 3 & 1
+    road = np.frombuffer(layers, np.uint8).reshape(48, 64) >> 3 & 1
     assert (correction.road == road).all()
 
 
@@ -101,7 +101,7 @@ def test_a_full_disk_or_a_wrong_superpixel_leaves_nothing_half_done(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session.add(NAME, superpixel("a", "road", 0))
-    before = session.state(NAME)["layers"]
+    layers = session.state(NAME)["layers"]
     log = session.out / f"{NAME}.strokes.jsonl"
     lines = log.read_bytes()
 
@@ -113,7 +113,7 @@ def test_a_full_disk_or_a_wrong_superpixel_leaves_nothing_half_done(
     monkeypatch.setattr("roadtorch.data.corrections.os.fsync", full)
     with pytest.raises(InputError, match="cannot be written: No space left"):
         session.add(NAME, superpixel("b", "road", 1))
-    assert session.state(NAME)["layers"] == before
+    assert session.state(NAME)["layers"] == layers
     assert log.read_bytes() == lines
 
 
@@ -146,8 +146,8 @@ def test_a_folder_that_changes_is_seen(session: Session) -> None:
     names = session.images.names()
     session.images.out = session.images.root / "corrections"
     session.images.out.mkdir()
-    for other in ("zz.png", "corrections/a.png"):
-        shutil.copy(session.images.root / NAME, session.images.root / other)
+    for candidate in ("zz.png", "corrections/a.png"):
+        shutil.copy(session.images.root / NAME, session.images.root / candidate)
     session.images._listed -= 10
     assert session.images.names() == (*names, "zz.png")
 
@@ -188,14 +188,14 @@ def test_the_address_is_found_again_and_is_the_owners_alone(tmp_path: Path) -> N
 
 
 def test_a_port_that_is_taken_is_told_or_passed_over() -> None:
-    taken = bind_socket(None, None)
-    port = taken.getsockname()[1]
+    listening = bind_socket(None, None)
+    port = listening.getsockname()[1]
     try:
         with pytest.raises(ConfigError, match=f"--port: {port} is taken"):
             bind_socket(port, None)
-        other = bind_socket(None, port)
-        assert other.getsockname()[1] != port
-        assert other.getsockname()[0] == "127.0.0.1"
-        other.close()
+        candidate = bind_socket(None, port)
+        assert candidate.getsockname()[1] != port
+        assert candidate.getsockname()[0] == "127.0.0.1"
+        candidate.close()
     finally:
-        taken.close()
+        listening.close()

@@ -1,4 +1,4 @@
-"""The page that shows footage: the newest frame, what is told of it, and its end."""
+"""The page that shows footage: the newest frame, its headers, and the end."""
 
 import io
 import json
@@ -29,7 +29,7 @@ def detection(grey: float) -> Detection:
 
 
 def asked(viewer: Viewer, after: str = "", token: str | None = None) -> tuple[int, Message, bytes]:
-    """Status, headers and body of the next frame."""
+    """Return the status, headers and body of the next frame."""
     url = f"http://127.0.0.1:{viewer.address.port}/api/frame?after={after}"
     headers = {"X-Token": viewer.address.token if token is None else token}
     try:

@@ -1,4 +1,4 @@
-"""A talker of ROS 2: publishes images of every encoding, and tells what the node made of them.
+"""A ROS 2 talker: publishes images of every encoding and prints the node's answers as JSON.
 
     python talker.py SECONDS [--rate HZ] [--size WIDTHxHEIGHT] [--encodings rgb8,mono8]
 
@@ -30,7 +30,7 @@ ENCODINGS = (*CHANNELS, "compressed")
 
 
 def message_of(encoding, pixels, number):
-    """A message of that encoding; its stamp is its number."""
+    """Return a message of an encoding; its time stamp is its number."""
     if encoding == "compressed":
         message = CompressedImage(format="jpeg")
         message.data.frombytes(cv2.imencode(".jpg", pixels)[1].tobytes())
@@ -48,7 +48,7 @@ def message_of(encoding, pixels, number):
 
 
 def values_of(message):
-    """The values in its data; quick, for who looks at them delays the next answer."""
+    """Return the values in a message's data, from a sample: slow callbacks delay the next one."""
     return {*np.unique(np.asarray(message.data)[::7]).tolist()}
 
 
@@ -58,31 +58,31 @@ def main():
     parser.add_argument("--rate", type=float, default=10)
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--encodings", default=",".join(ENCODINGS))
-    given = parser.parse_args()
-    width, height = map(int, given.size.split("x"))
+    options = parser.parse_args()
+    width, height = map(int, options.size.split("x"))
     pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
     rclpy.init()
-    node, sent, told = rclpy.create_node("talker"), {}, defaultdict[str, Any](list)
+    node, sent, results = rclpy.create_node("talker"), {}, defaultdict[str, Any](list)
     late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
     def mask(message):
         number = message.header.stamp.sec
         encoding, start = sent.get(number, ("", 0))
-        told[encoding].append(1000 * (time.monotonic() - start))
-        told["mask"] = [message.header.frame_id, message.height, message.width, message.encoding]
-        told["values"] = sorted({*told["values"], *values_of(message)})
+        results[encoding].append(1000 * (time.monotonic() - start))
+        results["mask"] = [message.header.frame_id, message.height, message.width, message.encoding]
+        results["values"] = sorted({*results["values"], *values_of(message)})
 
     def confidence(message):
-        told["confidence"] = [message.header.frame_id, message.height, message.width]
+        results["confidence"] = [message.header.frame_id, message.height, message.width]
 
     def grid(message):
-        told["grid"] = [message.header.frame_id, message.info.height, message.info.width]
-        told["cells"] = sorted(values_of(message))
+        results["grid"] = [message.header.frame_id, message.info.height, message.info.width]
+        results["cells"] = sorted(values_of(message))
 
     def diagnostics(message):
         status = message.status[0]
-        told["diagnostics"] = {pair.key: pair.value for pair in status.values}
-        told["words"] = [*dict.fromkeys([*told["words"], status.message])]
+        results["diagnostics"] = {pair.key: pair.value for pair in status.values}
+        results["words"] = [*dict.fromkeys([*results["words"], status.message])]
 
     node.create_subscription(Image, "/segmentation/mask", mask, qos_profile_sensor_data)
     node.create_subscription(Image, "/segmentation/confidence", confidence, qos_profile_sensor_data)
@@ -93,8 +93,8 @@ def main():
     lens = node.create_publisher(CameraInfo, "/camera_info", qos_profile_sensor_data)
     info = CameraInfo(width=width, height=height, distortion_model="plumb_bob")
     info.k = [float(width), 0, width / 2, 0, float(width), height / 2, 0, 0, 1.0]
-    end, number, due = time.monotonic() + given.seconds, 0, time.monotonic()
-    encodings = given.encodings.split(",")
+    end, number, due = time.monotonic() + options.seconds, 0, time.monotonic()
+    encodings = options.encodings.split(",")
     while time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=max(0.0, due - time.monotonic()))
         if time.monotonic() < due or not raw.get_subscription_count():
@@ -104,8 +104,8 @@ def main():
         sent[number] = encoding, time.monotonic()
         (packed if encoding == "compressed" else raw).publish(message_of(encoding, pixels, number))
         lens.publish(info)
-        due = max(due + 1 / given.rate, time.monotonic() - 1 / given.rate)
-    print(json.dumps({**told, "sent": number}), flush=True)
+        due = max(due + 1 / options.rate, time.monotonic() - 1 / options.rate)
+    print(json.dumps({**results, "sent": number}), flush=True)
     rclpy.try_shutdown()
 
 

@@ -1,4 +1,4 @@
-"""The newest message, without ROS."""
+"""The queue of the newest message, without ROS."""
 
 import sys
 import threading

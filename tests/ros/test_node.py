@@ -1,4 +1,4 @@
-"""The node, with a talker of ROS 2 in another process on this machine's loopback."""
+"""The node, with a ROS 2 talker in another process on localhost."""
 
 import json
 import os
@@ -23,7 +23,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 
 @pytest.fixture
 def environment() -> dict[str, str]:
-    """A domain of ROS for this test alone."""
+    """Return an environment with a ROS domain for this test only."""
     domain = str(1 + (os.getpid() + time.monotonic_ns() // 1000) % 100)
     return {
         **os.environ,
@@ -34,7 +34,7 @@ def environment() -> dict[str, str]:
 
 @pytest.fixture
 def start(environment: dict[str, str]) -> Iterator[Start]:
-    """``start("-p", "height:=1.2")``: the node, once it listens."""
+    """Return ``start("-p", "height:=1.2")``, which waits until the node subscribes."""
     nodes: list[subprocess.Popen[str]] = []
 
     def begun(*words: str) -> "subprocess.Popen[str]":
@@ -56,49 +56,49 @@ def start(environment: dict[str, str]) -> Iterator[Start]:
 
 @pytest.fixture
 def talk(environment: dict[str, str]) -> Talk:
-    """``talk(5, "--rate", 10)``: what came back."""
+    """Return ``talk(5, "--rate", 10)``, which runs the talker and returns its results."""
 
-    def told(*words: object) -> dict[str, Any]:
+    def run(*words: object) -> dict[str, Any]:
         command = [sys.executable, str(TALKER), *map(str, words)]
         output = subprocess.check_output(command, env=environment, text=True, timeout=PATIENCE)
         return json.loads(output.splitlines()[-1])
 
-    return told
+    return run
 
 
 def test_every_encoding_is_answered_with_its_stamp_and_frame(start: Start, talk: Talk) -> None:
     start("-p", "height:=1.2", "-p", "pitch:=5.0", "-p", "detector:=prior:triangle")
 
-    told = talk(8)
+    results = talk(8)
 
     encodings = {"rgb8", "bgr8", "rgba8", "bgra8", "rgb16", "mono8", "mono16", "yuv422"}
-    assert {*encodings, "bayer_rggb8", "yuv422_yuy2", "compressed"} <= told.keys()
-    assert told["mask"] == ["camera_optical", 120, 160, "mono8"]
-    assert told["values"] == [0, 1]
-    assert told["confidence"] == ["camera_optical", 120, 160]
-    assert told["grid"] == ["base_link", 300, 300]
-    assert {-1, 0} <= {*told["cells"]} <= {-1, 0, 100}
-    assert told["diagnostics"].keys() == {"trust", "doubt", "rate", "age", "dropped", "refused"}
+    assert {*encodings, "bayer_rggb8", "yuv422_yuy2", "compressed"} <= results.keys()
+    assert results["mask"] == ["camera_optical", 120, 160, "mono8"]
+    assert results["values"] == [0, 1]
+    assert results["confidence"] == ["camera_optical", 120, 160]
+    assert results["grid"] == ["base_link", 300, 300]
+    assert {-1, 0} <= {*results["cells"]} <= {-1, 0, 100}
+    assert results["diagnostics"].keys() == {"trust", "doubt", "rate", "age", "dropped", "refused"}
 
 
 def test_the_talker_may_leave_and_come_back_with_another_size(start: Start, talk: Talk) -> None:
     start("-p", "detector:=prior:triangle")
 
     for width, height in ((160, 120), (64, 48), (320, 240)):
-        told = talk(4, "--size", f"{width}x{height}", "--encodings", "rgb8")
-        assert told["mask"][1:3] == [height, width]
+        results = talk(4, "--size", f"{width}x{height}", "--encodings", "rgb8")
+        assert results["mask"][1:3] == [height, width]
 
 
 def test_an_unknown_encoding_is_refused_and_the_others_go_on(start: Start, talk: Talk) -> None:
     node = start("-p", "detector:=prior:triangle")
 
-    told = talk(5, "--encodings", "rgb8,32FC1")
+    results = talk(5, "--encodings", "rgb8,32FC1")
     node.send_signal(signal.SIGINT)
     _, words = node.communicate(timeout=PATIENCE)
 
-    assert told["rgb8"]
-    assert int(told["diagnostics"]["refused"]) > 0
-    assert "32FC1" not in told
+    assert results["rgb8"]
+    assert int(results["diagnostics"]["refused"]) > 0
+    assert "32FC1" not in results
     assert words.count("has the encoding '32FC1', which is not read") == 1
 
 

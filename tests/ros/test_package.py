@@ -1,4 +1,4 @@
-"""The ament package: what colcon and launch read of it agrees with itself and with the node."""
+"""The ament package: names, versions and parameters agree with those of the node."""
 
 import ast
 from pathlib import Path
@@ -11,14 +11,14 @@ PACKAGE = Path(__file__).resolve().parents[2] / "ros" / "roadtorch_ros"
 
 
 def keys_of(file: Path, name: str) -> set[str]:
-    """The keys of the dictionary that a module assigns to a name."""
-    (given,) = (
+    """Return the keys of the dictionary that a module assigns to a name."""
+    (mapping,) = (
         part.value
         for part in ast.parse(file.read_text("utf-8")).body
         if isinstance(part, ast.Assign) and ast.unparse(part.targets[0]) == name
     )
-    assert isinstance(given, ast.Dict)
-    return {ast.literal_eval(key) for key in given.keys if key}
+    assert isinstance(mapping, ast.Dict)
+    return {ast.literal_eval(key) for key in mapping.keys if key}
 
 
 def test_names_and_versions_are_one() -> None:

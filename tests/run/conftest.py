@@ -1,4 +1,4 @@
-"""The command line called in this process, on a folder of images."""
+"""Fixtures of run: ``infer`` in this process, on a folder of images."""
 
 from functools import partial
 from pathlib import Path
@@ -10,11 +10,11 @@ from tests.command import ROWS, Call
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
-    """Where results go; not there yet."""
+    """Return an output folder that does not exist yet."""
     return tmp_path / "out"
 
 
 @pytest.fixture
 def run(call: Call, footage: Path, out: Path) -> Call:
-    """``infer`` on the three images with the quickest detector, into ``out``."""
+    """Return ``infer`` on three images with the fastest detector, into ``out``."""
     return partial(call, "infer", footage, *ROWS, "--out", out)

@@ -1,4 +1,4 @@
-"""roadtorch infer on bags: a bag comes out, read back by rosbags."""
+"""roadtorch infer on bags: the bags it writes, read by rosbags."""
 
 import shutil
 from functools import partial
@@ -20,13 +20,13 @@ TOPICS = {f"/segmentation/{name}" for name in ("mask", "confidence", "overlay", 
 
 @pytest.fixture(params=["bag", "mcap"])
 def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A bag of four streets."""
+    """Return a bag of four streets."""
     return write_drive(tmp_path, request.param, [street_pixels(n) for n in range(4)], 60.0)
 
 
 @pytest.fixture
 def run(call: Call, drive: Path, out: Path) -> Call:
-    """``infer`` on it with the quickest detector, into ``out``."""
+    """Return ``infer`` on the bag with the fastest detector, into ``out``."""
     return partial(call, "infer", drive, *ROWS, "--out", out)
 
 
@@ -38,16 +38,16 @@ def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, out: Pa
     result = call("infer", drive, *GREY, "--set", "threshold=0.4", "--out", out, "--no-steady")
 
     assert result.exit_code == 0, result.stderr
-    found = list(read_bag(result_of(drive, out)))
-    assert {one.topic for one in found} == TOPICS
-    masks = [one for one in found if one.topic == "/segmentation/mask"]
-    assert [one.stamp for one in masks] == [FIRST + STEP * number + 7 for number in range(4)]
-    assert {one.message.header.frame_id for one in masks} == {"camera_optical"}
+    messages = list(read_bag(result_of(drive, out)))
+    assert {entry.topic for entry in messages} == TOPICS
+    masks = [entry for entry in messages if entry.topic == "/segmentation/mask"]
+    assert [entry.stamp for entry in masks] == [FIRST + STEP * number + 7 for number in range(4)]
+    assert {entry.message.header.frame_id for entry in masks} == {"camera_optical"}
     detector = load_detector("grey-uniformity", threshold=0.4)
-    for frame, one in zip(bag_source(str(drive)).items(), masks, strict=True):
+    for frame, entry in zip(bag_source(str(drive)).items(), masks, strict=True):
         mask = detector.detect(frame.read()).mask.numpy()
-        assert np.array_equal(one.message.data.reshape(mask.shape), mask)
-    labels = next(one.message for one in found if one.topic == "/segmentation/label_info")
+        assert np.array_equal(entry.message.data.reshape(mask.shape), mask)
+    labels = next(entry.message for entry in messages if entry.topic == "/segmentation/label_info")
     assert labels.threshold == pytest.approx(0.4)
     assert (out / "drive.overlay.mp4").is_file()
     assert rows_of(out)["drive/000002"]["saved"] == "overlay bag"
@@ -76,8 +76,9 @@ def test_a_bag_is_replaced_by_one_of_other_frames(run: Call, drive: Path, out: P
     result = run("--save", "bag", "--every", "2")
 
     assert result.exit_code == 0, result.stderr
-    found = [one.stamp for one in read_bag(result_of(drive, out)) if one.topic.endswith("/mask")]
-    assert found == [FIRST + 7, FIRST + 2 * STEP + 7]
+    messages = read_bag(result_of(drive, out))
+    stamps = [entry.stamp for entry in messages if entry.topic.endswith("/mask")]
+    assert stamps == [FIRST + 7, FIRST + 2 * STEP + 7]
     assert {name.partition("/")[0] for name in files_in(out)} == {
         "config.toml", "index.csv", "run.json", result_of(drive, out).name}  # fmt: skip
 
@@ -88,7 +89,7 @@ def test_a_video_gives_a_bag_with_its_seconds(call: Call, tmp_path: Path, out: P
     result = call("infer", video, *ROWS, "--out", out, "--save", "bag", "--limit", 3)
 
     assert result.exit_code == 0, result.stderr
-    found = [one for one in read_bag(out / "drive.road") if one.topic in TOPICS]
-    stamps = [one.stamp for one in found if one.topic == "/segmentation/mask"]
+    messages = [entry for entry in read_bag(out / "drive.road") if entry.topic in TOPICS]
+    stamps = [entry.stamp for entry in messages if entry.topic == "/segmentation/mask"]
     assert stamps == pytest.approx([0, 1e8, 2e8], abs=1)
-    assert found[-1].message.header.frame_id == "camera"
+    assert messages[-1].message.header.frame_id == "camera"

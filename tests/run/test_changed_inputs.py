@@ -1,7 +1,7 @@
-"""Every file that a result depends on, with other bytes between two starts of every command.
+"""Changed inputs between two runs of every command: results are redone, or the run is refused.
 
-What the second start leaves is what a run in a new folder leaves, or it is refused with the name
-of what changed. Size and date of the file stay as far as they can: nothing but its bytes tell.
+The second run leaves the files of a run in a new folder, or is refused with the name of the changed
+file. Size and modification time of the file are kept where possible: only its bytes differ.
 """
 
 import os
@@ -39,7 +39,7 @@ SHAPE: dict[str, Any] = {"height": 32, "width": 40, "narrow": 8, "wide": 8}
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """All that any command reads, below one folder."""
+    """Return a folder with the inputs of every command."""
     root = tmp_path / "in"
     for seed, name in enumerate(("um_000000", "umm_000003")):
         write_image(root / "image_2" / f"{name}.png", render_scene(seed, 120, 160))
@@ -75,7 +75,7 @@ OTHER_TEXT = {
 
 
 def change(root: Path, name: str) -> None:
-    """Give a file other bytes that make sense, and its old date."""
+    """Change the contents of a file, and keep its modification time."""
     path = root / name
     status = path.stat()
     if path.suffix == ".png":
@@ -85,9 +85,9 @@ def change(root: Path, name: str) -> None:
     elif path.suffix == ".safetensors":
         write_network(path, 1)
     else:
-        before = path.read_text()
-        path.write_text(before.replace(*OTHER_TEXT[name]))
-        assert path.read_text() != before
+        original = path.read_text()
+        path.write_text(original.replace(*OTHER_TEXT[name]))
+        assert path.read_text() != original
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
@@ -129,8 +129,8 @@ def test_as_in_a_new_folder(call: Call, root: Path, tmp_path: Path, line: str, n
     assert "0 done" not in again.stderr
     assert call(*words, "--out", tmp_path / "new").exit_code == 0
     assert files_in(tmp_path / "out") == files_in(tmp_path / "new")
-    same = [kept_apart(bytes_in(tmp_path / folder)) for folder in ("out", "new")]
-    assert same[0] == same[1]
+    contents = [kept_apart(bytes_in(tmp_path / folder)) for folder in ("out", "new")]
+    assert contents[0] == contents[1]
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_other_settings_of_a_file(
 
 
 def kept_apart(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Without the archive, whose members have dates."""
+    """Leave out archives, whose members have dates."""
     return {name: data for name, data in files.items() if not name.endswith(".zip")}
 
 
@@ -221,10 +221,10 @@ def test_the_page_shows_what_a_new_folder_would(root: Path, tmp_path: Path, name
         (tmp_path / out).mkdir(exist_ok=True)
         return opened_session(root / "streets", tmp_path / out, detector).view("street_0.png").odds
 
-    before = odds("out")
+    original = odds("out")
     change(root, name)
 
     after = odds("out")
 
-    assert not torch.equal(before, after)
+    assert not torch.equal(original, after)
     assert torch.equal(after, odds("new"))

@@ -1,4 +1,4 @@
-"""Frame after frame: in order, whoever works; steadied, bounded, and the source closed at last."""
+"""Detection in the frames of a source: order, temporal smoothing, and closing of the source."""
 
 import signal
 from collections.abc import Iterator, Sequence
@@ -28,7 +28,7 @@ GREY = load_detector("grey-uniformity")
 
 
 def of_scenes(count: int, closed: list[bool] | None = None, bad: int | None = None) -> Source:
-    """A source of rendered streets; it notes when it is closed, and one frame may be bad."""
+    """Return a source of rendered streets that notes when it is closed; one frame may be bad."""
 
     def read(number: int) -> Tensor:
         if number == bad:
@@ -155,7 +155,7 @@ def is_missed(frame: FrameResult) -> bool:
 @pytest.mark.parametrize("workers", [Workers(), Workers(3)])
 def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) -> None:
     class Never:
-        """There is no road, says it, and a car on the left."""
+        """A temporal filter that removes all road, and hides an ego car on the left."""
 
         def __init__(self) -> None:
             self.images: list[Tensor] = []
@@ -190,11 +190,11 @@ def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
 
     for first, second in zip(alone, side_by_side, strict=True):
         assert first.item == second.item
-        own, other = first.detection(), second.detection()
-        assert torch.equal(own.likelihood, other.likelihood)
-        assert torch.equal(own.mask, other.mask)
-        assert own.cues.keys() == other.cues.keys()
-        assert ("uniformity" in own.cues) == cues
+        first, second = first.detection(), second.detection()
+        assert torch.equal(first.likelihood, second.likelihood)
+        assert torch.equal(first.mask, second.mask)
+        assert first.cues.keys() == second.cues.keys()
+        assert ("uniformity" in first.cues) == cues
 
 
 @pytest.mark.parametrize("workers", [Workers(), Workers(2)])
@@ -203,8 +203,8 @@ def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) ->
     frames = list(detect_frames(source, Inference(ROWS), workers))
     assert [frame.item.number for frame in frames if is_missed(frame)] == [1]
 
-    other = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
-    for number, frame in enumerate(detect_frames(source, other, workers)):
+    second = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
+    for number, frame in enumerate(detect_frames(source, second, workers)):
         assert str(frame.outcome).startswith(f"frame {number}: is ")
 
 

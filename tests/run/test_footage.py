@@ -28,14 +28,14 @@ GREY = ("--detector", "grey-uniformity")
 
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
-    """A video of twelve frames in 1.2 seconds."""
+    """Return a video of twelve frames in 1.2 seconds."""
     (tmp_path / "in").mkdir()
     return write_video(tmp_path / "in" / "drive.mp4")
 
 
 @pytest.fixture
 def run(call: Call, drive: Path, out: Path) -> Call:
-    """``infer`` on it with the quickest detector, into ``out``."""
+    """Return ``infer`` on the video with the fastest detector, into ``out``."""
     return partial(call, "infer", drive, *ROWS, "--out", out)
 
 
@@ -70,8 +70,8 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) ->
     detection = load_detector("grey-uniformity").detect(frame.read())
     mask = np.asarray(Image.open(out / "drive" / "000007.mask.png"))
     assert np.array_equal(mask > 0, detection.mask.numpy())
-    shown = pixels_of(out / "drive.mask.mp4")[1][..., 0] > 127
-    assert (shown == detection.mask.numpy()).mean() > 0.95
+    pixels = pixels_of(out / "drive.mask.mp4")[1][..., 0] > 127
+    assert (pixels == detection.mask.numpy()).mean() > 0.95
 
 
 def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
@@ -80,10 +80,10 @@ def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
     bag = write_drive(tmp_path, "bag", [street_pixels(n) for n in range(4)], 60.0)
     bag = bag.rename(tmp_path / "ride.bag")
     kinds = "overlay,mask,likelihood,bag,cues"
-    given = (drive, bag, footage)
+    inputs = (drive, bag, footage)
 
     for jobs in ("1", "3"):
-        result = call("infer", *given, *GREY, "--out", tmp_path / jobs, "--jobs", jobs,
+        result = call("infer", *inputs, *GREY, "--out", tmp_path / jobs, "--jobs", jobs,
                       "--save", kinds)  # fmt: skip
         assert result.exit_code == 0, result.stderr
 
@@ -106,10 +106,10 @@ def test_a_done_video_is_skipped_until_something_changes(run: Call, drive: Path,
     run()
 
     again = run()
-    other = run("--every", "4")
+    thinned = run("--every", "4")
 
     assert again.stderr == f"roadtorch: 0 done, 1 skipped (done before); results in {out}\n"
-    assert other.stderr.startswith("roadtorch: drive.mp4: 3 frames")
+    assert thinned.stderr.startswith("roadtorch: drive.mp4: 3 frames")
     assert len(rows_of(out)) == 4  # those of the first run are gone
     (out / "drive.overlay.mp4").unlink()
     assert "3 frames" in run("--every", "4").stderr
@@ -161,13 +161,13 @@ def test_a_video_that_cannot_be_written_on_keeps_the_finished_frames(
 
     result = run()
 
-    told = f"{out}/drive.overlay.mp4: cannot be written: No space left on device (make room)"
+    message = f"{out}/drive.overlay.mp4: cannot be written: No space left on device (make room)"
     assert result.exit_code == 1
-    assert result.stderr.splitlines()[1] == f"roadtorch: partial: {told}"
+    assert result.stderr.splitlines()[1] == f"roadtorch: partial: {message}"
     assert len(stamps_of(out / "drive.overlay.mp4")) == 5
     rows = rows_of(out)
     assert len(rows) == 5 + 1
-    assert rows["drive.mp4"]["status"] == f"partial: {told}"
+    assert rows["drive.mp4"]["status"] == f"partial: {message}"
 
 
 def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
@@ -180,10 +180,10 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
         time.sleep(0.02)
 
     process.send_signal(signal.SIGINT)
-    told = process.communicate(timeout=60)[1]
+    message = process.communicate(timeout=60)[1]
 
     assert process.returncode == ExitCode.INTERRUPTED
-    assert told.endswith("roadtorch: interrupted; finished results are kept\n")
+    assert message.endswith("roadtorch: interrupted; finished results are kept\n")
     frames = len(stamps_of(out / "drive.overlay.mp4"))
     rows = rows_of(out)
     assert len(rows) == frames + 1 > 20

@@ -1,4 +1,4 @@
-"""roadtorch grid on videos and bags: a grid a frame, one pitch a source."""
+"""roadtorch grid on videos and bags: one grid per frame, one pitch per source."""
 
 import math
 from pathlib import Path
@@ -20,13 +20,13 @@ MAP = ("--height", 1.35, "--range", 20, "--side", 8, "--resolution", 0.2)
 
 
 def street(seed: int) -> np.ndarray:
-    """uint8 (120,160,3): all streets are seen by one camera."""
+    """Return a street, uint8 (120, 160, 3); all streets have the same camera."""
     return to_pixels(scene(seed, HEIGHT, WIDTH, horizon=HORIZON, dusk=0.0).image)
 
 
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
-    """A bag of three streets, with its camera_info."""
+    """Return a bag of three streets with camera_info."""
     return write_drive(tmp_path, "mcap", [street(seed) for seed in (3, 4, 5)], FOCAL)
 
 
@@ -38,16 +38,16 @@ def test_a_bag_gives_grids_and_messages(call: Call, tmp_path: Path, out: Path, f
     result = call("grid", drive, "--out", out, *MAP, *options)
 
     assert result.exit_code == 0, result.stderr
-    found = list(read_bag(out / ("drive.grid.bag" if form == "bag" else "drive.grid")))
-    assert {one.topic for one in found} == {"/segmentation/grid"}
-    assert [one.stamp for one in found] == [FIRST + 7, FIRST + STEP + 7]
-    for number, one in enumerate(found):
+    messages = list(read_bag(out / ("drive.grid.bag" if form == "bag" else "drive.grid")))
+    assert {entry.topic for entry in messages} == {"/segmentation/grid"}
+    assert [entry.stamp for entry in messages] == [FIRST + 7, FIRST + STEP + 7]
+    for number, entry in enumerate(messages):
         cells = np.load(out / "drive" / f"{number:06d}.grid.npy")
-        about = one.message.info
-        assert np.array_equal(one.message.data.reshape(about.height, about.width), cells)
+        about = entry.message.info
+        assert np.array_equal(entry.message.data.reshape(about.height, about.width), cells)
         assert about.resolution == pytest.approx(0.2)
         assert (about.origin.position.x, about.origin.position.y) == (0, -8)
-        assert one.message.header.frame_id == "robot"
+        assert entry.message.header.frame_id == "robot"
     assert (out / "drive" / "000001.grid.pgm").is_file()
     row = rows_of(out)["drive/000001"]
     assert (row["saved"], row["seconds"]) == ("pgm yaml npy bag", "0.100")
@@ -63,20 +63,20 @@ def test_the_lens_is_that_of_the_bags_camera_info(call: Call, drive: Path, tmp_p
     call(*options, tmp_path / "told", "--camera-info", info)
     call(*options, tmp_path / "other", "--fov", 90)
 
-    own, told, other = (
+    recorded, from_file, wider = (
         (tmp_path / name / "drive" / "000000.grid.npy").read_bytes()
         for name in ("own", "told", "other")
     )
-    assert own == told != other
+    assert recorded == from_file != wider
 
 
 def test_all_frames_have_the_median_of_their_pitches(call: Call, drive: Path, out: Path) -> None:
     result = call("grid", drive, "--out", out, *MAP)
 
     assert result.exit_code == 0, result.stderr
-    told = {path.read_text().splitlines()[0] for path in out.rglob("*.grid.yaml")}
-    assert len(told) == 1
-    words = told.pop().split()
+    comments = {path.read_text().splitlines()[0] for path in out.rglob("*.grid.yaml")}
+    assert len(comments) == 1
+    words = comments.pop().split()
     assert "median of 3 frames" in " ".join(words)
     true = math.degrees(math.atan((HEIGHT / 2 - (HORIZON * HEIGHT - 0.5)) / FOCAL))
     assert float(words[2]) == pytest.approx(true, abs=1.5)
@@ -108,8 +108,8 @@ def test_a_frame_of_another_shape_costs_itself_alone(call: Call, tmp_path: Path,
     result = call("grid", drive, *MAP, "--pitch", 3, *TRIANGLE, "--out", out)
 
     assert result.exit_code == 1
-    told = f"failed: {drive}:/camera/image_raw#1: is 160×60 pixels, the calibration 160×120"
-    assert told in result.stderr
+    message = f"failed: {drive}:/camera/image_raw#1: is 160×60 pixels, the calibration 160×120"
+    assert message in result.stderr
     assert "2 frames, 1 failed" in result.stderr
     assert len(list(read_bag(out / "drive.grid"))) == 2
 
@@ -130,5 +130,5 @@ def test_footage_that_does_not_tell_its_pitch(call: Call, drive: Path, out: Path
     result = call("grid", drive, *MAP, *TRIANGLE, "--out", out)
 
     assert result.exit_code == 1
-    told = f"failed: {drive}: has no layout from this detector to estimate the pitch (give --pitch"
-    assert told in result.stderr
+    problem = "has no layout from this detector to estimate the pitch (give --pitch"
+    assert f"failed: {drive}: {problem}" in result.stderr

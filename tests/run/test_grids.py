@@ -17,7 +17,7 @@ TRIANGLE = ("--detector", "prior:triangle")
 
 @pytest.fixture
 def street(tmp_path: Path) -> Path:
-    """Two rendered streets in a folder, one in a folder below."""
+    """Return a folder with a rendered street, and another in a subfolder."""
     for name, seed in (("a", 3), ("sub/b", 4)):
         write_image(tmp_path / "street" / f"{name}.png", render_scene(seed, 120, 160))
     return tmp_path / "street"
@@ -60,13 +60,13 @@ distortion_coefficients: {{data: [-0.1, 0, 0, 0, 0]}}
 
 
 def test_camera_info_is_scaled_or_refused(call: Call, street: Path, tmp_path: Path) -> None:
-    info, other = tmp_path / "info.yaml", tmp_path / "other.yaml"
+    info, wrong = tmp_path / "info.yaml", tmp_path / "other.yaml"
     info.write_text(INFO.format(width=320, focal=300))
-    other.write_text(INFO.format(width=300, focal=300))
+    wrong.write_text(INFO.format(width=300, focal=300))
     options = ("grid", street / "a.png", "--height", 1.35, "--pitch", 2, *TRIANGLE, "--camera-info")
 
     good = call(*options, info, "--out", tmp_path / "good")
-    bad = call(*options, other, "--out", tmp_path / "bad")
+    bad = call(*options, wrong, "--out", tmp_path / "bad")
 
     assert (good.exit_code, bad.exit_code) == (0, 1)
     assert "is 160×120 pixels, the calibration 300×240" in bad.stderr

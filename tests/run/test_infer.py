@@ -1,4 +1,4 @@
-"""roadtorch infer on images: what is written, when it is written again, what is refused."""
+"""roadtorch infer on images: files, second runs, and bad input."""
 
 import os
 import struct
@@ -70,25 +70,25 @@ def test_files_hold_what_the_library_says(call: Call, tmp_path: Path, out: Path)
 
 
 def test_cue_images() -> None:
-    shown = cue_image
+    draw = cue_image
     ramp = torch.linspace(-3, 5, 12).view(3, 4)
     layout = torch.zeros(3, 2, 2)
     layout[0] = 1
     sky = torch.tensor([86.0, 180, 233])
 
-    assert (shown("texture", ramp).min(), shown("texture", ramp).max()) == (0, 1)
-    assert torch.equal(shown("texture", torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2))
-    holes = shown("texture", torch.tensor([[float("nan"), 0, 2]]))
+    assert (draw("texture", ramp).min(), draw("texture", ramp).max()) == (0, 1)
+    assert torch.equal(draw("texture", torch.full((2, 2), 7.0)), torch.zeros(3, 2, 2))
+    holes = draw("texture", torch.tensor([[float("nan"), 0, 2]]))
     assert holes[0].tolist() == [[0, 0, 1]]
-    assert torch.equal((shown("layout", layout)[:, 0, 0] * 255).round(), sky)
-    labels = shown("layout_labels", torch.tensor([[0, 255]]))
+    assert torch.equal((draw("layout", layout)[:, 0, 0] * 255).round(), sky)
+    labels = draw("layout_labels", torch.tensor([[0, 255]]))
     assert torch.equal(labels[:, 0, 0] * 255, sky)
     assert not labels[:, 0, 1].any()
     image = torch.rand(3, 4, 5, generator=torch.Generator().manual_seed(0))
     low, high = image.aminmax()  # one range for all channels
-    torch.testing.assert_close(shown("dictionary", image * 2 - 1), (image - low) / (high - low))
-    assert torch.equal(shown("maps", torch.stack([ramp, -ramp])), torch.zeros(3, 3, 4))
-    segments = shown("segments", torch.arange(30).view(5, 6)).flatten(1)
+    torch.testing.assert_close(draw("dictionary", image * 2 - 1), (image - low) / (high - low))
+    assert torch.equal(draw("maps", torch.stack([ramp, -ramp])), torch.zeros(3, 3, 4))
+    segments = draw("segments", torch.arange(30).view(5, 6)).flatten(1)
     assert len({tuple(colour) for colour in segments.T.tolist()}) == 30
 
 
@@ -98,14 +98,14 @@ def test_cue_images() -> None:
 def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_kept_gives_the_same(
     call: Call, footage: Path, tmp_path: Path
 ) -> None:
-    path, kept = tmp_path / "c.toml", tmp_path / "out" / "config.toml"
+    path, saved = tmp_path / "c.toml", tmp_path / "out" / "config.toml"
     path.write_text('detector = "cpf"\nthreshold = 0.1\n[texture]\nbins = 8\n')
     options = ("--config", path, "--set", "texture.ridge=0.5", "--set", "threshold=0.2")
 
-    call("infer", footage, *options, "--threshold", "0.3", "--out", kept.parent)
-    again = call("infer", footage, "--config", kept, "--out", kept.parent)
+    call("infer", footage, *options, "--threshold", "0.3", "--out", saved.parent)
+    again = call("infer", footage, "--config", saved, "--out", saved.parent)
 
-    values = tomllib.loads(kept.read_text())
+    values = tomllib.loads(saved.read_text())
     assert (values["detector"], values["threshold"]) == ("cpf", 0.3)
     assert (values["texture"]["bins"], values["texture"]["ridge"]) == (8, 0.5)
     assert "3 skipped (done before)" in again.stderr
@@ -116,8 +116,8 @@ def test_ray_that_is_not_installed_is_one_line(run: Call, monkeypatch: pytest.Mo
 
     refused = run("--engine", "ray")
 
-    told = "roadtorch: error: --engine ray: Ray is not installed (pip install 'roadtorch[ray]')\n"
-    assert (refused.exit_code, refused.stderr) == (2, told)
+    message = "--engine ray: Ray is not installed (pip install 'roadtorch[ray]')"
+    assert (refused.exit_code, refused.stderr) == (2, f"roadtorch: error: {message}\n")
 
 
 # --- a second run ---------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def test_broken_images_become_failed_rows_beside_others(
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (ZeroDivisionError("oh\nno"), "ZeroDivisionError: oh no (report it)"),
         (MemoryError(), "b.png: needs more memory than is available (give smaller images"),
@@ -191,7 +191,7 @@ def test_broken_images_become_failed_rows_beside_others(
 )
 def test_a_detector_that_trips_costs_one_row(
     error: Exception,
-    told: str,
+    message: str,
     run: Call,
     footage: Path,
     out: Path,
@@ -207,7 +207,7 @@ def test_a_detector_that_trips_costs_one_row(
     monkeypatch.setattr(Inference, "__call__", trips)
 
     assert run().exit_code == 1
-    assert told in rows_of(out)["b.png"]["status"]
+    assert message in rows_of(out)["b.png"]["status"]
     assert rows_of(out)["sub/c.png"]["status"] == "done"
 
 

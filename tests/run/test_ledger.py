@@ -1,4 +1,4 @@
-"""index.csv row by row; what is remembered, whole or not at all."""
+"""index.csv row by row; caches on disk, written whole or not at all."""
 
 import csv
 import io
@@ -62,7 +62,7 @@ def test_the_end_comes_after_an_error_too_and_a_cut_row_counts_for_nothing(path:
     for cut in range(1, len(whole) - len(HEAD)):
         path.write_bytes(whole[:-cut])
         assert [*read_index(path)] == ["a"] * (whole[:-cut].count(b"\n") > 1)
-    with open_ledger(path):  # what is left of it is mended
+    with open_ledger(path):  # a cut row is dropped
         pass
     assert path.read_text() == HEAD
 
@@ -208,7 +208,7 @@ def test_a_key_changes_with_every_part(tmp_path: Path, monkeypatch: pytest.Monke
     file.write_text("a")
     (folder / "below" / "x").write_text("a")
     keys = [key_of("a", 1, file, folder)]
-    same = key_of("a", 1, file, folder)
+    repeated = key_of("a", 1, file, folder)
 
     keys += [key_of("b", 1, file, folder), key_of("a", 1.0, file, folder)]
     keys += [key_of("a", 1, folder), key_of("a1", file, folder)]
@@ -232,6 +232,6 @@ def test_a_key_changes_with_every_part(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(memo, "__version__", "99")
     keys.append(key_of("a", 1, file, folder))
 
-    assert same == keys[0]
+    assert repeated == keys[0]
     assert len(set(keys)) == len(keys)
     assert {len(key) for key in keys} == {32}

@@ -1,6 +1,6 @@
-"""Ray on this machine, as users start it: the files of this process, whatever dies or stops it.
+"""Ray on this machine, as users start it: same files as without Ray, after crashes and Ctrl-C too.
 
-In processes of their own: Ray opens sockets on the loopback and warns of its own deprecations.
+In subprocesses: Ray opens sockets on the loopback and emits deprecation warnings.
 """
 
 import os
@@ -26,7 +26,7 @@ LONGEST = 180.0  # seconds for what takes ten on an idle machine
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of 16 small rendered streets, and a file that is no image."""
+    """Return a folder of 16 small rendered streets and a file that is not an image."""
     folder = tmp_path_factory.mktemp("images")
     for seed in range(16):
         write_image(folder / f"{seed:02}.png", render_scene(seed, 60, 80))
@@ -36,7 +36,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def expected(images: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What processes of this machine make of them."""
+    """Return the results of a run without Ray."""
     out = tmp_path_factory.mktemp("expected")
     CliRunner().invoke(main, ["infer", str(images), *WORK, "--out", str(out)])
     return out
@@ -61,7 +61,7 @@ def wait_for_a_mask(out: Path, run: subprocess.Popen[str]) -> None:
 
 
 def actors_of(run: subprocess.Popen[str]) -> Iterator[int]:
-    """The processes of Ray's actors below a run, by their names and their parents' parents."""
+    """Yield the processes of a run's Ray actors, by their names and ancestors."""
     for entry in Path("/proc").iterdir():
         try:
             words = (entry / "cmdline").read_bytes() if entry.name.isdigit() else b""
@@ -92,12 +92,12 @@ def test_a_killed_worker_costs_one_image(images: Path, expected: Path, tmp_path:
     wait_for_a_mask(out, run)
     os.kill(next(actors_of(run)), signal.SIGKILL)
 
-    told = run.communicate(timeout=LONGEST)[1]
+    stderr = run.communicate(timeout=LONGEST)[1]
 
-    lines = [line for line in told.splitlines() if " left" not in line]  # of the progress
+    lines = [line for line in stderr.splitlines() if " left" not in line]  # of the progress
     failed = {name: row for name, row in rows_of(out).items() if row["status"] != "done"}
-    assert run.returncode == 1, told
-    assert len(lines) == 3, told
+    assert run.returncode == 1, stderr
+    assert len(lines) == 3, stderr
     assert lines[-1] == f"roadtorch: 15 done, 2 failed; results in {out}"
     assert failed.pop("bad.png")["status"] in lines[0] + lines[1]
     ((name, row),) = failed.items()
@@ -119,12 +119,12 @@ def test_an_interrupted_run_keeps_its_rows(images: Path, expected: Path, tmp_pat
     wait_for_a_mask(out, run)
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: Ray's processes get it too
 
-    told = run.communicate(timeout=LONGEST)[1]
+    stderr = run.communicate(timeout=LONGEST)[1]
 
-    kept = rows_of(out)
-    assert run.returncode == 130, told
-    assert told.endswith("roadtorch: interrupted; finished results are kept\n")
-    assert 0 < len(kept) < 17
+    rows = rows_of(out)
+    assert run.returncode == 130, stderr
+    assert stderr.endswith("roadtorch: interrupted; finished results are kept\n")
+    assert 0 < len(rows) < 17
     subprocess.run([*COMMAND, images, *WORK, "--out", out], capture_output=True, check=False)
     assert bytes_in(out) == bytes_in(expected)
     assert without_ms(out) == without_ms(expected)
@@ -134,8 +134,8 @@ def test_an_interrupted_run_keeps_its_rows(images: Path, expected: Path, tmp_pat
 def test_no_cluster_at_the_address_is_one_line(images: Path, tmp_path: Path) -> None:
     run = start(images, *WORK, "--out", tmp_path / "out", "--engine", "127.0.0.1:9")
 
-    told = run.communicate(timeout=LONGEST)[1]
+    stderr = run.communicate(timeout=LONGEST)[1]
 
     assert run.returncode == 2
-    assert told.startswith("roadtorch: error: --engine 127.0.0.1:9: no Ray cluster answers: ")
-    assert told.count("\n") == 1
+    assert stderr.startswith("roadtorch: error: --engine 127.0.0.1:9: no Ray cluster answers: ")
+    assert stderr.count("\n") == 1

@@ -1,4 +1,4 @@
-"""Runs that are cut short, meet each other, or are started again in another way."""
+"""Runs that are interrupted, killed, or resumed with other options."""
 
 import json
 import multiprocessing
@@ -25,7 +25,7 @@ BeforeEach = Callable[[Callable[[Item], None]], AbstractContextManager[None]]
 
 @pytest.fixture
 def before_each(monkeypatch: pytest.MonkeyPatch) -> BeforeEach:
-    """``with before_each(act):`` within the block, ``infer`` acts before each image."""
+    """Return ``before_each(act)``: within its block, ``infer`` calls ``act`` before each image."""
     real = Task.__call__
 
     @contextmanager
@@ -82,14 +82,14 @@ def test_files_of_cues_that_were_removed_are_made_again(
 ) -> None:
     words = ("infer", footage, "--detector", "grey-uniformity", "--out", out, "--save")
     call(*words, f"mask,{kind}")
-    before = bytes_in(out)
+    contents = bytes_in(out)
     (out / gone).unlink()
 
     fewer, again = call(*words, "mask"), call(*words, f"mask,{kind}")
 
     assert fewer.stderr.startswith("roadtorch: 0 done, 3 skipped")
     assert again.stderr.startswith("roadtorch: 1 done (1 redone), 2 skipped")
-    assert bytes_in(out) == before
+    assert bytes_in(out) == contents
 
 
 # --- killed -----------------------------------------------------------------------------
@@ -119,15 +119,15 @@ def test_what_is_in_hand_is_finished_when_a_signal_ends_the_run(
     code: int,
     jobs: int,
 ) -> None:
-    this, both = os.getpid(), tmp_path / "both"
+    process, started = os.getpid(), tmp_path / "both"
 
     def send(item: Item) -> None:  # in a worker, if there are several
         if item.name == "b":
-            both.touch()
+            started.touch()
         if item.name == "a":
-            while jobs == 2 and not both.exists():
+            while jobs == 2 and not started.exists():
                 time.sleep(0.01)
-            os.kill(this, number)
+            os.kill(process, number)
         time.sleep(0.2)
 
     with before_each(send):
@@ -201,17 +201,17 @@ def test_a_disk_that_takes_no_more_is_one_error_and_what_was_finished_stays(
     call: Call, footage: Path, out: Path, before_each: BeforeEach
 ) -> None:
     run = ("infer", footage, *ROWS, "--out", out, "--save", "npy")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def fill(item: Item) -> None:
         if item.name == "b":
-            resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, before[1]))  # the maps have 12,416
+            resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, limits[1]))  # the maps have 12,416
 
     try:
         with before_each(fill):
             full = call(*run)
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
     assert full.exit_code == 1
     rows = rows_of(out)

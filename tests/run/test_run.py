@@ -1,4 +1,4 @@
-"""What a run of infer leaves beside the images' files; its folder; every result has one owner."""
+"""The output folder of infer: coco.json, run.json, locks, and conflicts of names."""
 
 import fcntl
 import json
@@ -30,16 +30,16 @@ def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out:
         write_image(images / f"{seed}.png", render_scene(seed, 60, 80))
 
     cocos = []
-    for given in (images / "1.png", images):
-        call("infer", given, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
+    for inputs in (images / "1.png", images):
+        call("infer", inputs, "--detector", "cpf", "--out", out, "--save", "polygons,mask")
         cocos.append(json.loads((out / "coco.json").read_text()))
 
-    names = [[one["file_name"] for one in coco["images"]] for coco in cocos]
+    names = [[entry["file_name"] for entry in coco["images"]] for coco in cocos]
     assert names == [["1.png"], ["1.png", "2.png"]]
-    for seed, one in zip((1, 2), cocos[1]["annotations"], strict=True):
+    for seed, entry in zip((1, 2), cocos[1]["annotations"], strict=True):
         mask = np.asarray(Image.open(out / f"{seed}.mask.png")) == 255
         assert np.array_equal(read_outlined_mask(out / f"{seed}.labelme.json", mask.shape), mask)
-        assert one["area"] == mask.sum() > 0
+        assert entry["area"] == mask.sum() > 0
 
 
 def test_an_image_does_not_depend_on_the_run(call: Call, footage: Path, tmp_path: Path) -> None:
@@ -61,11 +61,11 @@ def test_an_image_does_not_depend_on_the_run(call: Call, footage: Path, tmp_path
 def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: Path) -> None:
     (footage / "bad.png").write_bytes(b"no image")
 
-    before = Threads.of_now()
+    threads = Threads.of_now()
     try:
         run("--threshold", "0.4", "--threads", "2")
     finally:
-        before.set()
+        threads.set()
 
     record = json.loads((out / "run.json").read_text())
     assert record["versions"]["torch"] == torch.__version__
@@ -127,7 +127,7 @@ def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:
 
 
 def write_inputs(root: Path, names: Sequence[str]) -> Path:
-    """Images and videos in a folder."""
+    """Write images and videos to a folder."""
     for seed, name in enumerate(names):
         if name.endswith(".mp4"):
             write_video(root / name)
@@ -150,9 +150,9 @@ def test_two_images_with_one_result(
     names: list[str], call: Call, tmp_path: Path, out: Path
 ) -> None:
     (tmp_path / "in").mkdir()
-    given = write_inputs(tmp_path / "in", names)
+    inputs = write_inputs(tmp_path / "in", names)
 
-    result = call("infer", given, *ROWS, "--out", out, "--save", "json,polygons,cues")
+    result = call("infer", inputs, *ROWS, "--out", out, "--save", "json,polygons,cues")
 
     assert result.exit_code == 2
     assert "both would write" in result.stderr
@@ -160,9 +160,9 @@ def test_two_images_with_one_result(
 
 
 def test_images_beside_a_video_of_their_name_stay(call: Call, tmp_path: Path, out: Path) -> None:
-    given = write_inputs(tmp_path, ["drive.mp4", "drive/000003.png", "drive/x.png"])
+    inputs = write_inputs(tmp_path, ["drive.mp4", "drive/000003.png", "drive/x.png"])
 
-    result = call("infer", given, *ROWS, "--out", out)
+    result = call("infer", inputs, *ROWS, "--out", out)
 
     assert result.exit_code == 0, result.stderr
     assert {"drive/000003.png", "drive/x.png"} < set(rows_of(out))
@@ -170,9 +170,9 @@ def test_images_beside_a_video_of_their_name_stay(call: Call, tmp_path: Path, ou
 
 def test_a_name_that_is_too_long_costs_its_own_image(call: Call, tmp_path: Path, out: Path) -> None:
     names = [*(f"{number}.png" for number in range(4)), f"1{'n' * 245}.png"]
-    given = write_inputs(tmp_path / "in", names)
+    inputs = write_inputs(tmp_path / "in", names)
 
-    result = call("infer", given, *ROWS, "--out", out)
+    result = call("infer", inputs, *ROWS, "--out", out)
 
     assert result.exit_code == 1
     statuses = {name[:2]: row["status"] for name, row in rows_of(out).items()}

@@ -1,4 +1,4 @@
-"""Workers: results in order, whatever their number; a death costs one item, and is made up for."""
+"""Workers: results in order, and crashes that cost one item each."""
 
 import os
 import pickle
@@ -24,7 +24,7 @@ from tests.command import ROWS, save_image
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
 
 Result = tuple[int, int]
-"""The number of an item, and the process that had it; 0 where that died."""
+"""Number of an item and its process, 0 where that died."""
 
 
 def work(number: int, deadly: tuple[int, ...] = ()) -> Result:
@@ -60,16 +60,16 @@ def test_a_death_costs_exactly_the_item_in_hand(deadly: tuple[int, ...]) -> None
 
 
 def test_reading_ahead_is_bounded() -> None:
-    taken: list[int] = []
+    read: list[int] = []
 
     def items() -> Iterator[int]:
         for number in range(100):
-            taken.append(number)
+            read.append(number)
             yield number
 
     with closing(Workers(2).map(work, items(), died)) as results:
         for count, _ in enumerate(results, 1):
-            assert len(taken) <= count + MAX_AHEAD * 2
+            assert len(read) <= count + MAX_AHEAD * 2
             if count == 9:
                 break
 
@@ -128,8 +128,8 @@ def test_no_process_is_one_line(monkeypatch: pytest.MonkeyPatch, error: Exceptio
     with pytest.raises(InputError) as caught:
         list(Workers(4).map(work, range(12), died))
 
-    told = "--jobs: no process can be started: try again (give --jobs 1, or end other programs)"
-    assert str(caught.value) == told
+    message = "--jobs: no process can be started: try again (give --jobs 1, or end other programs)"
+    assert str(caught.value) == message
 
 
 def multiplied(number: int, factor: torch.Tensor) -> tuple[float, int]:
@@ -137,13 +137,13 @@ def multiplied(number: int, factor: torch.Tensor) -> tuple[float, int]:
 
 
 def test_beside_several_threads_workers_are_started_anew_with_as_many() -> None:
-    before = Threads.of_now()
+    threads = Threads.of_now()
     task = partial(multiplied, factor=torch.tensor(2.0))
     try:
         Threads(2, 1).set()
         results = list(Workers(2).map(task, range(3), lambda _: (0.0, 0)))
     finally:
-        before.set()
+        threads.set()
 
     assert results == [(0.0, 2), (2.0, 2), (4.0, 2)]
 

@@ -1,4 +1,4 @@
-"""Bags as results: what is written is read again by rosbags, bit for bit."""
+"""Bags as results: read by rosbags, they are equal bit for bit."""
 
 import errno
 from collections.abc import Iterator
@@ -31,8 +31,8 @@ def item(stamp: int) -> Item:
     return Item(f"{stamp}", f"{stamp}", torch.rand, stamp=stamp)
 
 
-def overlay(seen: Detection) -> np.ndarray:
-    return np.repeat((seen.likelihood * 255).byte().numpy()[..., None], 3, 2)
+def overlay(result: Detection) -> np.ndarray:
+    return np.repeat((result.likelihood * 255).byte().numpy()[..., None], 3, 2)
 
 
 class Written(NamedTuple):
@@ -53,25 +53,29 @@ def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def test_masks_are_equal_bit_for_bit_and_stamps_to_the_nanosecond(path: Path):
-    seen = [detection(number) for number in range(4)]
+    results = [detection(number) for number in range(4)]
     with closing(BagWriter(path, "camera_optical", 0.6, overlay)) as bag:
-        for number, each in enumerate(seen):
-            bag.write(item(STAMP + number), each)
+        for number, result in enumerate(results):
+            bag.write(item(STAMP + number), result)
 
     topic = image_topic(str(path), "/segmentation/mask")
     generation = 1 if path.suffix == ".bag" else 2
     assert (topic.frame_id, topic.count, topic.generation) == ("camera_optical", 4, generation)
-    sure = [torch.where(each.mask, each.likelihood, 1 - each.likelihood) for each in seen]
+    sure = [result.likelihood.where(result.mask, 1 - result.likelihood) for result in results]
     for name, encoding, expected in (
-        ("mask", "mono8", [each.mask.numpy() for each in seen]),
-        ("confidence", "mono8", [each.mul(255).round().byte().numpy() for each in sure]),
-        ("overlay", "rgb8", [overlay(each) for each in seen]),
+        ("mask", "mono8", [result.mask.numpy() for result in results]),
+        (
+            "confidence",
+            "mono8",
+            [confidence.mul(255).round().byte().numpy() for confidence in sure],
+        ),
+        ("overlay", "rgb8", [overlay(result) for result in results]),
     ):
-        found = [one for one in read_bag(path) if one.topic == f"/segmentation/{name}"]
-        assert [one.stamp for one in found] == [STAMP + number for number in range(4)]
-        for one, pixels in zip(found, expected, strict=True):
-            message, stamp = one.message, one.message.header.stamp
-            assert stamp.sec * 10**9 + stamp.nanosec == one.stamp
+        messages = [entry for entry in read_bag(path) if entry.topic == f"/segmentation/{name}"]
+        assert [entry.stamp for entry in messages] == [STAMP + number for number in range(4)]
+        for entry, pixels in zip(messages, expected, strict=True):
+            message, stamp = entry.message, entry.message.header.stamp
+            assert stamp.sec * 10**9 + stamp.nanosec == entry.stamp
             assert message.header.frame_id == "camera_optical"
             assert (message.encoding, message.height, message.width) == (encoding, 48, 64)
             assert np.array_equal(message.data.reshape(pixels.shape), pixels)
@@ -81,12 +85,12 @@ def test_labels_come_once_before_the_first_mask_and_are_latched(path: Path):
     with closing(BagWriter(path, "camera", 0.6)) as bag:
         bag.write(item(STAMP), detection(0))
         bag.write(item(STAMP + 1), detection(1))
-    found = list(read_bag(path))
-    assert [one.topic for one in found].count("/segmentation/label_info") == 1
-    assert found[0].topic == "/segmentation/label_info"
-    labels = found[0].message
-    named = [(one.class_id, one.class_name) for one in labels.class_map]
-    assert named == [(0, "background"), (1, "road")]
+    messages = list(read_bag(path))
+    assert [entry.topic for entry in messages].count("/segmentation/label_info") == 1
+    assert messages[0].topic == "/segmentation/label_info"
+    labels = messages[0].message
+    classes = [(entry.class_id, entry.class_name) for entry in labels.class_map]
+    assert classes == [(0, "background"), (1, "road")]
     assert labels.threshold == pytest.approx(0.6)
     with AnyReader([path]) as reader:
         ext: Any = {link.topic.rpartition("/")[2]: link.ext for link in reader.connections}
@@ -105,27 +109,27 @@ def test_an_error_in_between_keeps_the_finished_frames_and_the_next_run_replaces
     with pytest.raises(KeyboardInterrupt), closing(BagWriter(path, "camera", 0.5)) as bag:  # noqa: PT012
         bag.write(item(STAMP), detection(0))
         raise KeyboardInterrupt
-    assert [one.topic for one in read_bag(path)][1] == "/segmentation/mask"
+    assert [entry.topic for entry in read_bag(path)][1] == "/segmentation/mask"
 
     with closing(BagWriter(path, "camera", 0.5)) as bag:
         bag.write(item(STAMP), detection(1))
         assert len(list(read_bag(path))) == 3
 
-    (mask,) = [one.message for one in read_bag(path) if one.topic == "/segmentation/mask"]
+    (mask,) = [entry.message for entry in read_bag(path) if entry.topic == "/segmentation/mask"]
     assert np.array_equal(mask.data.reshape(48, 64), detection(1).mask.numpy())
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_what_a_killed_run_left_goes_and_all_else_stays(path: Path):
-    left = path.with_name(f"{path.name}.0123abcd.unfinished")
-    other = path.with_name(f"other{path.name}.0123abcd.unfinished")
-    for folder in (left, other):
+    leftover = path.with_name(f"{path.name}.0123abcd.unfinished")
+    sibling = path.with_name(f"other{path.name}.0123abcd.unfinished")
+    for folder in (leftover, sibling):
         folder.mkdir(parents=True)
         (folder / path.name).touch()
     with closing(BagWriter(path, "camera", 0.5)) as bag:
-        assert left.exists()
+        assert leftover.exists()
         bag.write(item(STAMP), detection(0))
-    assert sorted(path.parent.iterdir()) == sorted([path, other])
+    assert sorted(path.parent.iterdir()) == sorted([path, sibling])
 
 
 def test_anything_else_of_that_name_is_refused(path: Path, tmp_path: Path):
@@ -155,8 +159,8 @@ def test_a_failing_disk_is_one_line(path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_the_label_list_is_the_type_that_ros_knows():
     # ROS 2's own hash of vision_msgs/msg/LabelInfo (REP 2016), as rosidl_generator_c writes it.
-    known = "RIHS01_3d37df4015cdf660cc851c51897f2acd957e1ca6205ba0a99aebffb9406b0783"
-    assert load_message_types(2).hash_rihs01("vision_msgs/msg/LabelInfo") == known
+    expected = "RIHS01_3d37df4015cdf660cc851c51897f2acd957e1ca6205ba0a99aebffb9406b0783"
+    assert load_message_types(2).hash_rihs01("vision_msgs/msg/LabelInfo") == expected
 
 
 # --- grids ------------------------------------------------------------------------------
@@ -168,9 +172,9 @@ def test_a_grid_has_its_place(tmp_path: Path, generation: int):
     grid = np.array([[0, 100, -1], [100, 0, 0]], np.int8)
     with closing(BagWriter(path, "camera", 0.5)) as bag:
         bag.write_grid(grid, 0.1, (2.0, -5.0), STAMP, "base_link")
-    (found,) = read_bag(path)
-    message = found.message
-    assert found.topic == "/segmentation/grid"
+    (entry,) = read_bag(path)
+    message = entry.message
+    assert entry.topic == "/segmentation/grid"
     assert np.array_equal(message.data.reshape(2, 3), grid)
     assert (message.info.width, message.info.height) == (3, 2)
     assert message.info.resolution == pytest.approx(0.1)

@@ -28,14 +28,14 @@ GRID = Grid(CELLS, torch.zeros(2, 3), 0.25, (0.5, -1.0))
 
 
 def loaded(path: Path) -> tuple[np.ndarray, dict]:
-    """nav2_map_server's loader in trinary mode: int8 by y and x, and the YAML."""
+    """Load a map as nav2_map_server does in trinary mode: int8 cells (y, x), and the YAML."""
     values = yaml.safe_load(path.read_text())
     grey = cv2.imread(str(path.parent / values["image"]), cv2.IMREAD_GRAYSCALE)
     assert grey is not None
-    taken = np.float32(1) - grey.astype(np.float32) / np.float32(255)
+    occupancy = np.float32(1) - grey.astype(np.float32) / np.float32(255)
     cells = np.full(grey.shape, -1, np.int8)
-    cells[taken >= values["occupied_thresh"]] = 100
-    cells[taken <= values["free_thresh"]] = 0
+    cells[occupancy >= values["occupied_thresh"]] = 100
+    cells[occupancy <= values["free_thresh"]] = 0
     return cells[::-1], values
 
 
@@ -87,13 +87,13 @@ def test_labels_are_bytes(
 
 
 def test_labels_never_replace_the_images(call: Call, footage: Path) -> None:
-    before = (footage / "b.png").read_bytes()
+    original = (footage / "b.png").read_bytes()
 
     result = call("label", footage, "--out", footage)
 
     assert result.exit_code == 2
     assert "b.png: is one of the input images" in result.stderr
-    assert (footage / "b.png").read_bytes() == before
+    assert (footage / "b.png").read_bytes() == original
 
 
 # --- polygons ---------------------------------------------------------------------------
@@ -123,7 +123,7 @@ def test_labelme_outlines_are_exact(mask: np.ndarray, folder: Path) -> None:
 
 
 def drawn(polygons: list[list[int]], shape: tuple[int, int]) -> np.ndarray:
-    """How many polygons hold each pixel's centre: pixels reach from x to x + 1."""
+    """Count the polygons that contain each pixel's centre; pixels extend from x to x + 1."""
     total = np.zeros(shape, int)
     for polygon in polygons:
         corners = np.array(polygon).reshape(-1, 2)[:, ::-1] - 0.5
@@ -151,10 +151,10 @@ def test_coco_files_have_an_annotation_for_each_image_with_road(masks: list[np.n
 
     document = json.loads("".join(coco_text(images, by_file.__getitem__)))
 
-    assert [one["id"] for one in document["images"]] == list(range(1, len(masks) + 1))
-    areas = {one["image_id"]: one["area"] for one in document["annotations"]}
+    assert [entry["id"] for entry in document["images"]] == list(range(1, len(masks) + 1))
+    areas = {entry["image_id"]: entry["area"] for entry in document["annotations"]}
     assert areas == {at: mask.sum() for at, mask in enumerate(masks, 1) if mask.any()}
-    for one in document["annotations"]:
-        left, top, width, height = one["bbox"]
-        mask = masks[one["image_id"] - 1]
-        assert mask[top : top + height, left : left + width].sum() == mask.sum() == one["area"]
+    for entry in document["annotations"]:
+        x, y, width, height = entry["bbox"]
+        mask = masks[entry["image_id"] - 1]
+        assert mask[y : y + height, x : x + width].sum() == mask.sum() == entry["area"]

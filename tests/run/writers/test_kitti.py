@@ -21,7 +21,7 @@ MAPS = ["um_road_000000.png", "umm_road_000003.png", "uu_road_000012.png"]
 
 @pytest.fixture
 def kitti(tmp_path: Path) -> Path:
-    """ROOT/image_2 and ROOT/calib with an image of each category."""
+    """Return ROOT with image_2 and calib, and an image of each category."""
     root = tmp_path / "kitti"
     (root / "calib").mkdir(parents=True)
     for seed, name in enumerate(("um_000000", "umm_000003", "uu_000012")):
@@ -78,9 +78,7 @@ def test_broken_images_are_mended_by_a_second_run(call: Call, kitti: Path, out: 
     assert result.exit_code == 1
     assert "um_000000.png: cannot be decoded" in result.stderr
     assert "calib/uu_000012.txt: cannot be read" in result.stderr
-    assert result.stderr.splitlines()[-1].endswith(
-        "submission.zip not written, as maps are missing"
-    )
+    assert result.stderr.splitlines()[-1].endswith("submission.zip not written: maps are missing")
     assert [path.name for path in out.iterdir() if path.suffix in (".png", ".zip")] == MAPS[1:2]
     assert rows_of(out)["uu_road_000012.png"]["status"].startswith("failed: ")
 

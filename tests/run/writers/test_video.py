@@ -22,13 +22,13 @@ def frame(number: int, seconds: float | None = None) -> Item:
 
 
 def detection(pixels: np.ndarray) -> Detection:
-    """One that is shown as these pixels."""
+    """Return a detection that is drawn as these pixels."""
     likelihood = torch.zeros(pixels.shape[:2])
     return Detection(likelihood, likelihood > 0, {"pixels": torch.from_numpy(pixels)})
 
 
-def shown(seen: Detection) -> np.ndarray:
-    return seen.cues["pixels"].numpy()
+def shown(detection: Detection) -> np.ndarray:
+    return detection.cues["pixels"].numpy()
 
 
 def write(
@@ -44,7 +44,7 @@ def test_time_stamps_are_kept_from_the_first_frame_on(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mp4", [5.0, 5.04, 5.3, 7.0, 7.0 + 1001 / 30000])
 
     assert stamps_of(path) == pytest.approx([0, 0.04, 0.3, 2.0, 2 + 1001 / 30000], abs=2e-5)
-    assert [one.name for one in tmp_path.iterdir()] == ["x.mp4"]
+    assert [path.name for path in tmp_path.iterdir()] == ["x.mp4"]
     still = write(tmp_path / "x.mp4", [0, 0.1, 0.1, 0.05, 0.2])
     assert len(stamps_of(still)) == 5  # time that stands still gives every frame
     without = write(tmp_path / "x.mp4", [None] * 3, rate=4)
@@ -71,7 +71,7 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
 
     frames = pixels_of(tmp_path / "x.mp4")
     assert ((frames[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
-    assert [one.shape for one in frames] == [(48, 64, 3)] * 2
+    assert [pixels.shape for pixels in frames] == [(48, 64, 3)] * 2
 
 
 def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
