@@ -30,14 +30,13 @@ from roadtorch.layout.weights import FOR_IMAGES, terms_of, weights_path
 from roadtorch.road.outlines import outlined
 from roadtorch.testing.scenes import render_scene
 
-# --- what of a detector can be exported --------------------------------------------------
-
+# --- exportable parts --------------------------------------------------------------------
 
 EXPORTABLE_DETECTORS = ("fusion", "layout:cnn-7")
 
 ISOLATED_ROAD_STEP = "removal of isolated road"
 
-UNKNOWN_TERMS = "those of whoever trained them"
+UNKNOWN_TERMS = "those of the author of the weights"
 
 MapFunction = Callable[[Tensor], Mapping[str, Tensor]]
 """An image (3, H, W) in [0, 1] → maps by name; can be traced."""
@@ -56,9 +55,9 @@ OUTPUT_DESCRIPTIONS: Mapping[str, str] = {
 class ExportPart:
     """Part of a detector as a function that can be traced.
 
-    description: the part, in words. missing: steps that only Python does. compute: an image (3, H,
-    W) in [0, 1] → the outputs by name; a batch (N, 3, H, W) while it is traced. outputs: keys of
-    ``OUTPUT_DESCRIPTIONS``. settings: settings that it uses. weights: files of its networks.
+    description: the part, in words. missing: steps that only Python does. compute: maps an image
+    (3, H, W) in [0, 1], while traced a batch (N, 3, H, W), to the outputs by name. outputs: keys
+    of ``OUTPUT_DESCRIPTIONS``. settings: keys that it uses. weights: files of its networks.
     """
 
     description: str
@@ -90,10 +89,7 @@ def find_part(detector: Detector) -> ExportPart:
             f"filling of thin holes, {ISOLATED_ROAD_STEP}",
             partial(fusion_maps, analysis, settings),
             tuple(OUTPUT_DESCRIPTIONS),
-            (
-                *("weights", "second", "threshold", "calibration"),
-                *("crops", "working", "seed_area"),
-            ),
+            ("weights", "second", "threshold", "calibration", "crops", "working", "seed_area"),
             tuple(
                 weights_path(file)
                 for file in (settings.weights.file or FOR_IMAGES, settings.second.file)
@@ -110,11 +106,8 @@ def find_part(detector: Detector) -> ExportPart:
             (weights_path(settings.weights.file or "cnn-7"),),
         )
     else:
-        raise ConfigError(
-            detector.name,
-            "cannot be exported",
-            f"can be exported: {', '.join(EXPORTABLE_DETECTORS)}",
-        )
+        hint = f"can be exported: {', '.join(EXPORTABLE_DETECTORS)}"
+        raise ConfigError(detector.name, "cannot be exported", hint)
     return part
 
 
@@ -129,13 +122,13 @@ def fusion_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> di
     likelihood = outlined(cues, small, image, settings.working, settings.threshold)
     if not torch.compiler.is_exporting():
         likelihood = resized(likelihood, full)
-    hidden = at_image_size(cues["ego"], full)
-    likelihood = likelihood.masked_fill(hidden, 0)
+    ego = at_image_size(cues["ego"], full)
+    likelihood = likelihood.masked_fill(ego, 0)
     mask = at_image_size(likelihood >= settings.threshold, size_of(small))
     return {
         "likelihood": likelihood,
         "layout": resized(cues["layout"], full),
-        "ego": hidden.float(),
+        "ego": ego.float(),
         "seed_area": at_image_size(cues["seed_area"], full).float(),
         "trust": torch.as_tensor(analysis.judge(mask, cues).trust),
     }
@@ -173,8 +166,7 @@ def describe_terms(weights: Path) -> str:
     return f"{stated} (see {weights.stem}.md beside the weights)" if stated else UNKNOWN_TERMS
 
 
-# --- whether a file says what Python says -----------------------------------------------
-
+# --- parity with Python ------------------------------------------------------------------
 
 Runner = Callable[[np.ndarray], Mapping[str, np.ndarray]]
 """Images uint8 (N, H, W, 3) RGB → maps by name, by a runtime that has loaded a file."""
@@ -184,8 +176,7 @@ BOUND = 1e-4
 
 PARITY_SIZES = ((48, 64), (121, 317), (360, 480))
 """Height and width of the rendered images for the check: below the size of the network, above it,
-and above the working size of detectors.
-"""
+and above the working size of detectors."""
 
 
 @dataclass(frozen=True)
@@ -217,12 +208,12 @@ def measure_parity(run: Runner, compute: MapFunction, batches: Iterable[np.ndarr
     extremes: list[tuple[float, str]] = []
     for batch in batches:
         maps = run(batch)
-        for at, image in enumerate(batch):
+        for index, image in enumerate(batch):
             expected = compute(from_pixels(image))
             height, width = image.shape[:2]
             images += 1
             for name, values in maps.items():
-                difference = (torch.as_tensor(values[at]) - expected[name]).abs()
+                difference = (torch.as_tensor(values[index]) - expected[name]).abs()
                 difference = difference.nan_to_num(torch.inf)
                 extremes.append((float(difference.max()), f"{name} at {width}×{height}"))
                 pixels += difference.numel()
@@ -230,8 +221,7 @@ def measure_parity(run: Runner, compute: MapFunction, batches: Iterable[np.ndarr
     return Parity(*max(extremes), total / pixels, images)
 
 
-# --- writing it -------------------------------------------------------------------------
-
+# --- ONNX --------------------------------------------------------------------------------
 
 OPSET = 18
 
@@ -248,12 +238,12 @@ class ExportGraph(nn.Module):
     def __init__(self, analysis: nn.Module, compute: MapFunction, outputs: Sequence[str]) -> None:
         super().__init__()
         self.analysis = analysis
-        self.steps = compute
+        self.compute = compute
         self.outputs = outputs
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         """Return the outputs of a batch."""
-        maps = self.steps(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
+        maps = self.compute(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
         return tuple(maps[name] for name in self.outputs)
 
 
@@ -277,7 +267,7 @@ def write_onnx(module: ExportGraph, notes: Mapping[str, str], path: Path) -> Non
     program.model.producer_name, program.model.producer_version = "roadtorch", __version__
     program.model.metadata_props.update(notes)
     for node in program.model.graph.all_nodes():
-        node.metadata_props.clear()  # where in the sources on this machine it came from
+        node.metadata_props.clear()  # paths of source files on this machine
     program.save(str(path))
 
 

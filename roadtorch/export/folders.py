@@ -62,8 +62,7 @@ def export_page(detector: Detector, out: Path) -> Exported:
     return replace(exported, files=tuple(out / name for name in fetched))
 
 
-# --- a model hub: weights, settings, and cards made from theirs --------------------------
-
+# --- a folder for model hubs: weights, settings, cards ------------------------------------
 
 README_FILE = "README.md"
 
@@ -82,13 +81,13 @@ tags: [road, segmentation, pytorch]
 
 # {name}
 
-Finds the road in an image. `pip install roadtorch`, and with this folder as FOLDER:
+Detects the road in an image. `pip install roadtorch`, and with this folder as FOLDER:
 
 ```python
 from roadtorch import load_detector
 
 detection = load_detector("FOLDER")("street.jpg")
-detection.mask  # bool (H,W); .likelihood, .trust
+detection.mask  # bool (H, W); .likelihood, .trust
 ```
 """
 
@@ -111,11 +110,11 @@ def export_folder(detector: Detector, out: Path) -> tuple[Path, ...]:
             cards.append(out / f"{name}.md")
             write_text(cards[-1], RELATIVE_LINK.sub(r"\1", card).replace(source.name, network.file))
     write_text(out / CONFIG, to_toml(detector.name, hub_settings))
-    free = all(terms_of(source).startswith("anything") for source in sources)
-    licence = "apache-2.0" if free else "other"
+    is_free = all(terms_of(source).startswith("anything") for source in sources)
+    licence = "apache-2.0" if is_free else "other"
     text = HUB_README.format(licence=licence, name=f"roadtorch {detector.name}")
     if cards:
         links = ", ".join(f"[{card.name}]({card.name})" for card in cards)
-        text = f"{text}\nWhat the weights learned from: {links}.\n"
+        text = f"{text}\nTraining data of the weights: {links}.\n"
     write_text(out / README_FILE, text)
     return (*files, out / CONFIG, out / README_FILE, *cards)

@@ -92,7 +92,7 @@ def test_a_file_names_the_weights_of_ones_own(tmp_path: Path) -> None:
     assert notes["weights"] == "0.safetensors, 1.safetensors"
     assert notes["weights_sha256"] == ", ".join(map(digest_of, paths))
     assert notes["threshold"] == "0.9"
-    assert notes["terms"].startswith("those of whoever trained them")
+    assert notes["terms"].startswith("those of the author of the weights")
 
 
 def test_one_detector_gives_one_file(cnn7: Exported, tmp_path: Path) -> None:
