@@ -125,13 +125,13 @@ class Inbox:
     """A queue of one image message, the newest; ``put`` is called by the executor's thread.
 
     dropped: number of messages replaced before they were taken. header: std_msgs/Header of the last
-    message taken. arrived: time of its arrival, ``time.monotonic``.
+    message taken. arrival: time of its arrival, ``time.monotonic``.
     """
 
     def __init__(self) -> None:
         self.dropped = 0
         self.header: Any = None
-        self.arrived = 0.0
+        self.arrival = 0.0
         self._newest: tuple[Any, float] | None = None
         self._changed = Condition()
 
@@ -150,7 +150,7 @@ class Inbox:
                 or self._newest is None
             ):
                 return None
-            (message, self.arrived), self._newest = self._newest, None
+            (message, self.arrival), self._newest = self._newest, None
             self.header = message.header
             return message
 
@@ -178,11 +178,11 @@ class RoadNode:
         settings = parse_assignments(parameters.settings)
         self.detector = load_detector(parameters.detector, camera=camera, **settings)
         self.infer = Inference(self.detector, camera)
-        self.steady = Steady(SteadySettings()) if parameters.smoothing else None
+        self.temporal_filter = Steady(SteadySettings()) if parameters.smoothing else None
         self.node, self.parameters, self.inbox = node, parameters, Inbox()
-        self.times, self.refused, self.last_warning = deque[float](maxlen=30), 0, ""
-        self.last: Detection | None = None
-        self.age = 0.0  # seconds from the arrival of the last image to its results
+        self.times, self.failures, self.last_warning = deque[float](maxlen=30), 0, ""
+        self.last_detection: Detection | None = None
+        self.latency = 0.0  # seconds from the arrival of the last image to its results
         self.placing, self.grid_settings = self._placing()
         newest, latched = qos.qos_profile_sensor_data, qos.QoSProfile(depth=1)
         latched.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
@@ -206,11 +206,11 @@ class RoadNode:
         self.node.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
         source = self.inbox.source(topic, stop)
         with closing(
-            detect_frames(source, self.infer, Workers(), self.steady, stop=stop)
+            detect_frames(source, self.infer, Workers(), self.temporal_filter, stop=stop)
         ) as frames:
             for frame in frames:
                 if isinstance(frame.outcome, RoadtorchError):
-                    self.refused += 1
+                    self.failures += 1
                     self._warn(str(frame.outcome))
                 else:
                     self._publish(frame.outcome)
@@ -225,8 +225,8 @@ class RoadNode:
             self.images[OVERLAY_TOPIC].publish(image_message(header, detection.overlay()))
         if self.placing is not None and not self.placing.lacks_lens:
             self._publish_grid(header, detection)
-        self.last = detection
-        self.age = time.monotonic() - self.inbox.arrived
+        self.last_detection = detection
+        self.latency = time.monotonic() - self.inbox.arrival
         self.times.append(time.monotonic())
 
     def _publish_grid(self, header: Any, detection: Detection) -> None:
@@ -296,7 +296,7 @@ class RoadNode:
 
     def _diagnose(self) -> None:
         """Publish diagnostics."""
-        detection, times = self.last, [*self.times]
+        detection, times = self.last_detection, [*self.times]
         silence = time.monotonic() - times[-1] if times else math.inf
         warning = detection.doubt if detection else ""
         if detection is not None and not detection.mask.any():
@@ -310,9 +310,9 @@ class RoadNode:
             else f"{detection.trust:.2f}",
             "doubt": detection.doubt if detection else "",
             "rate": f"{rate if silence <= STALE_AFTER else 0.0:.1f} Hz",
-            "age": f"{1000 * self.age:.0f} ms",
+            "age": f"{1000 * self.latency:.0f} ms",
             "dropped": self.inbox.dropped,
-            "refused": self.refused,
+            "refused": self.failures,
         }
         stamp = self.node.get_clock().now().to_msg()
         self.diagnostics.publish(diagnostics_message(stamp, warning, values))

@@ -99,9 +99,17 @@ class Task:
 def write_row(
     item: Item, detect: Callable[[], Detection], writer: FileWriter, method: Method, ms: float = 0
 ) -> Row:
-    """Write the results of an image or frame, and return its row, a failed one on any error.
+    """Write the results of an image or frame, and return its row of index.csv.
 
-    detect: returns the detection or raises. ms: milliseconds spent on the item before this call.
+    Args:
+        item: image or frame.
+        detect: returns the detection or raises.
+        writer: writes the files.
+        method: detector and kinds of results, for the row.
+        ms: milliseconds spent on the item before this call.
+
+    Returns:
+        The row, a failed one on any error.
     """
     start = perf_counter()
     seconds = "" if item.seconds is None else f"{item.seconds:.3f}"
@@ -189,14 +197,22 @@ def detect_frames(
     source: Source,
     inference: Inference,
     workers: Workers,
-    steady: Steady | None = None,
+    temporal_filter: Steady | None = None,
     cues: bool = True,
     stop: Stop | None = None,
 ) -> Generator[FrameResult]:
-    """Detect the road in every frame of a source, in order.
+    """Detect the road in every frame of a source, in order; raises as ``source.items``.
 
-    cues: whether detections contain cues. A frame that cannot be read or processed yields an error
-    result. Raises what ``source.items`` raises.
+    Args:
+        source: of the frames.
+        inference: detector and camera.
+        workers: compute the evidence of several frames in parallel.
+        temporal_filter: smooths the likelihoods; a new one for each source.
+        cues: whether detections contain cues, at full size.
+        stop: ends the frames when a stop is requested.
+
+    Yields:
+        A result for each frame, with an error where it cannot be read or processed.
     """
     waiting: deque[tuple[Item, Tensor | RoadtorchError, float]] = deque()
 
@@ -214,7 +230,8 @@ def detect_frames(
         with closing(results):
             for evidence, find_ms in results:
                 item, image, read_ms = waiting.popleft()
-                step = partial(_conclude, item, image, evidence, inference.detector, steady)
+                detector = inference.detector
+                step = partial(_conclude, item, image, evidence, detector, temporal_filter)
                 outcome, ms = _time_step(item.origin, step)
                 yield FrameResult(item, outcome, read_ms + find_ms + ms)
 
@@ -224,23 +241,29 @@ def _conclude(
     image: Tensor | RoadtorchError,
     evidence: Evidence | RoadtorchError,
     detector: Detector,
-    steady: Steady | None,
+    temporal_filter: Steady | None,
 ) -> Detection:
     """Decide the mask of a frame, after temporal smoothing; called on the frames in order."""
     if isinstance(evidence, RoadtorchError):
         raise evidence
     assert isinstance(image, Tensor)
     evidence = evidence._replace(image=image)
-    if steady is None:
+    if temporal_filter is None:
         detection = detector.conclude(evidence)
     else:
-        likelihood = steady(image, evidence.likelihood, evidence.ego)
-        detection = detector.conclude(evidence, likelihood, steady.hidden)
+        likelihood = temporal_filter(image, evidence.likelihood, evidence.ego)
+        detection = detector.conclude(evidence, likelihood, temporal_filter.hidden)
     return replace(detection, name=item.name, seconds=item.seconds)
 
 
 def until_stopped(values: Iterable[Value], stop: Stop, live: bool = False) -> Iterator[Value]:
-    """Yield values until a stop is requested; do not block on a live source."""
+    """Yield values until a stop is requested.
+
+    Args:
+        values: to yield.
+        stop: the request.
+        live: whether the values are those of a live source, for which a stop does not wait.
+    """
     values = iter(values)
     while not stop.asked:
         stop.at_once = live

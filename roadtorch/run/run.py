@@ -144,7 +144,7 @@ class Run:
         self.ledger.add(row)
         if not self.options.quiet:
             click.echo(f"roadtorch: {row.file}: {count}", err=True)
-            for line in least_trusted_lines(count.least)[1:] if count.doubtful else []:
+            for line in least_trusted_lines(count.least_trusted)[1:] if count.doubtful else []:
                 click.echo(line, err=True)
         if isinstance(error, KeyboardInterrupt):
             raise error
@@ -156,9 +156,10 @@ class Run:
         self, source: Source, task: Task, writers: Writers, cues: bool, steady: bool, stop: Stop
     ) -> Iterator[Row]:
         """Detect and write the frames of a source in order, and yield their rows."""
-        smoothing, infer = Steady(SteadySettings()) if steady else None, task.infer
+        temporal_filter, infer = Steady(SteadySettings()) if steady else None, task.infer
         assert isinstance(infer, Inference)
-        with closing(detect_frames(source, infer, self.workers, smoothing, cues, stop)) as frames:
+        results = detect_frames(source, infer, self.workers, temporal_filter, cues, stop)
+        with closing(results) as frames:
             for frame in frames:
                 files, method = writers.files, task.method
                 row = write_row(frame.item, frame.detection, files, method, frame.ms)
@@ -235,25 +236,25 @@ def least_trusted_lines(rows: Iterable[Row]) -> list[str]:
 class _Count:
     """Counts over the frames of one source.
 
-    ms: milliseconds of all done frames. last: row of the last one. least: least trusted rows.
+    ms: milliseconds of all done frames. last_row: of the last one. least_trusted: rows.
     """
 
     done: int = 0
     failed: int = 0
     doubtful: int = 0
     ms: float = 0.0
-    last: Row = Row("")  # noqa: RUF009 - it is frozen
-    least: list[Row] = field(default_factory=list)
+    last_row: Row = Row("")  # noqa: RUF009 - it is frozen
+    least_trusted: list[Row] = field(default_factory=list)
 
     def add(self, row: Row) -> None:
         """Count the row of a frame."""
         self.failed += row.failed
         if not row.failed:
-            self.last = row
+            self.last_row = row
             self.done += 1
             self.doubtful += row.doubtful
             self.ms += float(row.ms)
-            self.least = nsmallest(LEAST_TRUSTED, [*self.least, row], key=_trust)
+            self.least_trusted = nsmallest(LEAST_TRUSTED, [*self.least_trusted, row], key=_trust)
 
     def __str__(self) -> str:
         """Return the counts as text."""
@@ -274,6 +275,6 @@ def _source_row(source: Source, count: _Count, error: BaseException | None) -> R
         frames = f"{count.failed} of {count.done + count.failed} frames failed"
         reason = f"{source.origin}: {frames} (see their rows in index.csv)"
     status = f"{PARTIAL if count.done else FAILED}: {reason}" if reason else DONE
-    last = count.last
+    last = count.last_row
     row = Row(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
     return replace(row, seconds=last.seconds)

@@ -85,13 +85,13 @@ class MapOutput:
 
     maps: writer of single images. kinds: of ``--save``, None for the defaults; ``overlay`` of a
     source is a video, ``overlay-frames`` are images. topic: image topic in bags, None for the only
-    one. view: a further writer of the frames.
+    one. viewer: a further writer of the frames.
     """
 
     maps: Maps
     kinds: tuple[str, ...] | None
     topic: str | None = None
-    view: Writer | None = None
+    viewer: Writer | None = None
 
     def __call__(self, source: Source) -> Output:
         """Return the outputs for a source."""
@@ -115,7 +115,7 @@ class MapOutput:
         draws: dict[str, Callable[[Detection], np.ndarray]] = {"overlay": overlay}
         draws |= {"mask-video": mask_pixels, "likelihood-video": likelihood_pixels}
         with ExitStack() as stack:
-            streams = [self.view] if self.view else []
+            streams = [self.viewer] if self.viewer else []
             for kind in sorted(suffixes, key=[*VIDEOS, "bag"].index):
                 path = stem.with_name(stem.name + suffixes[kind])
                 if kind == "bag":
