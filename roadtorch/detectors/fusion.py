@@ -90,7 +90,7 @@ class SecondNetwork(Settings):
 
 
 class FusionSettings(WorkingSettings):
-    """A network's road, refined at the edges of the image."""
+    """Settings of a network's road, refined at the edges of the image."""
 
     threshold: Threshold = 0.5
     working: WorkingSize = WorkingSize(pixels=256 * 192)
@@ -109,7 +109,7 @@ class FusionSettings(WorkingSettings):
 
 
 class UntrainedFusionSettings(WorkingSettings):
-    """Naive Bayes without a network."""
+    """Settings of naive Bayes without a network."""
 
     threshold: Threshold = Field(default=0.39, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
@@ -131,7 +131,7 @@ class LearnedRoad(Settings):
 
 
 class ScratchFusionSettings(UntrainedFusionSettings):
-    """Naive Bayes with a network trained from random weights.
+    """Settings of naive Bayes with a network trained from random weights.
 
     At 240x180, with as many superpixels as ``fusion:untrained`` has at 320x240: the same scores
     within .001 in three quarters of the time (docs/performance.md).
@@ -149,7 +149,7 @@ class ScratchFusionSettings(UntrainedFusionSettings):
 
 
 class PaperFusionSettings(WorkingSettings):
-    """P2 as published: CNN-7, colour plane fusion over superpixels, a uniform prior.
+    """Settings of P2 as published: CNN-7, colour plane fusion over superpixels, a uniform prior.
 
     P2 combines CNN-7 with CPF, and shows CPFv2 as well (Fig. 6a); eq. 4 has a prior, but only a
     uniform one is tested. The other two priors are baselines of ours.

@@ -114,10 +114,10 @@ def _stack(map: Tensor, planes: Tensor) -> Tensor:
     return torch.cat([map[..., None, :, :], planes], -3)
 
 
-def _inverse(spread: Tensor) -> Callable[[Tensor], Tensor]:
+def _inverse(covariance: Tensor) -> Callable[[Tensor], Tensor]:
     """Return the product of (Σ + ``RIDGE`` U)⁻¹ with vectors (…, 3, h, w), for Σ (…, 6, h, w)."""
     if torch.compiler.is_exporting():  # ONNX cannot invert matrices: use minors
-        a, b, c, d, e, f = spread.unbind(-3)
+        a, b, c, d, e, f = covariance.unbind(-3)
         a, d, f = a + RIDGE, d + RIDGE, f + RIDGE
         first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
         fourth, fifth, sixth = a * f - c * c, b * c - a * e, a * d - b * b
@@ -126,9 +126,9 @@ def _inverse(spread: Tensor) -> Callable[[Tensor], Tensor]:
         rows = [torch.stack([six[n] for n in row], -3) for row in ((0, 1, 2), (1, 3, 4), (2, 4, 5))]
         return lambda vectors: torch.stack([(row * vectors).sum(-3) for row in rows], -3)
     first, second = UPPER_TRIANGLE
-    matrix = spread.new_empty(3, 3, *size_of(spread))
-    matrix[first, second] = matrix[second, first] = spread
-    ridge = RIDGE * torch.eye(3, dtype=spread.dtype, device=spread.device)
+    matrix = covariance.new_empty(3, 3, *size_of(covariance))
+    matrix[first, second] = matrix[second, first] = covariance
+    ridge = RIDGE * torch.eye(3, dtype=covariance.dtype, device=covariance.device)
     inverse = torch.linalg.inv(matrix.permute(2, 3, 0, 1) + ridge)
     return lambda vectors: (inverse @ vectors.permute(1, 2, 0)[..., None])[..., 0].permute(2, 0, 1)
 
