@@ -53,7 +53,7 @@ def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: Backbo
 # --- ours ----------------------------------------------------------------------------------
 
 
-def test_the_same_weights_see_images_of_another_size() -> None:
+def test_weights_apply_to_images_of_another_size() -> None:
     network = ImageNetwork(SMALL).eval()
     pixels = torch.rand(1, 3, 64, 88, generator=seeded(0))
 
@@ -79,7 +79,7 @@ def test_stride_two_is_padded_as_in_tensorflow(kernel: int, pads: tuple[int, int
     assert expected.shape[-2:] == (4, 4)
 
 
-def test_it_comes_back_from_half_precision(backbone: BackboneNetwork, tmp_path: Path) -> None:
+def test_a_backbone_survives_half_precision(backbone: BackboneNetwork, tmp_path: Path) -> None:
     path = tmp_path / "weights.safetensors"
     save_network(path, backbone, {})
     assert path.stat().st_size < 2.2 * sum(value.numel() for value in backbone.parameters())
@@ -91,7 +91,7 @@ def test_it_comes_back_from_half_precision(backbone: BackboneNetwork, tmp_path: 
     torch.testing.assert_close(reloaded, original, rtol=0, atol=0.01)
 
 
-def test_the_shipped_weights_say_what_the_backbone_has_seen() -> None:
+def test_the_card_of_the_backbone_names_imagenet() -> None:
     path = shipped_weights("backbone-free")
     assert isinstance(load_network(path), BackboneNetwork)
     assert "ImageNet" in path.with_suffix(".md").read_text()
@@ -130,7 +130,9 @@ def weights(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("network", NETWORKS, ids=lambda network: network.kind)
-def test_a_network_comes_back_from_the_same_bytes(network: LayoutNetwork, tmp_path: Path) -> None:
+def test_a_saved_network_loads_and_equal_networks_have_equal_bytes(
+    network: LayoutNetwork, tmp_path: Path
+) -> None:
     path, again = tmp_path / "weights.safetensors", tmp_path / "again"
     save_network(path, network, {"config": {"seed": 3}})
     save_network(again, network, {"config": {"seed": 3}})
@@ -169,7 +171,7 @@ def test_weights_that_are_not_finite_are_refused(weights: Path, value: float) ->
     assert_refused(weights, r"holds weights in last\.bias that are not finite")
 
 
-def test_a_cut_or_a_flipped_bit_is_told_wherever_it_is(weights: Path) -> None:
+def test_truncation_and_flipped_bits_are_detected_anywhere(weights: Path) -> None:
     data = weights.read_bytes()
     for share in (0.001, 0.3, 0.99):
         weights.write_bytes(data[: int(len(data) * share)])
@@ -194,7 +196,7 @@ def test_other_headers_are_refused(changes: dict[str, object], message: str, wei
     assert_refused(weights, message)
 
 
-def test_a_network_of_another_kind_is_refused_by_what_it_is(weights: Path) -> None:
+def test_a_network_of_another_kind_is_refused(weights: Path) -> None:
     message = r"holds a patch network \(CNN-7\); this detector needs a whole-image network"
     with pytest.raises(WeightsError, match=message):
         image_network_of(WeightsFile(file=str(weights)), "backbone-free")
@@ -204,7 +206,7 @@ def test_a_network_of_another_kind_is_refused_by_what_it_is(weights: Path) -> No
 
 
 @pytest.mark.parametrize("name", list_shipped_weights())
-def test_shipped_weights_are_what_their_cards_state(name: str) -> None:
+def test_hashes_of_shipped_weights_are_on_their_cards(name: str) -> None:
     path = shipped_weights(name)
 
     load_network(path)
@@ -212,7 +214,7 @@ def test_shipped_weights_are_what_their_cards_state(name: str) -> None:
     assert f"| sha256 | `{digest_of(path)}` |" in card_of(path)
 
 
-def test_the_cards_of_shipped_weights_say_what_they_may_be_used_for() -> None:
+def test_cards_of_shipped_weights_state_terms_of_use() -> None:
     terms = {name: terms_of(shipped_weights(name)) for name in list_shipped_weights()}
     assert [name for name in terms if not terms[name].startswith("anything: Apache-2.0")] == []
     assert terms.keys() == {
@@ -220,7 +222,7 @@ def test_the_cards_of_shipped_weights_say_what_they_may_be_used_for() -> None:
     }
 
 
-def test_the_free_weights_began_with_nothing_else() -> None:
+def test_initial_weights_of_the_free_weights_are_free() -> None:
     origin = read_origin(shipped_weights("layout-free"))
     config = origin["config"]
     assert config["start"] == config["teacher"]["weights"] == "runs/free-3/weights.safetensors"

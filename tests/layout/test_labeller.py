@@ -110,7 +110,7 @@ def truth(street: RenderedScene) -> Tensor:
 
 
 @pytest.mark.parametrize(("seed", "dusk"), [(0, 0.0), (1, 0.0), (2, 0.8)])
-def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: float) -> None:
+def test_potentials_sum_to_one_and_labels_respect_the_margin(seed: int, dusk: float) -> None:
     shape, layout = scene(seed, dusk=dusk).road.shape, labelled(seed, dusk)
 
     assert layout.potentials.shape == (3, *shape)
@@ -122,7 +122,7 @@ def test_potentials_are_shares_and_labels_keep_to_the_margin(seed: int, dusk: fl
     assert torch.equal(layout.labels[leads], layout.potentials.argmax(0)[leads])
 
 
-def test_learning_the_classes_beats_place_and_order(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_learning_the_classes_beats_position_and_order(monkeypatch: pytest.MonkeyPatch) -> None:
     streets = [scene(seed, dusk=0.0) for seed in range(4)]
 
     def recall(layouts: list[LayoutLabels]) -> float:

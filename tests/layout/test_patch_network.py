@@ -69,7 +69,7 @@ def test_sizes_that_do_not_fit_are_refused(values: dict[str, int], problem: str,
     assert near in caught.value.hint
 
 
-def test_a_partial_table_gives_each_kernel_its_maps_and_each_map_its_share() -> None:
+def test_a_partial_table_uses_all_maps_equally_often() -> None:
     table = connection_table(6, 60, 3)
     assert table.sum(1).unique().tolist() == [3]
     assert table.sum(0).tolist() == [30] * 6
@@ -77,7 +77,7 @@ def test_a_partial_table_gives_each_kernel_its_maps_and_each_map_its_share() -> 
     assert bool(connection_table(4, 16, 0).all())
 
 
-def test_maps_without_connection_have_no_say_and_learn_nothing() -> None:
+def test_unconnected_maps_have_no_effect_and_no_gradient() -> None:
     network = network_of(Topology(k1=6, connections=2))
     patches = pixels(3, 3, 32, 32)
     away = network.get_buffer("table").expand_as(network.second.weight) == 0
@@ -95,7 +95,7 @@ def test_maps_without_connection_have_no_say_and_learn_nothing() -> None:
     assert gradient[~away].abs().max() > 0
 
 
-def test_a_grey_network_sees_luma_alone() -> None:
+def test_a_grey_network_depends_on_luma_alone() -> None:
     network = network_of(Topology(input="grey"))
     colourful = pixels(2, 3, 32, 32)
     grey = plane(colourful, "grey").unsqueeze(1).expand(-1, 3, -1, -1)
@@ -107,7 +107,7 @@ def test_a_grey_network_sees_luma_alone() -> None:
 
 
 @pytest.mark.parametrize("topology", [SHAPES[0], SHAPES[1], SHAPES[3]], ids=str)
-def test_a_patch_gives_what_the_layers_say_one_by_one(topology: Topology) -> None:
+def test_a_patch_gives_the_result_of_its_layers_one_by_one(topology: Topology) -> None:
     network, patch = network_of(topology), pixels(3, topology.patch, topology.patch)
     weights = {name: value.double().numpy() for name, value in network.state_dict().items()}
 
@@ -143,7 +143,7 @@ def test_dense_equals_the_network_patch_by_patch(topology: Topology) -> None:
 # --- images --------------------------------------------------------------------------------
 
 
-def test_an_image_less_its_mean_over_its_deviation_forgets_light_and_cast() -> None:
+def test_normalised_images_are_invariant_to_light_and_cast() -> None:
     image = scene(2).image * 0.6 + 0.1
     cast = image * 0.5 + torch.tensor([0.05, 0.1, 0.2])[:, None, None]
 

@@ -67,7 +67,7 @@ def test_the_mean_hue_is_circular(hues: list[float], saturations: list[float], m
     assert means == pytest.approx([mean, 0], abs=1e-7)
 
 
-def test_unrolled_hue_differs_from_the_mean_by_the_way_along_the_circle() -> None:
+def test_unrolled_hue_is_the_distance_along_the_circle() -> None:
     hues = torch.cat([random(200, dtype=torch.float32), torch.tensor([0, 0.5, 1])])
     for mean in (0.0, 0.25, 0.5, 0.99, 1.0):
         away = unrolled(hues, mean)

@@ -90,7 +90,7 @@ def score_of(samples: Tensor, pixels: Tensor, settings: MinimaxSettings) -> Tens
 
 @DIMENSIONS
 @pytest.mark.parametrize("sigma", [1.0, 0.1])
-def test_minimax_score_is_the_toolboxs(dimensions, sigma):
+def test_minimax_score_equals_the_toolbox(dimensions, sigma):
     samples, pixels = road(20, dimensions), some(400, dimensions)
     for given_samples in (samples, torch.cat([samples, samples[:7]])):
         score = score_of(given_samples, pixels, MinimaxSettings(sigma=sigma))
@@ -113,7 +113,7 @@ def test_minimax_distance_ranks_as_its_score_does(dimensions):
 
 @pytest.mark.parametrize("kind", DISSIMILARITIES)
 @pytest.mark.parametrize("rejected", [0.0, 0.025, 0.2])
-def test_programme_reaches_the_value_of_its_dual_game(kind, rejected):
+def test_linear_program_reaches_the_value_of_its_dual_game(kind, rejected):
     points = doubles(some(12, 2))
     squared = torch.from_numpy(reference.distance_matrix(points, points) ** 2)
     between = DISSIMILARITIES[kind](squared).numpy()
@@ -127,7 +127,7 @@ def test_programme_reaches_the_value_of_its_dual_game(kind, rejected):
     assert (weights > 0).sum() <= 12 - 2  # few samples are needed
 
 
-def test_twins_count_as_often_as_they_occur():
+def test_duplicates_count_as_often_as_they_occur():
     points = doubles(some(6, 2))
     twice = points[[0, 1, 2, 3, 4, 5, 0, 0, 3]]
     single, many = (reference.distance_matrix(rows, rows) for rows in (points, twice))
@@ -159,7 +159,7 @@ def test_distance_ranks_as_the_weighted_sum_of_dissimilarities(kind, dimensions)
 @pytest.mark.parametrize(
     ("classifier", "most", "planes"), [(DLP, boundary.MAX_CONSTRAINTS, 1), (MST, 4096, 2)]
 )
-def test_too_many_different_samples_are_refused_with_what_to_do(classifier, most, planes):
+def test_too_many_distinct_samples_are_refused_with_a_hint(classifier, most, planes):
     refusal = rf"{classifier.name}: has {most + 1} distinct samples.*one sample per superpixel"
     with pytest.raises(InputError, match=refusal):
         fitted(classifier, some(most + 1, planes))

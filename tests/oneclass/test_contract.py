@@ -150,7 +150,7 @@ def test_samples_of_one_colour_rank_by_the_distance_to_it(classifier: Classifier
 
 
 @every_classifier
-def test_what_is_far_beyond_all_colours_or_not_finite_is_no_road(classifier: Classifier) -> None:
+def test_extreme_and_non_finite_pixels_are_not_road(classifier: Classifier) -> None:
     fitted, broken = of_asphalt(classifier), [3, 7, 8]
     far = torch.tensor([[0.45, 0.45, 0.45], [1e4, 0.4, -1e4], [1e20, 0.4, -1e20]])
     pixels = asphalt()
@@ -167,7 +167,7 @@ def test_what_is_far_beyond_all_colours_or_not_finite_is_no_road(classifier: Cla
 
 
 @every_classifier
-def test_what_is_not_finite_is_no_sample(classifier: Classifier) -> None:
+def test_non_finite_samples_are_ignored(classifier: Classifier) -> None:
     broken = torch.tensor([[float("nan"), 0, 0], [0, float("inf"), 0], [0, 0, -float("inf")]])
 
     mixed = fit(classifier, torch.cat([broken, asphalt()]), RGB)

@@ -193,7 +193,7 @@ def test_the_distance_is_that_of_the_density_or_of_the_papers_formula(formula: s
 # --- fit --------------------------------------------------------------------------------
 
 
-def test_every_round_is_the_textbooks() -> None:
+def test_every_round_equals_the_textbook() -> None:
     samples, start = clusters(3), memberships(clusters(3), 3)
     weights = samples.new_ones(1, len(samples))
 
@@ -212,7 +212,7 @@ def test_every_round_is_the_textbooks() -> None:
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
-def test_the_criterion_finds_the_heaps(number: int) -> None:
+def test_the_criterion_finds_the_number_of_clusters(number: int) -> None:
     floats = fit(BEST, clusters(number), AXES).model.floats
 
     assert floats == 6 * number  # in two planes each component takes six numbers a pixel

@@ -55,7 +55,7 @@ def test_the_best_of_the_restarts_is_as_good_as_the_best_of_many_starts() -> Non
     assert float(inertia) < 1.02 * float(k_means(samples, torch.stack(starts))[1].min())
 
 
-def test_a_centre_that_loses_its_samples_goes_where_it_is_needed() -> None:
+def test_a_centre_without_samples_moves_to_the_largest_error() -> None:
     samples = torch.tensor([[0.0], [0.1], [1.0]], dtype=torch.float64)
 
     centres, inertia = k_means(samples, torch.tensor([[[0.05], [9.0], [8.0]]]).double())

@@ -52,7 +52,7 @@ def test_the_area_scales_with_the_image(size: tuple[int, int], shape: tuple[int,
 # --- distinct colours -----------------------------------------------------------------------------
 
 
-def test_distinct_colours_are_the_images_own_to_the_bit() -> None:
+def test_distinct_colours_are_bit_identical_to_the_image() -> None:
     for image in (eight_bit(), random(3, 20, 30, dtype=torch.float32)):
         palette = distinct_colours(image)
 

@@ -14,7 +14,7 @@ from tests.reference import ufl as reference
 
 
 @pytest.mark.parametrize("side", [2, 3, 6])
-def test_patches_are_taken_everywhere_by_rows(side: int) -> None:
+def test_patches_are_extracted_at_every_position_by_rows(side: int) -> None:
     image = random(3, 8, 9)
 
     patches = features.extract_patches(image, side)
@@ -53,7 +53,7 @@ def test_a_round_of_k_means_moves_bases_to_means(seed: int, bases: int, count: i
     assert counts.tolist() == expected_counts
 
 
-def test_the_random_seed_settles_a_start_of_small_noise_or_of_patches() -> None:
+def test_the_seed_determines_initial_bases_of_noise_or_patches() -> None:
     points = random(50, 4)
 
     def start(kind: str, random_seed: int) -> torch.Tensor:
@@ -89,7 +89,7 @@ def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) ->
 
 @pytest.mark.parametrize("kind", ["base", "patch"])
 @pytest.mark.parametrize(("fraction", "count"), [(0.3, 12), (0.5, 21), (0.01, 1), (1.0, 41)])
-def test_the_best_maps_are_kept_best_first(kind: str, fraction: float, count: int) -> None:
+def test_the_best_maps_are_selected_best_first(kind: str, fraction: float, count: int) -> None:
     points, dictionary = random(35, 4), random(41, 4, seed=1)
     settings = MapSettings.model_validate({"encoder": kind, "fraction": fraction})
 
@@ -116,7 +116,9 @@ def test_the_best_maps_are_kept_best_first(kind: str, fraction: float, count: in
         (4000, 16, (120, 30)),
     ],
 )
-def test_the_papers_sizes_follow_from_the_shape(height: int, width: int, size: tuple) -> None:
+def test_working_sizes_of_the_paper_follow_from_the_aspect_ratio(
+    height: int, width: int, size: tuple
+) -> None:
     assert preprocess.WorkingShape().size(height, width) == size
 
 
@@ -131,7 +133,7 @@ def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, reach: 
     np.testing.assert_allclose(blurred, expected, atol=1e-12)
 
 
-def test_equalisation_does_not_see_how_bright_a_image_is() -> None:
+def test_equalisation_is_invariant_to_brightness() -> None:
     image = 0.2 + 0.5 * random(3, 20, 24)
 
     bright, dark = (preprocess.equalised(image * gain, preprocess.Smoothing()) for gain in (1, 0.1))

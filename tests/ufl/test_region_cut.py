@@ -17,7 +17,7 @@ from roadtorch.ufl.region_cut import (
 from tests.draws import random
 
 
-def test_pieces_of_one_cluster_are_regions_of_their_own() -> None:
+def test_components_of_a_cluster_are_separate_regions() -> None:
     regions = connected_regions(torch.tensor([[0, 0, 1, 0], [2, 2, 1, 0], [2, 2, 1, 0]]))
 
     assert regions[0, 0] == regions[0, 1] != regions[0, 3]
@@ -43,7 +43,7 @@ def test_no_other_partition_is_cheaper(seed: int) -> None:
     assert cost(side) == pytest.approx(least, abs=0.02)
 
 
-def test_where_borders_are_dear_an_island_in_the_road_is_road() -> None:
+def test_with_expensive_borders_an_island_in_the_road_is_road() -> None:
     regions = torch.zeros(9, 6, dtype=torch.int64)
     regions[3:] = 2
     regions[5:7, 2:4] = 1

@@ -23,7 +23,7 @@ def lower_half() -> torch.Tensor:
 # Place
 
 
-def test_place_ahead_is_0_on_the_sides_of_its_triangle() -> None:
+def test_position_weights_are_0_on_the_sides_of_the_triangle() -> None:
     weights = road.triangle_position_weights(100, 200, apex=0.5, base=0.8)
 
     assert (weights[:50] == -1).all()
@@ -91,7 +91,7 @@ def test_a_round_that_finds_no_road_ends_it() -> None:
 
 
 @pytest.mark.parametrize("side", [2, 5, 6, 7])
-def test_maps_come_back_at_the_size_of_the_image(side: int) -> None:
+def test_maps_are_converted_to_the_size_of_the_image(side: int) -> None:
     values = random(9, 12)
 
     enlarged = road.map_to_image(values, side)

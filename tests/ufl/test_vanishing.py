@@ -19,7 +19,7 @@ AIMING = vanishing.pixel_angles(POINT, SIZE).remainder(180)  # all texture aims 
 
 
 @pytest.mark.parametrize("angle", [0, 20, 90, 130])
-def test_stripes_run_the_way_they_run(angle: int) -> None:
+def test_stripes_have_their_orientation(angle: int) -> None:
     row, column = np.indices((48, 48))
     across = row * math.cos(math.radians(angle)) - column * math.sin(math.radians(angle))
     stripes = torch.from_numpy(0.5 + 0.5 * np.cos(2 * math.pi * across / 6)).float()
@@ -71,7 +71,9 @@ def test_confidence_is_one_less_the_middle_responses_over_the_greatest() -> None
     ],
     ids=["misses by 3 degrees", "by more than 5/(1 + 2d)", "beyond the radius", "above the point"],
 )
-def test_votes_fall_with_the_miss(place: tuple[float, float], angle: float, votes: float) -> None:
+def test_votes_decrease_with_the_angular_error(
+    place: tuple[float, float], angle: float, votes: float
+) -> None:
     voters = torch.tensor([place]), torch.tensor([angle])
 
     actual = vanishing.soft_votes(
@@ -82,7 +84,7 @@ def test_votes_fall_with_the_miss(place: tuple[float, float], angle: float, vote
 
 
 @pytest.mark.parametrize("left_out", [0, 40])
-def test_sure_pixels_that_aim_at_a_point_elect_it(left_out: int) -> None:
+def test_confident_pixels_aimed_at_a_point_elect_it(left_out: int) -> None:
     orientation, sure = AIMING.clone(), torch.ones(SIZE)
     sure[:, :left_out] = 0
     orientation[:, :left_out] = vanishing.pixel_angles(torch.tensor([50.0, 20.0]), SIZE)[
