@@ -9,6 +9,7 @@ import pytest
 from roadtorch.testing.scenes import render_scene, write_image
 from scripts import readme_figures
 from scripts.readme_figures import restate, rewrite, unbound_numbers
+from tests.videos import write_video
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -145,9 +146,10 @@ def test_an_evaluation_becomes_flat_records() -> None:
 
 def test_the_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.S)
-    write_image(tmp_path / "street.png", render_scene(1, 96, 128))
+    write_image(tmp_path / "street.png", render_scene(1, 48, 64))
     (tmp_path / "street.png").rename(tmp_path / "street.jpg")
+    write_video(tmp_path / "drive.mp4")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
 
-    exec(f"{block}\nassert detection.mask.shape == (96, 128) and 0 <= detection.trust <= 1", names)
+    exec(f"{block}\nassert detection.mask.shape == (48, 64) and 0 <= detection.trust <= 1", names)
