@@ -1,4 +1,4 @@
-"""Rendered streets of three groups as a labelled set, and detectors that know the answers."""
+"""Rendered streets of three groups as a labelled set, and detectors with given answers."""
 
 from collections.abc import Callable, Iterator
 
@@ -27,7 +27,7 @@ Answer = Callable[[str], Tensor]
 
 @pytest.fixture(scope="module", autouse=True)
 def _few_draws() -> Iterator[None]:
-    """Intervals of a tenth of the draws."""
+    """Compute intervals from a tenth of the replicates."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(uncertainty, "REPLICATES", 100)
         yield
@@ -46,7 +46,7 @@ def dataset(scenes, tmp_path_factory) -> Dataset:
 
 
 def answering(likelihood: Answer, **cues: Answer) -> Look:
-    """A detector that answers with a function of the item's name."""
+    """Return a detector whose likelihood and cues are functions of the item's name."""
 
     def look(image, item):
         values = likelihood(item.name).to(torch.float32)
@@ -56,7 +56,7 @@ def answering(likelihood: Answer, **cues: Answer) -> Look:
 
 
 def tally_of(dataset: Dataset, look: Look) -> Tally:
-    """What is counted of one detector on every image of a set."""
+    """Count one detector on every image of a set."""
     total = Tally()
     for result in score_dataset(dataset, [Contender("it", lambda _: look)]):
         assert not result.failure
@@ -65,7 +65,7 @@ def tally_of(dataset: Dataset, look: Look) -> Tally:
 
 
 def scores_of(tally: Tally, threshold: float = 0.5) -> DetectorScores:
-    """The scores of a detector with this default threshold."""
+    """Compute the scores of a detector with this default threshold."""
     return summarise(Contender("it", lambda _: NotImplemented, threshold=threshold), tally)
 
 
@@ -73,7 +73,7 @@ def scores_of(tally: Tally, threshold: float = 0.5) -> DetectorScores:
 
 
 def count(scores, road, levels=metrics.DEFAULT_LEVELS) -> RoadCounts:
-    """The counts of one map, all of it valid."""
+    """Count one map, all of it valid."""
     scores, road = torch.as_tensor(scores), torch.as_tensor(road, dtype=torch.bool)
     return metrics.count_levels(scores, road, torch.ones_like(road), levels)
 
@@ -85,7 +85,7 @@ def stack(*parts: RoadCounts) -> RoadCounts:
 
 
 def random_map(seed: int, levels: int = 12) -> tuple[np.ndarray, np.ndarray]:
-    """Scores on a coarse grid, so that ties are frequent, and a road."""
+    """Return likelihoods on a coarse grid, so that ties are frequent, and a road."""
     generator = np.random.default_rng(seed)
     road = generator.random((9, 11)) < 0.4
     road[0, :2] = True, False

@@ -1,4 +1,4 @@
-"""Boundary F against brute force on small masks, and cases drawn by hand."""
+"""Boundary F against brute force on small masks, and cases by hand."""
 
 import math
 
@@ -19,7 +19,7 @@ PIXEL = 1 / 20
 
 
 def half(column: int, size: tuple[int, int] = SIZE) -> Tensor:
-    """Road left of a column."""
+    """Return road to the left of a column."""
     return (torch.arange(size[1]) < column).expand(size).contiguous()
 
 
@@ -28,7 +28,7 @@ def everything(size: tuple[int, int] = SIZE) -> Tensor:
 
 
 def blob(generator: np.random.Generator) -> np.ndarray:
-    """A ragged mask: two rectangles and a few flipped pixels."""
+    """Return a ragged mask: two rectangles and a few flipped pixels."""
     mask = np.zeros(SIZE, bool)
     for _ in range(2):
         (top, bottom), (start, end) = (np.sort(generator.integers(0, n, 2)) for n in SIZE)

@@ -1,4 +1,4 @@
-"""`evaluate` from Python: who is scored, by which thresholds, on which images."""
+"""`evaluate` from Python: detectors, thresholds, images."""
 
 import json
 from dataclasses import replace
@@ -30,7 +30,7 @@ def camvid(tmp_path_factory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory) -> Dataset:
-    """The same scenes as a folder of images and masks, without groups."""
+    """Write the same scenes as a folder of images and masks, without groups."""
     root = tmp_path_factory.mktemp("set") / "folder"
     (root / "masks").mkdir(parents=True)
     for name, scene in SCENES.items():
@@ -41,14 +41,14 @@ def plain(tmp_path_factory) -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def found(camvid) -> Evaluation:
+def evaluation(camvid) -> Evaluation:
     return evaluate(camvid, [ORACLE], settings={"doubt": 0.2})
 
 
-def test_metrics_json_has_every_figure_under_its_key(found):
-    content = build_document(found, "the command")
+def test_metrics_json_has_every_figure_under_its_key(evaluation):
+    content = build_document(evaluation, "the command")
 
-    section, scores = content["detectors"][ORACLE], found.detectors[ORACLE]
+    section, scores = content["detectors"][ORACLE], evaluation.detectors[ORACLE]
     assert json.loads(json.dumps(content, allow_nan=False)) == content
     assert content["command"] == "the command"
     assert section["maxf"] == scores.headline["maxf"]
@@ -56,7 +56,7 @@ def test_metrics_json_has_every_figure_under_its_key(found):
     assert section["pooled"]["boundary_f"].keys() == {"0.00375", "0.0075"}
     assert section["ci95"]["layout_mean"] == [1, 1]
     assert section["maxf_threshold"] == scores.best_threshold
-    assert {name: each["baseline"] for name, each in content["detectors"].items()} == {
+    assert {name: part["baseline"] for name, part in content["detectors"].items()} == {
         ORACLE: False, "prior:rows": True, "prior:triangle": True, "prior:mean": True
     }  # fmt: skip
     assert section["settings"] == DECISION | {"doubt": 0.2}
@@ -75,8 +75,10 @@ def test_the_detector_to_compare_with_joins_the_run(camvid):
     assert next(changes) == next(changes)
 
 
-def test_sets_without_groups_use_the_default_or_another_threshold(found, camvid, plain, tmp_path):
-    write_json(tmp_path / "metrics.json", build_document(found, ""))
+def test_sets_without_groups_use_the_default_or_another_threshold(
+    evaluation, camvid, plain, tmp_path
+):
+    write_json(tmp_path / "metrics.json", build_document(evaluation, ""))
     settings = {"doubt": 0.2}
 
     by_default = evaluate(plain, [ORACLE], settings=settings).detectors
@@ -90,7 +92,7 @@ def test_sets_without_groups_use_the_default_or_another_threshold(found, camvid,
     assert "prior:mean" not in by_default
     assert by_earlier[ORACLE].threshold_from == "an earlier run"
     for name in (ORACLE, "prior:mean", "prior:rows"):
-        assert by_earlier[name].headline["threshold"] == found.detectors[name].best_threshold
+        assert by_earlier[name].headline["threshold"] == evaluation.detectors[name].best_threshold
 
 
 def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid, tmp_path):
@@ -104,7 +106,7 @@ def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid
     assert run.detectors["maps:net"].headline["maxf"] == pytest.approx(1)
     assert run.detectors["maps:net"].headline["iou_mask"] == 1
     missing = next(iter(SCENES))
-    assert [one.image for one in run.failures] == [missing]
+    assert [failure.image for failure in run.failures] == [missing]
     assert f"maps:net: {tmp_path / missing}.png: is missing" in run.failures[0].reason
     assert run.images == 5
 
@@ -149,10 +151,10 @@ def test_another_file_than_a_metrics_json_is_refused(camvid, tmp_path, text):
     ],
 )
 def test_what_can_be_refused_is_refused_before_the_run(
-    found, camvid, tmp_path, monkeypatch, detector, options, message
+    evaluation, camvid, tmp_path, monkeypatch, detector, options, message
 ):
     monkeypatch.setattr(scoring, "ScoringTask", None)  # must not be reached
-    write_json(tmp_path / "metrics.json", build_document(found, ""))
+    write_json(tmp_path / "metrics.json", build_document(evaluation, ""))
     values = {"metrics.json": tmp_path / "metrics.json", "camvid": camvid}
     options = {key: values.get(str(value), value) for key, value in options.items()}
 
@@ -201,11 +203,13 @@ def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
     run = evaluate(leave_out(camvid, [out]), ["grey-uniformity"])
     alone = evaluate(replace(camvid, items=remaining), ["grey-uniformity"])
 
-    kept, expected = (without_times(build_document(one, ""))["detectors"] for one in (run, alone))
-    for name, one in kept.items():
-        assert set(one.pop("left_out")) == {out}
+    scores, expected = (
+        without_times(build_document(part, ""))["detectors"] for part in (run, alone)
+    )
+    for name, part in scores.items():
+        assert set(part.pop("left_out")) == {out}
         assert expected[name].pop("left_out") == {}
-        assert one == expected[name]
+        assert part == expected[name]
     assert (run.groups, run.left_out, run.images) == (list(GROUPS[:2]), [out], 6)
     # It is scored at the threshold that the others share, and by all that needs none as before.
     grey = run.detectors["grey-uniformity"]
@@ -216,7 +220,7 @@ def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
 
 def test_a_condition_has_the_figures_of_its_images_whatever_their_group(camvid):
     rainy = {"0001TP_0": ("rain",), "0006R0_1": ("rain", "dusk"), "0016E5_2": ("dusk",)}
-    items = tuple(replace(one, conditions=rainy.get(one.name, ())) for one in camvid.items)
+    items = tuple(replace(item, conditions=rainy.get(item.name, ())) for item in camvid.items)
     chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))
 
     name = "grey-uniformity"

@@ -1,4 +1,4 @@
-"""A measure is one object: whoever adds one finds it everywhere."""
+"""Measures: one object each, which all tables and files use."""
 
 from pathlib import Path
 
@@ -25,8 +25,8 @@ def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
 
 
 def test_keys_are_told_apart_and_directions_are_followed():
-    assert len({one.key for one in MEASURES}) == len(MEASURES)
-    by_key = {one.key: one for one in MEASURES}
+    assert len({measure.key for measure in MEASURES}) == len(MEASURES)
+    by_key = {measure.key: measure for measure in MEASURES}
     nan = float("nan")
     assert by_key["brier"].best([0.2, nan, 0.1]) == 0.1
     assert MAXF.best([0.2, nan, 0.1]) == 0.2

@@ -1,4 +1,4 @@
-"""Who is scored: names, files and folders, the mean mask of other groups, the row prior."""
+"""Contenders: names, files and folders, the mean mask of other groups, the row prior."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from tests.evaluation.conftest import GROUPS
 
 @pytest.fixture
 def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Weights, a config and a folder of maps in the working directory."""
+    """Write weights, a config and a folder of maps to the working directory."""
     for name in ("mine", "theirs", "prior:rows"):
         (tmp_path / name).mkdir()
     network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
@@ -78,7 +78,7 @@ def test_a_text_that_names_nothing_is_refused(files, text, error, message):
 
 
 def test_each_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
-    names = [one.name for one in contenders(dataset, ["prior:t*", "prior:rows", "prior:*"], {})]
+    names = [entry.name for entry in contenders(dataset, ["prior:t*", "prior:rows", "prior:*"], {})]
 
     assert names == ["prior:triangle", "prior:rows", "prior:uniform", "prior:mean"]
     with pytest.raises(ConfigError, match="names two detectors"):
@@ -118,7 +118,7 @@ def test_a_mask_from_elsewhere_is_brought_to_the_size_of_the_image(dataset):
 
 
 def baseline_scores(dataset: Dataset, maps: dict | None = None) -> dict[str, float]:
-    """MaxF by group of the row prior, or of a map for each group; labels alone are read."""
+    """Compute MaxF by group of the row prior, or of a map for each group, from the labels alone."""
     counts: dict[str, metrics.RoadCounts] = {}
     for item in dataset.items:
         truth, group = dataset.truth(item), item.group or ""
@@ -139,7 +139,7 @@ def test_row_prior_on_camvid_by_group(data_root):
 @pytest.mark.data
 def test_row_prior_and_camvids_mean_mask_on_idd(data_root):
     idd = open_dataset("idd-lite", data_root / "idd_lite")
-    some = every_kth(open_dataset("camvid", data_root / "camvid"), 100)  # for speed
+    few = every_kth(open_dataset("camvid", data_root / "camvid"), 100)  # for speed
 
     assert baseline_scores(idd)[""] == pytest.approx(0.813, abs=6e-4)
-    assert baseline_scores(idd, mean_masks(idd, some))[""] == pytest.approx(0.834, abs=4e-3)
+    assert baseline_scores(idd, mean_masks(idd, few))[""] == pytest.approx(0.834, abs=4e-3)

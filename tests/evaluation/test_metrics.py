@@ -92,7 +92,7 @@ def test_f_of_table_1_follows_from_its_precision_and_recall(name, precision, rec
 
 
 def kitti_frame(f: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """8-bit scores, road and valid of the benchmark's made-up frame (40,50)."""
+    """Return 8-bit likelihoods, road and valid of the benchmark's synthetic frame (40, 50)."""
     r, c = np.mgrid[:40, :50]
     road = (r >= 12) & (abs(2 * c - 49 - 6 * f) <= 4 + r)
     noise = (37 * r + 101 * c + 13 * r * c + 59 * f) % 151

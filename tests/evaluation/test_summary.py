@@ -46,10 +46,10 @@ def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
     perfect = scores_of(tally_of(dataset, answering(lambda n: scenes[n].road)))
     inverted = scores_of(tally_of(dataset, answering(lambda n: ~scenes[n].road)))
 
-    for one in MEASURES:
-        if one.key in perfect.headline and not one.key.startswith("layout/"):
-            ideal = {"higher": 1, "lower": 0}.get(one.better or "")
-            assert ideal is None or one.of(perfect.headline) == pytest.approx(ideal, abs=1e-9)
+    for measure in MEASURES:
+        if measure.key in perfect.headline and not measure.key.startswith("layout/"):
+            ideal = {"higher": 1, "lower": 0}.get(measure.better or "")
+            assert ideal is None or measure.of(perfect.headline) == pytest.approx(ideal, abs=1e-9)
     assert perfect.pooled["maxf"] == pytest.approx(1, abs=1e-9)
     assert inverted.headline["brier"] == 1
     assert inverted.headline["eer"] == 1
@@ -169,8 +169,8 @@ def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
     assert group["layout/labelled/mean"] == 1
     assert 0.2 < group["layout/labelled_share"] < 0.8
     members = [scene for name, scene in scenes.items() if name.startswith("0001TP")]
-    right = sum(int(((one.layout != 2) & ~one.void).sum()) for one in members)
-    valid = sum(int((~one.void).sum()) for one in members)
+    right = sum(int(((scene.layout != 2) & ~scene.void).sum()) for scene in members)
+    valid = sum(int((~scene.void).sum()) for scene in members)
     assert group["layout/accuracy"] == pytest.approx(right / valid)
     assert scores.headline["layout/confusion/horizontal/vertical"] == 1
 
@@ -179,7 +179,7 @@ def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
 
 
 def trusting(scenes, trusts: Mapping[str, float | None]):
-    """Finds less and less of the road from image to image, and says how much it trusts that."""
+    """Return a detector that finds less of the road with each image, with these trusts."""
     order = {name: place for place, name in enumerate(scenes)}
 
     def look(image, item):
@@ -197,8 +197,8 @@ def test_trust_is_measured_on_all_images_together_and_by_group(dataset, scenes):
     scores = scores_of(tally)
     blind = scores_of(tally_of(dataset, trusting(scenes, dict.fromkeys(scenes, 0.5)))).headline
 
-    kept = tally.kept()
-    f, trusts = metrics.f_measure(kept.mask), torch.tensor([knowing[name] for name in kept.names])
+    table = tally.kept()
+    f, trusts = metrics.f_measure(table.mask), torch.tensor([knowing[name] for name in table.names])
     correlation = scores.headline["trust/rank_correlation"]
     assert correlation == pytest.approx(spearmanr(trusts, f)[0])
     assert scores.headline["trust/aurc_random"] == pytest.approx(float((1 - f).mean()))
@@ -213,9 +213,9 @@ def test_images_without_trust_are_left_out_and_detectors_without_any_have_no_fig
     dataset, scenes
 ):
     first, *trusted = scenes
-    some = {first: None, **dict.fromkeys(trusted, 0.9)}
+    trusts = {first: None, **dict.fromkeys(trusted, 0.9)}
 
-    tally = tally_of(dataset, trusting(scenes, some))
+    tally = tally_of(dataset, trusting(scenes, trusts))
     never = scores_of(tally_of(dataset, trusting(scenes, dict.fromkeys(scenes, None))))
 
     risks = 1 - metrics.f_measure(tally.select(trusted).mask)

@@ -1,4 +1,4 @@
-"""Scores of images as they come, and their sums."""
+"""Counts of single images, and their sums."""
 
 import pickle
 from dataclasses import dataclass, replace
@@ -36,11 +36,11 @@ def test_images_with_and_without_layout_may_be_mixed_in_any_order(dataset):
         counts = with_layout if is_shown else replace(with_layout, layout=None)
         tally.add(replace(item, name=f"{index}"), counts)
 
-    kept = tally.kept()
-    layout = kept.layout
+    table = tally.kept()
+    layout = table.layout
 
-    assert list(kept.names) == [f"{index}" for index in range(200)]
-    assert (kept.road.road == tally_of(dataset, look).kept().road.road[0]).all()
+    assert list(table.names) == [f"{index}" for index in range(200)]
+    assert (table.road.road == tally_of(dataset, look).kept().road.road[0]).all()
     assert layout is not None
     assert len(layout) == 200
     assert torch.equal(layout.flatten(1).sum(1) > 0, (torch.arange(200) // 10) == 9)
@@ -103,7 +103,7 @@ def test_two_processes_give_the_results_of_one(dataset):
 
     assert [result.item for result in serial] == [result.item for result in parallel]
     for first, second in zip(serial, parallel, strict=True):
-        assert first.counts.keys() == second.counts.keys() == {one.name for one in methods}
+        assert first.counts.keys() == second.counts.keys() == {method.name for method in methods}
         for name, counts in first.counts.items():
             assert torch.equal(counts.road.road, second.counts[name].road.road)
             assert torch.equal(counts.road.background, second.counts[name].road.background)
@@ -114,7 +114,7 @@ def test_two_processes_give_the_results_of_one(dataset):
 
 @dataclass(frozen=True)
 class LowerHalf:
-    """A view that sees the lower half of an image, twice as large."""
+    """A view of the lower half of an image, twice as large."""
 
     name: ClassVar[str] = "the lower half"
 
@@ -132,7 +132,7 @@ def test_maps_and_truth_are_scored_in_the_view_of_the_set(dataset, scenes):
         return likelihood
 
     plain, in_view = (
-        scores_of(tally_of(one, answering(above))).headline for one in (dataset, viewed)
+        scores_of(tally_of(view, answering(above))).headline for view in (dataset, viewed)
     )
 
     assert plain["maxf"] < 0.9

@@ -1,4 +1,4 @@
-"""What trust is worth, and where detectors disagree."""
+"""Measures of trust, and disagreement of detectors."""
 
 import math
 from pathlib import Path
@@ -98,7 +98,7 @@ def change(
 
 
 def numbers(ranked: list[Disagreement]) -> list[int]:
-    return [int(one.item.name[-2:]) for one in ranked]
+    return [int(pair.item.name[-2:]) for pair in ranked]
 
 
 def test_half_changed_most_and_the_others_are_spread_down_to_the_least() -> None:

@@ -1,4 +1,4 @@
-"""Intervals and paired differences: the textbook case, a plain bootstrap, and of a run."""
+"""Intervals and paired differences: the textbook case, a plain bootstrap, an evaluation."""
 
 import itertools
 import math
@@ -30,10 +30,10 @@ def test_interval_of_a_mean_is_the_textbook_one():
 
 
 def test_draws_without_a_value_are_left_out():
-    some = torch.tensor([math.nan, 1, 1, math.nan, 1], dtype=torch.float64)
+    values = torch.tensor([math.nan, 1, 1, math.nan, 1], dtype=torch.float64)
 
-    assert all(math.isnan(end) for end in uncertainty.interval(some[:1]))
-    assert uncertainty.interval(some) == (1, 1)
+    assert all(math.isnan(end) for end in uncertainty.interval(values[:1]))
+    assert uncertainty.interval(values) == (1, 1)
 
 
 # --- of a run -------------------------------------------------------------------------------------
@@ -42,13 +42,13 @@ Measured = tuple[DetectorScores, uncertainty.Replicates]
 
 
 def blurred(road: Tensor, name: str, noise: float) -> Tensor:
-    """A road that is mixed with noise, which depends on the image."""
+    """Mix a road with noise, which depends on the image."""
     generator = torch.Generator().manual_seed(int(name[7:]))
     return (1 - noise) * road + noise * torch.rand(48, 64, generator=generator)
 
 
 def measured(dataset: Dataset, scenes, noise: float) -> Measured:
-    """Figures and draws of a detector whose road is that much blurred by noise."""
+    """Return scores and replicates of a detector whose road is mixed with so much noise."""
 
     def look(image, item):
         likelihood = blurred(scenes[item.name].road, item.name, noise)
@@ -67,7 +67,7 @@ def test_every_headline_figure_has_an_interval_around_it(dataset, scenes):
 
     intervals = uncertainty.score_intervals(draws)
 
-    assert set(intervals) == {one.key for one in MEASURES if one.interval}
+    assert set(intervals) == {measure.key for measure in MEASURES if measure.interval}
     for name, (low, high) in intervals.items():
         assert low <= scores.headline[name] <= high
         assert 0 <= high - low < 0.2
@@ -96,12 +96,12 @@ def test_draws_are_those_of_a_plain_bootstrap_the_same_for_both(dataset, scenes)
 
 
 def pooled_f(scenes: Sequence[RenderedScene], masks: Sequence[Tensor]) -> float:
-    """F of masks of some scenes together, by loops."""
+    """Compute F of the masks of some scenes together, by loops."""
     right = decided = true = 0
-    for one, mask in zip(scenes, masks, strict=True):
-        right += int((mask & one.road & ~one.void).sum())
-        decided += int((mask & ~one.void).sum())
-        true += int((one.road & ~one.void).sum())
+    for scene, mask in zip(scenes, masks, strict=True):
+        right += int((mask & scene.road & ~scene.void).sum())
+        decided += int((mask & ~scene.void).sum())
+        true += int((scene.road & ~scene.void).sum())
     return 2 * right / (decided + true)
 
 
@@ -109,8 +109,8 @@ def test_pairs_are_signed_share_their_draws_and_have_the_figures_of_both(dataset
     runs = {"good": measured(dataset, scenes, 0.72), "poor": measured(dataset, scenes, 0.75)}
     runs |= {"again": runs["good"], "bare": (runs["good"][0], dict(runs["good"][1]))}
     detectors = {name: scores for name, (scores, _) in runs.items()}
-    draws = {name: own for name, (_, own) in runs.items()}
-    draws["bare"] = {key: own for key, own in draws["bare"].items() if key != "layout/mean"}
+    draws = {name: values for name, (_, values) in runs.items()}
+    draws["bare"] = {key: values for key, values in draws["bare"].items() if key != "layout/mean"}
 
     differences = uncertainty.compare_detectors(detectors, draws, "good").differences
     reverse = uncertainty.compare_detectors(detectors, draws, "poor").differences

@@ -1,4 +1,4 @@
-"""The exported file of a detector with two networks and a closer look: tracing it takes long."""
+"""The exported file of `fusion:large`, made once, as tracing it takes long."""
 
 import pytest
 
@@ -10,5 +10,5 @@ NAME = "fusion:large"
 
 @pytest.fixture(scope="session")
 def fusion(tmp_path_factory: pytest.TempPathFactory) -> Exported:
-    """Checked for parity, as it is exported."""
+    """Export the detector, with the parity check."""
     return export_detector(load_detector(NAME), tmp_path_factory.mktemp("fusion") / "road.onnx")

@@ -1,4 +1,4 @@
-"""Exported files: what they say, what they say about themselves, and what is refused."""
+"""Exported files: parity with Python, metadata, and what is refused."""
 
 import os
 import shutil

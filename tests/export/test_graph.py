@@ -1,4 +1,4 @@
-"""What a graph computes for a batch where Python branches on values or uses OpenCV and NumPy."""
+"""Steps of the graph on batches, where Python branches on values or uses OpenCV and NumPy."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -71,7 +71,7 @@ STEPS: dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]] = {
 def test_a_step_of_a_graph_says_of_a_batch_what_python_says_of_each(
     step: Callable[..., Tensor], parts: tuple[Tensor, ...]
 ) -> None:
-    expected = torch.stack([step(*each) for each in zip(*parts, strict=True)])
+    expected = torch.stack([step(*values) for values in zip(*parts, strict=True)])
 
     with exporting():
         actual = step(*parts)

@@ -1,4 +1,4 @@
-"""A folder for a model hub: it holds the detector, and says what it is."""
+"""Folder for a model hub: it holds the detector and its description."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The page for browsers, in a real one: headless Chromium, a plain server of a folder."""
+"""The browser page in headless Chromium, from a static file server."""
 
 import shutil
 import subprocess
@@ -33,7 +33,7 @@ BROWSER = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, fusion: Exported) -> Path:
-    """The page, with the runtime as npm gives it."""
+    """Write the page, with the runtime from npm."""
     if shutil.which("npm") is None:
         pytest.skip("npm, which brings onnxruntime-web, is not installed")
     root = tmp_path_factory.mktemp("page")
@@ -64,7 +64,7 @@ def browser() -> Iterator["Browser"]:
 
 @pytest.fixture
 def page(browser: "Browser", folder: Path) -> Iterator["Page"]:
-    """The page, ready."""
+    """Open the page and wait until it is ready."""
     with served(folder) as address:
         context = browser.new_context(permissions=["camera"])
         context.set_default_timeout(PATIENCE)

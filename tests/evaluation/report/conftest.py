@@ -1,4 +1,4 @@
-"""One run of the oracle on rendered streets, as the report gets it."""
+"""An evaluation of the oracle on rendered streets."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from tests.oracle import ORACLE, know_oracle, write_set
 
 @pytest.fixture(scope="session")
 def oracle_run(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
-    """Three groups, two conditions, one image that fails."""
+    """Evaluate on three groups and two conditions; one image fails."""
     know_oracle()
     root = write_set(tmp_path_factory.mktemp("set") / "camvid")
     (root / "train" / "0001TP_0.png").write_bytes(b"")

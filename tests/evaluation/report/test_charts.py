@@ -1,4 +1,4 @@
-"""The charts of a run: what they draw, and their bytes."""
+"""Charts of an evaluation: what they draw, and their bytes."""
 
 import base64
 from pathlib import Path
@@ -43,9 +43,9 @@ def test_the_eight_best_and_the_four_best_baselines_are_shown_by_rank() -> None:
 
     series = charts.choose_series(scored(dict(reversed(scores.items()))))
 
-    assert [one.name for one in series] == names[:8] + names[12:16]
-    assert len({(one.colour, one.dash) for one in series}) == 12
-    assert all(one.is_baseline == one.name.startswith("prior:") for one in series)
+    assert [item.name for item in series] == names[:8] + names[12:16]
+    assert len({(item.colour, item.dash) for item in series}) == 12
+    assert all(item.is_baseline == item.name.startswith("prior:") for item in series)
 
 
 def test_lines_and_marks_are_the_figures_of_the_run(oracle_run: Evaluation) -> None:

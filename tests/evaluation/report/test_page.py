@@ -1,4 +1,4 @@
-"""The page of a run: one whole page as it was, and that nothing in it acts or leaves it."""
+"""Report of an evaluation: one whole page, and that it runs and loads nothing."""
 
 import os
 import re
@@ -25,7 +25,7 @@ UNSETTLED = (
 
 
 def test_a_whole_page_is_as_it_was(oracle_run: Evaluation, tmp_path: Path) -> None:
-    """With UPDATE_GOLDEN=1 the page that is compared with is written anew."""
+    """Compare with the golden page; UPDATE_GOLDEN=1 writes it."""
     write(oracle_run, tmp_path, "roadtorch evaluate camvid data", images=1)
 
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -37,7 +37,7 @@ def test_a_whole_page_is_as_it_was(oracle_run: Evaluation, tmp_path: Path) -> No
 
 
 class Tags(HTMLParser):
-    """The tags of a page with their attributes."""
+    """Tags of a page with their attributes."""
 
     def __init__(self, page: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The tables of a run: on the screen, as Markdown, and what they leave out."""
+"""Tables of an evaluation: on the screen, as Markdown, and what they leave out."""
 
 import math
 import re
@@ -15,7 +15,7 @@ from tests.reports import GROUPS, NAMES, changed, made_run, scored
 
 
 def texts(evaluation: Evaluation, most: int | None = 20) -> Mapping[str, str]:
-    """The tables as text by their title."""
+    """Return the tables as text by their title."""
     return {table.title: table.text() for table in build_tables(evaluation, most)}
 
 
@@ -57,8 +57,8 @@ def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
 
     text = screen(evaluation)
 
-    kept = ["fusion", *worse[: MAX_LISTED - 1], "prior:rows", "prior:mean"]
-    assert shortlist(evaluation) == kept
+    listed = ["fusion", *worse[: MAX_LISTED - 1], "prior:rows", "prior:mean"]
+    assert shortlist(evaluation) == listed
     assert text.endswith("61 more detectors, with lower MaxF: metrics.json (--out DIR)")
     assert worse[MAX_LISTED - 2] in text
     assert worse[MAX_LISTED - 1] not in text
