@@ -92,7 +92,7 @@ def spin(arguments: Sequence[str], stop: Stop) -> None:
     try:
         road = RoadNode(node, declare_parameters(node))
         thread.start()
-        road.work(stop)
+        road.run(stop)
     finally:
         executor.shutdown(timeout_sec=STOP_TIMEOUT)
         rclpy.try_shutdown()
@@ -183,12 +183,12 @@ class RoadNode:
         self.times, self.failures, self.last_warning = deque[float](maxlen=30), 0, ""
         self.last_detection: Detection | None = None
         self.latency = 0.0  # seconds from the arrival of the last image to its results
-        self.placing, self.grid_settings = self._placing()
+        self.placing, self.grid_settings = self._make_placement()
         newest, latched = qos.qos_profile_sensor_data, qos.QoSProfile(depth=1)
         latched.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
         node.create_subscription(kinds.Image, "image", self.inbox.put, newest)
         node.create_subscription(kinds.CompressedImage, "image/compressed", self.inbox.put, newest)
-        node.create_subscription(kinds.CameraInfo, "camera_info", self._lens, newest)
+        node.create_subscription(kinds.CameraInfo, "camera_info", self._take_lens, newest)
         self.images = {
             topic: node.create_publisher(kinds.Image, topic, 1)
             for topic in (MASK_TOPIC, CONFIDENCE_TOPIC, OVERLAY_TOPIC)
@@ -197,13 +197,13 @@ class RoadNode:
         self.grids = node.create_publisher(occupancy, GRID_TOPIC, latched)
         array = ros_module("diagnostic_msgs.msg").DiagnosticArray
         self.diagnostics = node.create_publisher(array, "/diagnostics", 1)
-        self.labels = self._labels(latched)
+        self.labels = self._publish_labels(latched)
 
-    def work(self, stop: Stop) -> None:
+    def run(self, stop: Stop) -> None:
         """Detect the road in the newest image and publish it, until a stop is requested."""
         topic = self.node.resolve_topic_name("image")
         self.node.get_logger().info(f"{self.detector.name} subscribes to {topic}")
-        self.node.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
+        self.node.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         source = self.inbox.source(topic, stop)
         with closing(
             detect_frames(source, self.infer, Workers(), self.temporal_filter, stop=stop)
@@ -245,7 +245,7 @@ class RoadNode:
 
     # --- camera -----------------------------------------------------------------------------
 
-    def _placing(self) -> tuple[Placing | None, GridSettings]:
+    def _make_placement(self) -> tuple[Placing | None, GridSettings]:
         """Return the pose of the camera, None without a height, and the settings of the grid."""
         values = self.parameters
         cells = {name: getattr(values, name) for name in ("resolution", "range", "side")}
@@ -262,7 +262,7 @@ class RoadNode:
         )
         return placing_of(mounting, of_bags=True), settings
 
-    def _lens(self, message: Any) -> None:
+    def _take_lens(self, message: Any) -> None:
         """Take the lens from the first CameraInfo message."""
         if self.placing is None or not self.placing.lacks_lens:
             return
@@ -277,7 +277,7 @@ class RoadNode:
 
     # --- labels and diagnostics -------------------------------------------------------------
 
-    def _labels(self, latched: Any) -> Any:
+    def _publish_labels(self, latched: Any) -> Any:
         """Publish the latched label info; None where vision_msgs is not installed."""
         try:
             kind = ros_module("vision_msgs.msg").LabelInfo
@@ -294,7 +294,7 @@ class RoadNode:
             self.last_warning = message
             self.node.get_logger().warning(message)
 
-    def _diagnose(self) -> None:
+    def _publish_diagnostics(self) -> None:
         """Publish diagnostics."""
         detection, times = self.last_detection, [*self.times]
         silence = time.monotonic() - times[-1] if times else math.inf

@@ -50,7 +50,7 @@ class Inference:
         """Detect the road in an image (3, H, W)."""
         return self.detector.to(self.device).detect(self.move(image))
 
-    def find(self, image: Tensor) -> Evidence:
+    def find_evidence(self, image: Tensor) -> Evidence:
         """Compute the evidence of a frame, the part of detection that needs no other frame."""
         return self.detector.to(self.device).find(self.move(image))
 
@@ -188,7 +188,7 @@ class _EvidenceTask:
     def _evidence(self, image: Tensor | RoadtorchError) -> Evidence:
         if isinstance(image, RoadtorchError):
             raise image
-        evidence = self.inference.find(image)
+        evidence = self.inference.find_evidence(image)
         cues = evidence.cues if self.cues else Cues({}, evidence.cues.size)
         return evidence._replace(cues=cues, image=None)
 

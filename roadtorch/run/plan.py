@@ -129,9 +129,9 @@ def plan(
         folder, _, last = item.name.rpartition("/")
         if re.fullmatch(FRAME_NUMBER, last):
             numbered[folder] = item.origin
-    for source, written in sources:
-        owner = numbered.get(source.name) if written.frame_suffixes else None
+    for source, outputs in sources:
+        owner = numbered.get(source.name) if outputs.frame_suffixes else None
         claim(source.name, source.origin, owner)
-        for suffix in written.suffixes:
+        for suffix in outputs.suffixes:
             claim(source.name + suffix, source.origin)
     return Plan(inputs.images, sources)

@@ -58,17 +58,17 @@ class RayPool:
         options: dict[str, Any] = {"num_cpus": 1}
         options |= {"num_gpus": 1} if device.startswith("cuda") else {}
         options |= {"runtime_env": {"env_vars": variables}} if is_cluster else {}
-        self._kind: Any = ray.remote(**options)(Actor)
+        self._actor_class: Any = ray.remote(**options)(Actor)
 
     def start(self) -> Any:
         """Start an actor."""
-        return self._kind.remote(self._task, self._threads)
+        return self._actor_class.remote(self._task, self._threads)
 
     def submit(self, worker: Any, item: bytes) -> Future[bytes]:
         """Send an item to an actor."""
         return worker.work.remote(item).future()
 
-    def end(self, workers: Sequence[Any]) -> None:
+    def stop(self, workers: Sequence[Any]) -> None:
         """Kill actors."""
         for worker in workers:
             with suppress(Exception):  # the actor or the whole cluster has already ended

@@ -55,14 +55,14 @@ class Run:
     workers: Workers
     options: RunOptions
 
-    def all(self, plan: Plan, task: Task, of_footage: Method, steady: bool = True) -> int:
+    def all(self, plan: Plan, task: Task, footage_method: Method, steady: bool = True) -> int:
         """Process all images and sources of a plan, and return the exit code.
 
-        of_footage: method of the sources, in the place of the task's. steady: whether to smooth
+        footage_method: of the sources, instead of the task's. steady: whether to smooth
         over time.
         """
         failed = self.images(plan.images, task)
-        return max(failed, self.process_sources(plan, replace(task, method=of_footage), steady))
+        return max(failed, self.process_sources(plan, replace(task, method=footage_method), steady))
 
     def images(self, items: Sequence[Item], task: Task) -> int:
         """Process the images that are not done yet, and return the exit code.
@@ -218,15 +218,15 @@ def _trust(row: Row) -> float:
 
 def least_trusted_lines(rows: Iterable[Row]) -> list[str]:
     """Return lines that list the least trusted images, the worst first; empty without trusts."""
-    judged = sorted((row for row in rows if row.trust), key=_trust)
-    if not judged:
+    rated = sorted((row for row in rows if row.trust), key=_trust)
+    if not rated:
         return []
-    doubtful = sum(row.doubtful for row in judged)
+    doubtful = sum(row.doubtful for row in rated)
     lines = [
         f"  {row.trust}  {row.file}{row.status.removeprefix(DONE).removeprefix(DOUBTFUL)}"
-        for row in judged[:LEAST_TRUSTED]
+        for row in rated[:LEAST_TRUSTED]
     ]
-    return [f"roadtorch: {doubtful} doubtful of {len(judged)}; least trusted:", *lines]
+    return [f"roadtorch: {doubtful} doubtful of {len(rated)}; least trusted:", *lines]
 
 
 # --- one source ---------------------------------------------------------------------------

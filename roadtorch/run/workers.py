@@ -60,7 +60,7 @@ class Pool(Protocol):
         """Send a pickled item to a worker; the future holds the pickled result."""
         ...
 
-    def end(self, workers: Sequence[Any]) -> None:
+    def stop(self, workers: Sequence[Any]) -> None:
         """Stop workers within ``SHUTDOWN_TIMEOUT``."""
         ...
 
@@ -126,7 +126,7 @@ def _map_in_order(
                 for future in wait(busy, return_when=FIRST_COMPLETED).done:
                     worker = busy.pop(future)
                     if isinstance(future.exception(), pool.crashes):
-                        pool.end([worker])
+                        pool.stop([worker])
                         worker = pool.start()
                     idle.append(worker)
             elif error:
@@ -134,7 +134,7 @@ def _map_in_order(
             else:
                 return
     finally:
-        pool.end([*idle, *busy.values()])
+        pool.stop([*idle, *busy.values()])
 
 
 def processors() -> int:
@@ -201,20 +201,20 @@ class _ProcessPool:
         is_plain = self._threads.torch == 1 and not torch.cuda.is_initialized()
         forks = sys.platform == "linux" and is_plain
         self._context = get_context("fork" if forks else "spawn")
-        self._inherited = task if forks else None
+        self._inherited_task = task if forks else None
         # Bytes, because torch would share tensors between processes through sockets. They are sent
         # once the process runs: Python waits forever for one that dies reading its arguments.
-        self._sent = None if forks else pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
+        self._pickled_task = None if forks else pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
         self._processes: dict[ProcessPoolExecutor, set[BaseProcess]] = {}
 
     def start(self) -> ProcessPoolExecutor:
         """Start an executor with one process."""
         earlier = set(active_children())
         try:
-            arguments = (self._threads, self._inherited)
+            arguments = (self._threads, self._inherited_task)
             executor = ProcessPoolExecutor(1, self._context, _initialise_worker, arguments)
             with interrupting_none_started():
-                executor.submit(_load_task, self._sent)
+                executor.submit(_load_task, self._pickled_task)
         except (OSError, RuntimeError) as error:  # RuntimeError: its thread cannot start
             for process in set(active_children()) - earlier:
                 process.kill()
@@ -232,7 +232,7 @@ class _ProcessPool:
             future.set_exception(error)
             return future
 
-    def end(self, workers: Sequence[ProcessPoolExecutor]) -> None:
+    def stop(self, workers: Sequence[ProcessPoolExecutor]) -> None:
         """Shut executors down, and kill processes that take too long."""
         processes = set[BaseProcess]().union(*(self._processes.pop(worker) for worker in workers))
 
