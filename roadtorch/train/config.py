@@ -151,13 +151,13 @@ class Teacher(Settings):
     """Source of the targets of whole images."""
 
     detector: str = Field(
-        default="fusion:untrained", description="detector with a layout among its cues"
+        default="fusion:untrained", description="teacher, a detector with a layout among its cues"
     )
     weights: str = Field(
         default="", description="weights of the teacher's network; empty for the shipped ones"
     )
     views: Literal["one", "mirrored"] = Field(
-        default="one", description="the image alone, or averaged with its mirror image"
+        default="one", description="the image alone, or averaged with its mirror (mirrored)"
     )
     working: WorkingSize = WorkingSize()
     margin: float = Field(
@@ -204,15 +204,15 @@ class HeadWeights(Settings):
 
 
 class Rounds(Settings):
-    """Use of the initial weights beside the teacher."""
+    """Self-training of a network with initial weights, one round a run."""
 
-    count: Literal[1] = Field(default=1, description="only 1; for more start from the weights")
+    count: Literal[1] = Field(default=1, description="rounds of a run: 1")
     combine: Literal["agreement", "teacher"] = Field(
         default="agreement",
-        description="pixels where initial network and teacher agree, or the teacher alone",
+        description="labels where initial network and teacher agree, or the teacher's alone",
     )
     start: Literal["fresh", "continued"] = Field(
-        default="fresh", description="train new weights, or the initial ones"
+        default="fresh", description="train new weights (fresh) or the initial ones (continued)"
     )
 
 
