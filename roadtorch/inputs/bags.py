@@ -80,7 +80,7 @@ def bag_source(
     that cannot be decoded raises when its item is read.
 
     Args:
-        given: path of the bag.
+        origin: path of the bag.
         topic: name of the topic; None if there is only one.
         selection: selection of the images.
 

@@ -265,7 +265,7 @@ def upright_image(reformatter: "VideoReformatter", image: "VideoFrame") -> Tenso
 
     Args:
         reformatter: the stream's, which builds its tables once; a frame's own rebuilds them.
-        frame: the decoded frame.
+        image: the decoded frame.
     """
     pixels = reformatter.reformat(image, format="rgb24").to_ndarray()
     return from_pixels(np.rot90(pixels, round(image.rotation / 90)))

@@ -140,7 +140,7 @@ def runs(trained: Trained, street: Correction) -> dict[str, Outcome]:
 def test_a_run_paces_its_steps_by_the_corrected_images(
     trained: Trained, runs: dict[str, Outcome], street: Correction
 ) -> None:
-    """One corrected image and a huge half-rate count: next to no step is taken."""
+    """Check that one corrected image and a huge half-rate count hardly change the weights."""
     slow = trained("images", "corrections.half_rate_images=1e6", out="slow", corrections=[street])
     slowly, fast = (load_network(run.weights or "") for run in (slow, runs["images"]))
     start = make_recipe(training_of("images")).make_network(None).state_dict()

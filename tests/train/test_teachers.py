@@ -58,7 +58,7 @@ def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
 
 
 def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
-    """The same road is seen by two cameras, one with lower likelihoods."""
+    """Compare two cameras on the same road, one with lower likelihoods."""
     odds = torch.randn(1, 1, 20, 30, generator=seeded(3)).repeat(2, 1, 1, 1)
     odds[:, :, 10:] += 4
     odds[1] -= 3

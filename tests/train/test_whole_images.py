@@ -115,7 +115,7 @@ NAMES = ("a_1", "a_2", "a_3", "b", "c")
 
 @pytest.mark.parametrize(("balance", "weight"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
 def test_recordings_follow_from_names(balance: float, weight: float, tmp_path: Path) -> None:
-    """The kept folder's own name has the separator; the names of two images have none."""
+    """Use a folder whose own name has the separator, and two names without it."""
     folder = tmp_path / "kept_here"
     folder.mkdir()
     files = [folder / f"{name}.png.npz" for name in NAMES]
