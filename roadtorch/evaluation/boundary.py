@@ -79,8 +79,8 @@ def _bounding_slices(pixels: np.ndarray, margin: int) -> tuple[slice, slice]:
     """
     spans = []
     for axis in (1, 0):
-        places = np.flatnonzero(pixels.any(axis))
-        first, last = (places[0], places[-1]) if len(places) else (0, -1)
+        indices = np.flatnonzero(pixels.any(axis))
+        first, last = (indices[0], indices[-1]) if len(indices) else (0, -1)
         spans.append(slice(max(0, first - margin), last + margin + 1))
     return spans[0], spans[1]
 

@@ -166,9 +166,8 @@ def reliability(counts: RoadCounts, bins: int = CALIBRATION_BINS) -> Reliability
         torch.zeros((*part.shape[:-1], bins), dtype=part.dtype).index_add_(-1, index, part)
         for part in (road + background, road, (road + background) * likelihood)
     )
-    return Reliability(
-        predicted / pixels, road_pixels / pixels, pixels / pixels.sum(-1, keepdim=True)
-    )
+    fraction = pixels / pixels.sum(-1, keepdim=True)
+    return Reliability(predicted / pixels, road_pixels / pixels, fraction)
 
 
 def expected_calibration_error(counts: RoadCounts, bins: int = CALIBRATION_BINS) -> Tensor:

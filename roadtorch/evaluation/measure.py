@@ -9,8 +9,7 @@ from torch import Tensor
 
 from roadtorch.evaluation.tally import Part
 
-UNDEFINED = "–"
-"""Text of a value that is not defined, such as the recall without any road."""
+UNDEFINED = "–"  # text of an undefined value, such as recall without road
 
 Scores = Mapping[str, float]
 """Values by the key of their measure: NaN where undefined, missing where it does not apply."""

@@ -92,12 +92,9 @@ def contenders(
         for name in BASELINES:
             entries.setdefault(name, named_detector(name, {}))
         if masks := mean_masks(dataset, mean_from):
+            predict = partial(_mean_mask, masks)
             entries[MEAN_PRIOR] = Contender(
-                MEAN_PRIOR,
-                lambda _: partial(_mean_mask, masks),
-                {},
-                MEAN_THRESHOLD,
-                is_baseline=True,
+                MEAN_PRIOR, lambda _: predict, threshold=MEAN_THRESHOLD, is_baseline=True
             )
     return list(entries.values())
 

@@ -109,9 +109,8 @@ def count_levels(
         )
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
-        raise InputError(
-            "likelihood", f"has values from {low:g} to {high:g}", "return values in [0, 1]"
-        )
+        problem = f"has values from {low:g} to {high:g}"
+        raise InputError("likelihood", problem, "return values in [0, 1]")
     # One histogram: background, then road, then one bin for void.
     index = quantise(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
     counts = torch.bincount(index.flatten(), minlength=2 * levels + 1)

@@ -216,12 +216,8 @@ def summarise(
 ) -> DetectorScores:
     """Compute all scores of one detector but its intervals.
 
-    Args:
-        contender: the detector.
-        tally: its counts.
-        measures: measures to compute.
-        left_out: groups that count in no score but their own.
-        conditions: images by condition, which are pooled across groups.
+    left_out: groups that count in no score but their own. conditions: images by condition, which
+    are pooled across groups.
     """
     source, thresholds, best = choose_thresholds(contender, tally.road, left_out)
     counting = {
@@ -231,7 +227,7 @@ def summarise(
         group: replace(of_groups(tally, {group: threshold}), threshold=threshold)
         for group, threshold in thresholds.items()
     }
-    condition_counts = {
+    by_condition = {
         name: pool_images(images, thresholds)
         for name, items in (conditions or {}).items()
         if (images := tally.select({item.name for item in items})).names
@@ -247,9 +243,7 @@ def summarise(
         groups=groups,
         pooled=pooled,
         left_out={group: values for group, values in scores.items() if group not in counting},
-        conditions={
-            name: compute_scores(part, measures) for name, part in condition_counts.items()
-        },
+        conditions={name: compute_scores(part, measures) for name, part in by_condition.items()},
         thresholds=thresholds,
         threshold_from=source,
         best_threshold=best,

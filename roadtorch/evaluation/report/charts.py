@@ -210,7 +210,7 @@ def svg_uri(width: float, height: float, draw: Callable[[Figure], None]) -> str:
     with matplotlib.rc_context(), warnings.catch_warnings():
         # Letters that the measuring font lacks: the reader's browser has its own fonts.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
-        matplotlib.rcdefaults()  # not what the user's matplotlibrc says
+        matplotlib.rcdefaults()  # ignore the user's matplotlibrc
         matplotlib.rcParams.update(STYLE)
         figure = Figure(figsize=(width / 72, height / 72), layout="constrained")
         draw(figure)

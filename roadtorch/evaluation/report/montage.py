@@ -65,9 +65,8 @@ def draw_montage(
     rows = []
     for value, name in chosen:
         item = by_name[name]
-        rows.append(
-            draw_montage_row(dataset, predictor, item, thresholds[item.group or UNGROUPED], value)
-        )
+        threshold = thresholds[item.group or UNGROUPED]
+        rows.append(draw_montage_row(dataset, predictor, item, threshold, value))
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows]
     return np.concatenate(rows)

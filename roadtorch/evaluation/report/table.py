@@ -92,9 +92,9 @@ class Table:
         while optional and max(map(len, text.splitlines())) > width:
             pairs.remove(optional.pop())
             text = _aligned_columns(names, pairs)
-        return (
-            f"{text}\n{self.omitted} more rows: metrics.json (--out DIR)" if self.omitted else text
-        )
+        if self.omitted:
+            text += f"\n{self.omitted} more rows: metrics.json (--out DIR)"
+        return text
 
     def to_markdown(self) -> str:
         """Return the table as Markdown, notes in parentheses."""

@@ -163,9 +163,7 @@ def part_table(evaluation: Evaluation, name: str, kind: PartKind, most: int | No
     rows = {label: parts[label] for label in worst_first}
     if kind == "group" and rows:
         rows["mean"] = evaluation.headlines
-        rows |= {
-            f"{group} (left out)": evaluation.group_scores(group) for group in evaluation.left_out
-        }
+        rows |= {f"{g} (left out)": evaluation.group_scores(g) for g in evaluation.left_out}
     required = {BASELINE_HEADER, *(measure.name for measure in evaluation.measures_in("headline"))}
     omitted = len(parts) - len(worst_first)
     table = Table(f"{name} by {kind}", list(rows), omitted=omitted, required=required)
