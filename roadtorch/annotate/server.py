@@ -185,7 +185,7 @@ async def read_body(request: Request) -> bytes | None:
 # --- routes -----------------------------------------------------------------------------
 
 
-def annotation_app(session: Session, token: str, port: int) -> Starlette:
+def make_app(session: Session, token: str, port: int) -> Starlette:
     """Build the web application of a session."""
     page = SessionApi(session)
     routes = [
@@ -387,7 +387,7 @@ def page_server(session: Session, port: int | None = None) -> PageServer:
     token = last.token if last else secrets.token_urlsafe(24)
     address = Address(port=listening.getsockname()[1], token=token)
     write_address(session.out, address)
-    app = annotation_app(session, token, address.port)
+    app = make_app(session, token, address.port)
     config = uvicorn.Config(
         app,
         http=SlowClientProtocol,

@@ -300,7 +300,7 @@ def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
 
 
 def import_event(labels: np.ndarray, number: int = 0) -> Import:
-    """Return the import event that sets labels, uint8 (H, W); number: of earlier events."""
+    """Return the event that imports labels, uint8 (H, W); number: of earlier events, for its id."""
     runs = {LABELS[label]: runs_of(labels == label) for label in np.unique(labels).tolist()}
     identity = hashlib.sha256(f"{number} {runs}".encode()).hexdigest()[:32]
     return Import(kind="brought", id=identity, time=round(time.time(), 3), labels=runs)

@@ -38,7 +38,7 @@ from roadtorch.road.fusion import log_odds
 from roadtorch.run.memo import keep, kept, key_of
 
 EXCLUDED_LOG_ODDS = 0.05
-"""Log odds of pixels above the threshold that the mask excludes: just below zero."""
+"""Magnitude of the negative log odds of pixels above the threshold that the mask excludes."""
 
 VIEWS_FOLDER = ".machine"
 """Name of the folder of views in the folder of corrections."""
@@ -92,8 +92,8 @@ def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings
         segments = measure_segments(small, labels)
     threshold = torch.tensor(detector.settings.threshold)
     odds = log_odds(resized(detection.likelihood, shape)) - log_odds(threshold)
-    left_out = (odds >= 0) & ~at_image_size(detection.mask, shape)
-    odds = torch.where(left_out, -EXCLUDED_LOG_ODDS, odds)  # positive where the mask is road
+    is_excluded = (odds >= 0) & ~at_image_size(detection.mask, shape)
+    odds = torch.where(is_excluded, -EXCLUDED_LOG_ODDS, odds)  # positive where the mask is road
     layout = torch.zeros(len(segments.size), 0)
     if (potentials := detection.cues.get("layout")) is not None and len(potentials) == CLASSES:
         mean = segment_mean(resized(potentials, shape), labels, segments.pixels)
@@ -152,7 +152,7 @@ def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def corrected_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the road at a size, bool (H, W): human labels, else where log odds are positive."""
+    """Return the road at a size, bool (H, W): human labels, else log odds; void is no road."""
     layer = road_layer(resize_labels(labels, size))
     road = resized(odds, size).numpy() >= 0
     return np.where((layer == OPEN) | (layer == VOID_SAID), road & (layer != VOID_SAID), layer == 1)

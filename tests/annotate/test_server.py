@@ -23,7 +23,7 @@ from roadtorch.annotate.server import (
     PAGE_FILES,
     AccessMiddleware,
     SlowClientProtocol,
-    annotation_app,
+    make_app,
 )
 from roadtorch.annotate.session import Session
 from roadtorch.data.corrections import log_path, read_log
@@ -56,7 +56,7 @@ class Client:
 
 @pytest.fixture
 def client(session: Session) -> Client:
-    return Client(annotation_app(session, TOKEN, 8765), {"x-token": TOKEN})
+    return Client(make_app(session, TOKEN, 8765), {"x-token": TOKEN})
 
 
 def click(identity: str = "a", **changes: object) -> dict[str, object]:
@@ -80,7 +80,7 @@ def test_a_click_is_kept_and_the_image_told_anew(client: Client, session: Sessio
 @pytest.mark.parametrize("headers", [{}, {"x-token": "foreign"}, {"x-token": TOKEN + "x"}])
 @pytest.mark.parametrize("path", ["/", f"/api/state?{WHICH}"])
 def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[str, str]) -> None:
-    stranger = Client(annotation_app(session, TOKEN, 8765))
+    stranger = Client(make_app(session, TOKEN, 8765))
     answer = stranger.get(path, headers=headers)
     assert answer.status_code == 403
     assert "token: is missing or wrong (open the address" in answer.json()["error"]
