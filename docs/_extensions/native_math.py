@@ -16,7 +16,7 @@ LOGGER = logging.getLogger(__name__)
 
 
 def mathml(node: nodes.Element, display: bool) -> str:
-    """The equation of a node as MathML; what cannot be converted is a warning of the build."""
+    """Convert the equation of a node to MathML; failures are warnings of the build."""
     try:
         return latex2mathml.tex2mathml(node.astext(), as_block=display)
     except MathError as error:

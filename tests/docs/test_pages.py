@@ -1,4 +1,4 @@
-"""What documents name exists, what they show runs, and what they claim is computed."""
+"""Pages: names exist, examples run, claims agree with their tables."""
 
 import csv
 import json
@@ -32,7 +32,7 @@ SETTINGS_OF = (
 
 
 def is_setting(assignment: str) -> bool:
-    """Whether some detector of the papers takes ``group.key=value``."""
+    """Return whether some detector of the papers takes ``group.key=value``."""
     for name in SETTINGS_OF:
         try:
             detector_entry(name).configured(parse_assignments([assignment]))
@@ -91,7 +91,7 @@ Cells = Mapping[tuple[str, str], float]
 
 
 def tables() -> Iterator[Cells]:
-    """Scores by classifier and planes: ours on CamVid, and those that P3 prints."""
+    """Yield scores by classifier and planes: ours on CamVid, then P3's."""
     with (RESEARCH / "oneclass_table3.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     for key in ("camvid", "p3"):
@@ -101,7 +101,7 @@ def tables() -> Iterator[Cells]:
 
 
 def apart(cells: Cells, names: tuple[str, ...], combinations: bool | None = None) -> float:
-    """By how much classifiers differ at most, in single planes, in combinations, or in all."""
+    """Return the largest difference of classifiers, in single planes, combinations, or all."""
     planes = {key[1] for key in cells}
     wanted = {one for one in planes if combinations in (None, one in COMBINATIONS)}
     spread = [[cells[name, one] for name in names] for one in wanted]
@@ -109,7 +109,7 @@ def apart(cells: Cells, names: tuple[str, ...], combinations: bool | None = None
 
 
 def claims() -> Iterator[str]:
-    """Sentences of the page with the figures that the tables give."""
+    """Yield sentences of the page with the figures of the tables."""
     ours, printed = tables()
     for names, combinations, claim in (
         (("svdd", "dlp"), None, "SVDD and dLP are one classifier: within {} in every column ({})"),
@@ -201,6 +201,6 @@ def test_docstrings_show_what_they_say(docstring: str, shown: list[str]) -> None
 
 
 def test_the_images_were_made_with_the_weights_and_settings_that_ship() -> None:
-    """Else: python scripts/readme_pictures.py DATA."""
+    """Compare hashes; to make them anew: python scripts/readme_pictures.py DATA."""
     made = ROOT / "docs" / "pictures" / "made.json"
     assert json.loads(made.read_text(encoding="utf-8")) == made_with()

@@ -1,4 +1,4 @@
-"""docs/research/index.md: the command of every figure and table runs, on an image of each set."""
+"""Commands of figures and tables in docs/research/index.md, on an image of each set."""
 
 import re
 import shlex
@@ -36,12 +36,12 @@ WRITTEN = {
     "P3, Table II": ("p3-table2", "p3-table2-camvid"),
     "P3, Table III": ("p3-table3",),
 }
-"""What a figure's files are called, or end in."""
+"""Names of a figure's files, or their ends."""
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder like that of the data, with an image of each drive and category."""
+    """Return a folder like that of the data, with an image of each drive and category."""
     root = tmp_path_factory.mktemp("data")
     write_drives(root)
     (root / "kitti_road/image_2").mkdir(parents=True)
@@ -52,7 +52,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the sets and detectors of the longest tables one each."""
+    """Reduce the sets and detectors of the longest tables to one each."""
     monkeypatch.setattr(p1, "SETS", {"camvid": ("camvid", 1)})
     monkeypatch.setattr(p1, "TABLE", ("ufl:paper",))
     monkeypatch.setattr(p1, "BENCHMARK", ("fusion:paper",))

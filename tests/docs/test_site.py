@@ -1,4 +1,4 @@
-"""The site builds whole, and its tutorials say what happens."""
+"""The site builds without warnings, and executed pages show what happens."""
 
 import re
 import subprocess
@@ -113,7 +113,7 @@ def test_an_ellipsis_is_any_lines_and_nothing_else_is() -> None:
 
 
 def test_a_page_with_planted_faults_comes_back_mended() -> None:
-    """What is the same stays as it was written, and what was left out stays out."""
+    """Check that equal output stays as written, and left-out output stays out."""
     page = """```console
 $ echo took 5 s
 took 3 s
