@@ -17,7 +17,7 @@ from typing import Annotated, Self
 import numpy as np
 import torch
 from PIL.ExifTags import Base as ExifTag
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from roadtorch.base.atomic import make_folder
 from roadtorch.base.bounded import read_regular, reason
@@ -57,7 +57,10 @@ class LogHead(Settings):
     """
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
-    image: Annotated[str, Field(pattern=r"^[^\x00]+$")]
+    image: Annotated[
+        str,
+        Field(pattern=r"^[^\x00]+$", validation_alias=AliasChoices("image", "picture")),  # 1.0.0's
+    ]
     height: Side
     width: Side
 

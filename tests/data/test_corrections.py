@@ -158,6 +158,13 @@ def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path, torn:
     assert ids(path) == ["a", "b"]
 
 
+def test_a_log_of_the_first_release_is_read(tmp_path: Path) -> None:
+    path = log(tmp_path, "a.jpg", box("a", "road", 0, 0, 9, 9))
+    path.write_bytes(path.read_bytes().replace(b'"image":', b'"picture":', 1))
+
+    assert ids(path) == ["a"]
+
+
 # --- corrections ------------------------------------------------------------------------
 
 
