@@ -95,11 +95,11 @@ def at_version(page: "Page", version: int) -> None:
     )
 
 
-def shown(page: "Page", name: str) -> None:
+def wait_for_image(page: "Page", name: str) -> None:
     page.wait_for_function("name => document.body.dataset.image === name", arg=name)
 
 
-def place_of(page: "Page", across: float, down: float) -> tuple[float, float]:
+def canvas_point(page: "Page", across: float, down: float) -> tuple[float, float]:
     box = page.locator("#stage").bounding_box()
     assert box is not None
     return box["x"] + across * box["width"], box["y"] + down * box["height"]
@@ -107,7 +107,7 @@ def place_of(page: "Page", across: float, down: float) -> tuple[float, float]:
 
 def click(page: "Page", across: float, down: float, version: int | None = None) -> None:
     """Click on the image, and wait for its version if one is given."""
-    page.mouse.click(*place_of(page, across, down))
+    page.mouse.click(*canvas_point(page, across, down))
     if version is not None:
         at_version(page, version)
 
@@ -125,7 +125,7 @@ def press_and_leave(page: "Page", *keys: str) -> str:
     return page.evaluate("document.body.dataset.image")
 
 
-def tells(page: "Page", identity: str, words: str) -> None:
+def wait_for_text(page: "Page", identity: str, words: str) -> None:
     """Wait until an element contains a text."""
     page.wait_for_function(
         "([id, words]) => document.getElementById(id).textContent.includes(words)",
@@ -140,9 +140,9 @@ def page(visit: Open, server: Server) -> "Page":
 
 def test_drag_undo_redo_reload(page: "Page", server: Server) -> None:
     press(page, "2")
-    page.mouse.move(*place_of(page, 0.3, 0.9))
+    page.mouse.move(*canvas_point(page, 0.3, 0.9))
     page.mouse.down()
-    page.mouse.move(*place_of(page, 0.7, 0.9), steps=12)
+    page.mouse.move(*canvas_point(page, 0.7, 0.9), steps=12)
     page.mouse.up()
     at_version(page, 1)
     (dragged,) = server.corrections()
@@ -184,9 +184,11 @@ def test_the_keyboard_alone_is_enough(page: "Page", server: Server) -> None:
     assert (corrected.layout == 1).any()
     for count in (1, 2):
         press_and_leave(page, "Enter")
-        tells(page, "progress", f"{count} of 3 confirmed")
+        wait_for_text(page, "progress", f"{count} of 3 confirmed")
     press(page, "Enter")
-    tells(page, "notice", "All 3 images are confirmed. To train on them: roadtorch train --config")
+    wait_for_text(
+        page, "notice", "All 3 images are confirmed. To train on them: roadtorch train --config"
+    )
     assert all(correction.confirmed for correction in server.corrections())
 
 
@@ -202,7 +204,7 @@ def test_a_narrow_window_has_a_thousand_images_in_reach(visit: Open, server: Ser
     page.locator("#show-list").click()
     page.evaluate("document.getElementById('list').scrollTop = 1e6")
     page.locator(".row", has_text="street_999.png").click()
-    shown(page, "street_999.png")
+    wait_for_image(page, "street_999.png")
     requests = page.evaluate("performance.getEntriesByType('resource').map((entry) => entry.name)")
     assert 0 < sum("/api/thumbnail" in request for request in requests) < 150
     assert not page.locator("#side").is_visible()
@@ -227,14 +229,14 @@ def test_two_windows_lose_nothing(visit: Open, page: "Page", server: Server) -> 
 def test_strokes_wait_through_a_reload_and_a_restart(page: "Page", server: Server) -> None:
     page.route("**/api/event*", lambda route: route.abort())
     click(page, 0.5, 0.9)
-    tells(page, "notice", "1 unsent event")
+    wait_for_text(page, "notice", "1 unsent event")
     page.unroute("**/api/event*")
     page.reload()
     at_version(page, 1)
     server.stop()
     press(page, "2")
     click(page, 0.5, 0.2)
-    tells(page, "notice", "1 unsent event")
+    wait_for_text(page, "notice", "1 unsent event")
     click(page, 0.2, 0.2)
     restarted = Server(server.folder, server.out)
     assert restarted.url == server.url

@@ -29,9 +29,9 @@ from roadtorch.annotate.session import Session
 from roadtorch.data.corrections import log_path, read_log
 
 TOKEN = "t" * 32
-HERE = "http://127.0.0.1:8765"
+ORIGIN = "http://127.0.0.1:8765"
 NAME = "street_0.png"
-WHICH = f"name={NAME}"
+QUERY = f"name={NAME}"
 
 
 @dataclass
@@ -44,7 +44,7 @@ class Client:
     def get(self, path: str, method: str = "GET", **values: Any) -> httpx.Response:
         async def request() -> httpx.Response:
             transport = httpx.ASGITransport(self.app)
-            async with httpx.AsyncClient(transport=transport, base_url=HERE) as client:
+            async with httpx.AsyncClient(transport=transport, base_url=ORIGIN) as client:
                 headers = {**self.headers, **values.pop("headers", {})}
                 return await client.request(method, path, headers=headers, **values)
 
@@ -65,7 +65,7 @@ def click(identity: str = "a", **changes: object) -> dict[str, object]:
 
 
 def test_a_click_is_kept_and_the_image_told_anew(client: Client, session: Session) -> None:
-    answer = client.post(f"/api/event?{WHICH}", json=click())
+    answer = client.post(f"/api/event?{QUERY}", json=click())
     state = answer.json()
     assert (answer.status_code, state["version"], state["size"]) == (200, 1, [64, 48])
     layers = np.frombuffer(base64.b64decode(state["layers"]), np.uint8).reshape(48, 64)
@@ -78,7 +78,7 @@ def test_a_click_is_kept_and_the_image_told_anew(client: Client, session: Sessio
 
 
 @pytest.mark.parametrize("headers", [{}, {"x-token": "foreign"}, {"x-token": TOKEN + "x"}])
-@pytest.mark.parametrize("path", ["/", f"/api/state?{WHICH}"])
+@pytest.mark.parametrize("path", ["/", f"/api/state?{QUERY}"])
 def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[str, str]) -> None:
     stranger = Client(make_app(session, TOKEN, 8765))
     answer = stranger.get(path, headers=headers)
@@ -89,7 +89,7 @@ def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[s
 @pytest.mark.parametrize(
     ("header", "value", "status"),
     [
-        ("origin", HERE, 200),
+        ("origin", ORIGIN, 200),
         *(
             ("origin", origin, 403)
             for origin in ("http://localhost:8765", "https://evil.example", "null")
@@ -100,7 +100,7 @@ def test_a_foreign_token_is_refused(session: Session, path: str, headers: dict[s
 def test_another_page_or_host_is_refused_although_it_knows_the_token(
     client: Client, session: Session, header: str, value: str, status: int
 ) -> None:
-    answer = client.post(f"/api/event?{WHICH}", json=click(), headers={header: value})
+    answer = client.post(f"/api/event?{QUERY}", json=click(), headers={header: value})
     assert answer.status_code == status
     assert log_path(session.out, NAME).exists() == (status == 200)
 
@@ -111,7 +111,7 @@ def test_who_is_cut_off_at_the_end_is_told_to_ask_again() -> None:
 
     async def answered() -> httpx.Response:
         transport = httpx.ASGITransport(AccessMiddleware(endless, TOKEN, 8765))  # pyright: ignore
-        async with httpx.AsyncClient(transport=transport, base_url=HERE) as client:
+        async with httpx.AsyncClient(transport=transport, base_url=ORIGIN) as client:
             request = asyncio.create_task(client.get("/", headers={"x-token": TOKEN}))
             await asyncio.sleep(0.05)
             request.cancel()
@@ -196,9 +196,9 @@ TOO_LONG = json.dumps(click(segments=[1] * (MAX_BODY // 3 + 1)))
             for call in ("image", "thumbnail", "superpixels", "state")
             for name in ("../x.png", "%2e%2e%2fx.png", "/etc/passwd", "", "street_2.png")
         ),
-        (f"/api/event?{WHICH}", TOO_LONG, 413, f"more than {MAX_BODY:,} bytes"),
+        (f"/api/event?{QUERY}", TOO_LONG, 413, f"more than {MAX_BODY:,} bytes"),
         *(
-            (f"/api/event?{WHICH}", body, 400, "stroke: is not a correction event")
+            (f"/api/event?{QUERY}", body, 400, "stroke: is not a correction event")
             for body in ("", "{", "[]", json.dumps(click(saying="cat")))
         ),
     ],
@@ -223,15 +223,15 @@ def test_a_stroke_that_finds_no_room_on_the_disk_may_be_sent_again(
 
     with monkeypatch.context() as patched:
         patched.setattr(call, full)
-        assert client.post(f"/api/event?{WHICH}", json=click()).status_code == 507
-    assert client.post(f"/api/event?{WHICH}", json=click()).status_code == 200
+        assert client.post(f"/api/event?{QUERY}", json=click()).status_code == 507
+    assert client.post(f"/api/event?{QUERY}", json=click()).status_code == 200
 
 
 def test_the_list_comes_once_until_it_changes(client: Client) -> None:
     first = client.get("/api/images").json()
     assert [entry["name"] for entry in first["images"]] == [f"street_{n}.png" for n in range(3)]
     assert client.get(f"/api/images?stamp={first['stamp']}").status_code == 204
-    client.post(f"/api/event?{WHICH}", json=click())
+    client.post(f"/api/event?{QUERY}", json=click())
     second = client.get(f"/api/images?stamp={first['stamp']}").json()
     assert second["images"][0]["version"] == 1
 

@@ -27,13 +27,13 @@ def superpixel(identity: str, saying: str, *segments: int) -> SuperpixelStroke:
     )
 
 
-def reopened(session: Session) -> Session:
+def reopen(session: Session) -> Session:
     return opened_session(session.images.root, session.out, load_detector("prior:triangle"))
 
 
 def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
     state = session.add(NAME, superpixel("a", "road", 0, 1))
-    again = reopened(session).state(NAME)
+    again = reopen(session).state(NAME)
     assert again["layers"] == state["layers"]
     assert again["version"] == 1
     (correction,) = read_corrections(session.out)
@@ -84,17 +84,17 @@ def test_names_that_are_none_begin_no_log(session: Session, tmp_path: Path, name
 @pytest.mark.parametrize("torn", [b"", b'{"roadtorch": 1, "pict'])
 def test_a_log_without_a_first_line_stops_nobody(session: Session, torn: bytes) -> None:
     (session.out / f"{NAME}.strokes.jsonl").write_bytes(torn)
-    again = reopened(session)
+    again = reopen(session)
     assert again.listing()[0]["version"] == 0
     assert again.add(NAME, superpixel("a", "road", 0))["version"] == 1
-    assert reopened(session).state(NAME)["version"] == 1
+    assert reopen(session).state(NAME)["version"] == 1
 
 
 def test_a_image_that_changed_its_size_keeps_its_corrections(session: Session) -> None:
     session.add(NAME, superpixel("a", "road", 0))
     write_image(session.images.root / NAME, scene(1, 40, 64))
     with pytest.raises(InputError, match="was corrected at 64 by 48 pixels"):
-        reopened(session).add(NAME, superpixel("b", "road", 1))
+        reopen(session).add(NAME, superpixel("b", "road", 1))
 
 
 def test_a_full_disk_or_a_wrong_superpixel_leaves_nothing_half_done(
@@ -124,7 +124,7 @@ def test_many_at_once_lose_nothing(session: Session) -> None:
 
     with ThreadPoolExecutor(4) as workers:
         list(workers.map(strokes, range(0, 20, 5)))
-    assert reopened(session).state(NAME)["version"] == 20
+    assert reopen(session).state(NAME)["version"] == 20
 
 
 def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
@@ -157,7 +157,7 @@ def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:
     with (session.out / f"{NAME}.strokes.jsonl").open("a") as file:
         file.write("nonsense\n")
     with pytest.raises(DatasetError, match=r"jsonl:3: is not a correction event"):
-        reopened(session)
+        reopen(session)
 
 
 # --- report -----------------------------------------------------------------------------

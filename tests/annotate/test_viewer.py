@@ -28,7 +28,9 @@ def detection(grey: float) -> Detection:
     return Detection(mask.float(), mask, {}, 0.75, image=torch.full((3, 24, 32), grey))
 
 
-def asked(viewer: Viewer, after: str = "", token: str | None = None) -> tuple[int, Message, bytes]:
+def request_frame(
+    viewer: Viewer, after: str = "", token: str | None = None
+) -> tuple[int, Message, bytes]:
     """Return the status, headers and body of the next frame."""
     url = f"http://127.0.0.1:{viewer.address.port}/api/frame?after={after}"
     headers = {"X-Token": viewer.address.token if token is None else token}
@@ -45,7 +47,7 @@ def test_the_newest_frame_is_shown_with_its_trust_and_those_between_are_left_out
         for number in range(3):
             viewer.write(frame(number), detection(number / 4))
 
-        status, headers, body = asked(viewer)
+        status, headers, body = request_frame(viewer)
 
     assert status == 200
     assert (headers["X-Frame"], headers["X-Trust"]) == ("2", "0.75")
@@ -56,13 +58,13 @@ def test_the_newest_frame_is_shown_with_its_trust_and_those_between_are_left_out
 def test_who_has_the_newest_waits_for_the_next_and_is_told_of_the_end() -> None:
     with Viewer() as viewer:
         viewer.write(frame(0), detection(0))
-        first = asked(viewer)[1]["X-Number"]
+        first = request_frame(viewer)[1]["X-Number"]
         Timer(0.2, lambda: viewer.write(frame(1), detection(0))).start()
-        second = asked(viewer, first)[1]
+        second = request_frame(viewer, first)[1]
         ending = Timer(0.2, viewer.__exit__)
         ending.start()
 
-        status, *_ = asked(viewer, second["X-Number"])
+        status, *_ = request_frame(viewer, second["X-Number"])
         ending.join()
 
     assert second["X-Frame"] == "1"
@@ -73,7 +75,7 @@ def test_a_stranger_sees_nothing() -> None:
     with Viewer() as viewer:
         viewer.write(frame(0), detection(0))
 
-        status, _, body = asked(viewer, token="")
+        status, _, body = request_frame(viewer, token="")
 
     assert status == 403
     assert "token: is missing or wrong" in json.loads(body)["error"]

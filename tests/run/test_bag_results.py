@@ -30,7 +30,7 @@ def run(call: Call, drive: Path, out: Path) -> Call:
     return partial(call, "infer", drive, *ROWS, "--out", out)
 
 
-def result_of(drive: Path, out: Path) -> Path:
+def road_bag(drive: Path, out: Path) -> Path:
     return out / ("drive.road.bag" if drive.suffix else "drive.road")
 
 
@@ -38,7 +38,7 @@ def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, out: Pa
     result = call("infer", drive, *GREY, "--set", "threshold=0.4", "--out", out, "--no-steady")
 
     assert result.exit_code == 0, result.stderr
-    messages = list(read_bag(result_of(drive, out)))
+    messages = list(read_bag(road_bag(drive, out)))
     assert {entry.topic for entry in messages} == TOPICS
     masks = [entry for entry in messages if entry.topic == "/segmentation/mask"]
     assert [entry.stamp for entry in masks] == [FIRST + STEP * number + 7 for number in range(4)]
@@ -64,10 +64,10 @@ def test_what_is_done_is_skipped_until_the_bag_changes(run: Call, drive: Path, o
 
     assert "1 skipped (done before)" in again.stderr
     assert "(done before)" not in anew.stderr
-    shutil.rmtree(result_of(drive, out), ignore_errors=True)
-    result_of(drive, out).unlink(missing_ok=True)
+    shutil.rmtree(road_bag(drive, out), ignore_errors=True)
+    road_bag(drive, out).unlink(missing_ok=True)
     assert "(done before)" not in run().stderr
-    assert result_of(drive, out).exists()
+    assert road_bag(drive, out).exists()
 
 
 def test_a_bag_is_replaced_by_one_of_other_frames(run: Call, drive: Path, out: Path) -> None:
@@ -76,11 +76,11 @@ def test_a_bag_is_replaced_by_one_of_other_frames(run: Call, drive: Path, out: P
     result = run("--save", "bag", "--every", "2")
 
     assert result.exit_code == 0, result.stderr
-    messages = read_bag(result_of(drive, out))
+    messages = read_bag(road_bag(drive, out))
     stamps = [entry.stamp for entry in messages if entry.topic.endswith("/mask")]
     assert stamps == [FIRST + 7, FIRST + 2 * STEP + 7]
     assert {name.partition("/")[0] for name in files_in(out)} == {
-        "config.toml", "index.csv", "run.json", result_of(drive, out).name}  # fmt: skip
+        "config.toml", "index.csv", "run.json", road_bag(drive, out).name}  # fmt: skip
 
 
 def test_a_video_gives_a_bag_with_its_seconds(call: Call, tmp_path: Path, out: Path) -> None:

@@ -91,7 +91,7 @@ def change(root: Path, name: str) -> None:
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
-def words_of(root: Path, line: str) -> list[str]:
+def split_command(root: Path, line: str) -> list[str]:
     return line.replace("@", f"{root}/").split()
 
 
@@ -119,7 +119,7 @@ VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
     ],
 )
 def test_as_in_a_new_folder(call: Call, root: Path, tmp_path: Path, line: str, name: str) -> None:
-    words = words_of(root, line)
+    words = split_command(root, line)
     assert call(*words, "--out", tmp_path / "out").exit_code == 0
     change(root, name)
 
@@ -129,7 +129,7 @@ def test_as_in_a_new_folder(call: Call, root: Path, tmp_path: Path, line: str, n
     assert "0 done" not in again.stderr
     assert call(*words, "--out", tmp_path / "new").exit_code == 0
     assert files_in(tmp_path / "out") == files_in(tmp_path / "new")
-    contents = [kept_apart(bytes_in(tmp_path / folder)) for folder in ("out", "new")]
+    contents = [without_archives(bytes_in(tmp_path / folder)) for folder in ("out", "new")]
     assert contents[0] == contents[1]
 
 
@@ -145,7 +145,7 @@ def test_as_in_a_new_folder(call: Call, root: Path, tmp_path: Path, line: str, n
 def test_other_settings_of_a_file(
     call: Call, root: Path, tmp_path: Path, line: str, name: str
 ) -> None:
-    words = [*words_of(root, line), "--out", tmp_path / "out"]
+    words = [*split_command(root, line), "--out", tmp_path / "out"]
     assert call(*words).exit_code == 0
     change(root, name)
 
@@ -155,7 +155,7 @@ def test_other_settings_of_a_file(
     assert "holds results of other settings" in again.stderr
 
 
-def kept_apart(files: dict[str, bytes]) -> dict[str, bytes]:
+def without_archives(files: dict[str, bytes]) -> dict[str, bytes]:
     """Leave out archives, whose members have dates."""
     return {name: data for name, data in files.items() if not name.endswith(".zip")}
 
@@ -200,7 +200,7 @@ def test_a_training_with_another_file_is_refused(
 ) -> None:
     for number, frame in enumerate(drive()):
         write_colours(root / f"drive/{number:02d}.png", frame)
-    words = [*words_of(root, line), "--out", tmp_path / "out"]
+    words = [*split_command(root, line), "--out", tmp_path / "out"]
     with monkeypatch.context() as cut:
         cut.setattr(TrainingRun, "_train", Mock(side_effect=KeyboardInterrupt))
         assert call(*words).exit_code != 0

@@ -27,7 +27,7 @@ ROWS = load_detector("prior:rows")
 GREY = load_detector("grey-uniformity")
 
 
-def of_scenes(count: int, closed: list[bool] | None = None, bad: int | None = None) -> Source:
+def scene_source(count: int, closed: list[bool] | None = None, bad: int | None = None) -> Source:
     """Return a source of rendered streets that notes when it is closed; one frame may be bad."""
 
     def read(number: int) -> Tensor:
@@ -111,7 +111,7 @@ def test_a_method_selects_frames_and_swapped_arguments_are_named(tmp_path: Path)
 
 def test_leaving_the_loop_and_an_error_in_it_close_the_source() -> None:
     closed: list[bool] = []
-    frames = detect_stream(of_scenes(10**6, closed), ROWS)
+    frames = detect_stream(scene_source(10**6, closed), ROWS)
     for _ in range(3):
         next(frames)
     frames.close()
@@ -121,7 +121,7 @@ def test_leaving_the_loop_and_an_error_in_it_close_the_source() -> None:
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        list(detect_stream(of_scenes(10**6, closed), ROWS, progress=fail))
+        list(detect_stream(scene_source(10**6, closed), ROWS, progress=fail))
 
     assert closed == [True, True]
 
@@ -133,7 +133,7 @@ def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
     def note(item: Item, error: RoadtorchError) -> None:
         missed.append(f"{item.name} {error.problem}")
 
-    source = of_scenes(3, bad=1)
+    source = scene_source(3, bad=1)
     frames = list(
         detect_stream(source, ROWS, failed=note, progress=lambda *at: progress.append(at))
     )
@@ -145,7 +145,7 @@ def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
         list(detect_stream(source, ROWS))
 
 
-def is_missed(frame: FrameResult) -> bool:
+def is_failed(frame: FrameResult) -> bool:
     return isinstance(frame.outcome, RoadtorchError)
 
 
@@ -170,7 +170,7 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 
     never = Never()
 
-    frames = list(detect_frames(of_scenes(5), Inference(GREY), workers, never))  # type: ignore[arg-type]
+    frames = list(detect_frames(scene_source(5), Inference(GREY), workers, never))  # type: ignore[arg-type]
 
     for frame in frames:
         detection = frame.detection()
@@ -184,7 +184,9 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 @pytest.mark.parametrize("cues", [True, False])
 def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
     alone, side_by_side = (
-        list(detect_frames(of_scenes(7), Inference(GREY), workers, Steady(SteadySettings()), cues))
+        list(
+            detect_frames(scene_source(7), Inference(GREY), workers, Steady(SteadySettings()), cues)
+        )
         for workers in (Workers(), Workers(3))
     )
 
@@ -199,9 +201,9 @@ def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
 
 @pytest.mark.parametrize("workers", [Workers(), Workers(2)])
 def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) -> None:
-    source = of_scenes(4, bad=1)
+    source = scene_source(4, bad=1)
     frames = list(detect_frames(source, Inference(ROWS), workers))
-    assert [frame.item.number for frame in frames if is_missed(frame)] == [1]
+    assert [frame.item.number for frame in frames if is_failed(frame)] == [1]
 
     second = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
     for number, frame in enumerate(detect_frames(source, second, workers)):
@@ -211,7 +213,7 @@ def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) ->
 def test_stopping_ends_the_frames() -> None:
     closed: list[bool] = []
     stop = Stop()
-    frames = detect_frames(of_scenes(10**6, closed), Inference(ROWS), Workers(), stop=stop)
+    frames = detect_frames(scene_source(10**6, closed), Inference(ROWS), Workers(), stop=stop)
     next(frames)
     stop.ask(signal.SIGINT)
     assert len(list(frames)) <= 1

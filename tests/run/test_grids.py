@@ -8,7 +8,7 @@ import pytest
 from roadtorch.camera.camera import Camera
 from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import Call, rows_of
-from tests.run.writers.test_files import loaded
+from tests.run.writers.test_files import load_map
 
 VIEW = ("--height", 1.35, "--fov", 55, "--range", 20, "--side", 8, "--resolution", 0.2)
 
@@ -27,7 +27,7 @@ def test_every_image_gives_a_map(call: Call, street: Path, out: Path) -> None:
     result = call("grid", street, "--out", out, *VIEW, "--likelihood", "--image")
 
     assert result.exit_code == 0, result.stderr
-    cells, values = loaded(out / "sub" / "b.grid.yaml")
+    cells, values = load_map(out / "sub" / "b.grid.yaml")
     saved = np.load(out / "sub" / "b.grid.npy")
     assert cells.tolist() == saved.tolist()
     assert saved.shape == (80, 100)

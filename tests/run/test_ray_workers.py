@@ -60,7 +60,7 @@ def wait_for_a_mask(out: Path, run: subprocess.Popen[str]) -> None:
         sleep(0.01)
 
 
-def actors_of(run: subprocess.Popen[str]) -> Iterator[int]:
+def find_actors(run: subprocess.Popen[str]) -> Iterator[int]:
     """Yield the processes of a run's Ray actors, by their names and ancestors."""
     for entry in Path("/proc").iterdir():
         try:
@@ -90,7 +90,7 @@ def test_a_killed_worker_costs_one_image(images: Path, expected: Path, tmp_path:
     out = tmp_path / "out"
     run = start(images, *WORK, "--out", out, *RAY)
     wait_for_a_mask(out, run)
-    os.kill(next(actors_of(run)), signal.SIGKILL)
+    os.kill(next(find_actors(run)), signal.SIGKILL)
 
     stderr = run.communicate(timeout=LONGEST)[1]
 

@@ -27,7 +27,7 @@ CELLS = torch.tensor([[0, 100, -1], [-1, -1, 0]], dtype=torch.int8)
 GRID = Grid(CELLS, torch.zeros(2, 3), 0.25, (0.5, -1.0))
 
 
-def loaded(path: Path) -> tuple[np.ndarray, dict]:
+def load_map(path: Path) -> tuple[np.ndarray, dict]:
     """Load a map as nav2_map_server does in trinary mode: int8 cells (y, x), and the YAML."""
     values = yaml.safe_load(path.read_text())
     grey = cv2.imread(str(path.parent / values["image"]), cv2.IMREAD_GRAYSCALE)
@@ -42,7 +42,7 @@ def loaded(path: Path) -> tuple[np.ndarray, dict]:
 def test_map_server_reads_the_same_three_values(tmp_path: Path) -> None:
     write_grid(tmp_path / "it's: a #1", GRID, "pitch 2 degrees")
 
-    cells, values = loaded(tmp_path / "it's: a #1.grid.yaml")
+    cells, values = load_map(tmp_path / "it's: a #1.grid.yaml")
 
     assert cells.tolist() == CELLS.tolist()
     assert (values["mode"], values["resolution"], values["negate"]) == ("trinary", 0.25, 0)
@@ -122,7 +122,7 @@ def test_labelme_outlines_are_exact(mask: np.ndarray, folder: Path) -> None:
     assert np.array_equal(read_outlined_mask(folder / "x.json", mask.shape), mask)
 
 
-def drawn(polygons: list[list[int]], shape: tuple[int, int]) -> np.ndarray:
+def count_polygons(polygons: list[list[int]], shape: tuple[int, int]) -> np.ndarray:
     """Count the polygons that contain each pixel's centre; pixels extend from x to x + 1."""
     total = np.zeros(shape, int)
     for polygon in polygons:
@@ -134,7 +134,7 @@ def drawn(polygons: list[list[int]], shape: tuple[int, int]) -> np.ndarray:
 @example(mask=NESTED)
 @given(mask=MASKS)
 def test_coco_polygons_are_disjoint_and_exact(mask: np.ndarray) -> None:
-    assert np.array_equal(drawn(coco_polygons(mask), mask.shape), mask.astype(int))
+    assert np.array_equal(count_polygons(coco_polygons(mask), mask.shape), mask.astype(int))
 
 
 def test_a_rectangle_has_four_corners() -> None:

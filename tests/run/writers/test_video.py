@@ -27,14 +27,14 @@ def detection(pixels: np.ndarray) -> Detection:
     return Detection(likelihood, likelihood > 0, {"pixels": torch.from_numpy(pixels)})
 
 
-def shown(detection: Detection) -> np.ndarray:
+def draw_pixels(detection: Detection) -> np.ndarray:
     return detection.cues["pixels"].numpy()
 
 
 def write(
     path: Path, seconds: Sequence[float | None], size: tuple[int, int] = (48, 64), rate: float = 10
 ) -> Path:
-    with closing(VideoWriter(path, shown, rate)) as writer:
+    with closing(VideoWriter(path, draw_pixels, rate)) as writer:
         for number, at in enumerate(seconds):
             writer.write(frame(number, at), detection(street_pixels(number % 3, *size)))
     return path
@@ -65,7 +65,7 @@ def test_odd_sides_are_padded(size: tuple[int, int], tmp_path: Path) -> None:
 def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> None:
     mask = np.zeros((48, 64), np.uint8)
     mask[20:40, 10:50] = 255
-    with closing(VideoWriter(tmp_path / "x.mp4", shown, 10)) as writer:
+    with closing(VideoWriter(tmp_path / "x.mp4", draw_pixels, 10)) as writer:
         writer.write(frame(0, 0.0), detection(mask))
         writer.write(frame(1, 0.1), detection(street_pixels(1, 96, 128)))
 
@@ -75,7 +75,7 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
 
 
 def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    writer = VideoWriter(tmp_path / "x.mp4", shown, 10)
+    writer = VideoWriter(tmp_path / "x.mp4", draw_pixels, 10)
     writer.write(frame(0), detection(street_pixels(0)))
 
     def full(*_: object) -> None:
@@ -97,7 +97,7 @@ def test_the_same_frames_give_the_same_bytes_wherever_memory_lies(tmp_path: Path
 
     for number in range(2):
         _ = [np.full(200_000 + 3_000 * number, 77, np.uint8) for _ in range(30 + 7 * number)]
-        with closing(VideoWriter(tmp_path / "drive.mp4", shown, 15.0)) as writer:
+        with closing(VideoWriter(tmp_path / "drive.mp4", draw_pixels, 15.0)) as writer:
             for at, pixels in enumerate(frames):
                 writer.write(frame(at, at / 15), detection(pixels))
         written.add((tmp_path / "drive.mp4").read_bytes())
