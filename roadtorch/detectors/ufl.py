@@ -94,7 +94,7 @@ ENTRIES = (
         "features learned from the image, regions of a threshold tree (Zhang 2016)",
         UflSettings,
         UFL,
-        # Chosen among the readings of the paper: docs/research/ufl.md.
+        # Chosen among the readings of the paper: docs/how/features.md.
         defaults={
             "isolated": "drop",
             "smoothing": {"target": 0.25},
