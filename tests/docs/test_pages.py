@@ -3,13 +3,16 @@
 import csv
 import json
 import re
+import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
@@ -18,8 +21,11 @@ from docs._extensions.plain_docstrings import as_restructured
 from roadtorch.base.errors import RoadtorchError
 from roadtorch.base.settings import parse_assignments
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
+from roadtorch.detectors.detection import Detection
+from roadtorch.testing.scenes import render_scene, write_image
 from scripts.figures import FIGURES
 from scripts.readme_pictures import made_with
+from tests.videos import write_video
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("features", "layout_texture", "one_class", "index")
@@ -79,6 +85,22 @@ def test_the_detector_of_contributing_keeps_the_contract(monkeypatch: pytest.Mon
 
     assert module.ENTRY.name == "bright"
     assert module.check_detector
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/start.md", "docs/grid.md"])
+def test_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Detection, "show", print)
+    write_image(Path("street.png"), render_scene(0, 64, 96))
+    shutil.copy("street.png", "street.jpg")
+    write_video(Path("drive.mp4"), (0.0, 0.1))
+    pixels = np.zeros((48, 64, 3), np.uint8)
+    names: dict[str, Any] = {"a": pixels, "b": pixels, "c": pixels, "frames": [pixels]}
+
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.S):
+        exec(block, names)
+
+    assert len(list(tmp_path.iterdir())) > 3  # each of these pages saves results
 
 
 # --- claims -----------------------------------------------------------------------------
