@@ -44,7 +44,7 @@ DETECTOR_BY_NETWORK = {
 """Detector that runs a weight file on its own, by the kind of its network."""
 
 Look = Callable[[Tensor, LabelledItem], Detection]
-"""A contender that is ready to run; it can be pickled for worker processes."""
+"""Image and item → detection by a loaded contender; can be pickled for worker processes."""
 
 MAX_NAME_LENGTH = 60  # letters of a name from a file in a message
 
@@ -53,7 +53,7 @@ MAX_NAME_LENGTH = 60  # letters of a name from a file in a message
 class Contender:
     """One method of an evaluation.
 
-    prepare: makes it ready for the images of a set. settings: all but the threshold, as JSON.
+    prepare: loads it and returns its predictor for a set. settings: all but the threshold, as JSON.
     threshold: the default one; chosen: the one that an earlier run chose. is_baseline: whether it
     ignores the image. detector: name in the catalogue; empty for likelihood maps and prior:mean.
     """

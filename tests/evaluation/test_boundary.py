@@ -58,7 +58,7 @@ def test_counts_equal_looking_at_every_pair_of_pixels(seed):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_border_exactly_as_far_as_the_tolerance_is_within_it(threads):
+def test_a_boundary_exactly_at_the_tolerance_is_within_it(threads):
     # .0075 of the diagonal of 800 x 400 is the root of 45, and (3, 6) is as far.
     mask, road = torch.zeros(2, 800, 400, dtype=torch.bool)
     mask[20:780:40, 20:380:40] = road[23:783:40, 26:386:40] = True
@@ -87,7 +87,7 @@ def test_tolerances_mean_the_same_at_any_size():
     assert small_f == large_f == [0, 1]
 
 
-def test_precision_is_of_the_decided_border_and_recall_of_the_true_one():
+def test_precision_is_of_the_predicted_boundary_and_recall_of_the_true_one():
     # The true border is found; 12 more border pixels are decided elsewhere.
     mask = half(5)
     mask[:, 10:] = True
@@ -98,7 +98,7 @@ def test_precision_is_of_the_decided_border_and_recall_of_the_true_one():
     assert float(boundary.boundary_f(counts)) == pytest.approx(2 * 0.5 * 1 / 1.5)
 
 
-def test_no_border_at_all_is_nan_and_one_alone_is_0():
+def test_no_boundary_at_all_is_nan_and_one_alone_is_0():
     nothing, all_valid = torch.zeros(SIZE, dtype=torch.bool), everything()
 
     neither = boundary.count_boundary(nothing, nothing, all_valid)

@@ -45,7 +45,7 @@ def evaluation(camvid) -> Evaluation:
     return evaluate(camvid, [ORACLE], settings={"doubt": 0.2})
 
 
-def test_metrics_json_has_every_figure_under_its_key(evaluation):
+def test_metrics_json_has_every_measure_under_its_key(evaluation):
     content = build_document(evaluation, "the command")
 
     section, scores = content["detectors"][ORACLE], evaluation.detectors[ORACLE]
@@ -95,7 +95,7 @@ def test_sets_without_groups_use_the_default_or_another_threshold(
         assert by_earlier[name].headline["threshold"] == evaluation.detectors[name].best_threshold
 
 
-def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid, tmp_path):
+def test_likelihood_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid, tmp_path):
     for name in list(SCENES)[1:]:
         road = (SCENES[name].road * 255).to(torch.uint8)
         cv2.imwrite(str(tmp_path / f"{name}.png"), road.numpy())
@@ -111,7 +111,7 @@ def test_anybodys_maps_are_scored_and_a_missing_one_fails_its_image_alone(camvid
     assert run.images == 5
 
 
-def test_maps_may_lie_as_the_images_do_in_the_set(plain, tmp_path):
+def test_maps_may_have_the_folders_of_the_set(plain, tmp_path):
     (tmp_path / "images").mkdir()
     for name, scene in SCENES.items():
         cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), 255 * scene.road.numpy())
@@ -175,7 +175,7 @@ def test_when_no_image_can_be_scored_there_is_one_error(camvid, tmp_path):
         evaluate(first, ["prior:rows"], limit=1)
 
 
-def test_labels_without_any_road_are_no_score_of_nought(tmp_path):
+def test_labels_without_any_road_are_an_error(tmp_path):
     for folder in ("images", "masks"):
         (tmp_path / folder).mkdir()
         image = next(iter(SCENES.values())).image
@@ -195,7 +195,7 @@ def without_times(content):
     return content
 
 
-def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
+def test_a_group_that_is_left_out_is_scored_and_changes_no_other_score(camvid):
     out = GROUPS[2]
     remaining = tuple(item for item in camvid.items if item.group != out)
     whole = evaluate(camvid, ["grey-uniformity"])
@@ -218,7 +218,7 @@ def test_a_group_that_is_left_out_is_scored_and_changes_no_other_figure(camvid):
     assert build_document(run, "")["left_out"] == [out]
 
 
-def test_a_condition_has_the_figures_of_its_images_whatever_their_group(camvid):
+def test_a_condition_is_scored_on_its_images_whatever_their_group(camvid):
     rainy = {"0001TP_0": ("rain",), "0006R0_1": ("rain", "dusk"), "0016E5_2": ("dusk",)}
     items = tuple(replace(item, conditions=rainy.get(item.name, ())) for item in camvid.items)
     chosen = tuple(item for item in camvid.items if "rain" in rainy.get(item.name, ()))
@@ -243,7 +243,7 @@ def test_a_condition_has_the_figures_of_its_images_whatever_their_group(camvid):
     assert rain["f"] == pytest.approx(float(metrics.f_measure(f[0] + f[1])))
 
 
-def test_a_condition_without_a_image_that_could_be_scored_has_no_figures(camvid, tmp_path):
+def test_a_condition_without_a_scored_image_has_no_scores(camvid, tmp_path):
     root = write_set(tmp_path / "camvid")
     first = camvid.items[0]
     (root / "train" / first.image.name).write_bytes(b"x")

@@ -13,7 +13,7 @@ from tests.oracle import GROUPS, know_oracle, write_set
 DOCUMENT = Path(__file__).parents[2] / "docs/evaluation.md"
 
 
-def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
+def test_a_formula_that_replicates_cannot_compute_is_named(tmp_path):
     know_oracle()
     dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
     wrong = Measure("seen", "seen", "Images.", lambda part: part.images and 1.0, interval=True)
@@ -24,7 +24,7 @@ def test_a_formula_that_draws_cannot_have_is_named(tmp_path):
         evaluate(dataset, ["prior:rows"], measures=(MAXF, wrong))
 
 
-def test_keys_are_told_apart_and_directions_are_followed():
+def test_keys_are_unique_and_directions_respected():
     assert len({measure.key for measure in MEASURES}) == len(MEASURES)
     by_key = {measure.key: measure for measure in MEASURES}
     nan = float("nan")

@@ -77,7 +77,7 @@ def test_a_text_that_names_nothing_is_refused(files, text, error, message):
         parse_contenders(text)
 
 
-def test_each_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
+def test_a_detector_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
     names = [entry.name for entry in contenders(dataset, ["prior:t*", "prior:rows", "prior:*"], {})]
 
     assert names == ["prior:triangle", "prior:rows", "prior:uniform", "prior:mean"]

@@ -17,7 +17,7 @@ from tests.reference import metrics as slow
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_figures_equal_loops_over_thresholds_and_scikit_learn(seed):
+def test_measures_equal_loops_over_thresholds_and_scikit_learn(seed):
     scores, road = random_map(seed)
     thresholds = np.arange(13) / 12
 
@@ -136,7 +136,7 @@ KITTI_PRINTED = [
 
 
 @pytest.mark.parametrize(("name", "k", "max_f", "ap", "pre", "rec", "fpr"), KITTI_PRINTED)
-def test_figures_of_the_development_kit(name, k, max_f, ap, pre, rec, fpr):
+def test_measures_equal_those_of_the_development_kit(name, k, max_f, ap, pre, rec, fpr):
     counts = kitti_cases()[name]
 
     best, threshold = metrics.max_f(counts)
@@ -245,7 +245,7 @@ def test_a_class_without_pixels_has_no_recall_and_is_left_out_of_the_mean():
     assert math.isnan(metrics.layout_accuracy(torch.zeros(4, 4, dtype=torch.int64)))
 
 
-def test_figures_of_a_confusion_by_hand():
+def test_measures_of_a_confusion_by_hand():
     shares = metrics.normalised_confusion(CONFUSION)
     literal = metrics.class_recalls(metrics.void_as_vertical(CONFUSION))
 
@@ -258,7 +258,7 @@ def test_figures_of_a_confusion_by_hand():
     assert float(metrics.labelled_fraction(CONFUSION)) == pytest.approx(30 / 35)
 
 
-def test_figures_of_several_confusions_are_those_of_each():
+def test_measures_of_several_confusions_are_those_of_each():
     stacked = torch.stack([CONFUSION, 2 * CONFUSION.T])
 
     for formula in (

@@ -209,9 +209,7 @@ def test_trust_is_measured_on_all_images_together_and_by_group(dataset, scenes):
     assert math.isnan(blind["trust/rank_correlation"])
 
 
-def test_images_without_trust_are_left_out_and_detectors_without_any_have_no_figure(
-    dataset, scenes
-):
+def test_images_without_trust_are_left_out_and_detectors_without_any_have_no_score(dataset, scenes):
     first, *trusted = scenes
     trusts = {first: None, **dict.fromkeys(trusted, 0.9)}
 

@@ -145,7 +145,7 @@ def test_maps_and_truth_are_scored_in_the_view_of_the_set(dataset, scenes):
     assert int(seen_counts.road.sum()) == 4 * int((whole.road & ~whole.void)[24:].sum())
 
 
-def test_the_levels_of_the_set_are_those_that_are_told_apart(dataset):
+def test_likelihoods_are_rounded_to_the_levels_of_the_set(dataset):
     pale = answering(lambda name: torch.full((48, 64), 0.4))
     two = replace(dataset, levels=2)
 

@@ -77,7 +77,7 @@ def test_a_group_of_three_has_no_correlation_of_its_own():
     assert math.isnan(trust.correlation_within(Trusted(f[4:], f[4:], groups[4:])))
 
 
-def test_nothing_to_tell_apart_is_nan():
+def test_constant_values_are_nan():
     constant, f = torch.full((5,), 0.5), torch.linspace(0.1, 0.5, 5)
     nothing = torch.zeros(0)
 

@@ -29,7 +29,7 @@ def test_interval_of_a_mean_is_the_textbook_one():
     assert high == pytest.approx(float(values.mean()) + 1.96 * error, abs=0.1 * error)
 
 
-def test_draws_without_a_value_are_left_out():
+def test_replicates_without_a_value_are_left_out():
     values = torch.tensor([math.nan, 1, 1, math.nan, 1], dtype=torch.float64)
 
     assert all(math.isnan(end) for end in uncertainty.interval(values[:1]))
@@ -62,7 +62,7 @@ def measured(dataset: Dataset, scenes, noise: float) -> Measured:
     return scores, uncertainty.bootstrap(tally, scores)
 
 
-def test_every_headline_figure_has_an_interval_around_it(dataset, scenes):
+def test_every_headline_score_has_an_interval_around_it(dataset, scenes):
     scores, draws = measured(dataset, scenes, 0.7)
 
     intervals = uncertainty.score_intervals(draws)
@@ -74,7 +74,7 @@ def test_every_headline_figure_has_an_interval_around_it(dataset, scenes):
     assert intervals["maxf"][1] > intervals["maxf"][0]
 
 
-def test_draws_are_those_of_a_plain_bootstrap_the_same_for_both(dataset, scenes):
+def test_replicates_are_those_of_a_plain_bootstrap_the_same_for_both(dataset, scenes):
     masks = {
         noise: {name: blurred(scenes[name].road, name, noise) > 0.5 for name in scenes}
         for noise in (0.6, 0.8)
@@ -105,7 +105,7 @@ def pooled_f(scenes: Sequence[RenderedScene], masks: Sequence[Tensor]) -> float:
     return 2 * right / (decided + true)
 
 
-def test_pairs_are_signed_share_their_draws_and_have_the_figures_of_both(dataset, scenes):
+def test_differences_are_signed_paired_and_of_measures_that_both_have(dataset, scenes):
     runs = {"good": measured(dataset, scenes, 0.72), "poor": measured(dataset, scenes, 0.75)}
     runs |= {"again": runs["good"], "bare": (runs["good"][0], dict(runs["good"][1]))}
     detectors = {name: scores for name, (scores, _) in runs.items()}

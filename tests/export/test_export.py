@@ -59,7 +59,7 @@ def cnn7(folder: Path) -> Exported:
 # --- what files say ---------------------------------------------------------------------
 
 
-def test_a_file_says_what_the_network_says_at_any_size_and_batch(fusion: Exported) -> None:
+def test_a_file_agrees_with_python_at_any_size_and_batch(fusion: Exported) -> None:
     steps = exportable_part(load_detector(NAME)).compute
     batches = [images(*size, count=2) for size in SIZES]
 
@@ -70,7 +70,7 @@ def test_a_file_says_what_the_network_says_at_any_size_and_batch(fusion: Exporte
     assert apart.images == 2 * len(SIZES)
 
 
-def test_a_file_of_cnn7_says_what_the_detector_says(cnn7: Exported) -> None:
+def test_a_file_of_cnn7_agrees_with_the_detector(cnn7: Exported) -> None:
     detector = load_detector("layout:cnn-7")
     run = open_onnx(cnn7.files[0], 1)
 
@@ -82,7 +82,7 @@ def test_a_file_of_cnn7_says_what_the_detector_says(cnn7: Exported) -> None:
             assert np.abs(maps[name][0] - values.numpy()).max() < BOUND
 
 
-def test_a_file_names_the_weights_of_ones_own(tmp_path: Path) -> None:
+def test_a_file_names_custom_weights(tmp_path: Path) -> None:
     paths = [write_random_network(tmp_path / f"{seed}.safetensors", seed) for seed in (0, 1)]
     first, second = ({"file": str(path)} for path in paths)
     detector = load_detector("fusion", weights=first, second=second, threshold=0.9)
@@ -152,7 +152,7 @@ def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Expor
         ("fusion", {}, "a.xml", r"a.xml: does not end .* \(name it a.onnx\)"),
     ],
 )
-def test_what_cannot_be_exported_is_told_before_any_work(
+def test_what_cannot_be_exported_is_refused_before_any_work(
     tmp_path: Path, name: str, settings: dict[str, Any], out: str, problem: str
 ) -> None:
     with pytest.raises(ConfigError, match=problem):
@@ -161,7 +161,7 @@ def test_what_cannot_be_exported_is_told_before_any_work(
     assert not any(tmp_path.iterdir())
 
 
-def test_a_file_that_says_something_else_is_not_written(
+def test_a_file_that_differs_from_python_is_not_written(
     fusion: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def write(module: object, notes: object, path: Path) -> None:
@@ -175,7 +175,7 @@ def test_a_file_that_says_something_else_is_not_written(
     assert not any(tmp_path.iterdir())
 
 
-def test_parity_counts_what_is_no_number_as_endlessly_far() -> None:
+def test_nan_counts_as_an_infinite_difference() -> None:
     def run(_: np.ndarray) -> dict[str, np.ndarray]:
         return {"likelihood": np.full((1, 16, 20), np.nan, np.float32)}
 
@@ -233,7 +233,7 @@ HEADERS = [
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
 @pytest.mark.skipif(not HEADERS, reason="there are no headers (Debian 13: libonnxruntime-dev)")
-def test_the_example_in_cpp_says_what_python_says(fusion: Exported, tmp_path: Path) -> None:
+def test_the_example_in_cpp_agrees_with_python(fusion: Exported, tmp_path: Path) -> None:
     runtime = find_spec("onnxruntime")
     assert runtime is not None
     (library,) = Path(str(runtime.origin)).parent.glob("capi/libonnxruntime.so.*")

@@ -68,7 +68,7 @@ STEPS: dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]] = {
 
 
 @pytest.mark.parametrize(("step", "parts"), STEPS.values(), ids=STEPS)
-def test_a_step_of_a_graph_says_of_a_batch_what_python_says_of_each(
+def test_a_step_on_a_batch_agrees_with_python_on_each_image(
     step: Callable[..., Tensor], parts: tuple[Tensor, ...]
 ) -> None:
     expected = torch.stack([step(*values) for values in zip(*parts, strict=True)])

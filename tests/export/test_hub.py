@@ -20,7 +20,7 @@ def folder(tmp_path: Path) -> Path:
     return Path(shutil.move(tmp_path / "first", tmp_path / "moved"))
 
 
-def test_the_folder_is_the_detector_wherever_it_lies(folder: Path) -> None:
+def test_the_folder_is_the_detector_wherever_it_is(folder: Path) -> None:
     image, expected = street(120, 160, 3), load_detector("fusion", threshold=0.6)
 
     loaded = load_detector(str(folder))
@@ -31,7 +31,7 @@ def test_the_folder_is_the_detector_wherever_it_lies(folder: Path) -> None:
     assert load_detector(str(folder), threshold=0.7).settings.threshold == 0.7
 
 
-def test_a_folder_that_is_called_as_a_detector_is_not_looked_into(
+def test_a_folder_named_like_a_detector_is_not_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "fusion").mkdir()
@@ -40,7 +40,7 @@ def test_a_folder_that_is_called_as_a_detector_is_not_looked_into(
     assert load_detector("fusion").name == "fusion"
 
 
-def test_its_cards_say_the_terms_and_link_to_nothing_that_is_not_there(folder: Path) -> None:
+def test_its_cards_state_the_terms_and_have_no_dead_links(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names == {"model.safetensors", "detector.toml", "README.md", "model.md"}
     front = (folder / "README.md").read_text(encoding="utf-8")

@@ -88,7 +88,7 @@ def test_masks_and_trust_are_those_of_python(page: "Page", tmp_path: Path) -> No
 
 
 @BROWSER
-def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(page: "Page") -> None:
+def test_the_page_requests_no_other_host_and_opens_offline(page: "Page") -> None:
     requests: list[str] = []
     page.on("request", lambda request: requests.append(request.url))
     page.evaluate("navigator.serviceWorker.ready")
@@ -106,7 +106,7 @@ def test_nothing_is_asked_of_anybody_else_and_it_opens_without_a_connection(page
 
 
 @BROWSER
-def test_the_camera_by_keyboard_and_what_cannot_be_looked_at(page: "Page", tmp_path: Path) -> None:
+def test_the_camera_by_keyboard_and_files_that_cannot_be_read(page: "Page", tmp_path: Path) -> None:
     for _ in range(2):  # the file, the camera
         page.keyboard.press("Tab")
     page.keyboard.press("Enter")
@@ -133,7 +133,7 @@ def test_the_camera_by_keyboard_and_what_cannot_be_looked_at(page: "Page", tmp_p
         ("fusion", r"is missing or incomplete \(run npm install onnxruntime-web@"),
     ],
 )
-def test_what_has_no_page_is_told_before_any_work(
+def test_detectors_without_a_page_are_refused_before_any_work(
     name: str, problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_module, "RUNTIME_FOLDER", tmp_path / "nowhere")

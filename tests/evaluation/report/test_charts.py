@@ -48,7 +48,7 @@ def test_the_eight_best_and_the_four_best_baselines_are_shown_by_rank() -> None:
     assert all(item.is_baseline == item.name.startswith("prior:") for item in series)
 
 
-def test_lines_and_marks_are_the_figures_of_the_run(oracle_run: Evaluation) -> None:
+def test_lines_and_marks_show_the_scores(oracle_run: Evaluation) -> None:
     series = charts.choose_series(oracle_run)
     roc, reliability, groups = Figure(), Figure(), Figure()
 
@@ -78,7 +78,7 @@ def test_names_are_text_and_long_ones_keep_both_ends() -> None:
     assert (short[:9], short[-7:]) == ("oneclass:", ":linear")
 
 
-def test_the_same_figures_give_the_same_bytes_whatever_the_user_prefers() -> None:
+def test_equal_scores_give_equal_bytes_whatever_the_matplotlibrc() -> None:
     def draw(figure: Figure) -> None:
         figure.subplots().set_xlabel("<b>$x_1$ \N{CJK UNIFIED IDEOGRAPH-9053}")
 

@@ -48,7 +48,7 @@ class Tags(HTMLParser):
         self.tags.append((tag, dict(attrs)))
 
 
-def test_names_are_text_wherever_they_stand_and_nothing_leaves_the_page(
+def test_names_are_escaped_and_the_page_loads_nothing(
     oracle_run: Evaluation, tmp_path: Path
 ) -> None:
     scores = oracle_run.detectors[ORACLE]
@@ -74,7 +74,7 @@ def test_names_are_text_wherever_they_stand_and_nothing_leaves_the_page(
     assert page.count("\\udcff") == page.count("&lt;script&gt;alert(1)")
 
 
-def test_a_name_that_is_not_utf_8_can_stand_on_a_tile() -> None:
+def test_a_name_that_is_not_utf_8_can_be_a_caption() -> None:
     tile = captioned(np.zeros((30, 40, 3), np.uint8), os.fsdecode(b"z\xff.jpg"), 30)
 
     assert tile[:20].any()
