@@ -1,12 +1,11 @@
-// The road in one image by an exported network, with ONNX Runtime: no Python.
+// Run an exported network on one image with ONNX Runtime, without Python.
 //
 //   roadtorch export fusion --out road.onnx
 //   g++ -std=c++17 -O2 infer.cpp -I ORT/include -L ORT/lib -lonnxruntime -o infer
 //   ./infer road.onnx street.ppm road.pgm
 //
-// ORT is a release of ONNX Runtime (Debian 13: libonnxruntime-dev). Images are binary PPM (P6), which any program for images
-// writes, so that nothing else is needed; with OpenCV, image.data of a cv::Mat in RGB takes the
-// place of `rgb`.
+// ORT is a release of ONNX Runtime (Debian 13: libonnxruntime-dev). Images are binary PPM (P6), so
+// that no library is needed; with OpenCV, `rgb` is image.data of a cv::Mat in RGB.
 
 #include <onnxruntime_cxx_api.h>
 
