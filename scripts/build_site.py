@@ -26,7 +26,7 @@ BROWSER = "browser"
 
 WITHOUT_PAGE = """<!doctype html><html lang="en"><title>roadtorch</title>
 <p>This site was built without npm, which brings ONNX Runtime for browsers.
-<a href="../export.html#in-a-browser">How to make the page</a>
+<a href="../export.html#browser">How to make the page</a>
 """
 
 
