@@ -27,7 +27,7 @@ from roadtorch import load_detector
 from roadtorch.base.image import to_pixels
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.detectors.detector import Detector
-from roadtorch.evaluation.metrics import RoadCounts, count_levels, decisions_at, f_measure, max_f
+from roadtorch.evaluation.metrics import RoadCounts, confusion_at, count_levels, f_measure, max_f
 from scripts.readme_figures import keep_records
 
 DETECTORS = ("fusion", "fusion:large")
@@ -78,7 +78,7 @@ def score(networks: Mapping[str, Predict], many: Path) -> dict[str, float]:
         values[f"peers.{name}.ms"] = median(times[name])
         figures = {
             "f_mask": {
-                camera: float(f_measure(decisions_at(c, 0.5))) for camera, c in cameras.items()
+                camera: float(f_measure(confusion_at(c, 0.5))) for camera, c in cameras.items()
             },
             "maxf": {camera: float(max_f(c)[0]) for camera, c in cameras.items()},
         }

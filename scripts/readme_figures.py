@@ -49,7 +49,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 
 from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.layout.weights import card_of, shipped_weights
+from roadtorch.layout.weights import read_card, shipped_weights
 from roadtorch.oneclass import CLASSIFIERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -162,7 +162,7 @@ def config_value(name: str, key: str) -> Any:
 def number_on_card(name: str, words: str) -> float:
     """Return the first number before some words on a card of weights."""
     pattern = rf"\b([\d,]*\d) {words.replace('_', ' ')}\b"
-    return float(re.findall(pattern, card_of(shipped_weights(name)))[0].replace(",", ""))
+    return float(re.findall(pattern, read_card(shipped_weights(name)))[0].replace(",", ""))
 
 
 STATED = {

@@ -17,10 +17,10 @@ import numpy as np
 from PIL import Image
 
 from roadtorch import detect_stream, load_detector, read_image
-from roadtorch.base.atomic import digest_of
+from roadtorch.base.atomic import file_digest
 from roadtorch.base.image import to_pixels
-from roadtorch.evaluation.report.montage import TILE_WIDTH, captioned, cue_tiles, heat
-from roadtorch.layout.weights import FOR_IMAGES, shipped_weights
+from roadtorch.evaluation.report.montage import TILE_WIDTH, apply_colormap, caption_tile, cue_tiles
+from roadtorch.layout.weights import DEFAULT_WEIGHTS, shipped_weights
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
@@ -45,11 +45,11 @@ def write_steps(folder: Path, path: Path) -> None:
         tiles = {
             "input": to_pixels(image),
             "layout: sky, vertical, ground": cue_tiles(detection)["layout"],
-            "likelihood of road": heat(detection.likelihood),
+            "likelihood of road": apply_colormap(detection.likelihood),
             f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
         }
         height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
-        rows.append(np.hstack([captioned(tile, text, height) for text, tile in tiles.items()]))
+        rows.append(np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()]))
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
     cv2.imwrite(str(path), np.ascontiguousarray(np.vstack(rows)[..., ::-1]), options)
 
@@ -63,7 +63,9 @@ def write_failures(folder: Path, path: Path) -> None:
         overlay = replace(detection, trust=None).overlay()
         tiles = {"input": to_pixels(image), f"mask, {detection.caption}": overlay}
         height = round(TILE_WIDTH * 3 / 5)
-        columns.append(np.vstack([captioned(tile, text, height) for text, tile in tiles.items()]))
+        columns.append(
+            np.vstack([caption_tile(tile, text, height) for text, tile in tiles.items()])
+        )
     sheet = cv2.resize(np.hstack(columns), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
     cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
@@ -87,7 +89,7 @@ def made_with() -> dict[str, str]:
     """Return hashes of the weights and settings of `fusion`."""
     settings = load_detector("fusion").settings.model_dump_json()
     return {
-        "weights": digest_of(shipped_weights(FOR_IMAGES)),
+        "weights": file_digest(shipped_weights(DEFAULT_WEIGHTS)),
         "settings": sha256(settings.encode()).hexdigest(),
     }
 

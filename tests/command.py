@@ -27,7 +27,7 @@ def call() -> Call:
     return run
 
 
-def invoked(command: Command, *arguments: object) -> Result:
+def invoke_command(command: Command, *arguments: object) -> Result:
     """Call one command without its group, and raise its exceptions."""
     words = [str(argument) for argument in arguments]
     result = CliRunner().invoke(command, words, obj=[command.name, *words])
@@ -54,7 +54,7 @@ def footage(tmp_path: Path) -> Path:
     return root
 
 
-def rows_of(out: Path) -> dict[str, dict[str, str]]:
+def read_index_rows(out: Path) -> dict[str, dict[str, str]]:
     """Read the rows of index.csv by file."""
     with (out / "index.csv").open(newline="") as file:
         return {row["file"]: row for row in csv.DictReader(file)}

@@ -44,7 +44,7 @@ class Oracle(nn.Module):
         return {"likelihood": likelihood, "layout": layout, "uniformity": likelihood}
 
 
-def know_oracle() -> None:
+def register_oracle() -> None:
     """Register the oracle as a detector, once."""
     if ORACLE not in list_detectors():
         register_detector(ORACLE, OracleSettings, summary="knows the truth")(Oracle)

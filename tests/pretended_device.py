@@ -60,7 +60,7 @@ class PretendedDevice(TorchDispatchMode):
         return _run(operation, values, named or {})
 
 
-def moved(module: nn.Module) -> nn.Module:
+def move_to_pretended(module: nn.Module) -> nn.Module:
     """Move the parameters and buffers of a module to the pretended device."""
     for part in module.modules():
         for name, value in part._parameters.items():

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.data.folder import FolderLabels
+from roadtorch.data.label_folders import FolderLabels
 from roadtorch.evaluation.measure import Scores
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.methods import Contender, Look
+from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.result import (
     Comparison,
     DetectorScores,
@@ -22,7 +22,7 @@ GROUPS = ("0001TP", "0006R0", "0016E5")
 NAMES = ("fusion", "labeller", "prior:mean", "cpf:v2", "prior:rows")
 
 
-def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Evaluation:
+def make_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Evaluation:
     """Make an evaluation whose first detector is the best, each next one worse; without counts.
 
     Names that begin with "prior:" are baselines. Each group scores a hundredth more than the last.
@@ -37,7 +37,7 @@ def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Ev
     dataset = Dataset("camvid", Path("data"), "dev", tuple(items), FolderLabels())
     detectors = {
         name: DetectorScores(
-            made_contender(name),
+            make_contender(name),
             make_scores(score),
             {group: make_scores(score + 0.01 * (i - 1)) for i, group in enumerate(groups)},
             make_scores(score) if groups else {},
@@ -55,20 +55,20 @@ def made_run(names: Sequence[str] = NAMES, groups: Sequence[str] = GROUPS) -> Ev
     return Evaluation(dataset, detectors, Comparison(names[0], differences))
 
 
-def scored(scores: Mapping[str, float | None]) -> Evaluation:
+def make_scored_run(scores: Mapping[str, float | None]) -> Evaluation:
     """Make an evaluation of detectors with a MaxF each, or with no scores for None."""
     dataset = Dataset("folder", Path("data"), "all", (), FolderLabels())
     detectors = {
-        name: DetectorScores(made_contender(name), {} if score is None else {"maxf": score})
+        name: DetectorScores(make_contender(name), {} if score is None else {"maxf": score})
         for name, score in scores.items()
     }
     return Evaluation(dataset, detectors, Comparison(next(iter(scores)), {}))
 
 
-def made_contender(name: str) -> Contender:
+def make_contender(name: str) -> Contender:
     """Make a contender that must not run; one called "prior:…" is a baseline."""
 
-    def prepare(_: Dataset) -> Look:
+    def prepare(_: Dataset) -> Predictor:
         raise AssertionError("must not run")
 
     return Contender(name, prepare, is_baseline=name.startswith("prior:"))
@@ -80,7 +80,7 @@ def make_scores(score: float) -> Scores:
     return {**scores, "images": 10, "maxf": score, "ms_per_image": 12.34}
 
 
-def changed(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:
+def replace_scores(evaluation: Evaluation, name: str, **fields: Any) -> Evaluation:
     """Return an evaluation with other fields of one detector's scores."""
     scores = replace(evaluation.detectors[name], **fields)
     return replace(evaluation, detectors={**evaluation.detectors, name: scores})

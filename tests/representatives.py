@@ -21,7 +21,7 @@ def representatives() -> list[str]:
     return names + [members[number % len(members)] for number, members in enumerate(grids.values())]
 
 
-def ways_of_working() -> list[str]:
+def distinct_detectors() -> list[str]:
     """Return ``representatives`` without presets, which differ only in values or weights."""
     ways: dict[object, str] = {}
     for name in representatives():

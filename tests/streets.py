@@ -21,7 +21,7 @@ def as_bytes(image: Tensor) -> Tensor:
     return (image * 255).round() / 255
 
 
-def lost_highlights(**options: float) -> Tensor:
+def saturated_street(**options: float) -> Tensor:
     """Return a street (3, 96, 128), saturated on the road in a patch and in single pixels."""
     image = scene(3, 96, 128, **options).image.clone()
     image[:, 60:72, 20:44] = 1.0

@@ -42,7 +42,7 @@ def test_the_default_threshold_is_the_one_that_was_chosen(path: Path) -> None:
     name, values = DetectorOptions(config=path).name_and_values()
     entry = detector_entry(name)
 
-    chosen, default = (entry.configured(changes).model_dump() for changes in (values, {}))
+    chosen, default = (entry.make_settings(changes).model_dump() for changes in (values, {}))
     if name not in OWN:
         assert default.pop("threshold") == pytest.approx(chosen.pop("threshold"), abs=0.01)
     else:

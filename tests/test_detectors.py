@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 import roadtorch.base.plugins
-from roadtorch.base.compute import one_thread
+from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import Settings
 from roadtorch.detectors import catalogue as catalogue_module
@@ -39,8 +39,8 @@ from roadtorch.road.seed_area import SeedArea
 from roadtorch.testing import contract_violations, street
 from roadtorch.testing.scenes import render_scene
 from scripts import freeze
-from tests.pretended_device import Pretended, PretendedDevice, moved
-from tests.representatives import quick, representatives, ways_of_working
+from tests.pretended_device import Pretended, PretendedDevice, move_to_pretended
+from tests.representatives import distinct_detectors, quick, representatives
 
 # --- the contract -------------------------------------------------------------------------
 
@@ -297,7 +297,7 @@ def threads_of_a_new_one() -> int:
 @pytest.mark.usefixtures("two_threads")
 def test_in_several_threads_the_bytes_are_the_same() -> None:
     detector, image = load_detector("fusion"), street(240, 320)
-    with one_thread():
+    with one_torch_thread():
         alone = detector.detect(image)
 
     with ThreadPoolExecutor(3) as pool:
@@ -313,14 +313,14 @@ def test_in_several_threads_the_bytes_are_the_same() -> None:
 
 @pytest.mark.usefixtures("two_threads")
 def test_inside_the_block_this_thread_alone_has_one_whatever_goes_wrong() -> None:
-    @one_thread()
+    @one_torch_thread()
     def fails() -> None:
         counts.append((torch.get_num_threads(), threads_of_a_new_one()))
         raise ValueError("inside")
 
     counts: list[tuple[int, int]] = []
     with pytest.raises(ValueError, match="inside"):
-        one_thread()(fails)()
+        one_torch_thread()(fails)()
 
     assert counts == [(1, 2)]
     assert (torch.get_num_threads(), threads_of_a_new_one()) == (2, 2)
@@ -332,10 +332,10 @@ def test_inside_the_block_this_thread_alone_has_one_whatever_goes_wrong() -> Non
 IMAGE = render_scene(5, 48, 64).image
 
 
-@pytest.mark.parametrize("name", ways_of_working())
+@pytest.mark.parametrize("name", distinct_detectors())
 def test_a_detector_works_on_another_device(name: str) -> None:
     result = load_detector(name, **quick(name)).detect(IMAGE)
-    detector = moved(load_detector(name, **quick(name)))
+    detector = move_to_pretended(load_detector(name, **quick(name)))
 
     with PretendedDevice():
         on_device = detector.detect(Pretended(IMAGE))  # type: ignore[attr-defined]
@@ -354,7 +354,7 @@ def test_a_detector_works_on_another_device(name: str) -> None:
 
 
 def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
-    detector = moved(load_detector("fusion"))
+    detector = move_to_pretended(load_detector("fusion"))
     detector.device = "meta"  # type: ignore[assignment]
 
     with PretendedDevice():

@@ -59,13 +59,13 @@ def write_sound(path: Path) -> Path:
     return path
 
 
-def stamps_of(path: Path) -> list[float]:
+def read_frame_times(path: Path) -> list[float]:
     """Read the times of a video's frames, in seconds."""
     with av.open(str(path)) as container:
         return [float(frame.time or 0) for frame in container.decode(video=0)]
 
 
-def pixels_of(path: Path) -> list[np.ndarray]:
+def read_frame_pixels(path: Path) -> list[np.ndarray]:
     """Read the frames of a video as uint8 (H, W, 3)."""
     with av.open(str(path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]

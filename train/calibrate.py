@@ -31,19 +31,19 @@ from roadtorch.data.dataset import Truth
 from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.metrics import (
     RoadCounts,
+    confusion_at,
     count_levels,
     count_mask,
-    decisions_at,
     f_measure,
 )
-from roadtorch.evaluation.trust import (
-    BAD,
-    Trusted,
-    correlation_within,
+from roadtorch.evaluation.trust_measures import (
+    FAILURE_F,
+    TrustSamples,
     failure_auc,
+    mean_group_correlation,
     rank_correlation,
 )
-from roadtorch.road.trust import ENOUGH, Signs, signs_of
+from roadtorch.road.trust import FULL_TRUST_PROBABILITY, TrustFeatures, trust_features
 
 CAMVID_STEP = 4
 """Step between the frames of CamVid."""
@@ -157,7 +157,7 @@ def choose_threshold(root: Path, name: str, settings: dict[str, Any]) -> None:
         totals[camera] = totals[camera] + counts if camera in totals else counts
     levels = np.arange(0.02, 1, 0.01)
     table = np.array(
-        [[float(f_measure(decisions_at(c, t))) for t in levels] for c in totals.values()]
+        [[float(f_measure(confusion_at(c, t))) for t in levels] for c in totals.values()]
     )
     at = int(table.mean(0).argmax())
     held_out = cross_validated_f(table).mean()
@@ -188,7 +188,9 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
     for camera, detection, truth in chain(*sources):
         f = float(torch.nan_to_num(f_measure(count_mask(detection.mask, truth.road, truth.valid))))
         if detection.mask.any():
-            rows.append((signs_of(detection.likelihood, detection.mask, detection.cues), f, camera))
+            rows.append(
+                (trust_features(detection.likelihood, detection.mask, detection.cues), f, camera)
+            )
     judged = JudgedImages(*(np.array(column) for column in zip(*rows, strict=True)))
     rendered_rows = np.char.startswith(judged.camera, "world ")
     roadless = np.isin(judged.camera, [f"world {place}" for place in PLACES])
@@ -199,14 +201,14 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
         road_model = fit_road_model(judged, roadless, ~members)
         road = road_model.predict_proba(signs[:, ROAD_FEATURES])[:, 1]
         f = f_model.predict(signs[:, F_FEATURES]).clip(0, 1)
-        expected[members] = f * (road / ENOUGH).clip(max=1)
+        expected[members] = f * (road / FULL_TRUST_PROBABILITY).clip(max=1)
     real = ~np.isin(judged.camera, DRIVES) & ~rendered_rows
     held_out, f = torch.from_numpy(expected[real]), torch.from_numpy(judged.f[real])
-    within = correlation_within(Trusted(held_out, f, judged.camera[real].tolist()))
+    within = mean_group_correlation(TrustSamples(held_out, f, judged.camera[real].tolist()))
     error = float((held_out.clamp(0, 1) - f).abs().mean())
     print("on cameras left out, over the images of many:")
     print(f"rank correlation {rank_correlation(held_out, f):.3f}, within cameras {within:.3f},")
-    print(f"ROC of F < {BAD} {failure_auc(held_out, f):.3f}, mean error {error:.3f}")
+    print(f"ROC of F < {FAILURE_F} {failure_auc(held_out, f):.3f}, mean error {error:.3f}")
     print(f"no road: {roadless.sum()} masks, trust below .3 of {(expected[roadless] < 0.3).sum()}")
     print(f"F above .8 and trust below .6: {((judged.f > 0.8) & (expected < 0.6))[real].sum()}")
     model, road_model = (
@@ -220,7 +222,7 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
     print("MEAN_FEATURES", judged.signs[~rendered_rows].mean(0).round(2).tolist())
     print("ROAD_STABILITY, ROAD_ENTROPY", road_model.coef_[0].round(2))
     print("ROAD_INTERCEPT", road_model.intercept_)
-    for number, sign in enumerate(Signs._fields):
+    for number, sign in enumerate(TrustFeatures._fields):
         alone = rank_correlation(torch.from_numpy(judged.signs[real, number]), f)
         print(f"{sign} alone {alone:+.2f}")
 

@@ -21,23 +21,23 @@ from tqdm import tqdm
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
-from roadtorch.detectors.fusion import ScratchFusionSettings, seen_from
-from roadtorch.imaging.color import brightened
-from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
-from roadtorch.imaging.segments import measure_segments, paint, segment_mean
-from roadtorch.layout.classes import CLASSES, HORIZONTAL, pooled
-from roadtorch.layout.image_network import scaled
+from roadtorch.detectors.fusion import ScratchFusionSettings, seed_likelihoods
+from roadtorch.imaging.color import brighten
+from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_work, spatial_size
+from roadtorch.imaging.segments import measure_segments, paint_segments, segment_mean
+from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, opinion_pool
+from roadtorch.layout.image_network import scale_size
 from roadtorch.layout.labeller import EXPOSURE, segment_layout
 from roadtorch.layout.weights import (
-    FOR_IMAGES,
+    DEFAULT_WEIGHTS,
     WeightsFile,
     WholeImageNetwork,
-    image_network_of,
-    network_at,
+    load_image_network,
+    resize_network,
 )
-from roadtorch.road.ego import continued, ego_found
-from roadtorch.road.fusion import RULES, log_odds, seed_log_odds, segment_road
-from roadtorch.road.seed_area import likely_seed
+from roadtorch.road.bayes import ROAD_RULES, log_odds, seed_log_odds, segment_road
+from roadtorch.road.ego import extrapolate_over_ego, find_ego_car
+from roadtorch.road.seed_area import find_seed_segments
 from train.calibrate import EXCLUDED, count_odds, cross_validated_f, f_by_level
 
 SCALES = (0.67, 1.0, 1.33)
@@ -81,42 +81,44 @@ def compute_odds(
         yield f"network at {scale:g}" if scale != 1 else ALONE, network_odds(cues), seconds
         if scale == 1:
             learned, base = cues, seconds
-    ego = ego_found(learned["ego"])
+    ego = find_ego_car(learned["ego"])
     start = perf_counter()
     planes = torch.cat([image, learned["layout"], learned["road"][None]])
-    image, layout, road = continued(planes, ego).split([3, CLASSES, 1])
-    image = brightened(image, EXPOSURE)
+    image, layout, road = extrapolate_over_ego(planes, ego).split([3, NUM_CLASSES, 1])
+    image = brighten(image, EXPOSURE)
     segments = measure_segments(image, settings.superpixels.cut(image))
     layout_rules = segment_layout(segments, settings.labeller.rules)
     layout_network = segment_mean([*layout, road[0]], segments.labels, segments.pixels)
     weight, odds = settings.layout_weight, log_odds(layout_network[-1])
-    ground = pooled(layout_rules.T, layout_network[:CLASSES], weight)[HORIZONTAL]
+    ground = opinion_pool(layout_rules.T, layout_network[:NUM_CLASSES], weight)[HORIZONTAL]
     evidence = odds + seed_log_odds(segments, ground)
-    sources = likely_seed(evidence, segments.row, segments.size, settings.seed_area.share)
+    sources = find_seed_segments(evidence, segments.row, segments.size, settings.seed_area.fraction)
     seed = sources[segments.labels]
-    near, even, _ = seen_from(image, segments, seed, sources.nonzero()[:, 0])
+    near, even, _ = seed_likelihoods(image, segments, seed, sources.nonzero()[:, 0])
     seconds = perf_counter() - start
     nothing = torch.full_like(near, 0.5)
     for name, variant in VARIANTS.items():
-        exponents = RULES.exponents._replace(
-            appearance=RULES.exponents.appearance * variant.appearance,
-            neighbours=RULES.exponents.neighbours * variant.neighbours,
+        exponents = ROAD_RULES.exponents._replace(
+            appearance=ROAD_RULES.exponents.appearance * variant.appearance,
+            neighbours=ROAD_RULES.exponents.neighbours * variant.neighbours,
         )
-        position = RULES.position._replace(weight=RULES.position.weight * variant.position)
-        rules = RULES._replace(exponents=exponents, position=position)
+        position = ROAD_RULES.position._replace(
+            weight=ROAD_RULES.position.weight * variant.position
+        )
+        rules = ROAD_RULES._replace(exponents=exponents, position=position)
         pairs = ((ground, variant.layout), (near, variant.distance), (even, variant.texture))
         likely, close, plain = (cue if on else nothing for cue, on in pairs)
         start = perf_counter()
         road_estimate = segment_road(segments, likely, close, plain, odds, rules)
         elapsed = base + seconds + perf_counter() - start
-        total = paint(log_odds(road_estimate), segments.labels)
+        total = paint_segments(log_odds(road_estimate), segments.labels)
         total = total + PIXEL_WEIGHT * log_odds(learned["road"])
         yield name, torch.where(ego, -torch.inf, total), elapsed
 
 
 def network_odds(cues: Mapping[str, Tensor]) -> Tensor:
     """Return the network's log odds of road, -inf on the ego car."""
-    return torch.where(ego_found(cues["ego"]), -torch.inf, log_odds(cues["road"]))
+    return torch.where(find_ego_car(cues["ego"]), -torch.inf, log_odds(cues["road"]))
 
 
 class OddsCounts(NamedTuple):
@@ -129,15 +131,15 @@ class OddsCounts(NamedTuple):
 @torch.no_grad()
 def count_images(many: Path, weights: str) -> tuple[dict[str, OddsCounts], np.ndarray]:
     """Count road and background by log odds of each way; return counts and cameras (n,)."""
-    network = image_network_of(WeightsFile(file=weights), FOR_IMAGES)
+    network = load_image_network(WeightsFile(file=weights), DEFAULT_WEIGHTS)
     size = (network.settings.height, network.settings.width)
-    networks = {scale: network_at(network, *scaled(*size, scale)) for scale in SCALES}
+    networks = {scale: resize_network(network, *scale_size(*size, scale)) for scale in SCALES}
     dataset, rows, cameras = open_dataset("folder", many), {}, []
     for item in tqdm([item for item in dataset.items if item.group not in EXCLUDED], disable=None):
         image, truth = dataset.read(item)
-        small = at_work(image, WorkingSize(pixels=256 * 192))
+        small = resize_to_work(image, WorkingSize(pixels=256 * 192))
         planes = torch.stack([truth.valid, truth.road & truth.valid]).float()
-        valid, road = resized(planes, size_of(small)) > 0.5
+        valid, road = resize_maps(planes, spatial_size(small)) > 0.5
         for name, odds, seconds in compute_odds(small, networks):
             counts = count_odds(odds, Truth(road, valid))
             rows.setdefault(name, []).append((counts, seconds))

@@ -18,7 +18,7 @@ import torch
 
 from roadtorch.base.atomic import make_folder
 from roadtorch.base.image import write_labels
-from roadtorch.data.catalogue import open_named
+from roadtorch.data.catalogue import open_dataset_spec
 
 
 def main() -> None:
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("dataset", help="NAME:ROOT")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    dataset = open_named(options.dataset)
+    dataset = open_dataset_spec(options.dataset)
     for item in dataset.items:
         folder = options.out / (item.group or dataset.name)
         for kind in ("images", "masks"):

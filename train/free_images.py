@@ -17,7 +17,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain, islice, zip_longest
 from pathlib import Path
 
-from roadtorch.base.atomic import digest_of
+from roadtorch.base.atomic import file_digest
 
 MANIFEST = Path(__file__).with_suffix(".csv")
 
@@ -49,7 +49,7 @@ def gather(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str]]
     out.mkdir(parents=True, exist_ok=True)
     for recording, row in chosen:
         named = paths_by_name.get(Path(row["file"]).name, [])
-        path = next((path for path in named if digest_of(path) == row["sha256"]), None)
+        path = next((path for path in named if file_digest(path) == row["sha256"]), None)
         if path is None:
             missing.append(row["file"])
             continue

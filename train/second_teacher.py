@@ -28,17 +28,17 @@ from tqdm import tqdm
 from roadtorch import load_detector, read_image
 from roadtorch.base.settings import read_settings_file
 from roadtorch.detectors.detector import Detector
-from roadtorch.imaging.resize import resized
+from roadtorch.imaging.resize import resize_maps
 from roadtorch.layout.backbone_network import (
     BackboneNetwork,
     BackboneNetworkSettings,
+    Conv2dSame,
     Head,
-    SamePadded,
 )
-from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.image_network import EGO, ROAD
+from roadtorch.layout.classes import NUM_CLASSES
+from roadtorch.layout.image_network import EGO, ROAD_OUTPUT
 from roadtorch.layout.weights import load_network, save_network
-from roadtorch.run.memo import keep, kept, key_of
+from roadtorch.run.memo import cache_key, read_cached, write_cached
 from roadtorch.train.augmentation import warp_affine
 from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.prepared import from_uint8, to_uint8
@@ -78,7 +78,7 @@ def backbone_weights() -> dict[str, Tensor]:
     sources = {"stem": ("_conv_stem", "_bn0")}
     for number, block in enumerate(BackboneNetwork().backbone.blocks):
         for name, part in block.named_children():
-            if isinstance(part, SamePadded):
+            if isinstance(part, Conv2dSame):
                 convolution, norm = (f"_blocks.{number}.{part_name}" for part_name in parts[name])
                 sources[f"blocks.{number}.{name}"] = (convolution, norm)
     weights = {}
@@ -99,7 +99,7 @@ def make_sample(image: Tensor, truth: np.ndarray, ego_known: bool) -> Sample:
     targets = torch.stack([*layout, code == 3, code == 4]).float()
     valid = (code != VOID).float()
     street = valid * (code != 4)
-    return Sample(image, targets, torch.stack([street] * CLASSES + [valid, valid * ego_known]))
+    return Sample(image, targets, torch.stack([street] * NUM_CLASSES + [valid, valid * ego_known]))
 
 
 def read_worlds(root: Path) -> Iterator[Sample]:
@@ -118,9 +118,9 @@ def read_simulated(root: Path) -> Iterator[Sample]:
         background = np.uint8(VOID) if layout is None else layout
         sample = make_sample(read_image(file), np.where(road == 1, np.uint8(3), background), False)
         if layout is None:
-            sample.known.zero_()[ROAD] = 1
+            sample.known.zero_()[ROAD_OUTPUT] = 1
         else:
-            sample.known[ROAD] = torch.from_numpy(road != VOID).float()
+            sample.known[ROAD_OUTPUT] = torch.from_numpy(road != VOID).float()
         yield sample
 
 
@@ -159,12 +159,12 @@ def encode(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -
     for sample in tqdm(samples, disable=None):
         for variant in range(variants):
             augmented = augment(sample, at) if variant else sample
-            small = resized(augmented.image, size).clamp(0, 1)[None]
+            small = resize_maps(augmented.image, size).clamp(0, 1)[None]
             with torch.autocast("cpu", torch.bfloat16):
                 maps = network.backbone(small.contiguous(memory_format=torch.channels_last))
             features.append([level[0].half() for level in maps])
-            targets.append(to_uint8(resized(augmented.targets, fine).clamp(0, 1)))
-            known.append(to_uint8(resized(augmented.known, fine).clamp(0, 1)))
+            targets.append(to_uint8(resize_maps(augmented.targets, fine).clamp(0, 1)))
+            known.append(to_uint8(resize_maps(augmented.known, fine).clamp(0, 1)))
     levels = [torch.stack(level) for level in zip(*features, strict=True)]
     return Encoded(levels, torch.stack(targets), torch.stack(known))
 
@@ -174,11 +174,11 @@ def encode(network: BackboneNetwork, samples: Iterable[Sample], variants: int) -
 
 def cross_entropy(scores: Tensor, targets: Tensor, known: Tensor) -> Tensor:
     """Compute the cross-entropy of scores (B, 5, h, w), each head where its target is known."""
-    layout = -(targets[:, :CLASSES] * scores[:, :CLASSES].log_softmax(1)).sum(1)
+    layout = -(targets[:, :NUM_CLASSES] * scores[:, :NUM_CLASSES].log_softmax(1)).sum(1)
     binary = F.binary_cross_entropy_with_logits(
-        scores[:, CLASSES:], targets[:, CLASSES:], reduction="none"
+        scores[:, NUM_CLASSES:], targets[:, NUM_CLASSES:], reduction="none"
     )
-    road, ego = (binary * known[:, CLASSES:]).mean((0, 2, 3))
+    road, ego = (binary * known[:, NUM_CLASSES:]).mean((0, 2, 3))
     return 0.5 * (layout * known[:, 0]).mean() + road + ego
 
 
@@ -277,9 +277,11 @@ def teach(options: argparse.Namespace) -> None:
     fusion = load_detector("fusion:large", weights=first, second={"file": ""})
     settings = read_preparation(options.config)
     for file in tqdm(sorted(options.images.glob("*.jpg")), disable=None):
-        target, key = options.truth / f"{file.name}.npz", key_of(settings, file, None)
-        if kept(target, key) is None:
-            keep(target, key, combine_teachers(network, fusion, read_image(file), settings["size"]))
+        target, key = options.truth / f"{file.name}.npz", cache_key(settings, file, None)
+        if read_cached(target, key) is None:
+            write_cached(
+                target, key, combine_teachers(network, fusion, read_image(file), settings["size"])
+            )
 
 
 def lay(options: argparse.Namespace) -> None:
@@ -291,13 +293,15 @@ def lay(options: argparse.Namespace) -> None:
     ]
     for paths, samples in parts:
         for file, sample in zip(sorted(paths), samples, strict=True):
-            key = key_of(settings, file, None)
-            keep(options.truth / f"{file.name}.npz", key, encode_sample(sample, settings["size"]))
+            key = cache_key(settings, file, None)
+            write_cached(
+                options.truth / f"{file.name}.npz", key, encode_sample(sample, settings["size"])
+            )
 
 
 def encode_sample(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
     """Encode a sample at a size: image, maps (4, h, w), ego car (h, w); unknown is uncertain."""
-    doubt = torch.tensor([1 / CLASSES] * CLASSES + [0.5, 0.5])[:, None, None]
+    doubt = torch.tensor([1 / NUM_CLASSES] * NUM_CLASSES + [0.5, 0.5])[:, None, None]
     maps = sample.targets * sample.known + doubt * (1 - sample.known)
     return encode_maps(sample.image, maps[:EGO], maps[EGO], size)
 

@@ -16,9 +16,9 @@ from torch import Tensor
 
 from roadtorch.annotate.views import ImageView
 from roadtorch.base.image import read_image
-from roadtorch.imaging.resize import resized
-from roadtorch.imaging.segments import paint
-from roadtorch.layout.classes import CLASSES
+from roadtorch.imaging.resize import resize_maps
+from roadtorch.imaging.segments import paint_segments
+from roadtorch.layout.classes import NUM_CLASSES
 
 FEATURE_GRID = (4, 5)
 """Rows and columns of the grid of cells over which features are averaged."""
@@ -50,9 +50,9 @@ def view_features(image: Tensor, view: ImageView) -> Tensor:
     compares their scenes. Ours.
     """
     parts = [image, view.odds.sigmoid()[None]]
-    if view.layout.shape[1] == CLASSES:
-        parts.append(paint(view.layout.sigmoid().T, view.labels).float())
-    return torch.cat([resized(part, FEATURE_GRID).flatten() for part in parts]).float()
+    if view.layout.shape[1] == NUM_CLASSES:
+        parts.append(paint_segments(view.layout.sigmoid().T, view.labels).float())
+    return torch.cat([resize_maps(part, FEATURE_GRID).flatten() for part in parts]).float()
 
 
 OrderRule = Callable[[Candidates, Collection[int], int], list[int]]

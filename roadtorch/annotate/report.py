@@ -8,10 +8,10 @@ import torch
 
 from roadtorch.annotate.views import VIEWS_FOLDER, read_view, view_path
 from roadtorch.data.corrections import Correction, read_corrections
-from roadtorch.data.events import ROAD_SAID
+from roadtorch.data.events import ROAD_LABEL
 from roadtorch.evaluation.metrics import count_mask, f_measure
-from roadtorch.evaluation.report.table import aligned
-from roadtorch.imaging.resize import resized
+from roadtorch.evaluation.report.table import align_columns
+from roadtorch.imaging.resize import resize_maps
 
 TEN_MINUTES = 600.0  # seconds
 
@@ -28,7 +28,7 @@ def corrections_report(out: Path, images: Path | None = None) -> str:
         verdict = verdict if correction.confirmed else "not confirmed"
         rows.append([correction.name, clicks, seconds, labelled, verdict])
     totals = _totals(corrections, [score for score in scores if score is not None])
-    return "\n".join([aligned(rows), "", *totals])
+    return "\n".join([align_columns(rows), "", *totals])
 
 
 def detector_f_score(correction: Correction, out: Path) -> float | None:
@@ -36,9 +36,9 @@ def detector_f_score(correction: Correction, out: Path) -> float | None:
     view = read_view(view_path(out / VIEWS_FOLDER, correction.name))
     if view is None:
         return None
-    road, labelled = torch.from_numpy(correction.road), torch.from_numpy(correction.says_road)
-    mask = resized(view.odds, view.size) >= 0
-    return float(f_measure(count_mask(mask, road == ROAD_SAID, labelled)))
+    road, labelled = torch.from_numpy(correction.road), torch.from_numpy(correction.has_road_label)
+    mask = resize_maps(view.odds, view.size) >= 0
+    return float(f_measure(count_mask(mask, road == ROAD_LABEL, labelled)))
 
 
 def _totals(corrections: Sequence[Correction], scores: Sequence[float]) -> list[str]:

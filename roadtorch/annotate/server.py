@@ -38,12 +38,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from roadtorch.annotate.session import Session, compute_views
-from roadtorch.base.atomic import atomic
+from roadtorch.base.atomic import atomic_write
 from roadtorch.base.errors import ConfigError, RoadtorchError, UnwritableError
 from roadtorch.base.image import read_image, to_pixels
 from roadtorch.base.settings import Settings
 from roadtorch.data.events import parse_event
-from roadtorch.imaging.resize import WorkingSize, resized, size_of, working_size
+from roadtorch.imaging.resize import WorkingSize, resize_maps, spatial_size, working_size
 
 HOST = "127.0.0.1"  # the only interface to listen on
 
@@ -279,7 +279,7 @@ def encode_image(
     modified: modification time, part of the cache key of ``encode_thumbnail``.
     """
     image = read_image(path)
-    small = resized(image, working_size(*size_of(image), size)).clamp(0, 1)
+    small = resize_maps(image, working_size(*spatial_size(image), size)).clamp(0, 1)
     pixels = np.ascontiguousarray(to_pixels(small)[..., ::-1])
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
@@ -326,7 +326,7 @@ def read_address(out: Path) -> Address | None:
 
 def write_address(out: Path, address: Address) -> None:
     """Write the address to a file that only its owner can read."""
-    with atomic(out / ADDRESS_FILE) as temporary:
+    with atomic_write(out / ADDRESS_FILE) as temporary:
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(handle, "w") as file:
             json.dump(address.model_dump(), file)
@@ -377,7 +377,7 @@ class PageServer:
         self._server.should_exit = True
 
 
-def page_server(session: Session, port: int | None = None) -> PageServer:
+def make_page_server(session: Session, port: int | None = None) -> PageServer:
     """Create the server of a session: bind its port and keep its address for a restart.
 
     Raises ConfigError for a port that is taken.

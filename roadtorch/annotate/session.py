@@ -23,27 +23,27 @@ from roadtorch.annotate.views import (
     segment_evidence,
 )
 from roadtorch.base.atomic import remove_leftovers
-from roadtorch.base.bounded import printable
+from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import InputError
-from roadtorch.data.correction_formats import FORMATS
+from roadtorch.data.correction_formats import CORRECTION_FORMATS
 from roadtorch.data.corrections import (
-    ENDING,
+    LOG_SUFFIX,
     EventLog,
-    LogHead,
-    image_size,
+    LogHeader,
     log_path,
+    read_image_size,
     read_log,
     read_logs,
 )
 from roadtorch.data.events import (
-    LABELS,
+    LABEL_NAMES,
     AnyEvent,
     Confirm,
     Import,
     SuperpixelStroke,
-    click_count,
-    redoable,
-    runs_of,
+    count_clicks,
+    encode_runs,
+    redoable_ids,
 )
 from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.images import find_images
@@ -78,7 +78,7 @@ class ImageFolder:
                     paths = []
                 inside = [path for path in paths if path.resolve().is_relative_to(self.root)]
                 names = [path.relative_to(self.root).as_posix() for path in inside]
-                self._names = tuple(name for name in names if name == printable(name))
+                self._names = tuple(name for name in names if name == to_printable(name))
                 self._listed = time.monotonic()
             return self._names
 
@@ -103,7 +103,7 @@ def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -
     log = read_log(path) if path.exists() else None
     if log is None:
         image = os.path.relpath(images.root / name, images.out)
-        log = EventLog(path, LogHead(image=image, height=size[0], width=size[1]))
+        log = EventLog(path, LogHeader(image=image, height=size[0], width=size[1]))
     log.labels  # noqa: B018  # raises where an event does not fit
     return log
 
@@ -154,8 +154,8 @@ class Session:
     def _summarise_logs(self) -> dict[str, dict[str, Any]]:
         """Summarise the log of each image; a log is read again when its size has changed."""
         summaries: dict[str, dict[str, Any]] = {}
-        for path in sorted(self.out.rglob(f"*{ENDING}")):
-            name = path.relative_to(self.out).as_posix().removesuffix(ENDING)
+        for path in sorted(self.out.rglob(f"*{LOG_SUFFIX}")):
+            name = path.relative_to(self.out).as_posix().removesuffix(LOG_SUFFIX)
             length, (cached, summary) = path.stat().st_size, self._summaries.get(path, (-1, None))
             if cached != length:
                 log = read_log(path)
@@ -199,7 +199,7 @@ class Session:
         if log is None:
             log = open_log(self.images, self.out, name, view.size)
         if log.size != view.size:
-            message = f"was corrected at {log.head.width} by {log.head.height} pixels"
+            message = f"was corrected at {log.header.width} by {log.header.height} pixels"
             hint = f"its size has changed; move {log.path.name} away"
             raise InputError(name, message, hint)
         self._logs[name] = log
@@ -216,9 +216,9 @@ class Session:
                 message = f"has {count} superpixels, and a higher number was clicked"
                 raise InputError(log.path.name, message, "load the page again")
             chosen = np.isin(view.labels.numpy(), event.segments)
-            changes["runs"] = runs_of(resize_labels(chosen, view.size))
+            changes["runs"] = encode_runs(resize_labels(chosen, view.size))
         if isinstance(event, Confirm):
-            changes["runs"] = runs_of(
+            changes["runs"] = encode_runs(
                 corrected_road(self._log_odds(log, view), log.labels, view.size)
             )
         return event.model_copy(update=changes)
@@ -239,10 +239,10 @@ class Session:
             "trust": self._trust(name),
             "version": len(log.events),
             "events": [event.id for event in log.effective_events],
-            "redo": redoable(log.events),
+            "redo": redoable_ids(log.events),
             "confirmed": log.confirmed,
             "seconds": round(log.seconds, 1),
-            "clicks": click_count(log.events),
+            "clicks": count_clicks(log.events),
             "layers": layers.astype(np.uint8).tobytes(),
         }
 
@@ -264,7 +264,7 @@ def compute_views(session: Session, stop: threading.Event) -> None:
         stop.wait(2)
 
 
-def opened_session(
+def open_session(
     folder: Path,
     out: Path,
     detector: Detector,
@@ -290,17 +290,19 @@ def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
     Raises DatasetError where something cannot be read; then nothing is imported.
     """
     images = ImageFolder(folder, out)
-    sizes = {image: image_size(images.path(image)) for image in images.names()}
-    by_image = FORMATS[name].read(origin, sizes)
+    sizes = {image: read_image_size(images.path(image)) for image in images.names()}
+    by_image = CORRECTION_FORMATS[name].read(origin, sizes)
     for image, labels in by_image.items():
         log = open_log(images, out, image, sizes[image])
         if not log.events or (log.labels != labels).any():  # else they are already imported
-            log.add(import_event(labels, len(log.events)))
+            log.add(make_import_event(labels, len(log.events)))
     return len(by_image)
 
 
-def import_event(labels: np.ndarray, number: int = 0) -> Import:
+def make_import_event(labels: np.ndarray, number: int = 0) -> Import:
     """Return the event that imports labels, uint8 (H, W); number: of earlier events, for its id."""
-    runs = {LABELS[label]: runs_of(labels == label) for label in np.unique(labels).tolist()}
+    runs = {
+        LABEL_NAMES[label]: encode_runs(labels == label) for label in np.unique(labels).tolist()
+    }
     identity = hashlib.sha256(f"{number} {runs}".encode()).hexdigest()[:32]
     return Import(kind="brought", id=identity, time=round(time.time(), 3), labels=runs)

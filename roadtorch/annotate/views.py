@@ -22,20 +22,26 @@ from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import image_cache
 from roadtorch.base.settings import Settings
 from roadtorch.data.events import (
+    NO_ROAD_LABEL,
     NOT_ROAD,
-    OPEN,
-    ROAD_SAID,
-    VOID_SAID,
+    ROAD_LABEL,
+    VOID_LABEL,
     layout_layer,
     road_layer,
 )
 from roadtorch.detectors.detector import Detector
-from roadtorch.imaging.resize import WorkingSize, at_image_size, resized, size_of, working_size
+from roadtorch.imaging.resize import (
+    WorkingSize,
+    resize_maps,
+    resize_to_image,
+    spatial_size,
+    working_size,
+)
 from roadtorch.imaging.segments import measure_segments, segment_mean, segment_size
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.classes import CLASSES, UNLABELLED
-from roadtorch.road.fusion import log_odds
-from roadtorch.run.memo import keep, kept, key_of
+from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
+from roadtorch.road.bayes import log_odds
+from roadtorch.run.memo import cache_key, read_cached, write_cached
 
 EXCLUDED_LOG_ODDS = 0.05
 """Magnitude of the negative log odds of pixels above the threshold that the mask excludes."""
@@ -83,20 +89,20 @@ class ImageView:
 
 def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings) -> ImageView:
     """Detect the road in an image (3, H, W), and compute its superpixels and their graph."""
-    size = size_of(image)
+    size = spatial_size(image)
     with image_cache():
         detection = detector.detect(image)
-        small = resized(image, working_size(*size, settings.working)).clamp(0, 1)
-        shape = size_of(small)
+        small = resize_maps(image, working_size(*size, settings.working)).clamp(0, 1)
+        shape = spatial_size(small)
         labels = settings.superpixels.cut(small)
         segments = measure_segments(small, labels)
     threshold = torch.tensor(detector.settings.threshold)
-    odds = log_odds(resized(detection.likelihood, shape)) - log_odds(threshold)
-    is_excluded = (odds >= 0) & ~at_image_size(detection.mask, shape)
+    odds = log_odds(resize_maps(detection.likelihood, shape)) - log_odds(threshold)
+    is_excluded = (odds >= 0) & ~resize_to_image(detection.mask, shape)
     odds = torch.where(is_excluded, -EXCLUDED_LOG_ODDS, odds)  # positive where the mask is road
     layout = torch.zeros(len(segments.size), 0)
-    if (potentials := detection.cues.get("layout")) is not None and len(potentials) == CLASSES:
-        mean = segment_mean(resized(potentials, shape), labels, segments.pixels)
+    if (potentials := detection.cues.get("layout")) is not None and len(potentials) == NUM_CLASSES:
+        mean = segment_mean(resize_maps(potentials, shape), labels, segments.pixels)
         layout = log_odds(mean.T)
     mean = segment_mean(odds[None], labels, segments.pixels)[0]
     graph = segment_graph(segments, settings.propagation)
@@ -130,7 +136,7 @@ def corrected_layout(
 def segment_evidence(labels: np.ndarray, view: ImageView, settings: AnnotationSettings) -> Tensor:
     """Return the human label of each superpixel, (n,): 1 road, -1 not road, 0 unlabelled."""
     road = road_layer(resize_labels(labels, view.shape))
-    return _segment_votes(road == ROAD_SAID, road == NOT_ROAD, view, settings)
+    return _segment_votes(road == ROAD_LABEL, road == NOT_ROAD, view, settings)
 
 
 def _segment_votes(
@@ -148,14 +154,16 @@ def _segment_votes(
 
 def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Resize labels (H, W) by nearest neighbour."""
-    return at_image_size(torch.from_numpy(labels), size).numpy()
+    return resize_to_image(torch.from_numpy(labels), size).numpy()
 
 
 def corrected_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the road at a size, bool (H, W): human labels, else log odds; void is no road."""
     layer = road_layer(resize_labels(labels, size))
-    road = resized(odds, size).numpy() >= 0
-    return np.where((layer == OPEN) | (layer == VOID_SAID), road & (layer != VOID_SAID), layer == 1)
+    road = resize_maps(odds, size).numpy() >= 0
+    return np.where(
+        (layer == NO_ROAD_LABEL) | (layer == VOID_LABEL), road & (layer != VOID_LABEL), layer == 1
+    )
 
 
 # --- views on disk ----------------------------------------------------------------------
@@ -192,12 +200,12 @@ class ViewStore:
         return entry[1]
 
     def _key(self, image: Path) -> str:
-        return key_of(self._detector_key, self.settings, image)
+        return cache_key(self._detector_key, self.settings, image)
 
     @cached_property
     def _detector_key(self) -> str:
         """Cache key of the detector, which is slow to compute."""
-        return key_of(self.detector)
+        return cache_key(self.detector)
 
 
 def view_path(folder: Path, name: str) -> Path:
@@ -217,12 +225,12 @@ def write_view(path: Path, view: ImageView, key: str) -> None:
         "indices": torch.from_numpy(view.graph.indices),
         "indptr": torch.from_numpy(view.graph.indptr),
     }
-    keep(path, key, arrays)
+    write_cached(path, key, arrays)
 
 
 def read_view(path: Path, key: str | None = None) -> ImageView | None:
     """Read a view, with this cache key if not None; None where there is none."""
-    arrays = kept(path, key)
+    arrays = read_cached(path, key)
     if arrays is None:
         return None
     count = len(arrays["indptr"]) - 1

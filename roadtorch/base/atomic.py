@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import monotonic, sleep
 
-from roadtorch.base.bounded import printable
+from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import InputError, UnwritableError
 
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
@@ -36,7 +36,7 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "'")
 # --- digests ----------------------------------------------------------------------------
 
 
-def digest_of(path: Path) -> str:
+def file_digest(path: Path) -> str:
     """Return the SHA-256 of a file's bytes; "" if it is no readable regular file."""
     try:
         if path.is_file():
@@ -47,11 +47,11 @@ def digest_of(path: Path) -> str:
     return ""
 
 
-def digest_of_folder(path: Path) -> str:
+def folder_digest(path: Path) -> str:
     """Return the SHA-256 of the names and digests of the files in a folder; "" without a file."""
     digest, result = hashlib.sha256(), ""
     for file in sorted(path.iterdir()):
-        if checksum := digest_of(file):
+        if checksum := file_digest(file):
             digest.update(f"{checksum} {file.name}\n".encode("utf-8", "surrogateescape"))
             result = digest.hexdigest()
     return result
@@ -70,7 +70,7 @@ def make_folder(path: Path, hint: str = "give another folder") -> None:
 
 
 @contextmanager
-def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path in the folder of ``path``, and rename it to ``path`` at the end.
 
     Whatever happens, ``path`` holds its old content or all of the new one, and no temporary
@@ -83,14 +83,14 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        raise unwritable(path, error) from None
+        raise write_error(path, error) from None
     finally:
         # If even looking for the file fails, there is none to remove.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
-def unwritable(path: Path, error: OSError, problem: str = "cannot be written") -> UnwritableError:
+def write_error(path: Path, error: OSError, problem: str = "cannot be written") -> UnwritableError:
     """Return the UnwritableError, with a hint, for an OSError at a file."""
     hint = HINTS.get(error.errno, "choose a folder that you may write to")
     return UnwritableError(path, f"{problem}: {error.strerror or error}", hint)
@@ -109,7 +109,7 @@ def remove_leftovers(folders: Iterable[Path]) -> None:
 
 
 @contextmanager
-def locked(folder: Path, hint: str = "wait for it, or give another folder") -> Iterator[None]:
+def lock_folder(folder: Path, hint: str = "wait for it, or give another folder") -> Iterator[None]:
     """Hold the exclusive lock of a folder; raise InputError if another run holds one.
 
     The lock is on the folder itself (flock): it needs no file, and ends with the process and
@@ -133,7 +133,7 @@ def locked(folder: Path, hint: str = "wait for it, or give another folder") -> I
 
 
 @contextmanager
-def shared(folder: Path) -> Iterator[None]:
+def share_folder(folder: Path) -> Iterator[None]:
     """Make a folder and hold its shared lock, with which several runs may write into it.
 
     A run that finds no other removes the temporary files of killed runs, also in subfolders that
@@ -185,8 +185,8 @@ def _folder_lock(folder: Path) -> Iterator[Callable[..., None]]:
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     r"""Write UTF-8 text, line ends unchanged, bytes of names that are not UTF-8 as ``\xff``."""
-    with atomic(path) as temporary:
-        temporary.write_bytes(printable(text).encode())
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(to_printable(text).encode())
 
 
 def write_json(path: str | os.PathLike[str], document: object) -> None:
@@ -202,7 +202,7 @@ def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> st
     """Return rows as CSV with a header; lines end in a line feed.
 
     A column that a row lacks stays empty; a key that is no column raises ValueError. Text that
-    spreadsheets would take for a formula gets an apostrophe in front, which ``from_cell`` removes.
+    spreadsheets would take for a formula gets an apostrophe in front (``unescape_cell``).
     """
     # The csv module quotes only the line ends that it writes: with both, it quotes a carriage
     # return in a name, which readers would take for the end of a row.
@@ -224,6 +224,6 @@ def _escape_cell(value: object) -> object:
     return value
 
 
-def from_cell(text: str) -> str:
+def unescape_cell(text: str) -> str:
     """Return the text of a cell of ``csv_text`` without its escaping apostrophe."""
     return text[1:] if text[:1] == "'" and text[1:].startswith(FORMULA_STARTS) else text

@@ -9,8 +9,8 @@ MAX_BYTES = 2**30
 
 
 def read_regular(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes:
-    """Return the bytes of a regular file; raise OSError as ``regular_size`` does."""
-    size = regular_size(path, max_bytes)
+    """Return the bytes of a regular file; raise OSError as ``regular_file_size`` does."""
+    size = regular_file_size(path, max_bytes)
     with Path(path).open("rb") as file:
         data = file.read(size + 1)
         if len(data) <= max_bytes:
@@ -20,7 +20,7 @@ def read_regular(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> by
     return data
 
 
-def regular_size(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> int:
+def regular_file_size(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> int:
     """Return the size of a regular file in bytes, for readers that map it.
 
     Raises OSError, with the reason as its ``strerror``, for a file that is missing, unreadable or
@@ -51,7 +51,7 @@ def reason(error: Exception) -> str:
     return lines[0] if lines else "it is damaged"
 
 
-def printable(text: str) -> str:
+def to_printable(text: str) -> str:
     r"""Return text that can be encoded, with bytes of names that are not UTF-8 as ``\xff``.
 
     Python reads such bytes as lone surrogates, which no encoding takes. If the system's encoding is

@@ -20,7 +20,7 @@ _THREAD_COUNT_LOCK = Lock()
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def one_torch_thread() -> Iterator[None]:
     """Let torch compute in the calling thread inside the block, or in the decorated function.
 
     The same image then gives the same bytes: sums that threads share depend on their number.
@@ -62,7 +62,7 @@ class Threads:
     opencv: int
 
     @classmethod
-    def of_now(cls) -> "Threads":
+    def current(cls) -> "Threads":
         """Return the numbers of this process."""
         import cv2
         import torch
@@ -79,9 +79,9 @@ class Threads:
 
 
 @contextmanager
-def single_threaded() -> Iterator[None]:
+def single_threaded_process() -> Iterator[None]:
     """Limit torch and OpenCV to one thread in this process, and in copies of it, in the block."""
-    previous = Threads.of_now()
+    previous = Threads.current()
     Threads(1, 1).set()
     try:
         yield

@@ -65,10 +65,10 @@ def open_image(data: bytes) -> Image.Image:
     ``MAX_IMAGE_SIDE``, UnidentifiedImageError and others of Pillow's for other bytes.
     """
     try:
-        with without_warnings():
+        with suppress_warnings():
             image = Image.open(io.BytesIO(data), formats=PILLOW_FORMATS)
     except Image.DecompressionBombError:
-        limit = min(PILLOW_MAX_MEGAPIXELS, most_megapixels())
+        limit = min(PILLOW_MAX_MEGAPIXELS, max_megapixels())
         raise TooLargeError(f"has more than {limit:g} megapixels") from None
     check_pixels(*image.size)
     if max(image.size) > MAX_IMAGE_SIDE:
@@ -78,12 +78,12 @@ def open_image(data: bytes) -> Image.Image:
 
 def check_pixels(width: int, height: int) -> None:
     """Raise TooLargeError for an image of any source with more pixels than are allowed."""
-    if width * height > most_megapixels() * 1e6:
+    if width * height > max_megapixels() * 1e6:
         size = f"has {width} by {height} pixels"
-        raise TooLargeError(f"{size}, more than {most_megapixels():g} megapixels")
+        raise TooLargeError(f"{size}, more than {max_megapixels():g} megapixels")
 
 
-def most_megapixels() -> float:
+def max_megapixels() -> float:
     """Return the limit of an image: MAX_MEGAPIXELS, or the environment's MEGAPIXELS_VARIABLE.
 
     Raises ValueError if the variable is not a number above 0.
@@ -99,7 +99,7 @@ def most_megapixels() -> float:
 
 
 @contextmanager
-def without_warnings() -> Iterator[None]:
+def suppress_warnings() -> Iterator[None]:
     """Ignore warnings of decoders inside the block, even where the filters make them errors."""
     with _WARNING_FILTERS, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -107,7 +107,7 @@ def without_warnings() -> Iterator[None]:
 
 
 @contextmanager
-def quiet_opencv() -> Iterator[None]:
+def silence_opencv() -> Iterator[None]:
     """Keep OpenCV from writing warnings to stderr inside the block."""
     log = cv2.utils.logging
     level = log.getLogLevel()
@@ -127,7 +127,7 @@ def pillow_pixels(image: Image.Image) -> np.ndarray:
     Raises ValueError for 32 bits, whose white level is undefined, and whatever Pillow raises.
     """
     image.load()
-    with without_warnings():
+    with suppress_warnings():
         try:
             upright = ImageOps.exif_transpose(image)
         except Exception:
@@ -141,7 +141,7 @@ def pillow_pixels(image: Image.Image) -> np.ndarray:
 
 def _decode_with_opencv(data: bytes) -> np.ndarray:
     """Decode with OpenCV to RGB or RGBA; grey stays (H, W)."""
-    with quiet_opencv():
+    with silence_opencv():
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ValueError("the pixels are damaged")
@@ -152,7 +152,7 @@ def _decode_with_opencv(data: bytes) -> np.ndarray:
 
 def _apply_orientation(pixels: np.ndarray, image: Image.Image) -> np.ndarray:
     """Turn pixels (H, W[, C]) upright by the EXIF orientation of their PNG; EXIF 2.3, tag 274."""
-    with without_warnings():
+    with suppress_warnings():
         try:
             orientation = image.getexif().get(ExifTag.Orientation, 1)
         except Exception:

@@ -9,7 +9,7 @@ import pydantic
 from pydantic import Field
 
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.errors import DatasetError, RoadtorchError, shortened
+from roadtorch.base.errors import DatasetError, RoadtorchError, truncate_middle
 
 # A model bounds every number and list, so that a file cannot make us allocate what it merely
 # claims to hold; JSON goes from its bytes straight into the model.
@@ -30,7 +30,7 @@ class ForeignDocument(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
 
-def first_mistake(error: pydantic.ValidationError) -> str:
+def describe_validation_error(error: pydantic.ValidationError) -> str:
     """Describe the first error of a validation: its position, the requirement, the value."""
     details = error.errors(include_url=False)[0]
     if details["type"] == "json_invalid":
@@ -39,7 +39,7 @@ def first_mistake(error: pydantic.ValidationError) -> str:
     if details["type"] == "missing":
         return f"{position} is missing"
     message = details["msg"].removeprefix("Value error, ")
-    value = shortened(repr(details["input"]), MAX_INPUT_LENGTH)
+    value = truncate_middle(repr(details["input"]), MAX_INPUT_LENGTH)
     return f"{position}: {message[0].lower()}{message[1:]}, {value} was given"
 
 
@@ -55,7 +55,9 @@ def read_document(path: Path, hint: str) -> Iterator[bytes]:
     except RoadtorchError:
         raise
     except pydantic.ValidationError as error:
-        raise DatasetError(path, f"cannot be read: {first_mistake(error)}", hint) from None
+        raise DatasetError(
+            path, f"cannot be read: {describe_validation_error(error)}", hint
+        ) from None
     except MemoryError:
         raise DatasetError(path, "does not fit in memory", hint) from None
     except (OSError, ValueError, LookupError, ArithmeticError, RecursionError) as error:

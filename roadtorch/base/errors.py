@@ -50,8 +50,8 @@ class RoadtorchError(Exception):
     exit_code = ExitCode.WRONG_USAGE
 
     def __init__(self, where: object, problem: str, hint: str) -> None:
-        self.where = str(where) if isinstance(where, os.PathLike) else shortened(str(where))
-        self.problem = shortened(problem)
+        self.where = str(where) if isinstance(where, os.PathLike) else truncate_middle(str(where))
+        self.problem = truncate_middle(problem)
         self.hint = hint
         super().__init__(f"{self.where}: {self.problem} ({hint})")
 
@@ -60,7 +60,7 @@ class RoadtorchError(Exception):
         return type(self), (self.where, self.problem, self.hint)
 
 
-def shortened(text: str, max_length: int = MAX_MESSAGE_LENGTH) -> str:
+def truncate_middle(text: str, max_length: int = MAX_MESSAGE_LENGTH) -> str:
     """Return text of at most ``max_length`` characters, its middle replaced by an ellipsis."""
     half = (max_length - 1) // 2
     return text if len(text) <= max_length else f"{text[:half]}…{text[-half:]}"
@@ -105,7 +105,7 @@ def is_out_of_memory(error: Exception) -> bool:
     return isinstance(error, MemoryError) or any(text in str(error) for text in messages)
 
 
-def fault(where: object, error: Exception) -> InputError:
+def to_input_error(where: object, error: Exception) -> InputError:
     """Return the InputError for any exception at the image or frame called ``where``.
 
     ``where`` replaces the name ``image`` in errors of detectors, which do not know the file.
@@ -119,7 +119,7 @@ def fault(where: object, error: Exception) -> InputError:
     return InputError(where, f"{type(error).__name__}: {error}", "report it")
 
 
-def unknown_name(
+def unknown_name_error(
     kind: str, name: str, choices: Iterable[str], groups: Iterable[str] | None = None
 ) -> ConfigError:
     """Return the ConfigError for a misspelt name, with the nearest choices as its hint.

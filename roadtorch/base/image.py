@@ -13,7 +13,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from torch import Tensor
 
-from roadtorch.base.atomic import atomic
+from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.decoding import (
     MEGAPIXELS_VARIABLE,
@@ -21,12 +21,18 @@ from roadtorch.base.decoding import (
     decode_pixels,
     pillow_pixels,
 )
-from roadtorch.base.errors import ConfigError, InputError, fault, is_out_of_memory, unknown_name
-from roadtorch.base.urls import scheme_of, url_bytes, without_password
+from roadtorch.base.errors import (
+    ConfigError,
+    InputError,
+    is_out_of_memory,
+    to_input_error,
+    unknown_name_error,
+)
+from roadtorch.base.urls import read_url, strip_password, url_scheme
 
-READABLE = "JPEG, PNG, TIFF, WebP or BMP"
+READABLE_FORMATS = "JPEG, PNG, TIFF, WebP or BMP"
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # of images in folders
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # of images in folders
 
 # Okabe and Ito, "Color Universal Design" (2008): distinct for every kind of colour vision.
 SKY_BLUE = (86, 180, 233)
@@ -48,7 +54,7 @@ JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 PNG_MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 """For smooth maps: a quarter smaller than OpenCV's default, and written faster."""
 
-Order = Literal["rgb", "bgr"]
+ColourOrder = Literal["rgb", "bgr"]
 """Order of the colour channels of an array: OpenCV's is ``bgr``, most others' is ``rgb``."""
 
 ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str] | bytes | IO[bytes]
@@ -80,8 +86,8 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
             as the decoder can tell, or larger than 1 GiB or 100 megapixels (or the environment's
             ROADTORCH_MAX_MEGAPIXELS, up to Pillow's 178).
     """
-    if isinstance(path, str) and scheme_of(path):
-        return decode_image(url_bytes(path), without_password(path))
+    if isinstance(path, str) and url_scheme(path):
+        return decode_image(read_url(path), strip_password(path))
     path = Path(path)
     try:
         data = read_regular(path)
@@ -103,23 +109,23 @@ def decode_image(data: bytes, origin: object) -> Tensor:
     """
     if not data:
         raise InputError(origin, "is empty", "replace the file")
-    with undecodable(origin):
+    with report_decoding_errors(origin):
         return from_pixels(decode_pixels(data))
 
 
 @contextmanager
-def undecodable(origin: object) -> Iterator[None]:
+def report_decoding_errors(origin: object) -> Iterator[None]:
     """Turn any exception of a decoder in the block into an InputError at ``origin``."""
     try:
         yield
     except UnidentifiedImageError:
-        raise InputError(origin, "is not an image", f"give {READABLE}") from None
+        raise InputError(origin, "is not an image", f"give {READABLE_FORMATS}") from None
     except TooLargeError as error:
         hint = f"make it smaller, or set {MEGAPIXELS_VARIABLE}"
         raise InputError(origin, str(error), hint) from None
     except Exception as error:
         if is_out_of_memory(error):
-            raise fault(origin, error) from None
+            raise to_input_error(origin, error) from None
         problem = f"cannot be decoded: {reason(error)}"
         raise InputError(origin, problem, "replace it, or convert it to PNG") from None
 
@@ -141,7 +147,7 @@ def from_pixels(pixels: np.ndarray) -> Tensor:
     return image if len(planes) == 3 else image.mul_(planes[3].to(torch.float32).div_(levels))
 
 
-def as_image(image: ImageLike, order: Order | None = None) -> Tensor:
+def as_image(image: ImageLike, order: ColourOrder | None = None) -> Tensor:
     """Convert an image of any common type to a tensor.
 
     Args:
@@ -158,7 +164,7 @@ def as_image(image: ImageLike, order: Order | None = None) -> Tensor:
         ConfigError: an unknown order.
     """
     if order is not None:
-        checked_order(order)
+        check_order(order)
     if isinstance(image, np.ndarray):
         return from_pixels(_as_rgb(image, order))
     if isinstance(image, Tensor):
@@ -195,17 +201,17 @@ def _read_bytes(file: IO[bytes]) -> bytes:
     return data
 
 
-def checked_order(order: Order) -> Order:
+def check_order(order: ColourOrder) -> ColourOrder:
     """Return an order of colour channels; raise ConfigError if it is unknown."""
     if not isinstance(order, str):
         hint = 'write detect(image, "rgb") or load_detector(name, order="rgb")'
         raise ConfigError("order", f"is {type(order).__name__}", hint)
-    if order not in get_args(Order):
-        raise unknown_name("colour order", order, get_args(Order))
+    if order not in get_args(ColourOrder):
+        raise unknown_name_error("colour order", order, get_args(ColourOrder))
     return order
 
 
-def _as_rgb(pixels: np.ndarray, order: Order | None) -> np.ndarray:
+def _as_rgb(pixels: np.ndarray, order: ColourOrder | None) -> np.ndarray:
     """Return pixels (H, W) or (H, W, C) as grey, RGB or RGBA; raise InputError for others."""
     if pixels.dtype not in (np.uint8, np.uint16) and pixels.dtype.kind != "f":
         hint = "give uint8 from 0 to 255, or floating point from 0 to 1"
@@ -251,7 +257,7 @@ def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
     _write_encoded(path, ".png", labels.cpu().numpy().astype(np.uint8))
 
 
-def write_colours(path: str | os.PathLike[str], image: Tensor) -> None:
+def write_rgb_png(path: str | os.PathLike[str], image: Tensor) -> None:
     """Write an image in [0, 1], shape (3, H, W), as 8-bit RGB PNG."""
     _write_encoded(path, ".png", _to_bgr(to_pixels(image)))
 
@@ -304,7 +310,7 @@ def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
     """Write a tensor as NumPy file, dtype and shape unchanged."""
     data = io.BytesIO()
     np.save(data, values.detach().cpu().numpy(), allow_pickle=False)
-    with atomic(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(
             data.getvalue()
         )  # with getbuffer() a full disk crashes CPython 3.12.1
@@ -371,5 +377,5 @@ def _write_encoded(
     path: str | os.PathLike[str], kind: str, pixels: np.ndarray, *options: int
 ) -> None:
     encoded = _encode(kind, pixels, *options)
-    with atomic(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(encoded)

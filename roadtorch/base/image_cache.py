@@ -31,21 +31,21 @@ class _CachedResult(NamedTuple):
 
 @dataclass
 class ImageCache:
-    """Results computed so far; ``saved`` is the time in seconds that cached results saved."""
+    """Results computed so far, and the time in seconds that cached results saved."""
 
-    saved: float = 0.0
+    saved_seconds: float = 0.0
     _results: dict[Hashable, _CachedResult] = field(default_factory=dict, repr=False)
 
     def get(self, key: Hashable, inputs: object, compute: Callable[[], _Result]) -> _Result:
         """Return the result for a key, computed if it is missing."""
         if key in self._results:
             cached = self._results[key]
-            self.saved += cached.seconds
+            self.saved_seconds += cached.seconds
             return cached.result  # type: ignore[return-value]
-        start, saved = time.perf_counter(), self.saved
+        start, saved = time.perf_counter(), self.saved_seconds
         result = compute()
         # A later hit also saves the time that this computation itself saved by hits.
-        seconds = time.perf_counter() - start + self.saved - saved
+        seconds = time.perf_counter() - start + self.saved_seconds - saved
         self._results[key] = _CachedResult(inputs, result, seconds)
         return result
 

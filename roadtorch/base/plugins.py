@@ -21,7 +21,7 @@ def load_plugins(group: str, kind: str, add: Callable[[str, object], None]) -> N
                 add(point.name, point.load())
             except BaseException as raised:  # SystemExit and KeyboardInterrupt included
                 error = raised
-        stop.interrupt()
+        stop.raise_if_requested()
         if error is not None:
             package = point.dist.name if point.dist else point.value
             cause = str(error) if isinstance(error, Exception) else "it ends the process"

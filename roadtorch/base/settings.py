@@ -11,7 +11,7 @@ import pydantic
 import tomli_w
 
 from roadtorch.base.bounded import read_regular
-from roadtorch.base.errors import ConfigError, InputError, shortened, unknown_name
+from roadtorch.base.errors import ConfigError, InputError, truncate_middle, unknown_name_error
 
 MAX_VALUE_LENGTH = 200  # characters of a wrong value that an error repeats
 
@@ -19,10 +19,10 @@ CONFIGS = Path(__file__).parents[1] / "configs"
 """Folder of the shipped configs: a link to the repository's ``configs/``, so that a checkout and a
 wheel both have them in the package."""
 
-THRESHOLDS = "thresholds/"
+THRESHOLDS_PREFIX = "thresholds/"
 """Prefix of the names of configs for detectors; the others are for training."""
 
-SUFFIX = ".toml"
+CONFIG_SUFFIX = ".toml"
 
 
 class Settings(pydantic.BaseModel):
@@ -58,13 +58,13 @@ def _config_error(kind: type[Settings], error: pydantic.ValidationError) -> Conf
     path = [str(part) for part in details["loc"]]
     key = ".".join(path)
     if details["type"] == "extra_forbidden":
-        names = group_at(kind, path[:-1]).model_fields
-        return unknown_name("setting", key, [".".join([*path[:-1], name]) for name in names])
+        names = find_settings_group(kind, path[:-1]).model_fields
+        return unknown_name_error("setting", key, [".".join([*path[:-1], name]) for name in names])
     if details["type"] == "missing":
         return ConfigError(key, "is missing", "give it a value")
-    value = shortened(repr(details["input"]), MAX_VALUE_LENGTH)
+    value = truncate_middle(repr(details["input"]), MAX_VALUE_LENGTH)
     if details["type"] == "model_type":
-        names = ", ".join(group_at(kind, path).model_fields)
+        names = ", ".join(find_settings_group(kind, path).model_fields)
         problem = f"{value} was given for a group of settings"
         return ConfigError(key, problem, f"set one of its keys: {names}")
     arguments = getattr(details.get("ctx", {}).get("error"), "args", ())
@@ -74,7 +74,7 @@ def _config_error(kind: type[Settings], error: pydantic.ValidationError) -> Conf
     return ConfigError(key, f"{value} was given", message[0].lower() + message[1:])
 
 
-def group_at(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
+def find_settings_group(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
     """Return the class of the innermost group of settings on a path of keys.
 
     Keys that are no group, such as positions in a list or the kind of a union, are skipped.
@@ -176,19 +176,19 @@ def to_toml(detector: str, settings: Settings) -> str:
 
 def list_shipped_configs() -> list[str]:
     """Return the sorted names of all shipped configs: paths below ``configs/`` without suffix."""
-    files = CONFIGS.rglob(f"*{SUFFIX}")
+    files = CONFIGS.rglob(f"*{CONFIG_SUFFIX}")
     return sorted(path.relative_to(CONFIGS).with_suffix("").as_posix() for path in files)
 
 
-def config_file(text: str) -> Path:
+def find_config(text: str) -> Path:
     """Find the file that ``--config`` names: an existing file, or else a shipped config.
 
     Text that ends in ``.toml`` is a file in any case. Raises ConfigError, with the nearest
     names, for any other text.
     """
     path = Path(text)
-    if path.suffix == SUFFIX or path.is_file():
+    if path.suffix == CONFIG_SUFFIX or path.is_file():
         return path
     if text not in list_shipped_configs():
-        raise unknown_name("config, and no file", text, list_shipped_configs())
-    return CONFIGS / f"{text}{SUFFIX}"
+        raise unknown_name_error("config, and no file", text, list_shipped_configs())
+    return CONFIGS / f"{text}{CONFIG_SUFFIX}"

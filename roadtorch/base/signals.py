@@ -9,19 +9,19 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class Terminated(KeyboardInterrupt):
+class SigtermInterrupt(KeyboardInterrupt):
     """Exception for SIGTERM, as KeyboardInterrupt is for SIGINT."""
 
 
 def sigterm_handler(*_: object) -> NoReturn:
     """Raise Terminated, in a process that has nothing to save first."""
-    raise Terminated
+    raise SigtermInterrupt
 
 
-class Stop:
+class StopRequest:
     """A request to stop by a signal.
 
     at_once: raise when the request comes, as while waiting for a live source.
@@ -29,26 +29,26 @@ class Stop:
 
     def __init__(self) -> None:
         self.signal: signal.Signals | None = None
-        self.at_once = False
+        self.raises_at_once = False
 
     @property
-    def asked(self) -> bool:
+    def requested(self) -> bool:
         """True if the program is to stop once the current item is saved."""
         return self.signal is not None
 
-    def interrupt(self) -> None:
+    def raise_if_requested(self) -> None:
         """Raise KeyboardInterrupt or Terminated if a stop was requested."""
         if self.signal == signal.SIGTERM:
-            raise Terminated
-        if self.asked:
+            raise SigtermInterrupt
+        if self.requested:
             raise KeyboardInterrupt
 
-    def ask(self, number: int, _: FrameType | None = None) -> None:
+    def request(self, number: int, _: FrameType | None = None) -> None:
         """Record a request, as a signal handler; raise on the second one."""
-        self.interrupt()
+        self.raise_if_requested()
         self.signal = signal.Signals(number)
-        if self.at_once:
-            self.interrupt()
+        if self.raises_at_once:
+            self.raise_if_requested()
 
 
 @contextmanager
@@ -66,15 +66,15 @@ def raise_on_sigterm() -> Iterator[None]:
 
 
 @contextmanager
-def record_signals() -> Iterator[Stop]:
+def record_signals() -> Iterator[StopRequest]:
     """Record the signals whose handlers raise inside the block, and still call the handlers.
 
     Shows whether a signal caused an exception of foreign code. Only handlers in Python are
     wrapped, and only in the main thread, where they run.
     """
-    stop = Stop()
+    stop = StopRequest()
     is_main = threading.current_thread() is threading.main_thread()
-    previous = {number: signal.getsignal(number) for number in SIGNALS} if is_main else {}
+    previous = {number: signal.getsignal(number) for number in STOP_SIGNALS} if is_main else {}
 
     def record(number: int, frame: FrameType | None) -> None:
         handler = previous[signal.Signals(number)]
@@ -106,12 +106,12 @@ def prefer_interruption() -> Iterator[None]:
         try:
             yield
         except BaseException:
-            stop.interrupt()
+            stop.raise_if_requested()
             raise
 
 
 @contextmanager
-def interrupting_none_started() -> Iterator[None]:
+def block_sigint_in_children() -> Iterator[None]:
     """Block SIGINT in processes started inside the block; this one receives it afterwards.
 
     A terminal sends Ctrl-C to all processes of a command; the first one handles it for them.
@@ -143,10 +143,10 @@ def end_with_parent() -> None:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[Stop]:
+def stop_on_signals() -> Iterator[StopRequest]:
     """Let SIGINT and SIGTERM only request a stop inside the block; then restore the handlers."""
-    stop = Stop()
-    previous = {number: signal.signal(number, stop.ask) for number in SIGNALS}
+    stop = StopRequest()
+    previous = {number: signal.signal(number, stop.request) for number in STOP_SIGNALS}
     try:
         yield stop
     finally:

@@ -13,44 +13,46 @@ from urllib.request import Request, urlopen
 from roadtorch.base.bounded import MAX_BYTES
 from roadtorch.base.errors import InputError
 
-WEB = ("http", "https")
+WEB_SCHEMES = ("http", "https")
 
-ANSWER = 10.0
+RESPONSE_TIMEOUT = 10.0
 """Seconds that a web server may be silent; ours: the same as ``Patience``."""
 
 READ_SIZE = 2**20  # bytes
 
 
-def scheme_of(address: str) -> str:
+def url_scheme(address: str) -> str:
     """Return the scheme of a URL; "" for a path."""
     scheme = re.match(r"([A-Za-z][A-Za-z0-9+._-]+)://", address)
     return scheme[1].lower() if scheme else ""
 
 
-def without_password(url: str) -> str:
+def strip_password(url: str) -> str:
     """Return a URL without user name and password, for messages and files."""
     return re.sub(r"(?<=://)[^/@]*@", "", url)
 
 
 def slug(url: str) -> str:
     """Return a file name for the results of a URL: its words, without password and query."""
-    address = re.sub(r"^\w+://|[?#].*", "", without_password(url))
+    address = re.sub(r"^\w+://|[?#].*", "", strip_password(url))
     return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
 
 
 @contextmanager
-def answer(url: str) -> Iterator[Any]:
+def open_url(url: str) -> Iterator[Any]:
     """Yield the response to a GET request, after redirections: its headers, and its body to read.
 
     Raises InputError if there is none, or it comes late or with an error status.
     """
-    address = without_password(url)
+    address = strip_password(url)
     headers = {"User-Agent": "roadtorch"}
     if (user := re.match(r"\w+://([^/@]*)@", url)) is not None:  # basic access, RFC 7617
         credentials = base64.b64encode(unquote(user[1]).encode()).decode()
         headers["Authorization"] = f"Basic {credentials}"
     try:
-        with closing(urlopen(Request(address, headers=headers), timeout=ANSWER)) as response:
+        with closing(
+            urlopen(Request(address, headers=headers), timeout=RESPONSE_TIMEOUT)
+        ) as response:
             yield response
     except HTTPError as error:
         error.close()
@@ -59,24 +61,28 @@ def answer(url: str) -> Iterator[Any]:
     except (OSError, HTTPException, ValueError) as error:
         cause = getattr(error, "reason", error)
         is_late = isinstance(cause, TimeoutError)
-        text = f"{ANSWER:g} seconds without a response" if is_late else str(cause) or "no response"
+        text = (
+            f"{RESPONSE_TIMEOUT:g} seconds without a response"
+            if is_late
+            else str(cause) or "no response"
+        )
         raise InputError(address, f"cannot be fetched: {text}", "check the address") from None
 
 
-def url_bytes(url: str) -> bytes:
+def read_url(url: str) -> bytes:
     """Fetch the body of a response, at most 1 GiB.
 
-    Raises InputError as ``answer`` does, for a larger or truncated body, and for other schemes.
+    Raises InputError as ``open_url`` does, for a larger or truncated body, and for other schemes.
     """
-    if scheme_of(url) not in WEB:
+    if url_scheme(url) not in WEB_SCHEMES:
         raise InputError(url, "is no web address", "give http:// or https://, or a file")
     data = bytearray()
-    with answer(url) as response:
+    with open_url(url) as response:
         while chunk := response.read(READ_SIZE):
             data += chunk
             if len(data) > MAX_BYTES:
                 problem = f"has more than {MAX_BYTES:,} bytes"
-                raise InputError(without_password(url), problem, "make it smaller")
+                raise InputError(strip_password(url), problem, "make it smaller")
         length = response.headers.get("Content-Length", "")
         if length.isdigit() and len(data) < int(length):
             raise ValueError(f"it is truncated after {len(data):,} of {int(length):,} bytes")

@@ -63,7 +63,7 @@ def cell_pixels(calibration: Calibration, height: int, width: int) -> _Pair:
     return index.long(), inside
 
 
-def to_birds_eye(values: Tensor, calibration: Calibration) -> Tensor:
+def warp_to_birds_eye(values: Tensor, calibration: Calibration) -> Tensor:
     """Warp values (..., H, W) to (..., 800, 400), same dtype; 0 where no pixel shows the cell."""
     height, width = values.shape[-2:]
     index, inside = (part.to(values.device) for part in cell_pixels(calibration, height, width))

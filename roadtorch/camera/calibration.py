@@ -67,10 +67,10 @@ def read_camera_info(path: str | os.PathLike[str]) -> Lens:
             raise ConfigError(path, f"is not YAML: {reason(error)}", CAMERA_INFO_HINT) from None
         info = _CameraInfo.model_validate(document)
     size = (info.width, info.height)
-    return lens_of_info(path, size, info.matrix, info.distortion, info.distortion_model)
+    return lens_from_camera_info(path, size, info.matrix, info.distortion, info.distortion_model)
 
 
-def lens_of_info(
+def lens_from_camera_info(
     path: str | os.PathLike[str],
     size: tuple[int, int],
     matrix: Sequence[float],

@@ -15,7 +15,12 @@ from torch.nn import functional as F
 from roadtorch.base.atomic import write_text
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import ORANGE, SKY_BLUE, tint_mask, to_pixels
-from roadtorch.base.settings import Settings, build_settings, group_at, read_settings_file
+from roadtorch.base.settings import (
+    Settings,
+    build_settings,
+    find_settings_group,
+    read_settings_file,
+)
 from roadtorch.camera.gradients import (
     GradientStatistics,
     small_grey,
@@ -23,8 +28,8 @@ from roadtorch.camera.gradients import (
     sobel_gradient,
     soft_normalize,
 )
-from roadtorch.imaging.resize import resized
-from roadtorch.road.ego import Ego, ego_car, is_given
+from roadtorch.imaging.resize import resize_maps
+from roadtorch.road.ego import Ego, ego_car, has_ego_car
 
 # --- template of the ego car ----------------------------------------------------------
 
@@ -176,9 +181,9 @@ class Camera(Settings):
         values: dict[str, Any] = {}
         if "invariant_angle" in settings_class.model_fields and self.invariant_angle is not None:
             values["invariant_angle"] = self.invariant_angle
-        if is_given(self.ego):
+        if has_ego_car(self.ego):
             values["ego"] = self.ego.model_dump(exclude_defaults=True)
-        labeller = group_at(settings_class, ["labeller"])
+        labeller = find_settings_group(settings_class, ["labeller"])
         if labeller is not settings_class and "horizon" in labeller.model_fields:
             values["labeller"] = {"horizon": self.horizon}
         return values
@@ -190,19 +195,19 @@ CHECK_WIDTH = 640  # pixels of each half
 SEED_SIDES = (3 / 8, 5 / 8)  # fractions of the width between which the seed row is drawn
 
 
-def check_image(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
+def draw_check_image(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
     """Draw the mean and the middle one of frames (3, H, W) side by side, (3, h, 1280) in [0, 1].
 
     The ego car is tinted and outlined; the horizon is a blue line, the seed row an orange one.
     """
     size = round(CHECK_WIDTH * camera.height / camera.width), CHECK_WIDTH
-    small = [resized(frame, size).clamp(0, 1) for frame in frames]
+    small = [resize_maps(frame, size).clamp(0, 1) for frame in frames]
     left, right = (round(side * CHECK_WIDTH) for side in SEED_SIDES)
     lines = ((camera.horizon, slice(None), SKY_BLUE), (camera.seed_row, slice(left, right), ORANGE))
     halves = []
     for image in (torch.stack(small).mean(0), small[len(small) // 2]):
         pixels = to_pixels(image)
-        if is_given(camera.ego):
+        if has_ego_car(camera.ego):
             pixels = tint_mask(pixels, ego_car(image, camera.ego).numpy())
         for row, columns, colour in lines:
             top = min(round(row * size[0]), size[0] - 2)

@@ -31,7 +31,7 @@ from roadtorch.camera.gradients import (
     soft_normalize,
     vanishing_point,
 )
-from roadtorch.imaging.resize import at_image_size, size_of
+from roadtorch.imaging.resize import resize_to_image, spatial_size
 from roadtorch.road.ego import Ego
 from roadtorch.road.illuminant import invariant_angle, log_chromaticity, projection_entropies
 
@@ -64,7 +64,7 @@ class FootageStatistics(NamedTuple):
     lines: Tensor
 
 
-def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
+def detect_ego_car(frames: Sequence[Tensor]) -> Tensor | None:
     """Detect the ego car in frames of one camera.
 
     Args:
@@ -86,7 +86,7 @@ def still_ego(frames: Sequence[Tensor]) -> Tensor | None:
     if rows is None:
         return None
     below = torch.arange(size[0])[:, None] >= rows
-    return at_image_size(below, size_of(frames[0]))
+    return resize_to_image(below, spatial_size(frames[0]))
 
 
 def _footage_statistics(gradients: Sequence[Tensor]) -> FootageStatistics:
@@ -178,11 +178,11 @@ MIN_OWN_SIMILARITY, MAX_FOREIGN_SIMILARITY = 0.8, 0.35
 MIDDLE_COLUMNS = slice(OUTLINE_COLUMNS * 3 // 8, OUTLINE_COLUMNS * 5 // 8)
 
 
-class StillError(InputError):
+class StaticFootageError(InputError):
     """Footage in which nothing moves."""
 
 
-def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
+def estimate_camera(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     """Estimate the camera from frames that it recorded.
 
     Args:
@@ -190,13 +190,13 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         where: names the footage in errors.
 
     Raises:
-        StillError: for footage in which nothing moves.
+        StaticFootageError: for footage in which nothing moves.
         InputError: for too few frames, and for several cameras (of different shapes, or with an ego
             car in one part of the frames only).
     """
     sizes, greys, entropies = [], [], []
     for frame in frames:
-        sizes.append(size_of(frame))
+        sizes.append(spatial_size(frame))
         greys.append(small_grey(frame, small_size([frame])))
         if len(entropies) * ENTROPY_STEP < len(sizes):
             entropies.append(projection_entropies(log_chromaticity(frame)))
@@ -215,7 +215,7 @@ def camera_of(frames: Iterable[Tensor], where: str = "footage") -> Camera:
     ]
     footage = _footage_statistics(gradients)
     if footage.gradients.static_fraction >= MAX_STATIC_FRACTION:
-        raise StillError(where, "is static: nothing moves", "give footage of a drive")
+        raise StaticFootageError(where, "is static: nothing moves", "give footage of a drive")
     _require_one_camera(footage, gradients, where)
     rows = _find_ego_rows(footage)
     template, outline = EgoTemplate(), ()

@@ -219,7 +219,7 @@ class Horizon(NamedTuple):
     """Row of the horizon and its standard deviation, as fractions of the height."""
 
     row: float
-    spread: float
+    deviation: float
 
 
 def estimate_horizon(image: Tensor, layout: Tensor) -> Horizon:

@@ -167,7 +167,7 @@ class GroundCamera:
         rays = (points - self.pose.position) @ np.array(self.pose.axes).T
         ahead = rays[:, 2] > MIN_DEPTH
         rays = np.where(ahead[:, None], rays, (0.0, 0.0, 1.0))
-        pixels = distorted(self.lens, rays[:, :2] / rays[:, 2:])
+        pixels = distort_points(self.lens, rays[:, :2] / rays[:, 2:])
         inside = (pixels >= -0.5).all(1) & (pixels[:, 0] < self.lens.width - 0.5)
         inside &= (pixels[:, 1] < self.lens.height - 0.5) & ahead
         if self.lens.coefficients and inside.any():
@@ -182,7 +182,7 @@ class GroundCamera:
         return np.column_stack([plane, np.ones(len(plane))]) @ np.array(self.pose.axes)
 
 
-def distorted(lens: Lens, plane: np.ndarray) -> np.ndarray:
+def distort_points(lens: Lens, plane: np.ndarray) -> np.ndarray:
     """Return the pixels (n, 2) of points (n, 2) on the plane one metre ahead (OpenCV's models)."""
     if not lens.coefficients:
         return plane * (lens.focal_x, lens.focal_y) + (lens.centre_x, lens.centre_y)

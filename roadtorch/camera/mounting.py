@@ -59,11 +59,11 @@ class Pitch(NamedTuple):
 
     degrees: float
     reason: str
-    spread: float = 0.0
+    deviation: float = 0.0
 
 
 @dataclass(frozen=True)
-class Placing:
+class CameraPlacement:
     """Estimator of the camera over the ground for each image.
 
     calibration: KITTI's, which determines all but ``mount``. lens: None if ``fov`` or each bag
@@ -78,23 +78,23 @@ class Placing:
     pitch: Pitch | None = None
 
     @property
-    def lacks_lens(self) -> bool:
+    def needs_lens(self) -> bool:
         """True if each bag provides the lens."""
         return self.lens is None and self.calibration is None and self.mounting.fov is None
 
     @property
-    def asks_images(self) -> bool:
+    def needs_layout(self) -> bool:
         """True if the pitch is estimated from each image's layout."""
         return self.calibration is None and self.horizon is None and self.pitch is None
 
-    def through(self, lens: Lens) -> "Placing":
+    def with_lens(self, lens: Lens) -> "CameraPlacement":
         """Return a copy with a lens; ConfigError if the horizon exceeds the limits of the pitch."""
         if self.horizon is not None and self.pitch is None:
             self.mounting.pose(pitch_from_horizon(lens, self.horizon, self.mounting.roll))
         return replace(self, lens=lens)
 
     @property
-    def words(self) -> str:
+    def as_comment(self) -> str:
         """The inputs that determine the camera, as a comment line for the settings file."""
         if self.calibration is not None:
             facts = {"calibration": asdict(self.calibration), "mount": self.mounting.mount}
@@ -132,7 +132,7 @@ class Placing:
         return Pitch(pitch_from_horizon(lens, row, self.mounting.roll), reason, deviation)
 
 
-def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
+def build_placement(mounting: Mounting, of_bags: bool) -> CameraPlacement:
     """Return the estimator for all inputs; of_bags: whether all are bags, which have lenses.
 
     Raises ConfigError for missing, contradictory or invalid options, and the errors of the readers.
@@ -149,7 +149,7 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
         for name in (name for name, value in pose.items() if value is not None):
             problem = "conflicts with --calibration, which includes it"
             raise ConfigError(name, problem, "leave it out")
-        return Placing(mounting, read_calibration(mounting.calibration))
+        return CameraPlacement(mounting, read_calibration(mounting.calibration))
     if not options and not of_bags:
         raise ConfigError("grid", "the lens is not specified", hint)
     mounting.pose(mounting.pitch or 0.0)
@@ -157,16 +157,16 @@ def placing_of(mounting: Mounting, of_bags: bool) -> Placing:
         pinhole_lens(2, 2, mounting.fov)
     horizon = None if mounting.camera is None else Camera.read(mounting.camera).horizon
     pitch = None if mounting.pitch is None else Pitch(mounting.pitch, "as given")
-    placing = Placing(mounting, None, None, horizon, pitch)
+    placement = CameraPlacement(mounting, None, None, horizon, pitch)
     if mounting.camera_info is None:
-        return placing
-    return placing.through(read_camera_info(mounting.camera_info))
+        return placement
+    return placement.with_lens(read_camera_info(mounting.camera_info))
 
 
 def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
     """Return one pitch for a whole source: estimates jitter, but a robot's camera does not."""
     degrees = [pitch.degrees for pitch in pitches]
-    deviation = statistics.median(pitch.spread for pitch in pitches)
+    deviation = statistics.median(pitch.deviation for pitch in pitches)
     reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"
     reason += f" by the layout, unsure by {deviation:.1f} degrees"
     return Pitch(statistics.median(degrees), reason, deviation)

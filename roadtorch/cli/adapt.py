@@ -58,16 +58,16 @@ def adapt_command(
     import torch
 
     from roadtorch.base.errors import ConfigError
-    from roadtorch.base.settings import config_file, merge, parse_assignments, read_settings_file
+    from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
     from roadtorch.train.adaptation.adapt import adapt
-    from roadtorch.train.before_after import write_page
+    from roadtorch.train.comparison_page import write_page
     from roadtorch.train.config import ImageTraining, build_training
-    from roadtorch.train.folder import PAGE
-    from roadtorch.train.run import Request
+    from roadtorch.train.run import TrainingRequest
+    from roadtorch.train.run_folder import ADAPTATION_PAGE
 
     if threads:
         torch.set_num_threads(threads)
-    values = merge(read_settings_file(config_file(ADAPT_CONFIG)), parse_assignments(assignments))
+    values = merge(read_settings_file(find_config(ADAPT_CONFIG)), parse_assignments(assignments))
     training = build_training(values)
     if not isinstance(training, ImageTraining) or not training.initial_weights:
         message = "adaptation starts from the weights of a whole-image network"
@@ -80,10 +80,10 @@ def adapt_command(
         text = f"roadtorch: stopped by {signal}; run the same command again to resume"
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
-    request = Request(frames.glob(), out, prepared=adaptation.prepared, quiet=quiet)
+    request = TrainingRequest(frames.glob(), out, prepared=adaptation.prepared, quiet=quiet)
     command = command_line(context)
     is_written = write_page(training, request, outcome, verdict, command)
-    files = [outcome.weights, adaptation.camera, out / PAGE if is_written else None]
+    files = [outcome.weights, adaptation.camera, out / ADAPTATION_PAGE if is_written else None]
     lines = [*frames.skipped, *adaptation.missing]
     if not quiet:
         camera = f" --camera {adaptation.camera}" if adaptation.camera else ""

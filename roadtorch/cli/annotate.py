@@ -54,41 +54,43 @@ def annotate_command(
 
         click.echo(corrections_report(out, folder))
     elif exported:
-        from roadtorch.base.atomic import shared
-        from roadtorch.data.correction_formats import FORMATS
+        from roadtorch.base.atomic import share_folder
+        from roadtorch.data.correction_formats import CORRECTION_FORMATS
         from roadtorch.data.corrections import read_corrections
 
         if to is None:
             raise click.UsageError("Missing option '--to'")
         corrections = read_corrections(out, folder)
-        context.with_resource(shared(to))
-        FORMATS[exported].write(corrections, to)
+        context.with_resource(share_folder(to))
+        CORRECTION_FORMATS[exported].write(corrections, to)
         click.echo(f"{len(corrections)} images written to {to}")
     elif imported:
         from roadtorch.annotate.session import import_labels
-        from roadtorch.run.folder import output_lock
+        from roadtorch.run.folder import lock_output
 
         if origin is None:
             raise click.UsageError("Missing option '--from'")
-        context.with_resource(output_lock(out))
+        context.with_resource(lock_output(out))
         count = import_labels(imported, origin, folder, out)
         click.echo(f"{count} images imported")
     else:
         from roadtorch.annotate.next_images import ImageOrder
-        from roadtorch.annotate.session import opened_session
+        from roadtorch.annotate.session import open_session
         from roadtorch.base.errors import ConfigError
         from roadtorch.inputs.images import find_images
-        from roadtorch.run.folder import output_lock
+        from roadtorch.run.folder import lock_output
 
         try:
-            from roadtorch.annotate.server import page_server
+            from roadtorch.annotate.server import make_page_server
         except ImportError:
             hint = "pip install 'roadtorch[annotate]'"
             raise ConfigError("annotate", "needs Starlette and uvicorn", hint) from None
         count = len(find_images([folder], out))
         detector, _ = choice.load()
-        context.with_resource(output_lock(out))
-        server = page_server(opened_session(folder, out, detector, order=ImageOrder(order)), port)
+        context.with_resource(lock_output(out))
+        server = make_page_server(
+            open_session(folder, out, detector, order=ImageOrder(order)), port
+        )
         click.echo(f"{count} images; corrections are saved in {out}")
         click.echo(f"Open {server.address.url}  (press Ctrl-C to stop)")
         server.run()

@@ -28,21 +28,21 @@ def camera_command(footage: tuple[str, ...], out: Path, max_frames: int) -> None
     """
     from roadtorch.base.image import write_jpeg
     from roadtorch.base.progress import Progress
-    from roadtorch.camera.camera import check_image
-    from roadtorch.camera.footage import camera_of
-    from roadtorch.inputs.find import frame_places, read_frames
-    from roadtorch.road.ego import is_given, outline_rows
+    from roadtorch.camera.camera import draw_check_image
+    from roadtorch.camera.footage import estimate_camera
+    from roadtorch.inputs.find import locate_frames, read_frames
+    from roadtorch.road.ego import has_ego_car, outline_rows
 
     check_file = out.with_suffix(".jpg")
-    places = frame_places(footage, max_frames)
+    places = locate_frames(footage, max_frames)
     _check_outputs(out, check_file, {place.path.resolve() for place in places})
     frames = Progress(read_frames(places), total=len(places), unit="frame")
-    camera = camera_of(frames, footage[0])
+    camera = estimate_camera(frames, footage[0])
     camera.write(out)
     sample = places[:: max(1, len(places) // MEAN_FRAMES)]
-    write_jpeg(check_file, check_image(camera, list(read_frames(sample))))
+    write_jpeg(check_file, draw_check_image(camera, list(read_frames(sample))))
     ego = "none found"
-    if is_given(camera.ego):
+    if has_ego_car(camera.ego):
         rows = outline_rows(camera.ego.outline, camera.width)
         fraction, top = float((1 - rows).double().mean()), float(rows.min())
         ego = f"{fraction:.1%} of the image, from row {top:.2f} of the height"

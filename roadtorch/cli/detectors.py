@@ -44,7 +44,7 @@ def detectors_command(name: str | None) -> None:
         entry = detector_entry(name)
         click.echo(f"{name}: {entry.summary}\n")
         header = ("setting", "type", "default", "allowed", "meaning")
-        defaults = entry.configured({}).model_dump(mode="json")
+        defaults = entry.make_settings({}).model_dump(mode="json")
         schema = entry.settings.model_json_schema()
         rows = [header, *setting_rows(schema, defaults=defaults)]
     click.echo("\n".join(wrap_columns(rows)))

@@ -47,10 +47,10 @@ def check_machine() -> list[Check]:
     import cv2
     import torch
 
-    from roadtorch.run.workers import processors
+    from roadtorch.run.workers import count_processors
 
     limit = os.environ.get("OMP_NUM_THREADS", "not set")
-    threads = f"processors {processors()}, torch {torch.get_num_threads()}, "
+    threads = f"processors {count_processors()}, torch {torch.get_num_threads()}, "
     threads += f"opencv {cv2.getNumThreads()}, OMP_NUM_THREADS {limit}"
     return [
         Check("python", "ok", f"{platform.python_version()}, {platform.python_implementation()}"),
@@ -115,7 +115,7 @@ def check_video() -> list[Check]:
 
 def check_weights() -> list[Check]:
     """Load every shipped weight file, which compares it with the hash in its header."""
-    from roadtorch.base.atomic import digest_of
+    from roadtorch.base.atomic import file_digest
     from roadtorch.base.errors import WeightsError
     from roadtorch.layout.weights import list_shipped_weights, load_network, shipped_weights
 
@@ -123,7 +123,7 @@ def check_weights() -> list[Check]:
     for path in map(shipped_weights, list_shipped_weights()):
         try:
             load_network(path)
-            checks.append(Check(path.name, "ok", f"SHA-256 {digest_of(path)[:12]}…"))
+            checks.append(Check(path.name, "ok", f"SHA-256 {file_digest(path)[:12]}…"))
         except WeightsError as error:
             checks.append(Check(path.name, "broken", error.problem, REINSTALL_HINT))
     return checks or [Check("weights", "broken", "no weight files", REINSTALL_HINT)]

@@ -99,45 +99,45 @@ def evaluate_command(
     """
     from roadtorch.base.settings import parse_assignments
     from roadtorch.camera.camera import Camera
-    from roadtorch.data.catalogue import open_dataset, open_named
+    from roadtorch.data.catalogue import open_dataset, open_dataset_spec
     from roadtorch.data.dataset import leave_out
-    from roadtorch.data.folder import with_conditions
-    from roadtorch.data.kitti import birds_eye
+    from roadtorch.data.kitti_road import use_birds_eye_view
+    from roadtorch.data.label_folders import add_conditions
     from roadtorch.evaluation.evaluate import evaluate
-    from roadtorch.evaluation.methods import reference
-    from roadtorch.evaluation.report.tables import SCREEN_WIDTH, screen
+    from roadtorch.evaluation.methods import parse_reference
+    from roadtorch.evaluation.report.tables import SCREEN_WIDTH, format_tables
     from roadtorch.evaluation.tuning import choice_table, tune_thresholds
-    from roadtorch.run.folder import output_lock
-    from roadtorch.run.workers import settle
+    from roadtorch.run.folder import lock_output
+    from roadtorch.run.workers import configure_threads
 
     if out is None and (tune or submit):
         raise click.UsageError("--tune and --submit write files: give --out")
-    settle(threads=1)
+    configure_threads(threads=1)
     settings = parse_assignments(assignments)
     camera = None if camera_file is None else Camera.read(camera_file)
     if submit:
         assert out is not None
         if len(names) != 1 or dataset != "kitti-road":
             raise click.UsageError("--submit is for kitti-road and one --detector")
-        write_submission(context, reference(names[0], settings, camera), root, out, jobs)
+        write_submission(context, parse_reference(names[0], settings, camera), root, out, jobs)
     if out is not None:
-        context.with_resource(output_lock(out))  # fail before the long run
+        context.with_resource(lock_output(out))  # fail before the long run
     labelled = leave_out(open_dataset(dataset, root, split), left_out)
     if conditions is not None:
-        labelled = with_conditions(labelled, conditions)
+        labelled = add_conditions(labelled, conditions)
     evaluation = evaluate(
-        birds_eye(labelled) if bev else labelled,
+        use_birds_eye_view(labelled) if bev else labelled,
         names,
         settings=settings,
         camera=camera,
         limit=limit,
-        mean_from=None if mean_from is None else open_named(mean_from),
+        mean_from=None if mean_from is None else open_dataset_spec(mean_from),
         threshold_from=threshold_from,
         against=against,
         jobs=jobs,
         quiet=False,
     )
-    click.echo(screen(evaluation))
+    click.echo(format_tables(evaluation))
     choices = tune_thresholds(evaluation) if tune else []
     if choices:
         click.echo(f"\n{choice_table(choices).text(SCREEN_WIDTH)}")
@@ -152,10 +152,10 @@ def evaluate_command(
 
 def print_cautions(evaluation: "Evaluation") -> None:
     """Print a line for each detector trained on corrections, and for each failed image."""
-    from roadtorch.layout.weights import corrected_images
+    from roadtorch.layout.weights import count_corrected_images
 
     for name, figures in evaluation.detectors.items():
-        if count := corrected_images(figures.contender.settings):
+        if count := count_corrected_images(figures.contender.settings):
             text = f"{name} was trained on {count} images corrected by hand: it is not label-free, "
             click.echo(f"roadtorch: {text}and scores on those images are optimistic", err=True)
     for failure in evaluation.failures:
@@ -171,10 +171,10 @@ def write_files(
 ) -> None:
     """Write metrics, tables and report, and a config for each chosen threshold."""
     from roadtorch.base.atomic import write_text
-    from roadtorch.evaluation.report.files import write  # slow: it imports matplotlib
+    from roadtorch.evaluation.report.files import write_report  # slow: it imports matplotlib
     from roadtorch.evaluation.tuning import provenance
 
-    write(evaluation, out, command, montage)
+    write_report(evaluation, out, command, montage)
     for choice in choices:
         comment = provenance(choice, evaluation, command)
         config = config_text(choice.contender.detector, choice.settings)
@@ -191,28 +191,33 @@ def write_submission(
     gives um_road_000012.png, its likelihood in bird's-eye view (800 by 400, 8 bits), and all of
     them submission.zip once every image is done. Another run resumes.
     """
-    from roadtorch.data.kitti import base_folder, calib_folder
+    from roadtorch.data.kitti_road import find_calibration_folder, find_kitti_folder
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.inputs.find import Inputs
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
-    from roadtorch.run.memo import key_of
-    from roadtorch.run.plan import RunOptions, plan
+    from roadtorch.run.memo import cache_key
+    from roadtorch.run.plan import RunOptions, plan_run
     from roadtorch.run.run import open_run
-    from roadtorch.run.writers.kitti import ARCHIVE, BirdsEyeMaps, images_to_submit, pack
+    from roadtorch.run.writers.kitti import (
+        SUBMISSION_FILE,
+        BirdsEyeWriter,
+        find_submission_images,
+        pack_submission,
+    )
 
     threshold = contender.threshold
     detector = load_detector(contender.detector, threshold=threshold, **contender.settings)
-    base = base_folder(root, "testing")
-    maps = BirdsEyeMaps(out, calib_folder(base))
-    images = images_to_submit(base / "image_2", maps.calib, out)
-    todo = plan(Inputs(images, []), out, maps.suffixes)
+    base = find_kitti_folder(root, "testing")
+    maps = BirdsEyeWriter(out, find_calibration_folder(base))
+    images = find_submission_images(base / "image_2", maps.calib, out)
+    todo = plan_run(Inputs(images, []), out, maps.suffixes)
     effective = config_text(detector.name, detector.settings)
     run = context.with_resource(open_run(out, effective, todo.count, RunOptions(jobs)))
-    method = Method(key_of(detector), ("map",))
-    if failed := run.images(images, Task(Inference(detector), maps, method)):
-        click.echo(f"roadtorch: {out / ARCHIVE} not written: maps are missing", err=True)
+    method = Method(cache_key(detector), ("map",))
+    if failed := run.process_images(images, Task(Inference(detector), maps, method)):
+        click.echo(f"roadtorch: {out / SUBMISSION_FILE} not written: maps are missing", err=True)
         context.exit(failed)
-    archive = pack(images, out)
+    archive = pack_submission(images, out)
     click.echo(f"roadtorch: {len(images)} maps in {archive}", err=True)
     context.exit(0)

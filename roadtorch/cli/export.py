@@ -32,30 +32,31 @@ def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]
     """
     from roadtorch.base.settings import parse_assignments
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.export.export import BOUND, export_detector
-    from roadtorch.export.folders import export_folder, export_page
-    from roadtorch.run.folder import output_lock
+    from roadtorch.export.export import MAX_DIFFERENCE, export_detector
+    from roadtorch.export.folders import export_hub, export_page
+    from roadtorch.run.folder import lock_output
 
     detector = load_detector(name, **parse_assignments(assignments))
-    with output_lock(out if kind in ("web", "hub") else out.parent):
+    with lock_output(out if kind in ("web", "hub") else out.parent):
         if kind == "hub":
-            for file in export_folder(detector, out):
+            for file in export_hub(detector, out):
                 click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
             click.echo(f"load it: load_detector({str(out)!r})")
             return
         exported = export_page(detector, out) if kind == "web" else export_detector(detector, out)
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
-    click.echo(f"{name}: {exported.notes['part']}")
-    for key, text in exported.notes.items():
+    click.echo(f"{name}: {exported.metadata['part']}")
+    for key, text in exported.metadata.items():
         if key not in ("roadtorch", "detector", "part", "lacks"):
             click.echo(f"  {key:<18} {text}")
     parity = exported.parity
     click.echo(
-        f"difference from Python on {parity.images} rendered images: at most {parity.most:.1e} "
-        f"({parity.where}), mean {parity.mean:.1e}; allowed {BOUND:g}"
+        f"difference from Python on {parity.images} rendered images: "
+        f"at most {parity.max_difference:.1e} ({parity.location}), "
+        f"mean {parity.mean_difference:.1e}; allowed {MAX_DIFFERENCE:g}"
     )
-    lacks = exported.notes["lacks"]
+    lacks = exported.metadata["lacks"]
     click.echo(f"Not included: {lacks}. See docs/export.md for the cost.")
     if kind == "web":
         click.echo(f"try it: python -m http.server --directory {out}")

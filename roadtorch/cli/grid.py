@@ -102,31 +102,31 @@ def grid_command(
     """
     from roadtorch.base.settings import build_settings
     from roadtorch.camera.ground_grid import GridSettings
-    from roadtorch.camera.mounting import Mounting, placing_of
+    from roadtorch.camera.mounting import Mounting, build_placement
     from roadtorch.inputs.find import select_inputs
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
-    from roadtorch.run.memo import key_of
-    from roadtorch.run.plan import plan
+    from roadtorch.run.memo import cache_key
+    from roadtorch.run.plan import plan_run
     from roadtorch.run.run import open_run
-    from roadtorch.run.workers import settle
-    from roadtorch.run.writers.choice import GridOutput, is_from_bag
-    from roadtorch.run.writers.grid import Grids
+    from roadtorch.run.workers import configure_threads
+    from roadtorch.run.writers.grid import GridWriter
+    from roadtorch.run.writers.outputs import GridOutput, is_from_bag
 
-    settle(threads=1)
+    configure_threads(threads=1)
     selected = select_inputs(inputs, selection, out)
     cells = {name: mounting.pop(name) for name in ("resolution", "range", "side")}
     only_bags = not selected.images and all(map(is_from_bag, selected.sources))
-    placing = placing_of(Mounting(camera=camera_file, **mounting), only_bags)
+    placement = build_placement(Mounting(camera=camera_file, **mounting), only_bags)
     detector, camera = choice.load(camera_file, threshold)
     settings = build_settings(GridSettings, {**cells, "threshold": detector.settings.threshold})
     kinds = ("pgm", "yaml", "npy", *["likelihood"] * likelihood, *["image"] * image)
     inference = Inference(detector, camera)
-    grids = Grids(out, placing, settings, kinds, frame_id=frame_id)
-    todo = plan(selected, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
+    grids = GridWriter(out, placement, settings, kinds, frame_id=frame_id)
+    todo = plan_run(selected, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
     effective = config_text(detector.name, detector.settings)
-    effective = "\n".join([effective, f"# {settings.model_dump_json()}", placing.words])
+    effective = "\n".join([effective, f"# {settings.model_dump_json()}", placement.as_comment])
     run = context.with_resource(open_run(out, effective, todo.count, options))
-    key = key_of(detector, effective)
-    method, footage_method = Method(key, kinds), Method(key_of(key, selection, frame_id), ())
-    context.exit(run.all(todo, Task(inference, grids, method), footage_method))
+    key = cache_key(detector, effective)
+    method, footage_method = Method(key, kinds), Method(cache_key(key, selection, frame_id), ())
+    context.exit(run.process(todo, Task(inference, grids, method), footage_method))

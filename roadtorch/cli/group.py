@@ -14,8 +14,8 @@ from typing import Any, NoReturn
 
 import click
 
-from roadtorch.base.errors import ExitCode, RoadtorchError, fault, is_out_of_memory
-from roadtorch.base.signals import Terminated, prefer_interruption, raise_on_sigterm
+from roadtorch.base.errors import ExitCode, RoadtorchError, is_out_of_memory, to_input_error
+from roadtorch.base.signals import SigtermInterrupt, prefer_interruption, raise_on_sigterm
 from roadtorch.base.version import __version__
 
 # name: (module:attribute, summary). The summary is here so that help imports no command.
@@ -110,7 +110,9 @@ class CommandGroup(click.Group):
         except Exception as error:
             _print_traceback(ctx)
             if is_out_of_memory(error):
-                raise click.ClickException(str(fault(ctx.invoked_subcommand, error))) from None
+                raise click.ClickException(
+                    str(to_input_error(ctx.invoked_subcommand, error))
+                ) from None
             problem = f"a bug in roadtorch: {type(error).__name__}: {error}"
             raise click.ClickException(
                 f"{ctx.invoked_subcommand}: {problem} (report it with --debug)"
@@ -128,7 +130,9 @@ class CommandGroup(click.Group):
             name = next((word for word in args if not word.startswith("-")), "")
             click.echo(f"roadtorch: {INTERRUPT_MESSAGES.get(name, 'interrupted')}", err=True)
             cause = error.__cause__ or error  # click makes an Abort of KeyboardInterrupt
-            code = ExitCode.TERMINATED if isinstance(cause, Terminated) else ExitCode.INTERRUPTED
+            code = (
+                ExitCode.TERMINATED if isinstance(cause, SigtermInterrupt) else ExitCode.INTERRUPTED
+            )
         except click.exceptions.NoArgsIsHelpError as error:
             error.show()
             code = ExitCode.WRONG_USAGE

@@ -32,7 +32,7 @@ def _parse_kinds(
     _: click.Context, __: click.Parameter, value: str | None
 ) -> tuple[str, ...] | None:
     """Parse a comma-separated list of kinds of results, into the order of RESULT_KINDS."""
-    from roadtorch.base.errors import ConfigError, unknown_name
+    from roadtorch.base.errors import ConfigError, unknown_name_error
 
     if value is None:
         return None
@@ -40,7 +40,7 @@ def _parse_kinds(
     choices = (*RESULT_KINDS, *FOOTAGE_KINDS)
     for kind in requested:
         if kind not in choices:
-            raise unknown_name("kind of result", kind, choices)
+            raise unknown_name_error("kind of result", kind, choices)
     if not requested:
         raise ConfigError("--save", "nothing to save", f"give some of {', '.join(choices)}")
     return tuple(kind for kind in choices if kind in requested)
@@ -120,34 +120,34 @@ def infer_command(
     from roadtorch.inputs.find import select_inputs
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
-    from roadtorch.run.memo import key_of
-    from roadtorch.run.plan import plan
-    from roadtorch.run.record import recorded
+    from roadtorch.run.memo import cache_key
+    from roadtorch.run.plan import plan_run
+    from roadtorch.run.record import record_run
     from roadtorch.run.run import open_run
-    from roadtorch.run.workers import settle
-    from roadtorch.run.writers.choice import OF_IMAGES, MapOutput
+    from roadtorch.run.workers import configure_threads
     from roadtorch.run.writers.coco import write_coco
-    from roadtorch.run.writers.maps import Maps
+    from roadtorch.run.writers.maps import MapWriter
+    from roadtorch.run.writers.outputs import DEFAULT_IMAGE_KINDS, MapOutput
 
-    settle(options.threads, options.device)
+    configure_threads(options.threads, options.device)
     detector, camera = choice.load(camera_file, threshold)
     effective = config_text(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)
-    kinds = OF_IMAGES if save is None else save
+    kinds = DEFAULT_IMAGE_KINDS if save is None else save
     bits = 16 if depth == "16" else 8
-    maps = Maps(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
+    maps = MapWriter(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(open_viewer()) if view else None
     output = MapOutput(maps, save, selection.topic, viewer)
-    todo = plan(selected, out, maps.suffixes, output)
+    todo = plan_run(selected, out, maps.suffixes, output)
     footage_options = {**asdict(selection), "steady": steady}
-    key = key_of(detector, depth)
-    method, footage_method = Method(key, kinds), Method(key_of(key, footage_options), ())
+    key = cache_key(detector, depth)
+    method, footage_method = Method(key, kinds), Method(cache_key(key, footage_options), ())
     task = Task(Inference(detector, camera, options.device), maps, method)
     recorded_options = {**asdict(options), **footage_options, "save": kinds, "depth": bits}
-    record = recorded(out, detector, todo.row_names, recorded_options, command_line(context))
+    record = record_run(out, detector, todo.row_names, recorded_options, command_line(context))
     with open_run(out, effective, todo.count, options, record) as run:
         try:
-            code = run.all(todo, task, footage_method, steady)
+            code = run.process(todo, task, footage_method, steady)
         finally:
             if "polygons" in kinds:
                 write_coco(out)

@@ -36,18 +36,18 @@ def label_command(
     from roadtorch.layout.labeller import LabellerSettings
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Task
-    from roadtorch.run.memo import key_of
-    from roadtorch.run.plan import plan
+    from roadtorch.run.memo import cache_key
+    from roadtorch.run.plan import plan_run
     from roadtorch.run.run import open_run
-    from roadtorch.run.workers import settle
-    from roadtorch.run.writers.labels import Labelling, Labels
+    from roadtorch.run.workers import configure_threads
+    from roadtorch.run.writers.labels import Labelling, LabelWriter
 
-    settle(threads=1)
+    configure_threads(threads=1)
     settings = build_settings(LabellerSettings, parse_assignments(assignments))
-    labels = Labels(out, ["labels", *["overlay"] * overlay])
-    todo = plan(Inputs(find_images(inputs, out), []), out, labels.suffixes)
+    labels = LabelWriter(out, ["labels", *["overlay"] * overlay])
+    todo = plan_run(Inputs(find_images(inputs, out), []), out, labels.suffixes)
     effective = config_text("labeller", settings)
     run = context.with_resource(open_run(out, effective, todo.count, options))
-    method = Method(key_of(settings), tuple(labels.kinds))
+    method = Method(cache_key(settings), tuple(labels.kinds))
     task = Task(Labelling(settings), labels, method)
-    context.exit(run.images(todo.images, task))
+    context.exit(run.process_images(todo.images, task))

@@ -117,9 +117,9 @@ class ConfigFile(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path of the file; raise ConfigError for any other name."""
-        from roadtorch.base.settings import config_file
+        from roadtorch.base.settings import find_config
 
-        return config_file(str(value))
+        return find_config(str(value))
 
 
 SETTING_OPTION = click.option(

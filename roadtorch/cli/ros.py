@@ -20,15 +20,15 @@ def ros_command(words: tuple[str, ...]) -> None:
     """
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.signals import stop_on_signals
-    from roadtorch.ros.messages import ros_module
+    from roadtorch.ros.messages import import_ros
     from roadtorch.ros.node import spin
-    from roadtorch.run.workers import settle
+    from roadtorch.run.workers import configure_threads
 
-    unknown = ros_module("rclpy.utilities").remove_ros_args(["roadtorch", *words])[1:]
+    unknown = import_ros("rclpy.utilities").remove_ros_args(["roadtorch", *words])[1:]
     if unknown:
         hint = "give parameters as --ros-args -p NAME:=VALUE"
         raise ConfigError("ros", f"does not know {' '.join(unknown)}", hint)
-    settle(threads=1)
+    configure_threads(threads=1)
     with stop_on_signals() as stop:
         spin(words, stop)
-        stop.interrupt()
+        stop.raise_if_requested()

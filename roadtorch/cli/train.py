@@ -65,16 +65,16 @@ def train_command(
 
     from roadtorch.base.settings import merge, parse_assignments, read_settings_file
     from roadtorch.data.corrections import read_corrections
-    from roadtorch.train.before_after import write_page
+    from roadtorch.train.comparison_page import write_page
     from roadtorch.train.config import build_training
-    from roadtorch.train.folder import PAGE
-    from roadtorch.train.run import Request, train
+    from roadtorch.train.run import TrainingRequest, train
+    from roadtorch.train.run_folder import ADAPTATION_PAGE
 
     if threads:
         torch.set_num_threads(threads)
     training = build_training(merge(read_settings_file(config), parse_assignments(assignments)))
     corrected = read_corrections(corrections, corrected_images) if corrections else []
-    request = Request(images, out, prepared, quiet, corrected)
+    request = TrainingRequest(images, out, prepared, quiet, corrected)
     outcome = train(training, request)
     if outcome.interrupted:
         signal = outcome.interrupted.name
@@ -87,5 +87,5 @@ def train_command(
     if training.initial_weights:
         is_written = write_page(training, request, outcome, command=command_line(context))
         if is_written and not quiet:
-            click.echo(f"roadtorch: masks before and after in {out / PAGE}", err=True)
+            click.echo(f"roadtorch: masks before and after in {out / ADAPTATION_PAGE}", err=True)
     context.exit(1 if outcome.skipped else 0)

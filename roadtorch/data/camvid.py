@@ -16,7 +16,7 @@ from pathlib import Path
 
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem
-from roadtorch.data.labels import ColourLabels, NumberLabels, pair_files
+from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 DRIVE_NAME_LENGTH = 6  # CamVid names begin with the drive: 0001TP, 0006R0, 0016E5, Seq05V
@@ -125,7 +125,7 @@ def _map_literally(void: tuple[str, ...]) -> NumberLabels:
     )
 
 
-READINGS = {
+CLASS_MAPPINGS = {
     "camvid32": _map_by_class(),
     "camvid32:literal": _map_literally(void=()),
     "camvid32:literal-ignore": _map_literally(void=("Void",)),
@@ -162,12 +162,12 @@ def open_camvid32(root: Path, split: str, name: str = "camvid32") -> Dataset:
 
     ROOT/701_StillsRaw_full with ROOT/LabeledApproved_full, as published, and ROOT/train with
     ROOT/train_labels and so on are read too. The frames' names decide on the split, not their
-    folders. name: a key of ``READINGS``.
+    folders. name: a key of ``CLASS_MAPPINGS``.
     """
     items = tuple(
         item for item in _find_items32(root) if segnet_split(item.name) in SPLITS32[split]
     )
-    labels = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), READINGS[name])
+    labels = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), CLASS_MAPPINGS[name])
     return Dataset(name, root, split, items, labels)
 
 
@@ -192,6 +192,7 @@ def _find_items32(root: Path) -> Iterator[LabelledItem]:
 CAMVID_FORMATS = {
     "camvid": DatasetFormat(tuple(CAMVID_SPLITS), open_camvid),
     **{
-        name: DatasetFormat(tuple(SPLITS32), partial(open_camvid32, name=name)) for name in READINGS
+        name: DatasetFormat(tuple(SPLITS32), partial(open_camvid32, name=name))
+        for name in CLASS_MAPPINGS
     },
 }

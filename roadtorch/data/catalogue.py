@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from roadtorch.base.errors import ConfigError, DatasetError, unknown_name
+from roadtorch.base.errors import ConfigError, DatasetError, unknown_name_error
 from roadtorch.base.plugins import load_plugins
-from roadtorch.data import camvid, kitti
+from roadtorch.data import camvid, kitti_road
 from roadtorch.data.corrections import open_corrections
 from roadtorch.data.dataset import Dataset, DatasetFormat
-from roadtorch.data.folder import open_cityscapes, open_folder, open_idd_lite
+from roadtorch.data.label_folders import open_cityscapes, open_folder, open_idd_lite
 
 ENTRY_POINT_GROUP = "roadtorch.datasets"
 
@@ -23,7 +23,7 @@ DATASET_FORMATS: Mapping[str, DatasetFormat] = {
     "cityscapes": DatasetFormat(("val", "train"), open_cityscapes),
     "folder": DatasetFormat(("all",), open_folder),
     "idd-lite": DatasetFormat(("all",), open_idd_lite),
-    kitti.KITTI_NAME: DatasetFormat(kitti.KITTI_SPLITS, kitti.open_kitti_road),
+    kitti_road.KITTI_NAME: DatasetFormat(kitti_road.KITTI_SPLITS, kitti_road.open_kitti_road),
 }
 
 
@@ -42,7 +42,7 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
     dataset_format = find_dataset_format(name)
     splits = dataset_format.splits
     if split is not None and split not in splits:
-        raise unknown_name(f"split of {name}", split, splits)
+        raise unknown_name_error(f"split of {name}", split, splits)
     if not root.is_dir():
         raise DatasetError(root, "is not a folder", f"give the folder that holds {name}")
     split = split or splits[0]
@@ -52,7 +52,7 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
     return dataset
 
 
-def open_named(text: str) -> Dataset:
+def open_dataset_spec(text: str) -> Dataset:
     """Open the data set of ``NAME:ROOT``; names (``camvid32:literal``) and roots may have colons.
 
     Raises ConfigError for any other text, DatasetError for an incomplete data set.
@@ -74,7 +74,7 @@ def find_dataset_format(name: str) -> DatasetFormat:
     """Return the format of a data set; ConfigError with the nearest names for an unknown one."""
     formats = _catalogue()
     if name not in formats:
-        raise unknown_name("data set", name, formats)
+        raise unknown_name_error("data set", name, formats)
     return formats[name]
 
 

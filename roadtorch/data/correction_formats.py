@@ -16,9 +16,9 @@ from roadtorch.base.documents import Coordinate, ForeignDocument, Side, read_doc
 from roadtorch.base.errors import DatasetError
 from roadtorch.base.image import write_labels
 from roadtorch.data.corrections import Correction
-from roadtorch.data.events import LABELS
-from roadtorch.data.labels import read_labels
-from roadtorch.data.polygons import coco_region
+from roadtorch.data.events import LABEL_NAMES
+from roadtorch.data.label_images import read_labels
+from roadtorch.data.polygons import coco_annotation
 
 ImageSizes = Mapping[str, tuple[int, int]]
 """(height, width) of images by their relative name with extension."""
@@ -81,9 +81,9 @@ def read_png(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
 def read_label_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
     """Read numbers of ``LABELS``, uint8 (H, W); DatasetError for other numbers or another size."""
     labels = read_labels(path, size)
-    if not np.isin(labels, range(len(LABELS))).all():
-        message = f"has other values than 0 to {len(LABELS) - 1}"
-        raise DatasetError(path, message, f"0 is {LABELS[0]}, 1 {LABELS[1]}, …")
+    if not np.isin(labels, range(len(LABEL_NAMES))).all():
+        message = f"has other values than 0 to {len(LABEL_NAMES) - 1}"
+        raise DatasetError(path, message, f"0 is {LABEL_NAMES[0]}, 1 {LABEL_NAMES[1]}, …")
     return labels.astype(np.uint8)
 
 
@@ -107,10 +107,10 @@ def write_coco_labels(corrections: Sequence[Correction], folder: Path) -> None:
         images.append({"id": image, "file_name": correction.name, "width": width, "height": height})
         for category in filter(None, np.unique(correction.labels).tolist()):
             mask = correction.labels == category
-            regions.append(coco_region(mask, len(regions) + 1, image, category))
+            regions.append(coco_annotation(mask, len(regions) + 1, image, category))
     categories = [
-        {"id": number, "name": LABELS[number], "supercategory": ""}
-        for number in range(1, len(LABELS))
+        {"id": number, "name": LABEL_NAMES[number], "supercategory": ""}
+        for number in range(1, len(LABEL_NAMES))
     ]
     document = {
         "info": {"description": "corrections made with roadtorch"},
@@ -187,14 +187,14 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
         for region in document.annotations:
             if (name := names.get(region.image_id)) is not None:
                 category = categories.get(region.category_id, "")
-                if category not in LABELS[1:]:
+                if category not in LABEL_NAMES[1:]:
                     raise ValueError(
                         f"the category {category!r} on {name} is not a label: "
-                        f"use {', '.join(LABELS[1:])}"
+                        f"use {', '.join(LABEL_NAMES[1:])}"
                     )
                 if not region.segmentation:
                     raise ValueError(f"a region on {name} has no area: draw it as a polygon")
-                _fill_region(labels[name], region.segmentation, LABELS.index(category))
+                _fill_region(labels[name], region.segmentation, LABEL_NAMES.index(category))
     return labels
 
 
@@ -250,7 +250,7 @@ def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
     canvas[top:bottom, left:right][inside] = value
 
 
-FORMATS: Mapping[str, CorrectionFormat] = {
+CORRECTION_FORMATS: Mapping[str, CorrectionFormat] = {
     "png": CorrectionFormat(write_png, read_png),
     "coco": CorrectionFormat(write_coco_labels, read_coco_labels),
 }

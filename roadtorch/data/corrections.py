@@ -17,25 +17,25 @@ from typing import Annotated, Self
 import numpy as np
 import torch
 from PIL.ExifTags import Base as ExifTag
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import Field, model_validator
 
 from roadtorch.base.atomic import make_folder
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import check_pixels, open_image, without_warnings
+from roadtorch.base.decoding import check_pixels, open_image, suppress_warnings
 from roadtorch.base.documents import Side, read_document
 from roadtorch.base.errors import DatasetError, InputError, UnwritableError
 from roadtorch.base.settings import Settings
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.data.events import (
     NOT_ROAD,
-    ROAD_SAID,
+    ROAD_LABEL,
     AnyEvent,
     Confirm,
     LabelEvent,
     Redo,
     Undo,
     apply_event,
-    click_count,
+    count_clicks,
     effective_events,
     layout_layer,
     parse_event,
@@ -44,23 +44,20 @@ from roadtorch.data.events import (
 )
 from roadtorch.layout.classes import UNLABELLED
 
-ENDING = ".strokes.jsonl"
+LOG_SUFFIX = ".strokes.jsonl"
 TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 # --- logs -------------------------------------------------------------------------------
 
 
-class LogHead(Settings):
+class LogHeader(Settings):
     """First line of a log.
 
     image: path of the image relative to the folder of all logs. height, width: in pixels.
     """
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
-    image: Annotated[
-        str,
-        Field(pattern=r"^[^\x00]+$", validation_alias=AliasChoices("image", "picture")),  # 1.0.0's
-    ]
+    image: Annotated[str, Field(pattern=r"^[^\x00]+$")]
     height: Side
     width: Side
 
@@ -78,13 +75,13 @@ class EventLog:
     """
 
     path: Path
-    head: LogHead
+    header: LogHeader
     events: list[AnyEvent] = field(default_factory=list)
 
     @property
     def size(self) -> tuple[int, int]:
         """(height, width) of the image."""
-        return self.head.height, self.head.width
+        return self.header.height, self.header.width
 
     @property
     def effective_events(self) -> list[LabelEvent]:
@@ -135,7 +132,7 @@ class EventLog:
         try:
             with self.path.open("ab+", buffering=0) as file:
                 size = _truncate_partial_line(file)
-                head = [] if size else [self.head.model_dump_json()]
+                head = [] if size else [self.header.model_dump_json()]
                 try:
                     lines = memoryview("\n".join([*head, event.model_dump_json(), ""]).encode())
                     while lines:
@@ -177,7 +174,7 @@ def _sync_folder(folder: Path) -> None:
 
 def log_path(folder: Path, image: str) -> Path:
     """Return the path of the log of an image, given by its relative name with extension."""
-    return folder / f"{PurePosixPath(image)}{ENDING}"
+    return folder / f"{PurePosixPath(image)}{LOG_SUFFIX}"
 
 
 def read_log(path: Path) -> EventLog | None:
@@ -189,7 +186,7 @@ def read_log(path: Path) -> EventLog | None:
         lines = data[: data.rfind(b"\n") + 1].splitlines()
         if not lines:
             return None
-        head = LogHead.model_validate_json(lines[0])
+        head = LogHeader.model_validate_json(lines[0])
     try:
         events = [parse_event(line, f"{path}:{at}") for at, line in enumerate(lines[1:], 2)]
     except InputError as error:
@@ -201,7 +198,7 @@ def read_logs(folder: Path) -> list[EventLog]:
     """Read all logs below a folder, sorted; DatasetError for a missing folder or a broken log."""
     if not folder.is_dir():
         raise DatasetError(folder, "is not a folder", "give the folder with corrections")
-    paths = sorted(path for path in folder.rglob(f"*{ENDING}") if path.is_file())
+    paths = sorted(path for path in folder.rglob(f"*{LOG_SUFFIX}") if path.is_file())
     return [log for path in paths if (log := read_log(path)) is not None]
 
 
@@ -241,9 +238,9 @@ class Correction:
         return layout_layer(self.labels)
 
     @property
-    def says_road(self) -> np.ndarray:
+    def has_road_label(self) -> np.ndarray:
         """Mask of the pixels labelled road or not road: bool, shape (H, W)."""
-        return (self.road == ROAD_SAID) | (self.road == NOT_ROAD)
+        return (self.road == ROAD_LABEL) | (self.road == NOT_ROAD)
 
 
 def read_corrections(folder: Path, images: Path | None = None) -> list[Correction]:
@@ -261,8 +258,8 @@ def read_corrections(folder: Path, images: Path | None = None) -> list[Correctio
         raise DatasetError(folder, "holds no corrections", "make some with roadtorch annotate")
     corrections = []
     for log in logs:
-        name = log.path.relative_to(folder).as_posix().removesuffix(ENDING)
-        logged = Path(os.path.normpath(folder / log.head.image))
+        name = log.path.relative_to(folder).as_posix().removesuffix(LOG_SUFFIX)
+        logged = Path(os.path.normpath(folder / log.header.image))
         corrections.append(
             Correction(
                 images / name if images else logged,
@@ -270,7 +267,7 @@ def read_corrections(folder: Path, images: Path | None = None) -> list[Correctio
                 log.labels,
                 log.confirmed,
                 log.seconds,
-                click_count(log.events),
+                count_clicks(log.events),
                 log.path,
             )
         )
@@ -278,10 +275,10 @@ def read_corrections(folder: Path, images: Path | None = None) -> list[Correctio
     return [correction for correction in corrections if (correction.labels > 0).any()]
 
 
-def image_size(path: Path) -> tuple[int, int]:
+def read_image_size(path: Path) -> tuple[int, int]:
     """Read (height, width) of an image from its header, after EXIF rotation; DatasetError else."""
     try:
-        with open_image(read_regular(path)) as image, without_warnings():
+        with open_image(read_regular(path)) as image, suppress_warnings():
             transposed = image.getexif().get(ExifTag.Orientation) in TRANSPOSED
             return (image.width, image.height) if transposed else (image.height, image.width)
     except Exception as error:
@@ -303,8 +300,8 @@ class CorrectionLabels:
             raise DatasetError(item.label, "holds no corrections", "correct the image again")
         road, layout = road_layer(log.labels), layout_layer(log.labels)
         return Truth(
-            torch.from_numpy(road == ROAD_SAID),
-            torch.from_numpy((road == ROAD_SAID) | (road == NOT_ROAD)),
+            torch.from_numpy(road == ROAD_LABEL),
+            torch.from_numpy((road == ROAD_LABEL) | (road == NOT_ROAD)),
             torch.from_numpy(layout) if (layout != UNLABELLED).any() else None,
         )
 
@@ -317,7 +314,7 @@ def open_corrections(folder: Path, split: str = "all") -> Dataset:
     """
     items = []
     for correction in read_corrections(folder):
-        if correction.says_road.any():
+        if correction.has_road_label.any():
             name = PurePosixPath(correction.name).with_suffix("").as_posix()
             items.append(LabelledItem(name, correction.image, correction.log))
     if not items:

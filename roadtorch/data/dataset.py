@@ -12,7 +12,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from roadtorch.base.errors import ConfigError, DatasetError, unknown_name
+from roadtorch.base.errors import ConfigError, DatasetError, unknown_name_error
 from roadtorch.base.image import read_image
 
 
@@ -57,7 +57,7 @@ class TruthReader(Protocol):
         ...
 
 
-class View(Protocol):
+class ScoringSpace(Protocol):
     """Mapping of an image's maps into the space in which they are scored."""
 
     @property
@@ -87,14 +87,14 @@ class Dataset:
     items: tuple[LabelledItem, ...]
     reader: TruthReader = field(repr=False)
     levels: int = 65_536
-    view: View | None = field(default=None, repr=False)
+    scoring_space: ScoringSpace | None = field(default=None, repr=False)
     left_out: frozenset[str] = frozenset()
 
     def groups(self) -> list[str]:
         """Return the groups, sorted; an empty list if the data set has none."""
         return sorted({item.group for item in self.items if item.group is not None})
 
-    def by_condition(self) -> dict[str, list[LabelledItem]]:
+    def items_by_condition(self) -> dict[str, list[LabelledItem]]:
         """Return the items of each condition, by its name, sorted; without the groups left out."""
         counting = [item for item in self.items if item.group not in self.left_out]
         names = sorted({name for item in counting for name in item.conditions})
@@ -118,7 +118,7 @@ class Dataset:
         return image, truth
 
 
-def every_kth(dataset: Dataset, limit: int | None) -> Dataset:
+def subsample_dataset(dataset: Dataset, limit: int | None) -> Dataset:
     """Return the data set with at most ``limit`` of its items, evenly spaced; all for None."""
     if limit is None or limit >= len(dataset.items):
         return dataset
@@ -137,7 +137,7 @@ def leave_out(dataset: Dataset, groups: Iterable[str]) -> Dataset:
         message = f"is not for {dataset.name} at {dataset.root}, which has no groups"
         raise ConfigError("--leave-out", message, "leave it out")
     for name in sorted(left_out - set(all_groups)):
-        raise unknown_name(f"group of {dataset.name}", name, all_groups)
+        raise unknown_name_error(f"group of {dataset.name}", name, all_groups)
     if left_out and left_out == set(all_groups):
         raise ConfigError("--leave-out", "leaves out every group", "keep at least one")
     return replace(dataset, left_out=left_out)

@@ -16,7 +16,7 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from roadtorch.base.documents import first_mistake
+from roadtorch.base.documents import describe_validation_error
 from roadtorch.base.errors import InputError
 from roadtorch.base.settings import Settings
 from roadtorch.data.polygons import fill_polygon
@@ -24,25 +24,25 @@ from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 # --- labels -----------------------------------------------------------------------------
 
-NOT_ROAD, ROAD_SAID, VOID_SAID, OPEN = 0, 1, 254, 255
-"""Values of ``road_layer``; ``OPEN`` means that the road is not labelled."""
+NOT_ROAD, ROAD_LABEL, VOID_LABEL, NO_ROAD_LABEL = 0, 1, 254, 255
+"""Values of ``road_layer``; ``NO_ROAD_LABEL`` means that the road is not labelled."""
 
 _LAYERS = {
-    "untouched": (OPEN, UNLABELLED),
-    "road": (ROAD_SAID, HORIZONTAL),
+    "untouched": (NO_ROAD_LABEL, UNLABELLED),
+    "road": (ROAD_LABEL, HORIZONTAL),
     "not_road": (NOT_ROAD, UNLABELLED),
-    "void": (VOID_SAID, UNLABELLED),
+    "void": (VOID_LABEL, UNLABELLED),
     "sky": (NOT_ROAD, SKY),
     "vertical": (NOT_ROAD, VERTICAL),
-    "horizontal": (OPEN, HORIZONTAL),
+    "horizontal": (NO_ROAD_LABEL, HORIZONTAL),
     "not_road_horizontal": (NOT_ROAD, HORIZONTAL),
 }
 
-LABELS = tuple(_LAYERS)
+LABEL_NAMES = tuple(_LAYERS)
 """Names of the labels; a label's number is its index."""
 
-STROKE_LABELS = LABELS[1:7]
-"""Labels that strokes apply; the last of ``LABELS`` (a pavement, a verge) takes two strokes."""
+STROKE_LABELS = LABEL_NAMES[1:7]
+"""Labels of strokes; the last of ``LABEL_NAMES`` (a pavement, a verge) takes two strokes."""
 
 _ROAD, _LAYOUT = np.array(list(_LAYERS.values()), np.uint8).T
 
@@ -85,7 +85,7 @@ _EventId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 _StrokeLabel = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
 _Index = Annotated[int, Field(ge=0, lt=2**31)]  # of a pixel or a superpixel
 _Runs = Annotated[tuple[_Index, ...], Field(description="start, length, …")]
-_LabelName = Annotated[str, Field(pattern=f"^({'|'.join(LABELS)})$")]
+_LabelName = Annotated[str, Field(pattern=f"^({'|'.join(LABEL_NAMES)})$")]
 
 
 class Event(Settings):
@@ -168,14 +168,14 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
     try:
         return _ADAPTER.validate_json(text)
     except pydantic.ValidationError as error:
-        message = f"is not a correction event: {first_mistake(error)}"
+        message = f"is not a correction event: {describe_validation_error(error)}"
         raise InputError(where, message, "see the format in docs/annotate.md") from None
 
 
 # --- regions ----------------------------------------------------------------------------
 
 
-def runs_of(mask: np.ndarray) -> tuple[int, ...]:
+def encode_runs(mask: np.ndarray) -> tuple[int, ...]:
     """Return the run-length encoding of a mask bool (H, W)."""
     edges = np.flatnonzero(np.diff(mask.reshape(-1), prepend=False, append=False))
     starts, ends = edges[::2], edges[1::2]
@@ -229,7 +229,7 @@ def effective_events(events: Iterable[AnyEvent]) -> list[LabelEvent]:
     return [event for event in by_id.values() if event.id not in undone]
 
 
-def redoable(events: Iterable[AnyEvent]) -> list[str]:
+def redoable_ids(events: Iterable[AnyEvent]) -> list[str]:
     """Return the ids of the undone events, the latest last; empty after a new event."""
     stack: list[str] = []
     for event in events:
@@ -240,7 +240,7 @@ def redoable(events: Iterable[AnyEvent]) -> list[str]:
     return stack
 
 
-def click_count(events: Iterable[Event]) -> int:
+def count_clicks(events: Iterable[Event]) -> int:
     """Count the strokes, each once, including undone ones."""
     return len({event.id for event in events if isinstance(event, Stroke)})
 
@@ -252,12 +252,12 @@ def apply_event(labels: np.ndarray, event: LabelEvent) -> None:
         case Confirm():
             road = decode_runs(event.runs, size)
             for name, new in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
-                is_open = labels == LABELS.index(name)
-                labels[is_open & road] = LABELS.index("road")
-                labels[is_open & ~road] = LABELS.index(new)
+                is_open = labels == LABEL_NAMES.index(name)
+                labels[is_open & road] = LABEL_NAMES.index("road")
+                labels[is_open & ~road] = LABEL_NAMES.index(new)
         case Import():
             for name, runs in event.labels.items():
-                labels[decode_runs(runs, size)] = LABELS.index(name)
+                labels[decode_runs(runs, size)] = LABEL_NAMES.index(name)
         case SuperpixelStroke() | PolygonStroke() | BrushStroke():
             mask = stroke_mask(event, size)
             labels[mask] = relabel(labels[mask], event.saying)

@@ -103,7 +103,7 @@ class _Document(ForeignDocument):
     imageWidth: Side  # noqa: N815
 
 
-def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
+def read_labelme_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
     """Read the mask bool (H, W) of a ``labelme_document``.
 
     Raises DatasetError for any other file, and for an image of another size.
@@ -123,7 +123,7 @@ def read_outlined_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
 # --- COCO -------------------------------------------------------------------------------
 
 
-def coco_region(mask: np.ndarray, number: int, image: int, category: int) -> dict[str, Any]:
+def coco_annotation(mask: np.ndarray, number: int, image: int, category: int) -> dict[str, Any]:
     """Return the COCO annotation of a non-empty mask bool (H, W)."""
     rows, columns = (np.flatnonzero(mask.any(axis)).tolist() for axis in (1, 0))
     left, top = columns[0], rows[0]

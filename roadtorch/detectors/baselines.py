@@ -12,13 +12,13 @@ from roadtorch.detectors.detector import (
     Isolated,
     WorkingSettings,
 )
-from roadtorch.imaging.color import plane
-from roadtorch.imaging.resize import WorkingSize, at_image_size
-from roadtorch.road.fusion import PRIORS, Prior
+from roadtorch.imaging.color import color_plane
+from roadtorch.imaging.resize import WorkingSize, resize_to_image
+from roadtorch.road.bayes import PRIORS, Prior
 from roadtorch.road.seed_area import seed_rectangle
-from roadtorch.ufl.features import DictionarySettings, assign
-from roadtorch.ufl.maps import MapSettings, learn_features
-from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic
+from roadtorch.ufl.feature_maps import MapSettings, learn_features
+from roadtorch.ufl.features import DictionarySettings, assign_patches
+from roadtorch.ufl.preprocess import Smoothing, WorkingShape, resize_bicubic
 from roadtorch.ufl.region_cut import (
     CutSettings,
     PeakSettings,
@@ -57,7 +57,7 @@ def vanishing_point_road(image: Tensor, settings: VanishingPointSettings) -> dic
 
     ``likelihood`` is 1 between the borders and 0 elsewhere; no road where no texture votes.
     """
-    responses = gabor_responses(plane(image, "grey"), settings.gabor)
+    responses = gabor_responses(color_plane(image, "grey"), settings.gabor)
     orientation, confidence = dominant_orientation(responses)
     point = vote_vanishing_point(orientation, confidence, settings.voting)
     likelihood = torch.zeros_like(confidence)
@@ -87,15 +87,21 @@ def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor
     ``likelihood`` is 1 on the road, else 0.
     """
     height, width = image.shape[-2:]
-    small, side = bicubic(image, settings.working.size(height, width)), settings.dictionary.side
+    small, side = (
+        resize_bicubic(image, settings.working.size(height, width)),
+        settings.dictionary.side,
+    )
     learned = learn_features(small, settings.smoothing, settings.dictionary, ALL_MAPS)
     bases, size = learned.dictionary, learned.size
     clusters = cluster_pixels(learned.maps.maps, settings.peaks)
-    regions, words = connected_regions(clusters), assign(learned.patches, bases).view(size).cpu()
+    regions, words = (
+        connected_regions(clusters),
+        assign_patches(learned.patches, bases).view(size).cpu(),
+    )
     seed = seed_rectangle(size, settings.seed_area)
     road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
     levels = clusters / max(1, settings.peaks.clusters - 1)
-    likelihood = at_image_size(road, (height, width)).to(image)
+    likelihood = resize_to_image(road, (height, width)).to(image)
     return {"likelihood": likelihood, "clusters": map_to_image(levels.to(image), side)}
 
 

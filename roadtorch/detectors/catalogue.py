@@ -14,8 +14,8 @@ from typing import Any, Never, TypeVar
 from torch import nn
 
 from roadtorch.base.compute import check_device
-from roadtorch.base.errors import ConfigError, unknown_name
-from roadtorch.base.image import Order
+from roadtorch.base.errors import ConfigError, unknown_name_error
+from roadtorch.base.image import ColourOrder
 from roadtorch.base.plugins import load_plugins
 from roadtorch.base.settings import merge, read_settings_file
 from roadtorch.camera.camera import Camera
@@ -26,7 +26,7 @@ Build = TypeVar("Build", bound=Callable[[Any], nn.Module])
 
 DETECTOR_ENTRY_POINTS = "roadtorch.detectors"
 
-CONFIG = "detector.toml"
+DETECTOR_CONFIG = "detector.toml"
 """File of a folder that holds a detector: its name, settings and the name of its weights' file."""
 
 ENTRIES: tuple[Entry, ...] = (
@@ -45,7 +45,7 @@ def load_detector(
     name: str,
     *positional: Never,
     camera: Camera | None = None,
-    order: Order | None = None,
+    order: ColourOrder | None = None,
     device: str | None = None,
     **settings: Any,
 ) -> Detector:
@@ -77,14 +77,14 @@ def load_detector(
         hint = 'write load_detector("fusion", threshold=0.5), camera=… and order=… likewise'
         raise ConfigError(where, f"got {type(value).__name__} by position", hint)
     if name not in _catalogue() and os.path.isdir(name):
-        stored = read_settings_file(Path(name, CONFIG))
+        stored = read_settings_file(Path(name, DETECTOR_CONFIG))
         name, settings = str(stored.pop("detector", "")), merge(stored, settings)
     entry = detector_entry(name)
     if camera is not None:
         settings = merge(camera.settings_for(entry.settings), settings)
     if device is not None:
         check_device(device, "device")
-    return Detector(entry, entry.configured(settings), order, device).eval()
+    return Detector(entry, entry.make_settings(settings), order, device).eval()
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:
@@ -146,7 +146,7 @@ def unknown_detector_error(name: str) -> ConfigError:
     if name in grids:
         hint = f"name one; '{grids[name].wildcard}' lists them"
         return ConfigError(name, "is a grid of many detectors", hint)
-    return unknown_name("detector", name, _catalogue(), detector_groups())
+    return unknown_name_error("detector", name, _catalogue(), detector_groups())
 
 
 def register_detector(

@@ -12,11 +12,11 @@ import numpy as np
 from PIL import Image, ImageShow
 from torch import Tensor
 
-from roadtorch.base.atomic import atomic
-from roadtorch.base.compute import one_thread
+from roadtorch.base.atomic import atomic_write
+from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import overlay_pixels, png_bytes, write_map, write_mask, write_pixels
-from roadtorch.imaging.resize import at_image_size
+from roadtorch.imaging.resize import resize_to_image
 
 NOTEBOOK_SIDE = 960  # pixels of the longer side in notebooks; ours: the width of a page
 
@@ -31,10 +31,10 @@ class Cues(Mapping[str, Tensor]):
     maps: Mapping[str, Tensor]
     size: tuple[int, int]
 
-    @one_thread()
+    @one_torch_thread()
     def __getitem__(self, name: str) -> Tensor:
         """Return the cue of that name at the size of the image."""
-        return at_image_size(self.maps[name], self.size)
+        return resize_to_image(self.maps[name], self.size)
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names of the cues."""
@@ -109,7 +109,7 @@ class Detection:
             write_pixels(path, self.overlay())
         elif name.endswith(".npz"):
             trust = {} if self.trust is None else {"trust": np.float32(self.trust)}
-            with atomic(path) as temporary, temporary.open("wb") as file:
+            with atomic_write(path) as temporary, temporary.open("wb") as file:
                 np.savez_compressed(file, allow_pickle=False, **self.numpy(), **trust)
         else:
             hint = "end it with .mask.png, .likelihood.png, .overlay.jpg or .npz"

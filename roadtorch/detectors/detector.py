@@ -18,19 +18,26 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.base.compute import one_thread
+from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.image import ImageLike, Order, as_image, checked_order
+from roadtorch.base.image import ColourOrder, ImageLike, as_image, check_order
 from roadtorch.base.settings import Settings, build_settings, merge
 from roadtorch.detectors.detection import Cues, Detection
-from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
-from roadtorch.road.ego import Ego, any_pixel, continued, ego_car, is_given, read_ego_mask
+from roadtorch.imaging.levels import is_at_least
+from roadtorch.imaging.resize import WorkingSize, resize_to_image, resize_to_work, spatial_size
+from roadtorch.road.ego import (
+    Ego,
+    any_pixel,
+    ego_car,
+    extrapolate_over_ego,
+    has_ego_car,
+    read_ego_mask,
+)
 from roadtorch.road.outlines import Outlines, refine
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.trust import Judgement
 
-MIN_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
+MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
 
 Threshold = Annotated[
     float, Field(ge=0, le=1, description="likelihood from which a pixel is road, 0 to 1")
@@ -153,7 +160,7 @@ class Entry:
     baseline: bool = False
     defaults: Mapping[str, Any] = field(default_factory=dict)
 
-    def configured(self, changes: Mapping[str, Any]) -> DetectorSettings:
+    def make_settings(self, changes: Mapping[str, Any]) -> DetectorSettings:
         """Return its settings with changes, nested; ConfigError as ``build_settings``."""
         return build_settings(self.settings, merge(self.defaults, changes))
 
@@ -180,12 +187,12 @@ class Detector(nn.Module):
         self,
         entry: Entry,
         settings: DetectorSettings,
-        order: Order | None = None,
+        order: ColourOrder | None = None,
         device: str | None = None,
     ) -> None:
         super().__init__()
         self.device = device
-        self.order: Order | None = None if order is None else checked_order(order)
+        self.order: ColourOrder | None = None if order is None else check_order(order)
         self.name = entry.name
         self.settings = settings
         usual = type(settings).model_construct().model_dump(warnings=False)
@@ -200,17 +207,17 @@ class Detector(nn.Module):
         self.analysis = analysis.to(device)
 
     @overload
-    def __call__(self, images: Tensor, order: Order | None = None) -> Any: ...
+    def __call__(self, images: Tensor, order: ColourOrder | None = None) -> Any: ...
 
     @overload
-    def __call__(self, images: ImageLike, order: Order | None = None) -> Detection: ...
+    def __call__(self, images: ImageLike, order: ColourOrder | None = None) -> Detection: ...
 
     @overload
     def __call__(
-        self, images: Iterable[ImageLike], order: Order | None = None
+        self, images: Iterable[ImageLike], order: ColourOrder | None = None
     ) -> list[Detection]: ...
 
-    def __call__(self, images: Any, order: Order | None = None) -> Any:
+    def __call__(self, images: Any, order: ColourOrder | None = None) -> Any:
         """Detect the road in an image, as ``detect``, or in several, as a list of ``detect_many``.
 
         Several are a list, a stack of arrays or a tensor of shape (B, 3, H, W).
@@ -224,7 +231,7 @@ class Detector(nn.Module):
             return list(self.detect_many(images, order))
         return self.detect(cast("ImageLike", images), order)
 
-    def detect(self, image: ImageLike, order: Order | None = None) -> Detection:
+    def detect(self, image: ImageLike, order: ColourOrder | None = None) -> Detection:
         """Detect the road in one image of at least 16×16 pixels.
 
         Args:
@@ -241,15 +248,15 @@ class Detector(nn.Module):
             InputError: The image cannot be used, or its likelihood is not finite.
             ConfigError: ``order`` is not a colour order.
         """
-        bgr = order is not None and checked_order(order) == "bgr"
-        if isinstance(image, str) and image in get_args(Order) and not os.path.exists(image):
+        bgr = order is not None and check_order(order) == "bgr"
+        if isinstance(image, str) and image in get_args(ColourOrder) and not os.path.exists(image):
             raise InputError("image", "is a colour order", f'write detect(image, "{image}")')
         if bgr and isinstance(image, Tensor):
             raise InputError("order", "is for NumPy arrays; tensors are RGB", "give image.flip(0)")
-        return self.conclude(self.find(as_image(image, order or self.order)))
+        return self.conclude(self.find_evidence(as_image(image, order or self.order)))
 
     def detect_many(
-        self, images: Iterable[ImageLike], order: Order | None = None
+        self, images: Iterable[ImageLike], order: ColourOrder | None = None
     ) -> Generator[Detection]:
         """Detect the road in several images, one after the other, in order.
 
@@ -273,7 +280,9 @@ class Detector(nn.Module):
             raise InputError("images", f"are {type(images).__name__}", hint)
         return self._detections(images, order)
 
-    def _detections(self, images: Iterable[ImageLike], order: Order | None) -> Generator[Detection]:
+    def _detections(
+        self, images: Iterable[ImageLike], order: ColourOrder | None
+    ) -> Generator[Detection]:
         for number, image in enumerate(images):
             try:
                 yield self.detect(image, order)
@@ -303,7 +312,7 @@ class Detector(nn.Module):
 
         return detect_stream(source, self, Selection(**selection), steady=steady)
 
-    @one_thread()
+    @one_torch_thread()
     def forward(self, images: Tensor) -> Tensor:
         """Compute the likelihoods (B, H, W) of a batch (B, 3, H, W), each as in ``detect``."""
         if images.ndim != 4:
@@ -313,9 +322,9 @@ class Detector(nn.Module):
             return images.new_empty((0, *images.shape[-2:]), dtype=torch.float32)
         return torch.stack([self._find(image).likelihood for image in images])
 
-    @one_thread()
+    @one_torch_thread()
     @torch.no_grad()
-    def find(self, image: Tensor) -> Evidence:
+    def find_evidence(self, image: Tensor) -> Evidence:
         """Compute likelihood and cues of an image (3, H, W) in [0, 1]: first half of ``detect``."""
         return self._find(image)
 
@@ -324,7 +333,7 @@ class Detector(nn.Module):
         if torch.compiler.is_compiling():
             hint = "compile its network: detector.analysis.network = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", hint)
-        image = checked_image(image).to(self.device)
+        image = validate_image(image).to(self.device)
         with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):
             return self._analyse(image)
 
@@ -332,10 +341,10 @@ class Detector(nn.Module):
         """Analyse an image; the ego car is that of the settings and the analysis' cue ``ego``."""
         settings = self.settings if isinstance(self.settings, WorkingSettings) else None
         cars, ground = [], image
-        if is_given(self.settings.ego):
+        if has_ego_car(self.settings.ego):
             cars = [ego_car(image, self.settings.ego, self._ego_mask)]
-            ground = continued(image, cars[0])
-        small = at_work(ground, settings.working) if settings else ground
+            ground = extrapolate_over_ego(image, cars[0])
+        small = resize_to_work(ground, settings.working) if settings else ground
         outputs = self.analysis(small)
         if not isinstance(outputs, Mapping) or "likelihood" not in outputs:
             problem = f"returns no likelihood from {type(self.analysis).__name__}.forward"
@@ -343,22 +352,22 @@ class Detector(nn.Module):
         if not outputs["likelihood"].sum().isfinite():  # a single NaN or inf shows in the sum
             problem = f"gives {self.name} a likelihood that is not finite"
             raise InputError("image", problem, "check the weights and the settings; else report it")
-        size, cues = size_of(image), dict(outputs)
+        size, cues = spatial_size(image), dict(outputs)
         likelihood = cues.pop("likelihood")
         if settings:
             if settings.outlines == "guided":
                 likelihood = refine(outputs, small, ground, settings.working, settings.threshold)
-            likelihood = at_image_size(likelihood, size)
+            likelihood = resize_to_image(likelihood, size)
         if "ego" in cues:
-            cars.append(at_image_size(cues.pop("ego"), size))
+            cars.append(resize_to_image(cues.pop("ego"), size))
         ego = reduce(torch.logical_or, cars) if cars else None
         if ego is not None and any_pixel(ego):
             likelihood = likelihood.masked_fill(ego, 0)
             if "seed_area" in cues:
-                cues["seed_area"] = at_image_size(cues["seed_area"], size).masked_fill(ego, 0)
+                cues["seed_area"] = resize_to_image(cues["seed_area"], size).masked_fill(ego, 0)
         return Evidence(outputs, likelihood, ego, Cues(cues, size), image)
 
-    @one_thread()
+    @one_torch_thread()
     @torch.no_grad()
     def conclude(
         self, evidence: Evidence, likelihood: Tensor | None = None, ego: Tensor | None = None
@@ -375,15 +384,15 @@ class Detector(nn.Module):
         elif ego is not None:
             likelihood = likelihood.masked_fill(ego, 0)
         if seed is not None:
-            seed = at_image_size(seed, size_of(likelihood))
-        mask = decide(likelihood, self.settings, seed, ego)
+            seed = resize_to_image(seed, spatial_size(likelihood))
+        mask = decide_mask(likelihood, self.settings, seed, ego)
         trust, doubt, cues = None, "", evidence.cues
         judge: Judge | None = getattr(self.analysis, "judge", None)
         if judge is not None:
-            size = size_of(outputs["likelihood"])
+            size = spatial_size(outputs["likelihood"])
             hidden = torch.zeros_like(mask) if ego is None else ego
-            small = {**outputs, "ego": at_image_size(hidden, size)}
-            trust, doubt = judge(at_image_size(mask, size), small)
+            small = {**outputs, "ego": resize_to_image(hidden, size)}
+            trust, doubt = judge(resize_to_image(mask, size), small)
         if ego is not None:
             cues = Cues({**cues.maps, "ego": ego}, cues.size)
         return Detection(likelihood, mask, cues, trust, doubt, image=evidence.image)
@@ -440,7 +449,7 @@ class Analysis(nn.Module):
         return self.run(image, self.settings)
 
 
-def checked_image(image: Tensor) -> Tensor:
+def validate_image(image: Tensor) -> Tensor:
     """Check an image: floating point in [0, 1], shape (3, H, W), ≥ 16×16; return it as float32.
 
     Raises InputError that names ``image``, the problem and what to do.
@@ -452,8 +461,8 @@ def checked_image(image: Tensor) -> Tensor:
         problem = f"has the shape {tuple(image.shape)}"
         raise InputError("image", problem, "give RGB as (3, height, width)")
     height, width = image.shape[1:]
-    if min(height, width) < MIN_SIDE:
-        hint = f"give at least {MIN_SIDE}×{MIN_SIDE}"
+    if min(height, width) < MIN_IMAGE_SIDE:
+        hint = f"give at least {MIN_IMAGE_SIDE}×{MIN_IMAGE_SIDE}"
         raise InputError("image", f"is {width}×{height} pixels", hint)
     low, high = (float(bound) for bound in torch.aminmax(image))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
@@ -461,7 +470,7 @@ def checked_image(image: Tensor) -> Tensor:
     return image.to(torch.float32)
 
 
-def decide(
+def decide_mask(
     likelihood: Tensor,
     settings: DetectorSettings,
     seed: Tensor | None = None,
@@ -475,12 +484,12 @@ def decide(
     """
     if ego is not None and not any_pixel(ego):
         ego = None
-    extended = likelihood if ego is None else continued(likelihood, ego)
-    mask = at_least(extended, settings.threshold)
+    extended = likelihood if ego is None else extrapolate_over_ego(likelihood, ego)
+    mask = is_at_least(extended, settings.threshold)
     if settings.isolated == "drop":
         area = seed_rectangle(mask.shape, settings.seed_area) if seed is None else seed
         mask = remove_isolated(mask, area)
     if ego is None:
         return mask
     mask = mask & ~ego
-    return mask if mask.any() else at_least(likelihood, settings.threshold) & ~ego
+    return mask if mask.any() else is_at_least(likelihood, settings.threshold) & ~ego

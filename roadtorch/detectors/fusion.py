@@ -19,24 +19,23 @@ from roadtorch.detectors.detector import (
     WorkingSettings,
     use_inference_mode,
 )
-from roadtorch.imaging.color import brightened
-from roadtorch.imaging.resize import WorkingSize, side, whole
-from roadtorch.imaging.segments import Segments, measure_segments, paint, segment_mean
+from roadtorch.imaging.color import brighten
+from roadtorch.imaging.resize import WorkingSize, round_to_pixels, side_length
+from roadtorch.imaging.segments import Segments, measure_segments, paint_segments, segment_mean
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.classes import CLASSES, HORIZONTAL, Share, pooled
+from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, NetworkWeight, opinion_pool
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
-    FOR_IMAGES,
+    DEFAULT_WEIGHTS,
     WeightsFile,
     WholeImageNetwork,
-    image_network_of,
-    network_of,
+    load_configured_network,
+    load_image_network,
 )
-from roadtorch.road.ego import any_pixel, continued, ego_found
-from roadtorch.road.fusion import (
+from roadtorch.road.bayes import (
     PRIORS,
-    RULES,
+    ROAD_RULES,
     fused_log_odds,
     likelihood_product,
     log_odds,
@@ -44,10 +43,11 @@ from roadtorch.road.fusion import (
     seed_log_odds,
     segment_road,
 )
+from roadtorch.road.ego import any_pixel, extrapolate_over_ego, find_ego_car
 from roadtorch.road.seed_area import (
     distance_likelihood,
-    likely_seed,
-    likely_seed_area,
+    find_seed_area,
+    find_seed_segments,
     seed_distance,
     seed_rectangle,
     segments_inside,
@@ -59,7 +59,7 @@ from roadtorch.road.texture import (
     uniformity_likelihood,
     unsaturated_uniformity,
 )
-from roadtorch.road.trust import Judgement, TrustSettings, judgement, signs_of
+from roadtorch.road.trust import Judgement, TrustSettings, estimate_trust, trust_features
 
 
 class RoadCalibration(Settings):
@@ -142,7 +142,7 @@ class ScratchFusionSettings(UntrainedFusionSettings):
     outlines: Outlines = "guided"
     superpixels: Superpixels = Superpixels(pixels=144)
     weights: WeightsFile = WeightsFile()
-    layout_weight: Share = 0.8
+    layout_weight: NetworkWeight = 0.8
     learned: LearnedRoad = LearnedRoad()
     calibration: RoadCalibration = RoadCalibration(centre=-0.75)
     trust: TrustSettings = TrustSettings()
@@ -175,17 +175,17 @@ SCRATCH_WEIGHTS = "layout-free"
 @use_inference_mode
 def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
     """Compute the cues of an image (3, H, W) by naive Bayes without a network. Ours, after P2."""
-    image = brightened(image, EXPOSURE)
+    image = brighten(image, EXPOSURE)
     segments = measure_segments(image, settings.superpixels.cut(image))
     labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-    distance, texture, cues = seen_from(image, segments, seed, segments_inside(labels, seed))
+    distance, texture, cues = seed_likelihoods(image, segments, seed, segments_inside(labels, seed))
     return {
-        "likelihood": paint(
+        "likelihood": paint_segments(
             segment_road(segments, layout[:, HORIZONTAL], distance, texture), labels
         ),
-        "layout": paint(layout.T, labels),
-        "layout_labels": paint(decide_layout(layout), labels),
+        "layout": paint_segments(layout.T, labels),
+        "layout_labels": paint_segments(decide_layout(layout), labels),
         "seed_area": seed,
         **cues,
     }
@@ -202,19 +202,19 @@ class Fusion(nn.Module):
     def __init__(self, settings: FusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = image_network_of(settings.weights, FOR_IMAGES)
+        self.network = load_image_network(settings.weights, DEFAULT_WEIGHTS)
         file = settings.second.file
-        self.second = image_network_of(WeightsFile(file=file), file) if file else None
+        self.second = load_image_network(WeightsFile(file=file), file) if file else None
 
     @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]; in an exported graph, of a batch."""
         maps = self.predict(image)
-        ego = ego_found(maps["ego"])
+        ego = find_ego_car(maps["ego"])
         layout, road = maps["layout"], maps["road"]
         if any_pixel(ego):
             stack = torch.cat([layout, road[..., None, :, :]], -3)
-            layout, road = continued(stack, ego).split([CLASSES, 1], -3)
+            layout, road = extrapolate_over_ego(stack, ego).split([NUM_CLASSES, 1], -3)
             road = road.squeeze(-3)
         odds = log_odds(road)
         return {
@@ -222,7 +222,7 @@ class Fusion(nn.Module):
             "layout": layout,
             "layout_labels": decide_layout(layout.movedim(-3, -1)),
             "learned_road": road,
-            "seed_area": likely_seed_area(odds, self.settings.seed_area.share),
+            "seed_area": find_seed_area(odds, self.settings.seed_area.fraction),
             "ego": ego,
         }
 
@@ -238,8 +238,8 @@ class Fusion(nn.Module):
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """Predict the trust in a mask, bool (H, W); ``likelihood`` is one of the cues."""
-        features = signs_of(cues["likelihood"], mask, cues)
-        return judgement(features, mask.flatten(-2).any(-1), self.settings.trust)
+        features = trust_features(cues["likelihood"], mask, cues)
+        return estimate_trust(features, mask.flatten(-2).any(-1), self.settings.trust)
 
 
 def average_views(
@@ -249,7 +249,7 @@ def average_views(
     total, height = network.cues(image), image.shape[-2]
     views = image.new_ones(height, 1)
     for crop in crops:
-        rows = whole(side(height) * (1 - crop), 1)
+        rows = round_to_pixels(side_length(height) * (1 - crop), 1)
         lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
         padding, maps = (0, 0, height - rows, 0), network.cues(lower)
         total = {name: total[name] + functional.pad(maps[name], padding) for name in total}
@@ -272,36 +272,40 @@ class ScratchFusion(nn.Module):
     def __init__(self, settings: ScratchFusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = image_network_of(settings.weights, SCRATCH_WEIGHTS)
+        self.network = load_image_network(settings.weights, SCRATCH_WEIGHTS)
 
     @use_inference_mode
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""
         settings = self.settings
         maps = self.network.cues(image)
-        ego = ego_found(maps["ego"])
+        ego = find_ego_car(maps["ego"])
         if any_pixel(ego):
             stack = torch.cat([image, maps["layout"], maps["road"][None]])
-            image, layout, road = continued(stack, ego).split([3, CLASSES, 1])
+            image, layout, road = extrapolate_over_ego(stack, ego).split([3, NUM_CLASSES, 1])
             maps = {"layout": layout, "road": road[0]}
-        image = brightened(image, EXPOSURE)
+        image = brighten(image, EXPOSURE)
         segments = measure_segments(image, settings.superpixels.cut(image))
         labels, labelled = segments.labels, segment_layout(segments, settings.labeller.rules)
         means = segment_mean([*maps["layout"], maps["road"]], labels, segments.pixels)
-        layout = pooled(labelled.T, means[:CLASSES], settings.layout_weight)
-        network_odds = log_odds(means[CLASSES])
+        layout = opinion_pool(labelled.T, means[:NUM_CLASSES], settings.layout_weight)
+        network_odds = log_odds(means[NUM_CLASSES])
         evidence = network_odds + seed_log_odds(segments, layout[HORIZONTAL])
-        fraction = settings.seed_area.share
-        sources = likely_seed(evidence, segments.row, segments.size, fraction)
+        fraction = settings.seed_area.fraction
+        sources = find_seed_segments(evidence, segments.row, segments.size, fraction)
         seed = sources[labels]
-        distance, texture, cues = seen_from(image, segments, seed, sources.nonzero()[:, 0])
+        distance, texture, cues = seed_likelihoods(image, segments, seed, sources.nonzero()[:, 0])
         further = settings.learned.weight * network_odds
         road = segment_road(segments, layout[HORIZONTAL], distance, texture, further)
-        odds = fused_log_odds([paint(road, labels), maps["road"]], [1, settings.learned.detail])
+        odds = fused_log_odds(
+            [paint_segments(road, labels), maps["road"]], [1, settings.learned.detail]
+        )
         return {
             "likelihood": calibrated_likelihood(odds, settings.calibration),
-            "layout": pooled(paint(labelled.T, labels), maps["layout"], settings.layout_weight),
-            "layout_labels": paint(decide_layout(layout.T), labels),
+            "layout": opinion_pool(
+                paint_segments(labelled.T, labels), maps["layout"], settings.layout_weight
+            ),
+            "layout_labels": paint_segments(decide_layout(layout.T), labels),
             "learned_road": maps["road"],
             "seed_area": seed,
             "ego": ego,
@@ -311,7 +315,7 @@ class ScratchFusion(nn.Module):
     judge = Fusion.judge
 
 
-def seen_from(
+def seed_likelihoods(
     image: Tensor, segments: Segments, seed: Tensor, sources: Tensor
 ) -> tuple[Tensor, Tensor, Mapping[str, Tensor]]:
     """Compute likelihoods (n,) by distance from the seed area and by texture like its, and cues.
@@ -321,14 +325,14 @@ def seen_from(
     labels, settings = segments.labels, TextureSettings()
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
     texture = uniformity_likelihood(uniformity, settings.midpoint)
-    distance = distance_likelihood(seed_distance(segments, sources), RULES.reach)
+    distance = distance_likelihood(seed_distance(segments, sources), ROAD_RULES.reach)
     cues = {
-        "texture": paint(texture, labels),
-        "uniformity": paint(uniformity, labels),
+        "texture": paint_segments(texture, labels),
+        "uniformity": paint_segments(uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
-        "distance": paint(distance, labels),
-        "place": paint(road_position_prior(segments.row, segments.column), labels),
+        "distance": paint_segments(distance, labels),
+        "place": paint_segments(road_position_prior(segments.row, segments.column), labels),
         "segments": labels,
     }
     return distance, texture, cues
@@ -340,7 +344,7 @@ class PaperFusion(nn.Module):
     def __init__(self, settings: PaperFusionSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.network = network_of(settings.weights, "cnn-7-paper", PatchNetwork)
+        self.network = load_configured_network(settings.weights, "cnn-7-paper", PatchNetwork)
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""
@@ -354,7 +358,7 @@ class PaperFusion(nn.Module):
             fused, values, _ = unsaturated_uniformity(
                 image, labels, seed, texture, settings.saturation
             )
-        uniformity = paint(values, labels)
+        uniformity = paint_segments(values, labels)
         prior = PRIORS[settings.prior](*labels.shape).to(image)
         return {
             # The paper thresholds the product as it is.

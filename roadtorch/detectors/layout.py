@@ -15,9 +15,9 @@ from roadtorch.detectors.detector import (
 )
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.layout.labeller import HorizonSettings, label_whole
+from roadtorch.layout.labeller import HorizonSettings, label_at_image_size
 from roadtorch.layout.patch_network import PatchNetwork
-from roadtorch.layout.weights import WeightsFile, network_of
+from roadtorch.layout.weights import WeightsFile, load_configured_network
 
 
 class LabellerDetectorSettings(WorkingSettings):
@@ -38,7 +38,7 @@ class Cnn7Settings(WorkingSettings):
 @use_inference_mode
 def labeller_road(image: Tensor, settings: LabellerDetectorSettings) -> dict[str, Tensor]:
     """Return the ground of the layout that the labeller computes from the image alone."""
-    layout = label_whole(image, settings.labeller, settings.superpixels)
+    layout = label_at_image_size(image, settings.labeller, settings.superpixels)
     return {
         "likelihood": layout.potentials[HORIZONTAL],
         "layout": layout.potentials,
@@ -51,7 +51,7 @@ class Cnn7(nn.Module):
 
     def __init__(self, settings: Cnn7Settings) -> None:
         super().__init__()
-        self.network = network_of(settings.weights, "cnn-7", PatchNetwork)
+        self.network = load_configured_network(settings.weights, "cnn-7", PatchNetwork)
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""

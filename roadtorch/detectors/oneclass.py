@@ -20,7 +20,7 @@ from roadtorch.detectors.detector import (
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.oneclass import CLASSIFIERS
-from roadtorch.oneclass.axes import axes_of
+from roadtorch.oneclass.axes import make_axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, fit
 from roadtorch.oneclass.histogram import HistogramSettings
 from roadtorch.oneclass.samples import (
@@ -44,7 +44,7 @@ ONECLASS_GRID = DetectorGrid(
         _name(classifier, planes): reason
         for classifier in CLASSIFIERS.values()
         for planes, names in REPRESENTATIONS.items()
-        if (reason := classifier.refuses(len(names)))
+        if (reason := classifier.refusal(len(names)))
     },
 )
 
@@ -55,7 +55,7 @@ PAPER_GRID = DetectorGrid(
         f"{_name(classifier, planes)}:paper": reason or "is already as in the paper"
         for classifier in CLASSIFIERS.values()
         for planes, names in REPRESENTATIONS.items()
-        if (reason := classifier.refuses(len(names))) or not classifier.paper
+        if (reason := classifier.refusal(len(names))) or not classifier.paper
     },
 )
 
@@ -112,14 +112,14 @@ def classify_pixels(
     pixels, names = image.cpu(), REPRESENTATIONS[planes]
     generator = torch.Generator().manual_seed(settings.random_seed)
     samples = road_samples(pixels, names, settings.samples, settings.seed_area)
-    fitted = fit(classifier, samples, axes_of(names), settings.classifier, generator)
+    fitted = fit(classifier, samples, make_axes(names), settings.classifier, generator)
     palette = representation(pixels, names)
     distance = fitted.distance(palette.values.T)
     seed = torch.zeros_like(palette.index, dtype=torch.bool)
     seed[sample_area(palette.index.shape, settings.seed_area)] = True
     clipped = distance.clamp_max(MAX_SCALED_DISTANCE * fitted.threshold)
     cues = {
-        "likelihood": fitted.squashed(distance)[palette.index],
+        "likelihood": fitted.to_likelihood(distance)[palette.index],
         "distance": clipped[palette.index],
         "seed_area": seed,
     }

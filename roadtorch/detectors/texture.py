@@ -14,9 +14,9 @@ from roadtorch.detectors.detector import (
     WorkingSettings,
     use_inference_mode,
 )
-from roadtorch.imaging.color import plane
-from roadtorch.imaging.segments import paint, segment_histogram
-from roadtorch.imaging.slic import Superpixels, squares
+from roadtorch.imaging.color import color_plane
+from roadtorch.imaging.segments import paint_segments, segment_histogram
+from roadtorch.imaging.slic import Superpixels, square_grid
 from roadtorch.road.seed_area import seed_area, seed_rectangle
 from roadtorch.road.texture import (
     PATTERN_COUNT,
@@ -83,7 +83,7 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
     for ``CpfV2Settings``.
     """
     if isinstance(settings, CpfSquaresSettings):
-        labels = squares(image.shape[-2], image.shape[-1], settings.square).to(image.device)
+        labels = square_grid(image.shape[-2], image.shape[-1], settings.square).to(image.device)
     else:
         labels = settings.superpixels.cut(image)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
@@ -95,8 +95,10 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
     else:
         fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
     return {
-        "likelihood": paint(uniformity_likelihood(values, settings.texture.midpoint), labels),
-        "uniformity": paint(values, labels),
+        "likelihood": paint_segments(
+            uniformity_likelihood(values, settings.texture.midpoint), labels
+        ),
+        "uniformity": paint_segments(values, labels),
         "fused_plane": fused,
         "segments": labels,
         **clipped,
@@ -107,9 +109,9 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
 def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str, Tensor]:
     """Compute the uniformity of the grey image over superpixels, P2's baseline without fusion."""
     labels = settings.superpixels.cut(image)
-    levels = quantise_plane(plane(image, "grey"), settings.bins, 0, 1)
+    levels = quantise_plane(color_plane(image, "grey"), settings.bins, 0, 1)
     counts = segment_histogram(levels, labels, int(labels.max()) + 1, settings.bins)
-    painted = paint(uniformity(counts), labels)
+    painted = paint_segments(uniformity(counts), labels)
     likelihood = uniformity_likelihood(painted, settings.midpoint)
     return {"likelihood": likelihood, "uniformity": painted, "segments": labels}
 
@@ -118,11 +120,11 @@ def grey_uniformity(image: Tensor, settings: GreyUniformitySettings) -> dict[str
 def lbp(image: Tensor, settings: LbpSettings) -> dict[str, Tensor]:
     """Compare local binary patterns with those of the seed area, P2's texture baseline."""
     labels = settings.superpixels.cut(image)
-    patterns = uniform_patterns(plane(image, "grey"))
+    patterns = uniform_patterns(color_plane(image, "grey"))
     counts = segment_histogram(patterns, labels, int(labels.max()) + 1, PATTERN_COUNT)
     area = seed_area(labels.shape[-2], labels.shape[-1], settings.seed_area)
     reference = torch.bincount(patterns[area].flatten(), minlength=PATTERN_COUNT).to(counts)
-    likelihood = paint(similarity(counts, reference), labels)
+    likelihood = paint_segments(similarity(counts, reference), labels)
     return {"likelihood": likelihood, "patterns": patterns, "segments": labels}
 
 

@@ -9,20 +9,31 @@ from torch import Tensor
 
 from roadtorch.detectors.detector import Analysis, DetectorSettings, Entry, Threshold
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
+from roadtorch.ufl.feature_maps import (
+    MapSettings,
+    dictionary_image,
+    learn_features,
+    mean_map,
+    mosaic,
+)
 from roadtorch.ufl.features import DictionarySettings
-from roadtorch.ufl.hierarchy import RegionTreeSettings, build_tree, threshold_regions, thresholds
-from roadtorch.ufl.maps import MapSettings, dictionary_image, learn_features, mean_map, mosaic
-from roadtorch.ufl.preprocess import Smoothing, WorkingShape, bicubic
+from roadtorch.ufl.hierarchy import (
+    RegionTreeSettings,
+    build_tree,
+    region_thresholds,
+    threshold_regions,
+)
+from roadtorch.ufl.preprocess import Smoothing, WorkingShape, resize_bicubic
 from roadtorch.ufl.road import (
     SHARPNESS,
     StabilitySettings,
-    enlarged_likelihood,
+    dilate,
+    figure_maps,
     find_road,
-    map_images,
     map_to_image,
     mask_to_image,
+    resize_likelihood,
     road_likelihood,
-    widened,
 )
 
 THRESHOLD_DESCRIPTION = "likelihood from which a pixel is road; at 0.5, exactly the regions chosen"
@@ -46,15 +57,15 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     Computed at P1's size, then resized to the image's.
     """
     height, width = image.shape[-2:]
-    small = bicubic(image, settings.working.size(height, width))
+    small = resize_bicubic(image, settings.working.size(height, width))
     learned = learn_features(small, settings.smoothing, settings.dictionary, settings.maps)
     features, side = learned.maps, settings.dictionary.side
     # P1, section II.C.
     mean = mean_map(features.maps, settings.maps.scale)
-    regions = threshold_regions(mean, thresholds(settings.tree.levels, settings.tree.top))
+    regions = threshold_regions(mean, region_thresholds(settings.tree.levels, settings.tree.top))
     tree = build_tree(regions, settings.tree.min_area, settings.tree.nodes)
     rounds = find_road(features.maps, mean, tree, settings.road)
-    masks = [mask_to_image(widened(step.road, settings.road.dilation), side) for step in rounds]
+    masks = [mask_to_image(dilate(step.road, settings.road.dilation), side) for step in rounds]
     if settings.isolated == "drop":
         seed = seed_rectangle(masks[0].shape, settings.seed_area)
         masks = [remove_isolated(mask, seed) for mask in masks]
@@ -63,11 +74,11 @@ def ufl(image: Tensor, settings: UflSettings) -> Mapping[str, Tensor]:
     pixels = map_to_image(stable.where(mean > 0, 0), side)  # 0 where no selected base responds
     likelihood = road_likelihood(masks[-1], pixels)
     return {
-        "likelihood": enlarged_likelihood(likelihood, (height, width)),
-        "equalised": learned.even,
+        "likelihood": resize_likelihood(likelihood, (height, width)),
+        "equalised": learned.equalised,
         "dictionary": dictionary_image(learned.dictionary, features.order, side, size),
         "selected_maps": mosaic(features.maps[:, None], size)[0],
-        **map_images(features, mean, tree, rounds[-1], side),
+        **figure_maps(features, mean, tree, rounds[-1], side),
         **{f"iteration_{number}": mask for number, mask in enumerate(masks, 1)},
     }
 

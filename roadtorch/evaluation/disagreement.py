@@ -12,10 +12,10 @@ from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import image_cache
 from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.evaluation.methods import Contender, Look
+from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.result import Failure
 from roadtorch.inputs.item import Item
-from roadtorch.run.workers import DIED, workers_for
+from roadtorch.run.workers import WORKER_CRASH, make_workers
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class UnlabelledReader:
         raise DatasetError(item.image, "has no label", "give a labelled set")
 
 
-def unlabelled_set(images: Iterable[Item]) -> Dataset:
+def unlabelled_dataset(images: Iterable[Item]) -> Dataset:
     """Return images as a labelled set without truth."""
     items = tuple(LabelledItem(image.name, image.path, image.path) for image in images)
     return Dataset("images", Path(), "", items, UnlabelledReader())
@@ -68,7 +68,7 @@ class Disagreements:
 class CompareTask:
     """Task of a worker process: the masks of two contenders on one image."""
 
-    predictors: Sequence[Look]
+    predictors: Sequence[Predictor]
 
     def __call__(self, item: LabelledItem) -> Disagreement | Failure:
         """Return the difference of the masks, or the failure of a contender."""
@@ -87,7 +87,7 @@ class CompareTask:
         return Disagreement(item, only_first + only_second, *roads, *trusts)
 
 
-def disagreements(
+def compare_masks(
     dataset: Dataset,
     methods: tuple[Contender, Contender],
     jobs: int | None = None,
@@ -100,7 +100,7 @@ def disagreements(
     """
     task = CompareTask([contender.prepare(dataset) for contender in methods])
     items = dataset.items
-    results = workers_for(jobs, len(items)).map(task, items, _crash_failure)
+    results = make_workers(jobs, len(items)).map(task, items, _crash_failure)
     images, failures = list[Disagreement](), list[Failure]()
     with closing(results):
         for result in Progress(results, total=len(items), unit="image", quiet=quiet, **progress):
@@ -113,7 +113,7 @@ def disagreements(
 
 
 def _crash_failure(item: LabelledItem) -> Failure:
-    return Failure(item.name, None, str(InputError(item.image, *DIED)))
+    return Failure(item.name, None, str(InputError(item.image, *WORKER_CRASH)))
 
 
 # --- effect of further training: first is before, second is after -------------------------
@@ -130,7 +130,7 @@ class Agreement(NamedTuple):
     images: int
 
 
-class Taught(NamedTuple):
+class TeacherAgreement(NamedTuple):
     """Name of the teacher, and the network's agreement with it before and after training."""
 
     teacher: str
@@ -138,7 +138,7 @@ class Taught(NamedTuple):
     final: Agreement
 
 
-def most_and_spread(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:
+def select_changed(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:
     """Select images to show: half have the largest difference, the others are evenly spread.
 
     ranked: the largest difference first. The spread covers the remaining ones, down to the smallest

@@ -9,10 +9,15 @@ from typing import Any
 from roadtorch.base.errors import DatasetError, UnscorableError
 from roadtorch.base.progress import Progress
 from roadtorch.camera.camera import Camera
-from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.data.dataset import Dataset, subsample_dataset
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.methods import Contender, contenders, reference, with_thresholds
+from roadtorch.evaluation.methods import (
+    Contender,
+    apply_thresholds,
+    collect_contenders,
+    parse_reference,
+)
 from roadtorch.evaluation.result import Evaluation, Failure, summarise
 from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import Tally
@@ -59,14 +64,16 @@ def evaluate(
         DatasetError: when no image could be scored.
         UnscorableError: when no label has any road.
     """
-    entries = contenders(dataset, detectors, settings or {}, camera, mean_from, with_baselines)
+    entries = collect_contenders(
+        dataset, detectors, settings or {}, camera, mean_from, with_baselines
+    )
     if against is not None and against not in {entry.name for entry in entries}:
-        entries.append(reference(against, settings or {}, camera))
+        entries.append(parse_reference(against, settings or {}, camera))
         against = entries[-1].name
     if threshold_from is not None:
-        entries = with_thresholds(entries, threshold_from)
-    images = every_kth(dataset, limit)
-    conditions = images.by_condition()
+        entries = apply_thresholds(entries, threshold_from)
+    images = subsample_dataset(dataset, limit)
+    conditions = images.items_by_condition()
     tallies, failures = tally_images(images, entries, jobs, quiet)
     scores = {
         entry.name: summarise(entry, tallies[entry.name], measures, images.left_out, conditions)

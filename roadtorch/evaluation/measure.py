@@ -7,14 +7,14 @@ from typing import Literal
 
 from torch import Tensor
 
-from roadtorch.evaluation.tally import Part
+from roadtorch.evaluation.tally import PooledCounts
 
 UNDEFINED = "–"  # text of an undefined value, such as recall without road
 
 Scores = Mapping[str, float]
 """Values by the key of their measure: NaN where undefined, missing where it does not apply."""
 
-Formula = Callable[[Part], Tensor | float | None]
+Formula = Callable[[PooledCounts], Tensor | float | None]
 """Counts → their value, or (replicates,) of a bootstrap; None where it does not apply."""
 
 TableName = Literal["headline", "scores", "parts", "trust", "layout", "pairs", "compared"]
@@ -49,13 +49,13 @@ class Measure:
     interval: bool = False
     tables: tuple[TableName, ...] = ()
 
-    def of(self, scores: Scores) -> float:
+    def get(self, scores: Scores) -> float:
         """Return this measure's value among scores; NaN where it is undefined or missing."""
         return scores.get(self.key, math.nan)
 
     def get_defined(self, scores_by_name: Mapping[str, Scores]) -> dict[str, float]:
         """Return the defined values by name."""
-        values = {name: self.of(scores) for name, scores in scores_by_name.items()}
+        values = {name: self.get(scores) for name, scores in scores_by_name.items()}
         return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def best(self, values: Iterable[float]) -> float | None:

@@ -15,10 +15,10 @@ from torch import Tensor
 
 from roadtorch.evaluation import boundary, curves, metrics
 from roadtorch.evaluation.measure import Formula, Measure
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.tally import ImageTable, Part
-from roadtorch.evaluation.trust import TRUST_MEASURES
-from roadtorch.layout.classes import CLASSES, NAMES
+from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
+from roadtorch.evaluation.tally import ImageTable, PooledCounts
+from roadtorch.evaluation.trust_measures import TRUST_MEASURES
+from roadtorch.layout.classes import CLASS_NAMES, NUM_CLASSES
 
 # --- formulas ----------------------------------------------------------
 
@@ -27,10 +27,10 @@ def _from_road(function: Callable[[RoadCounts], Tensor]) -> Formula:
     return lambda part: function(part.road)
 
 
-def _at_chosen_threshold(function: Callable[[Decisions], Tensor]) -> Formula:
+def _at_chosen_threshold(function: Callable[[ConfusionCounts], Tensor]) -> Formula:
     """Apply a function to the counts at the chosen threshold; NaN where there is none."""
 
-    def formula(part: Part) -> Tensor:
+    def formula(part: PooledCounts) -> Tensor:
         if part.at_threshold is not None:
             return function(part.at_threshold)
         return torch.full(part.road.road.shape[:-1], math.nan, dtype=torch.float64)
@@ -38,7 +38,7 @@ def _at_chosen_threshold(function: Callable[[Decisions], Tensor]) -> Formula:
     return formula
 
 
-def _from_mask(function: Callable[[Decisions], Tensor]) -> Formula:
+def _from_mask(function: Callable[[ConfusionCounts], Tensor]) -> Formula:
     return lambda part: function(part.mask)
 
 
@@ -103,7 +103,7 @@ IOU_MASK = Measure(
     tables=("headline", "parts"),
 )
 
-SCORES = (
+ROAD_MEASURES = (
     Measure(
         "images",
         "images",
@@ -233,7 +233,7 @@ def _layout_measure(
 ) -> Measure:
     """Return a measure of the confusion that the key names; more: further fields of ``Measure``."""
 
-    def formula(part: Part) -> Tensor | None:
+    def formula(part: PooledCounts) -> Tensor | None:
         confusion = part.labels if key.startswith("labelled") else part.layout
         return None if confusion is None else function(confusion)
 
@@ -251,7 +251,7 @@ def _recall_measure(index: int, name: str) -> Measure:
 
 
 def _confusion_measure(truth: int, decided: int) -> Measure:
-    true, confused = NAMES[truth], NAMES[decided]
+    true, confused = CLASS_NAMES[truth], CLASS_NAMES[decided]
     return _layout_measure(
         f"confusion/{true}/{confused}",
         f"{true} as {confused}",
@@ -262,7 +262,7 @@ def _confusion_measure(truth: int, decided: int) -> Measure:
 
 
 LAYOUT_MEASURES = (
-    *(_recall_measure(*pair) for pair in enumerate(NAMES)),
+    *(_recall_measure(*pair) for pair in enumerate(CLASS_NAMES)),
     _layout_measure(
         "mean",
         "mean",
@@ -278,7 +278,11 @@ LAYOUT_MEASURES = (
         metrics.layout_accuracy,
         tables=("layout",),
     ),
-    *(_confusion_measure(truth, decided) for truth in range(CLASSES) for decided in range(CLASSES)),
+    *(
+        _confusion_measure(truth, decided)
+        for truth in range(NUM_CLASSES)
+        for decided in range(NUM_CLASSES)
+    ),
     _layout_measure(
         "void_as_vertical/mean",
         "mean, void vertical",
@@ -304,7 +308,7 @@ LAYOUT_MEASURES = (
 
 
 MEASURES: tuple[Measure, ...] = (
-    *SCORES,
+    *ROAD_MEASURES,
     *DECISION_MEASURES,
     *BOUNDARY_MEASURES,
     *TRUST_MEASURES,

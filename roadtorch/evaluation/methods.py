@@ -11,11 +11,17 @@ from pydantic import BaseModel, Field, ValidationError
 from torch import Tensor
 from torch.nn import functional
 
-from roadtorch.base.bounded import printable, read_regular, reason
+from roadtorch.base.bounded import read_regular, reason, to_printable
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.settings import SUFFIX, THRESHOLDS, config_file, merge, read_settings_file
+from roadtorch.base.settings import (
+    CONFIG_SUFFIX,
+    THRESHOLDS_PREFIX,
+    find_config,
+    merge,
+    read_settings_file,
+)
 from roadtorch.camera.camera import Camera
-from roadtorch.data import maps
+from roadtorch.data import likelihood_maps
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import (
     detector_entry,
@@ -24,7 +30,7 @@ from roadtorch.detectors.catalogue import (
     load_detector,
 )
 from roadtorch.detectors.detector import Detection, Detector, DetectorSettings
-from roadtorch.imaging.resize import size_of
+from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
@@ -43,7 +49,7 @@ DETECTOR_BY_NETWORK = {
 }
 """Detector that runs a weight file on its own, by the kind of its network."""
 
-Look = Callable[[Tensor, LabelledItem], Detection]
+Predictor = Callable[[Tensor, LabelledItem], Detection]
 """Image and item → detection by a loaded contender; can be pickled for worker processes."""
 
 MAX_NAME_LENGTH = 60  # letters of a name from a file in a message
@@ -59,15 +65,15 @@ class Contender:
     """
 
     name: str
-    prepare: Callable[[Dataset], Look] = field(repr=False)
+    prepare: Callable[[Dataset], Predictor] = field(repr=False)
     settings: Mapping[str, Any] = field(default_factory=dict)
     threshold: float = 0.5
     is_baseline: bool = False
-    chosen: float | None = None
+    earlier_threshold: float | None = None
     detector: str = ""
 
 
-def contenders(
+def collect_contenders(
     dataset: Dataset,
     detectors: Sequence[str | Contender],
     settings: Mapping[str, Any],
@@ -90,7 +96,7 @@ def contenders(
                 raise ConfigError(entry.name, "names two detectors", "write NAME=PATH")
     if with_baselines:
         for name in BASELINES:
-            entries.setdefault(name, named_detector(name, {}))
+            entries.setdefault(name, contender_from_name(name, {}))
         if masks := mean_masks(dataset, mean_from):
             predict = partial(_mean_mask, masks)
             entries[MEAN_PRIOR] = Contender(
@@ -99,7 +105,9 @@ def contenders(
     return list(entries.values())
 
 
-def reference(text: str, settings: Mapping[str, Any], camera: Camera | None = None) -> Contender:
+def parse_reference(
+    text: str, settings: Mapping[str, Any], camera: Camera | None = None
+) -> Contender:
     """Return the one contender that all others are compared with, as ``parse_contenders`` does."""
     matches = parse_contenders(text, settings, camera)
     if len(matches) != 1:
@@ -124,30 +132,30 @@ def parse_contenders(
     if text == MEAN_PRIOR:
         return []
     if is_pattern(text):
-        return [named_detector(name, settings, camera) for name in list_detectors(text)]
+        return [contender_from_name(name, settings, camera) for name in list_detectors(text)]
     name, equals, file = text.partition("=")
     if not equals or Path(text).exists():
         name, file = "", text
     path = Path(file)
     if not equals and is_detector(text):
-        return [named_detector(text, settings, camera)]
+        return [contender_from_name(text, settings, camera)]
     if not name.isprintable() or set(name) & set("/\\"):
         raise ConfigError(text, f"{name!r} cannot be a file name", "choose another")
     if path.is_dir():
-        return [contender_from_maps(name or printable(path.resolve().name), path)]
+        return [contender_from_maps(name or to_printable(path.resolve().name), path)]
     if path.suffix == ".safetensors":
         detector, values = DETECTOR_BY_NETWORK[load_network(path).kind], {"weights": {"file": file}}
-    elif path.suffix == SUFFIX or file.startswith(THRESHOLDS):
-        values = read_settings_file(config_file(file))
+    elif path.suffix == CONFIG_SUFFIX or file.startswith(THRESHOLDS_PREFIX):
+        values = read_settings_file(find_config(file))
         detector = str(values.pop("detector", "fusion"))
     elif equals or "/" in text or path.suffix:
         message = "is not a weight file, config, folder of maps or detector"
         raise ConfigError(text, message, "check the name")
     else:
         detector, values = text, {}  # not a detector: refused below
-    entry = named_detector(detector, merge(values, settings), camera)
+    entry = contender_from_name(detector, merge(values, settings), camera)
     by_file = f"{path.resolve().parent.name}-{path.stem}"  # many files are called weights
-    return [replace(entry, name=name or printable(by_file))]
+    return [replace(entry, name=name or to_printable(by_file))]
 
 
 def is_detector(name: str) -> bool:
@@ -158,12 +166,14 @@ def is_detector(name: str) -> bool:
         return False
 
 
-def named_detector(name: str, values: Mapping[str, Any], camera: Camera | None = None) -> Contender:
+def contender_from_name(
+    name: str, values: Mapping[str, Any], camera: Camera | None = None
+) -> Contender:
     """Return a detector of the catalogue; raise ConfigError for settings that it does not have."""
     entry = detector_entry(name)
     if camera is not None:
         values = merge(camera.settings_for(entry.settings), values)
-    settings = entry.configured(values).model_dump(mode="json")
+    settings = entry.make_settings(values).model_dump(mode="json")
     threshold = settings.pop("threshold")
     return Contender(
         name,
@@ -187,9 +197,9 @@ def contender_from_maps(name: str, folder: Path) -> Contender:
 
     Raises ConfigError or InputError for a config.toml that cannot be used.
     """
-    decision = maps.deciding_settings(folder)
+    decision = likelihood_maps.read_decision_settings(folder)
     settings: dict[str, Any] = {"folder": str(folder)}
-    if maps.is_of_infer(folder):
+    if likelihood_maps.is_infer_folder(folder):
         settings["isolated"] = decision.isolated
     return Contender(
         f"maps:{name}",
@@ -202,9 +212,9 @@ def contender_from_maps(name: str, folder: Path) -> Contender:
 def _read_maps(
     folder: Path, decision: DetectorSettings, dataset: Dataset, image: Tensor, item: LabelledItem
 ) -> Detection:
-    sizes = [size_of(image)]
-    if dataset.view is not None:
-        height, width = dataset.view(item, torch.zeros(sizes[0])).shape
+    sizes = [spatial_size(image)]
+    if dataset.scoring_space is not None:
+        height, width = dataset.scoring_space(item, torch.zeros(sizes[0])).shape
         sizes.append((height, width))
     # Maps by infer are named like the image, relative to its folder or to that of the set; maps
     # for KITTI's server are named like the label.
@@ -212,8 +222,10 @@ def _read_maps(
     names = list(dict.fromkeys([item.name, like_image, item.label.stem]))
     if item.image.is_relative_to(dataset.root):
         names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
-    likelihood = maps.map_likelihood(folder, names, sizes)
-    return Detection(likelihood, maps.map_mask(folder, names, likelihood, decision), {})
+    likelihood = likelihood_maps.read_likelihood_map(folder, names, sizes)
+    return Detection(
+        likelihood, likelihood_maps.read_or_decide_mask(folder, names, likelihood, decision), {}
+    )
 
 
 # --- the baseline prior:mean: the mean road mask of other groups --------------------------
@@ -287,7 +299,7 @@ class _EarlierRun(BaseModel):
     detectors: dict[str, _EarlierScores]
 
 
-def with_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]:
+def apply_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]:
     """Return the contenders with the thresholds that an earlier run chose on all its groups.
 
     path: its metrics.json. Raises InputError for another file; ConfigError when the run lacks the
@@ -311,5 +323,5 @@ def with_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender]
         if scores.settings != entry.settings:
             message = f"chose the threshold of {entry.name} with other settings"
             raise ConfigError(path, message, "run both with the same --set")
-        chosen.append(replace(entry, chosen=scores.maxf_threshold))
+        chosen.append(replace(entry, earlier_threshold=scores.maxf_threshold))
     return chosen

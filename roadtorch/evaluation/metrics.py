@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import InputError
-from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.classes import NUM_CLASSES
 
 DEFAULT_LEVELS = 65_536
 EPSILON = 1e-10  # KITTI adds it to its denominators
@@ -62,7 +62,7 @@ def _from_sparse(shape: np.ndarray, indices: np.ndarray, counts: np.ndarray) -> 
     return RoadCounts(*torch.from_numpy(stacked))
 
 
-class Decisions(NamedTuple):
+class ConfusionCounts(NamedTuple):
     """Pixels by decision and truth: int64 tensors of one shape, often scalars."""
 
     true_positive: Tensor
@@ -70,9 +70,9 @@ class Decisions(NamedTuple):
     false_negative: Tensor
     true_negative: Tensor
 
-    def __add__(self, more: "Decisions") -> "Decisions":  # type: ignore[override]
+    def __add__(self, more: "ConfusionCounts") -> "ConfusionCounts":  # type: ignore[override]
         """Return the counts of both sets of masks together."""
-        return Decisions(*map(operator.add, self, more))
+        return ConfusionCounts(*map(operator.add, self, more))
 
 
 def quantise(likelihood: Tensor, levels: int = DEFAULT_LEVELS) -> Tensor:
@@ -117,13 +117,13 @@ def count_levels(
     return RoadCounts(counts[levels : 2 * levels].clone(), counts[:levels].clone())
 
 
-def count_mask(mask: Tensor, road: Tensor, valid: Tensor) -> Decisions:
+def count_mask(mask: Tensor, road: Tensor, valid: Tensor) -> ConfusionCounts:
     """Count the valid pixels of one mask by decision and truth; all bool (H, W)."""
     predicted, true = mask & valid, road & valid
     true_positive = (predicted & true).sum()
     false_positive, false_negative = predicted.sum() - true_positive, true.sum() - true_positive
     true_negative = valid.sum() - true_positive - false_positive - false_negative
-    return Decisions(true_positive, false_positive, false_negative, true_negative)
+    return ConfusionCounts(true_positive, false_positive, false_negative, true_negative)
 
 
 def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
@@ -138,14 +138,14 @@ def coarsen(counts: RoadCounts, levels: int = 256) -> RoadCounts:
     return RoadCounts(road, background)
 
 
-def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
+def confusion_at(counts: RoadCounts, threshold: float) -> ConfusionCounts:
     """Return the counts of the mask "likelihood ≥ threshold", at the resolution of the levels."""
     level = threshold_level(threshold, counts.levels)
     road, background = counts.road.sum(-1), counts.background.sum(-1)
     true_positive, false_positive = (
         part[..., level:].sum(-1) for part in (counts.road, counts.background)
     )
-    return Decisions(
+    return ConfusionCounts(
         true_positive, false_positive, road - true_positive, background - false_positive
     )
 
@@ -157,29 +157,29 @@ def decisions_at(counts: RoadCounts, threshold: float) -> Decisions:
 # P1, eq. 11 (Table I). They are not the means of the images' scores.
 
 
-def precision(counts: Decisions) -> Tensor:
+def precision(counts: ConfusionCounts) -> Tensor:
     """Compute TP / (TP + FP), float64; NaN where nothing is predicted as road."""
     return _ratio(counts.true_positive, counts.true_positive + counts.false_positive)
 
 
-def recall(counts: Decisions) -> Tensor:
+def recall(counts: ConfusionCounts) -> Tensor:
     """Compute TP / (TP + FN), float64; NaN where there is no road."""
     return _ratio(counts.true_positive, counts.true_positive + counts.false_negative)
 
 
-def iou(counts: Decisions) -> Tensor:
+def iou(counts: ConfusionCounts) -> Tensor:
     """Compute TP / (TP + FP + FN), float64; NaN where there is neither true nor predicted road."""
     wrong = counts.false_positive + counts.false_negative
     return _ratio(counts.true_positive, counts.true_positive + wrong)
 
 
-def f_measure(counts: Decisions) -> Tensor:
+def f_measure(counts: ConfusionCounts) -> Tensor:
     """Compute 2 TP / (2 TP + FP + FN), the harmonic mean of precision and recall, float64."""
     wrong = counts.false_positive + counts.false_negative
     return _ratio(2 * counts.true_positive, 2 * counts.true_positive + wrong)
 
 
-def false_positive_rate(counts: Decisions) -> Tensor:
+def false_positive_rate(counts: ConfusionCounts) -> Tensor:
     """Compute FP / (FP + TN), float64; NaN where there is no background."""
     return _ratio(counts.false_positive, counts.false_positive + counts.true_negative)
 
@@ -247,9 +247,11 @@ def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
     labels, truth: integer (H, W), 0 sky, 1 vertical, 2 horizontal, 255 unlabelled or void. The
     fourth row is void, the fourth column unlabelled.
     """
-    rows, columns = (part.to(torch.int64).clamp(max=CLASSES) for part in (truth, labels))
-    pairs = (rows * (CLASSES + 1) + columns).flatten()
-    return torch.bincount(pairs, minlength=(CLASSES + 1) ** 2).reshape(CLASSES + 1, CLASSES + 1)
+    rows, columns = (part.to(torch.int64).clamp(max=NUM_CLASSES) for part in (truth, labels))
+    pairs = (rows * (NUM_CLASSES + 1) + columns).flatten()
+    return torch.bincount(pairs, minlength=(NUM_CLASSES + 1) ** 2).reshape(
+        NUM_CLASSES + 1, NUM_CLASSES + 1
+    )
 
 
 # The functions below ignore void and unlabelled pixels and take any leading dimensions.

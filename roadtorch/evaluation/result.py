@@ -15,8 +15,8 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import UNDEFINED, Measure, Scores, TableName
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Contender
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
-from roadtorch.evaluation.tally import UNGROUPED, ImageTable, Part, Tally
+from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
+from roadtorch.evaluation.tally import UNGROUPED, ImageTable, PooledCounts, Tally
 
 
 class Interval(NamedTuple):
@@ -66,10 +66,10 @@ class DetectorScores:
     @property
     def ranking_score(self) -> float:
         """MaxF, to rank detectors by; -inf where it is undefined."""
-        return -math.inf if math.isnan(maxf := MAXF.of(self.headline)) else maxf
+        return -math.inf if math.isnan(maxf := MAXF.get(self.headline)) else maxf
 
     @property
-    def counting(self) -> list[str]:
+    def counted_groups(self) -> list[str]:
         """Groups that count in the means: all but those left out; ``UNGROUPED`` without groups."""
         return list(self.groups) or [UNGROUPED]
 
@@ -152,7 +152,7 @@ class Evaluation:
         """Groups that have scores but count in no mean, sorted."""
         return sorted({group for scores in self.detectors.values() for group in scores.left_out})
 
-    def ranked(self) -> list[str]:
+    def ranking(self) -> list[str]:
         """Return the detectors by MaxF, highest first; those without one last, then by name."""
         return sorted(self.detectors, key=lambda name: (-self.detectors[name].ranking_score, name))
 
@@ -196,8 +196,8 @@ def choose_thresholds(
     """
     choosing = {group: counts for group, counts in groups.items() if group not in left_out}
     best = shared_threshold(choosing)
-    if contender.chosen is not None:
-        return "an earlier run", dict.fromkeys(groups, contender.chosen), best
+    if contender.earlier_threshold is not None:
+        return "an earlier run", dict.fromkeys(groups, contender.earlier_threshold), best
     if len(choosing) > 1:
         held_out = held_out_thresholds(choosing)
         return "the other groups", {group: held_out.get(group, best) for group in groups}, best
@@ -224,16 +224,16 @@ def summarise(
         group: threshold for group, threshold in thresholds.items() if group not in left_out
     }
     group_counts = {
-        group: replace(of_groups(tally, {group: threshold}), threshold=threshold)
+        group: replace(pool_groups(tally, {group: threshold}), threshold=threshold)
         for group, threshold in thresholds.items()
     }
-    by_condition = {
+    items_by_condition = {
         name: pool_images(images, thresholds)
         for name, items in (conditions or {}).items()
         if (images := tally.select({item.name for item in items})).names
     }
     is_whole = list(group_counts) == [UNGROUPED]
-    whole = group_counts[UNGROUPED] if is_whole else of_groups(tally, counting)
+    whole = group_counts[UNGROUPED] if is_whole else pool_groups(tally, counting)
     scores = {group: compute_scores(part, measures) for group, part in group_counts.items()}
     groups = {} if is_whole else {group: scores[group] for group in counting}
     pooled = {} if is_whole else compute_scores(whole, measures)
@@ -243,20 +243,22 @@ def summarise(
         groups=groups,
         pooled=pooled,
         left_out={group: values for group, values in scores.items() if group not in counting},
-        conditions={name: compute_scores(part, measures) for name, part in by_condition.items()},
+        conditions={
+            name: compute_scores(part, measures) for name, part in items_by_condition.items()
+        },
         thresholds=thresholds,
         threshold_from=source,
         best_threshold=best,
     )
 
 
-def of_groups(tally: Tally, thresholds: Mapping[str, float]) -> Part:
+def pool_groups(tally: Tally, thresholds: Mapping[str, float]) -> PooledCounts:
     """Add up the counts of the groups that have thresholds."""
     counts = {group: tally.road[group] for group in thresholds}
-    return _pool(tally.kept(thresholds), counts, thresholds)
+    return _pool(tally.table(thresholds), counts, thresholds)
 
 
-def pool_images(images: ImageTable, thresholds: Mapping[str, float]) -> Part:
+def pool_images(images: ImageTable, thresholds: Mapping[str, float]) -> PooledCounts:
     """Add up the counts of images of any groups, from 8-bit maps; thresholds: of their groups."""
     counts = {
         group: RoadCounts(images.road.road[members].sum(0), images.road.background[members].sum(0))
@@ -268,7 +270,7 @@ def pool_images(images: ImageTable, thresholds: Mapping[str, float]) -> Part:
 
 def _pool(
     images: ImageTable, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
-) -> Part:
+) -> PooledCounts:
     """Add images up; counts: pixels by likelihood level, by group."""
     areas = [area for area in images.auc.tolist() if not math.isnan(area)]
     layout, labels = (
@@ -276,13 +278,13 @@ def _pool(
         for rows in (images.layout, images.labels)
     )
     outcomes = [
-        metrics.decisions_at(counts[group], thresholds[group])
+        metrics.confusion_at(counts[group], thresholds[group])
         for group in counts
         if not math.isnan(thresholds[group])
     ]
-    return Part(
+    return PooledCounts(
         reduce(add, counts.values()),
-        Decisions(*images.outcomes.sum(0)),
+        ConfusionCounts(*images.outcomes.sum(0)),
         images.boundary.sum(0),
         layout,
         reduce(add, outcomes) if outcomes else None,
@@ -292,7 +294,7 @@ def _pool(
     )
 
 
-def compute_scores(part: Part, measures: Sequence[Measure]) -> Scores:
+def compute_scores(part: PooledCounts, measures: Sequence[Measure]) -> Scores:
     """Compute the measures that apply to some counts."""
     values = {measure.key: measure.formula(part) for measure in measures}
     return {
@@ -311,7 +313,7 @@ def aggregate_groups(
         if measure.key in pooled and measure.aggregate == "whole":
             scores[measure.key] = pooled[measure.key]
         elif measure.key in pooled and measure.aggregate == "mean":
-            scores[measure.key] = mean_defined([measure.of(group) for group in groups.values()])
+            scores[measure.key] = mean_defined([measure.get(group) for group in groups.values()])
     return scores
 
 
@@ -334,7 +336,7 @@ def image_f(images: ImageTable, thresholds: Mapping[str, float]) -> Tensor:
         if not math.isnan(threshold):
             members = images.group_mask(group)
             counts = RoadCounts(images.road.road[members], images.road.background[members])
-            outcome = metrics.decisions_at(counts, threshold)
+            outcome = metrics.confusion_at(counts, threshold)
             has_road = outcome.true_positive + outcome.false_negative > 0
             f[members] = metrics.f_measure(outcome).where(has_road, torch.nan)
     return f
@@ -342,7 +344,7 @@ def image_f(images: ImageTable, thresholds: Mapping[str, float]) -> Tensor:
 
 def rank_images(tally: Tally, scores: DetectorScores) -> list[tuple[float, str]]:
     """Return (F, name) of the images with road that count, best first."""
-    images = tally.kept(scores.counting)
+    images = tally.table(scores.counted_groups)
     values = image_f(images, scores.thresholds).tolist()
     with_road = [pair for pair in zip(values, images.names, strict=True) if not math.isnan(pair[0])]
     return sorted(with_road, key=lambda pair: (-pair[0], pair[1]))

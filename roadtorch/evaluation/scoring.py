@@ -11,10 +11,10 @@ from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image_cache import ImageCache, image_cache
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.evaluation.boundary import count_boundary
-from roadtorch.evaluation.methods import Contender, Look
+from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.metrics import count_layout, count_levels, count_mask
-from roadtorch.evaluation.tally import ImageResult, Score
-from roadtorch.run.workers import DIED, workers_for
+from roadtorch.evaluation.tally import ImageCounts, ImageResult
+from roadtorch.run.workers import WORKER_CRASH, make_workers
 
 # --- one image ------------------------------------------------------------------------
 
@@ -30,7 +30,7 @@ class LabelledImage:
 
     def to_view(self, values: Tensor) -> Tensor:
         """Warp a map (..., H, W) of the image's size to the view in which the set is scored."""
-        view = self.dataset.view
+        view = self.dataset.scoring_space
         in_image = values.shape[-2:] == self.image.shape[-2:]
         return view(self.item, values) if view is not None and in_image else values
 
@@ -40,12 +40,14 @@ class LabelledImage:
         return Truth(self.to_view(self.truth.road), self.to_view(self.truth.valid), layout)
 
 
-def count_image(predictor: Look, scene: LabelledImage, truth: Truth, shared: ImageCache) -> Score:
+def count_image(
+    predictor: Predictor, scene: LabelledImage, truth: Truth, shared: ImageCache
+) -> ImageCounts:
     """Run one detector on one image and count; truth: in the view of the set."""
-    saved_before, start = shared.saved, time.perf_counter()
+    saved_before, start = shared.saved_seconds, time.perf_counter()
     detection = predictor(scene.image, scene.item)
     # Parts that were cached for other detectors count as this detector's work, too.
-    seconds = time.perf_counter() - start + shared.saved - saved_before
+    seconds = time.perf_counter() - start + shared.saved_seconds - saved_before
     mask, layout = scene.to_view(detection.mask), detection.cues.get("layout")
     labels = {
         "layout": None if layout is None else layout.argmax(0),
@@ -56,7 +58,7 @@ def count_image(predictor: Look, scene: LabelledImage, truth: Truth, shared: Ima
         for kind, values in labels.items()
         if values is not None and truth.layout is not None
     }
-    return Score(
+    return ImageCounts(
         count_levels(
             scene.to_view(detection.likelihood), truth.road, truth.valid, scene.dataset.levels
         ),
@@ -74,7 +76,7 @@ class ScoringTask:
     """Task of a worker process: read one item, count every contender on it."""
 
     dataset: Dataset
-    predictors: Mapping[str, Look]
+    predictors: Mapping[str, Predictor]
 
     def __call__(self, item: LabelledItem) -> ImageResult:
         """Return the counts of one item.
@@ -103,8 +105,8 @@ def score_dataset(
     """Yield a result for every item, in order; jobs: processes, None for as many as help."""
     predictors = {entry.name: entry.prepare(dataset) for entry in contenders}
     task = ScoringTask(dataset, predictors)
-    return workers_for(jobs, len(dataset.items)).map(task, dataset.items, _crash_result)
+    return make_workers(jobs, len(dataset.items)).map(task, dataset.items, _crash_result)
 
 
 def _crash_result(item: LabelledItem) -> ImageResult:
-    return ImageResult(item, {}, str(InputError(item.image, *DIED)))
+    return ImageResult(item, {}, str(InputError(item.image, *WORKER_CRASH)))

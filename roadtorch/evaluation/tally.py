@@ -14,7 +14,7 @@ from torch import Tensor
 
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
 
 UNGROUPED = "all"  # name of the only group of a set without groups
 IMAGE_LEVELS = 256  # levels of the histograms of single images
@@ -22,11 +22,11 @@ INITIAL_ROWS = 64  # of a column, before it grows
 
 
 @dataclass(frozen=True)
-class Score:
+class ImageCounts:
     """Counts of one detector on one image, in the space of the truth."""
 
     road: RoadCounts
-    mask: Decisions
+    mask: ConfusionCounts
     boundary: Tensor  # int64 (tolerances, 4), see boundary.py
     layout: Tensor | None  # confusion (4, 4) of the strongest potentials
     labels: Tensor | None  # confusion (4, 4) of labels that may abstain
@@ -39,7 +39,7 @@ class ImageResult:
     """Counts of every detector on one image, or the reason of a failure."""
 
     item: LabelledItem
-    counts: Mapping[str, Score]
+    counts: Mapping[str, ImageCounts]
     failure: str = ""
 
 
@@ -50,7 +50,7 @@ class ImageTable:
     names: Sequence[str]
     groups: Sequence[str]
     road: RoadCounts  # int32 (n, IMAGE_LEVELS)
-    outcomes: Tensor  # int64 (n, 4), the fields of Decisions
+    outcomes: Tensor  # int64 (n, 4), the fields of ConfusionCounts
     boundary: Tensor  # int64 (n, tolerances, 4)
     layout: Tensor | None  # int64 (n, 4, 4)
     labels: Tensor | None  # int64 (n, 4, 4)
@@ -60,9 +60,9 @@ class ImageTable:
     trust: Tensor  # float64 (n,), NaN where the detector gives none
 
     @property
-    def mask(self) -> Decisions:
+    def mask(self) -> ConfusionCounts:
         """Counts of the masks, int64 (n,) each."""
-        return Decisions(*self.outcomes.unbind(1))
+        return ConfusionCounts(*self.outcomes.unbind(1))
 
     def group_mask(self, group: str) -> Tensor:
         """Return which of the images are of a group, bool (n,)."""
@@ -81,7 +81,7 @@ class Tally:
     keys: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
     columns: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
-    def add(self, item: LabelledItem, score: Score) -> None:
+    def add(self, item: LabelledItem, score: ImageCounts) -> None:
         """Add the counts of one image."""
         group = item.group or UNGROUPED
         area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
@@ -106,7 +106,7 @@ class Tally:
             self.columns[key] = column
         self.keys.append((item.name, group))
 
-    def kept(self, groups: Iterable[str] | None = None) -> ImageTable:
+    def table(self, groups: Iterable[str] | None = None) -> ImageTable:
         """Return the images of some groups, group by group, or all in their order."""
         indices = range(len(self.keys))
         if groups is not None:
@@ -136,7 +136,7 @@ class Tally:
 
 
 @dataclass(frozen=True)
-class Part:
+class PooledCounts:
     """Pooled counts of some images, or of bootstrap replicates of them: then shape (replicates, …).
 
     at_threshold: counts at the threshold of each group; None where there is none.
@@ -146,10 +146,10 @@ class Part:
     """
 
     road: RoadCounts
-    mask: Decisions
+    mask: ConfusionCounts
     boundary: Tensor
     layout: Tensor | None
-    at_threshold: Decisions | None
+    at_threshold: ConfusionCounts | None
     image_auc: Tensor
     labels: Tensor | None = None
     threshold: float | None = None

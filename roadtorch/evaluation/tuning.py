@@ -52,10 +52,10 @@ def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
     if math.isnan(scores.best_threshold):
         raise DatasetError(evaluation.dataset.root, "shows no road", "give images with road")
     best = {"threshold": round(scores.best_threshold, THRESHOLD_DIGITS)}
-    tuned = detector_entry(contender.detector).configured({**contender.settings, **best})
+    tuned = detector_entry(contender.detector).make_settings({**contender.settings, **best})
     at_default, chosen = (
         summarise(
-            replace(contender, chosen=threshold), tally, (F, IOU), evaluation.left_out
+            replace(contender, earlier_threshold=threshold), tally, (F, IOU), evaluation.left_out
         ).headline
         for threshold in (contender.threshold, tuned.threshold)
     )
@@ -70,12 +70,12 @@ def choice_table(choices: Sequence[ThresholdChoice]) -> Table:
     table = Table("detector", [choice.contender.name for choice in choices])
     for header, values in {
         "default": [choice.contender.threshold for choice in choices],
-        "F at default": [F.of(choice.at_default) for choice in choices],
+        "F at default": [F.get(choice.at_default) for choice in choices],
         "threshold": [choice.settings.threshold for choice in choices],
-        "F": [F.of(choice.chosen) for choice in choices],
-        "IoU": [IOU.of(choice.chosen) for choice in choices],
-        "F held out": [F.of(choice.held_out) for choice in choices],
-        "IoU held out": [IOU.of(choice.held_out) for choice in choices],
+        "F": [F.get(choice.chosen) for choice in choices],
+        "IoU": [IOU.get(choice.chosen) for choice in choices],
+        "F held out": [F.get(choice.held_out) for choice in choices],
+        "IoU held out": [IOU.get(choice.held_out) for choice in choices],
     }.items():
         table.add(header, [Cell(format_number(value)) for value in values])
     return table
@@ -85,14 +85,14 @@ def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) ->
     """Return comment lines for a config: the origin of its threshold, and the gain."""
 
     def describe(scores: Scores) -> str:
-        return f"F {F.of(scores):.3f}, IoU {IOU.of(scores):.3f}"
+        return f"F {F.get(scores):.3f}, IoU {IOU.get(scores):.3f}"
 
     dataset = evaluation.dataset
     lines = [
         f"The threshold is chosen on {dataset.name} {dataset.split}, {choice.images} images, by",
         f"  {command}",
         f"At the default threshold {choice.contender.threshold:.3f}: "
-        f"F {F.of(choice.at_default):.3f}.",
+        f"F {F.get(choice.at_default):.3f}.",
         f"On these images: {describe(choice.chosen)} (mean over the groups).",
     ]
     if choice.held_out:

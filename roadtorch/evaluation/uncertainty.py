@@ -16,9 +16,9 @@ from torch import Tensor
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
 from roadtorch.evaluation.result import Comparison, DetectorScores, Difference, Interval
-from roadtorch.evaluation.tally import ImageTable, Part, Tally
+from roadtorch.evaluation.tally import ImageTable, PooledCounts, Tally
 
 REPLICATES = 1000
 
@@ -33,7 +33,7 @@ def bootstrap_weights(
     return torch.zeros_like(indices).scatter_add_(1, indices, torch.ones_like(indices))
 
 
-def interval(values: Tensor) -> Interval:
+def percentile_interval(values: Tensor) -> Interval:
     """Return the 95 % percentile interval of a score over replicates, float64 (replicates,).
 
     NaNs are ignored. For a difference of two scores over the same weights, an interval above 0
@@ -60,15 +60,15 @@ def bootstrap(
     Thresholds stay as they were chosen. Replicates are counted on 8-bit maps; they are shifted by
     the difference that this makes to the score of all images.
     """
-    groups = [tally.kept([group]) for group in scores.counting]
-    thresholds = [scores.thresholds[group] for group in scores.counting]
+    groups = [tally.table([group]) for group in scores.counted_groups]
+    thresholds = [scores.thresholds[group] for group in scores.counted_groups]
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
     weights = [bootstrap_weights(len(group.names), generator, REPLICATES) for group in groups]
     ones = [torch.ones_like(counts[:1]) for counts in weights]
     measures = [m for m in measures if m.interval and m.key in scores.headline]
     replicates = _mean_over_groups(groups, thresholds, weights, measures)
     coarse = _mean_over_groups(groups, thresholds, ones, measures)
-    shifts = {m.key: m.of(scores.headline) - float(coarse[m.key]) for m in measures}
+    shifts = {m.key: m.get(scores.headline) - float(coarse[m.key]) for m in measures}
     return {key: replicates[key] + shift for key, shift in shifts.items()}
 
 
@@ -91,7 +91,7 @@ def _mean_over_groups(
     return {key: torch.stack(values).nanmean(0) for key, values in scores.items()}
 
 
-def pool_replicates(images: ImageTable, threshold: float, weights: Tensor) -> Part:
+def pool_replicates(images: ImageTable, threshold: float, weights: Tensor) -> PooledCounts:
     """Pool the images of one group, with weights (replicates, n), from 8-bit maps."""
 
     def weighted_sum(counts: Tensor) -> Tensor:
@@ -105,19 +105,19 @@ def pool_replicates(images: ImageTable, threshold: float, weights: Tensor) -> Pa
     counts = RoadCounts(road, background)
     defined = ~images.auc.isnan()
     areas, area_weights = images.auc[defined], weights[:, defined].to(torch.float64)
-    return Part(
+    return PooledCounts(
         counts,
-        Decisions(*weighted_sum(images.outcomes).unbind(1)),
+        ConfusionCounts(*weighted_sum(images.outcomes).unbind(1)),
         weighted_sum(images.boundary),
         None if images.layout is None else weighted_sum(images.layout),
-        None if math.isnan(threshold) else metrics.decisions_at(counts, threshold),
+        None if math.isnan(threshold) else metrics.confusion_at(counts, threshold),
         (area_weights @ areas) / area_weights.sum(1),
     )
 
 
 def score_intervals(replicates: Replicates) -> dict[str, Interval]:
     """Return 95 % intervals of the headline scores, clipped to [0, 1]."""
-    ends = {key: interval(values) for key, values in replicates.items()}
+    ends = {key: percentile_interval(values) for key, values in replicates.items()}
     return {key: Interval(max(low, 0.0), min(high, 1.0)) for key, (low, high) in ends.items()}
 
 
@@ -139,8 +139,8 @@ def compare_detectors(
         {
             name: {
                 measure.key: Difference(
-                    measure.of(detectors[name].headline) - measure.of(reference),
-                    interval(values[measure.key] - replicates[against][measure.key]),
+                    measure.get(detectors[name].headline) - measure.get(reference),
+                    percentile_interval(values[measure.key] - replicates[against][measure.key]),
                 )
                 for measure in shared
                 if measure.key in values

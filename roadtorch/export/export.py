@@ -16,18 +16,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from roadtorch.base.atomic import atomic, digest_of, make_folder
+from roadtorch.base.atomic import atomic_write, file_digest, make_folder
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, to_pixels
 from roadtorch.base.version import __version__
 from roadtorch.detectors.catalogue import detector_entry
-from roadtorch.detectors.detector import MIN_SIDE, Detector
+from roadtorch.detectors.detector import MIN_IMAGE_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
-from roadtorch.imaging.resize import at_image_size, at_work, resized, size_of
+from roadtorch.imaging.resize import resize_maps, resize_to_image, resize_to_work, spatial_size
 from roadtorch.layout.classes import HORIZONTAL
-from roadtorch.layout.weights import FOR_IMAGES, terms_of, weights_path
-from roadtorch.road.outlines import outlined
+from roadtorch.layout.weights import DEFAULT_WEIGHTS, read_terms, weights_path
+from roadtorch.road.outlines import snap_to_edges
 from roadtorch.testing.scenes import render_scene
 
 # --- exportable parts --------------------------------------------------------------------
@@ -73,7 +73,10 @@ def exportable_part(detector: Detector) -> ExportPart:
 
     Raises ConfigError for a detector that has none, and for settings that it does not use.
     """
-    part, defaults = find_part(detector), detector_entry(detector.name).configured({}).model_dump()
+    part, defaults = (
+        find_part(detector),
+        detector_entry(detector.name).make_settings({}).model_dump(),
+    )
     for key, value in detector.settings.model_dump().items():
         if key not in part.settings and value != defaults[key]:
             raise ConfigError(key, "has no effect on the exported file", "leave it out")
@@ -92,7 +95,7 @@ def find_part(detector: Detector) -> ExportPart:
             ("weights", "second", "threshold", "calibration", "crops", "working", "seed_area"),
             tuple(
                 weights_path(file)
-                for file in (settings.weights.file or FOR_IMAGES, settings.second.file)
+                for file in (settings.weights.file or DEFAULT_WEIGHTS, settings.second.file)
                 if file
             ),
         )
@@ -117,27 +120,27 @@ def fusion_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> di
     Thin holes are not filled, and isolated road is not removed. In the graph the likelihood is
     refined at the image's full size, however large.
     """
-    small, full = at_work(image, settings.working), size_of(image)
+    small, full = resize_to_work(image, settings.working), spatial_size(image)
     cues = analysis(small)
-    likelihood = outlined(cues, small, image, settings.working, settings.threshold)
+    likelihood = snap_to_edges(cues, small, image, settings.working, settings.threshold)
     if not torch.compiler.is_exporting():
-        likelihood = resized(likelihood, full)
-    ego = at_image_size(cues["ego"], full)
+        likelihood = resize_maps(likelihood, full)
+    ego = resize_to_image(cues["ego"], full)
     likelihood = likelihood.masked_fill(ego, 0)
-    mask = at_image_size(likelihood >= settings.threshold, size_of(small))
+    mask = resize_to_image(likelihood >= settings.threshold, spatial_size(small))
     return {
         "likelihood": likelihood,
-        "layout": resized(cues["layout"], full),
+        "layout": resize_maps(cues["layout"], full),
         "ego": ego.float(),
-        "seed_area": at_image_size(cues["seed_area"], full).float(),
+        "seed_area": resize_to_image(cues["seed_area"], full).float(),
         "trust": torch.as_tensor(analysis.judge(mask, cues).trust),
     }
 
 
 def cnn7_maps(analysis: Cnn7, settings: Cnn7Settings, image: Tensor) -> dict[str, Tensor]:
     """Compute all outputs of `layout:cnn-7` but the removal of isolated road."""
-    layout = analysis.network.potentials(at_work(image, settings.working))
-    layout = resized(layout, size_of(image))
+    layout = analysis.network.potentials(resize_to_work(image, settings.working))
+    layout = resize_maps(layout, spatial_size(image))
     return {"likelihood": layout[..., HORIZONTAL, :, :], "layout": layout}
 
 
@@ -151,18 +154,18 @@ def describe_export(detector: Detector, part: ExportPart) -> dict[str, str]:
         "input": "image: uint8 (N, H, W, 3)",
         "colour_order": "RGB",
         "range": "0 to 255",
-        "smallest_side": str(MIN_SIDE),
+        "smallest_side": str(MIN_IMAGE_SIDE),
         **{f"output.{name}": OUTPUT_DESCRIPTIONS[name] for name in part.outputs},
         "threshold": f"{detector.settings.threshold:g}",
         "weights": ", ".join(file.name for file in part.weights),
-        "weights_sha256": ", ".join(map(digest_of, part.weights)),
+        "weights_sha256": ", ".join(map(file_digest, part.weights)),
         "terms": f"{'; '.join(map(describe_terms, part.weights))}; the code is Apache-2.0",
     }
 
 
 def describe_terms(weights: Path) -> str:
     """Return the terms of use of weights, and the card that states them."""
-    stated = terms_of(weights)
+    stated = read_terms(weights)
     return f"{stated} (see {weights.stem}.md beside the weights)" if stated else UNKNOWN_TERMS
 
 
@@ -171,7 +174,7 @@ def describe_terms(weights: Path) -> str:
 Runner = Callable[[np.ndarray], Mapping[str, np.ndarray]]
 """Images uint8 (N, H, W, 3) RGB → maps by name, by a runtime that has loaded a file."""
 
-BOUND = 1e-4
+MAX_DIFFERENCE = 1e-4
 """Largest difference to Python allowed. Ours: a fortieth of the step between two grey levels."""
 
 PARITY_SIZES = ((48, 64), (121, 317), (360, 480))
@@ -181,14 +184,14 @@ and above the working size of detectors."""
 
 @dataclass(frozen=True)
 class Parity:
-    """Differences of a file to Python: ``most`` anywhere, ``mean`` over all pixels.
+    """Largest and mean difference of a file's results to Python's, over all pixels.
 
-    where: output and image size of the largest. images: number of images checked.
+    location: output and image size of the largest. images: number of images checked.
     """
 
-    most: float
-    where: str
-    mean: float
+    max_difference: float
+    location: str
+    mean_difference: float
     images: int
 
 
@@ -305,20 +308,20 @@ REQUIRED_PACKAGES = ("onnx", "onnxscript", "onnxruntime")
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportResult:
     """Files that were written, their metadata, and their differences to Python."""
 
     files: tuple[Path, ...]
-    notes: Mapping[str, str]
+    metadata: Mapping[str, str]
     parity: Parity
 
 
-def export_detector(detector: Detector, out: Path) -> Exported:
+def export_detector(detector: Detector, out: Path) -> ExportResult:
     """Write the exportable part of a detector as ONNX, after a check against Python.
 
     Raises ConfigError for a detector that cannot be exported, another suffix than .onnx, and a
-    missing extra; InputError when the file would differ by more than ``BOUND`` (then nothing is
-    written), and when it cannot be written.
+    missing extra; InputError when the file would differ by more than ``MAX_DIFFERENCE``, and when
+    it cannot be written.
     """
     if out.suffix != ".onnx":
         problem = "does not end in .onnx"
@@ -334,11 +337,12 @@ def export_detector(detector: Detector, out: Path) -> Exported:
         write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), notes, path)
         run = open_onnx(path, torch.get_num_threads())
         parity = measure_parity(run, part.compute, render_batches())
-        if not parity.most <= BOUND:
-            problem = f"would differ by {parity.most:.2g} in {parity.where}, more than {BOUND:g}"
+        if not parity.max_difference <= MAX_DIFFERENCE:
+            difference = f"{parity.max_difference:.2g} in {parity.location}"
+            problem = f"would differ by {difference}, more than {MAX_DIFFERENCE:g}"
             raise InputError(
                 out, problem, "nothing was written; try other versions of its packages"
             )
-        with atomic(out) as temporary:
+        with atomic_write(out) as temporary:
             shutil.copyfile(path, temporary)
-    return Exported((out,), notes, parity)
+    return ExportResult((out,), notes, parity)

@@ -7,14 +7,14 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from roadtorch.base.atomic import atomic, digest_of, make_folder, write_text
+from roadtorch.base.atomic import atomic_write, file_digest, make_folder, write_text
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.image import to_pixels, write_pixels
 from roadtorch.base.settings import to_toml
-from roadtorch.detectors.catalogue import CONFIG
+from roadtorch.detectors.catalogue import DETECTOR_CONFIG
 from roadtorch.detectors.detector import Detector
-from roadtorch.export.export import Exported, export_detector, find_part
-from roadtorch.layout.weights import card_of, terms_of
+from roadtorch.export.export import ExportResult, export_detector, find_part
+from roadtorch.layout.weights import read_card, read_terms
 from roadtorch.testing.scenes import render_scene
 
 # --- a page: the network, and ONNX Runtime's web build -----------------------------------
@@ -33,7 +33,7 @@ RUNTIME_FOLDER = Path("node_modules/onnxruntime-web/dist")
 """Folder that npm installs it to, below the working directory."""
 
 
-def export_page(detector: Detector, out: Path) -> Exported:
+def export_page(detector: Detector, out: Path) -> ExportResult:
     """Write the folder of a page; the runtime is copied from ``RUNTIME_FOLDER``.
 
     Raises ConfigError where the runtime is missing, for a detector whose graph has no trust, and as
@@ -47,17 +47,17 @@ def export_page(detector: Detector, out: Path) -> Exported:
     exported = export_detector(detector, out / "road.onnx")
     write_pixels(out / "street.jpg", to_pixels(render_scene(2, 360, 640).image))
     sources = [*sorted(STATIC.iterdir()), *(RUNTIME_FOLDER / name for name in RUNTIME_FILES)]
-    digests = "".join(digest_of(path) for path in (exported.files[0], *sources))
+    digests = "".join(file_digest(path) for path in (exported.files[0], *sources))
     fetched = ["road.onnx", "street.jpg", *(source.name for source in sources)]
     for source in sources:
-        with atomic(out / source.name) as temporary:
+        with atomic_write(out / source.name) as temporary:
             shutil.copyfile(source, temporary)
     worker = (STATIC / SERVICE_WORKER).read_text(encoding="utf-8")
     worker = worker.replace("VERSION", hashlib.sha256(digests.encode()).hexdigest()[:12])
     worker = worker.replace(
         "[]", json.dumps(["./", *(name for name in fetched if name != SERVICE_WORKER)])
     )
-    with atomic(out / SERVICE_WORKER) as temporary:
+    with atomic_write(out / SERVICE_WORKER) as temporary:
         temporary.write_text(worker, encoding="utf-8")
     return replace(exported, files=tuple(out / name for name in fetched))
 
@@ -92,7 +92,7 @@ detection.mask  # bool (H, W); .likelihood, .trust
 """
 
 
-def export_folder(detector: Detector, out: Path) -> tuple[Path, ...]:
+def export_hub(detector: Detector, out: Path) -> tuple[Path, ...]:
     """Write weights, settings and cards; ``load_detector(out)`` loads the detector from there.
 
     Returns the files. Raises ConfigError for a detector without a network.
@@ -104,17 +104,17 @@ def export_folder(detector: Detector, out: Path) -> tuple[Path, ...]:
         network = getattr(settings, group).model_copy(update={"file": f"{name}.safetensors"})
         hub_settings = hub_settings.model_copy(update={group: network})
         files.append(out / network.file)
-        with atomic(files[-1]) as temporary:
+        with atomic_write(files[-1]) as temporary:
             shutil.copyfile(source, temporary)
-        if card := card_of(source):
+        if card := read_card(source):
             cards.append(out / f"{name}.md")
             write_text(cards[-1], RELATIVE_LINK.sub(r"\1", card).replace(source.name, network.file))
-    write_text(out / CONFIG, to_toml(detector.name, hub_settings))
-    is_free = all(terms_of(source).startswith("anything") for source in sources)
+    write_text(out / DETECTOR_CONFIG, to_toml(detector.name, hub_settings))
+    is_free = all(read_terms(source).startswith("anything") for source in sources)
     licence = "apache-2.0" if is_free else "other"
     text = HUB_README.format(licence=licence, name=f"roadtorch {detector.name}")
     if cards:
         links = ", ".join(f"[{card.name}]({card.name})" for card in cards)
         text = f"{text}\nTraining data of the weights: {links}.\n"
     write_text(out / README_FILE, text)
-    return (*files, out / CONFIG, out / README_FILE, *cards)
+    return (*files, out / DETECTOR_CONFIG, out / README_FILE, *cards)

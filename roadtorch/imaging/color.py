@@ -13,7 +13,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.base.errors import InputError, unknown_name
+from roadtorch.base.errors import InputError, unknown_name_error
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.levels import order_statistic
@@ -179,7 +179,7 @@ REPRESENTATIONS: dict[str, tuple[str, ...]] = {
 """The 19 colour representations of P3 by name: 13 single planes and 6 combinations."""
 
 
-def planes(image: Tensor, names: Sequence[str]) -> Tensor:
+def color_planes(image: Tensor, names: Sequence[str]) -> Tensor:
     """Compute colour planes of an image, stacked.
 
     Formulas and ranges are in ``PLANES``. Source: P2, section 6.2; P3, section III.
@@ -195,24 +195,24 @@ def planes(image: Tensor, names: Sequence[str]) -> Tensor:
         ConfigError: for an unknown name.
         InputError: for an image of other than 3 channels.
     """
-    return torch.stack(list(each_plane(image, names)), -3)
+    return torch.stack(list(iterate_color_planes(image, names)), -3)
 
 
-def each_plane(image: Tensor, names: Sequence[str]) -> Iterator[Tensor]:
-    """Yield the planes of ``planes`` one by one, each of shape (…, H, W), to save memory."""
+def iterate_color_planes(image: Tensor, names: Sequence[str]) -> Iterator[Tensor]:
+    """Yield the planes of ``color_planes`` one by one, each of shape (…, H, W), to save memory."""
     if image.ndim < 3 or image.shape[-3] != 3:
         problem = f"has the shape {tuple(image.shape)}"
         raise InputError("image", problem, "give RGB as (…, 3, height, width)")
     for name in names:
         if name not in PLANES:
-            raise unknown_name("plane", name, PLANES)
+            raise unknown_name_error("plane", name, PLANES)
     channels = Channels(image)
     yield from (PLANES[name].formula(channels) for name in names)
 
 
-def plane(image: Tensor, name: str) -> Tensor:
-    """Compute one colour plane, shape (…, H, W), of an image (…, 3, H, W), as ``planes`` does."""
-    return planes(image, (name,)).squeeze(-3)
+def color_plane(image: Tensor, name: str) -> Tensor:
+    """Compute one colour plane (…, H, W) of an image (…, 3, H, W), as ``color_planes``."""
+    return color_planes(image, (name,)).squeeze(-3)
 
 
 # --- exposure -------------------------------------------------------------------------
@@ -236,7 +236,7 @@ class Exposure(Settings):
 
 
 @cached_per_image
-def brightened(image: Tensor, exposure: Exposure) -> Tensor:
+def brighten(image: Tensor, exposure: Exposure) -> Tensor:
     """Apply the gamma that lifts the lower part of an image to the grey level ``ground``.
 
     At dusk all differences shrink; this restores them. The median grey below 0.55 of the height

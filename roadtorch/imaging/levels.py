@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 
 
-def at_least(values: Tensor, level: float) -> Tensor:
+def is_at_least(values: Tensor, level: float) -> Tensor:
     """Return where values (…) are ``level`` or more, bool (…)."""
     if torch.compiler.is_exporting():
         return values >= level
     return torch.from_numpy(values.detach().cpu().numpy() >= level).to(values.device)
 
 
-def above(values: Tensor, level: float) -> Tensor:
+def is_above(values: Tensor, level: float) -> Tensor:
     """Return where values (…) exceed ``level``, bool (…)."""
     if torch.compiler.is_exporting():
         return values > level

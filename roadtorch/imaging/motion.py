@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-FASTEST = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
-FAST = cv2.DISOPTICAL_FLOW_PRESET_FAST
+FASTEST_FLOW = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
+FAST_FLOW = cv2.DISOPTICAL_FLOW_PRESET_FAST
 
 MIN_FLOW_SIDE = 32
 """Shortest side in pixels: OpenCV 5.0 crashes on smaller images with the fast presets."""
@@ -31,7 +31,7 @@ def flow_image(image: Tensor, width: int) -> Tensor:
     return torch.from_numpy(np.round(grey * 255).astype(np.uint8))
 
 
-def dense_flow(source: Tensor, target: Tensor, preset: int = FASTEST) -> Tensor:
+def dense_flow(source: Tensor, target: Tensor, preset: int = FASTEST_FLOW) -> Tensor:
     """Compute the flow from ``source`` to ``target``: float32 (h, w, 2), pixels right and down.
 
     source, target: uint8 (h, w). preset: one of OpenCV's for dense inverse search. Raises

@@ -39,16 +39,16 @@ class WorkingSize(Settings):
 
 def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
     """Return height and width of an image at work: its shape, at most ``working.pixels``."""
-    scale = (working.pixels / (side(height) * side(width))).sqrt().clamp(max=1.0)
-    return whole(side(height) * scale), whole(side(width) * scale)
+    scale = (working.pixels / (side_length(height) * side_length(width))).sqrt().clamp(max=1.0)
+    return round_to_pixels(side_length(height) * scale), round_to_pixels(side_length(width) * scale)
 
 
-def side(pixels: int) -> Tensor:
+def side_length(pixels: int) -> Tensor:
     """Return the length of a side as a scalar tensor, with which a graph can compute."""
     return torch.scalar_tensor(pixels, dtype=torch.float64)
 
 
-def whole(length: Tensor, least: int = SHORTEST) -> int:
+def round_to_pixels(length: Tensor, least: int = SHORTEST) -> int:
     """Round a length, a scalar tensor, to whole pixels, ``least`` or more."""
     pixels: Any = length.round().clamp(min=least).to(torch.int64).item()
     torch._check(pixels >= least)
@@ -57,21 +57,21 @@ def whole(length: Tensor, least: int = SHORTEST) -> int:
 
 
 @cached_per_image
-def at_work(image: Tensor, working: WorkingSize) -> Tensor:
+def resize_to_work(image: Tensor, working: WorkingSize) -> Tensor:
     """Resize an image (3, H, W) to its working size; values stay in [0, 1]."""
-    return resized(image, working_size(*size_of(image), working)).clamp(0, 1)
+    return resize_maps(image, working_size(*spatial_size(image), working)).clamp(0, 1)
 
 
-def size_of(maps: Tensor) -> tuple[int, int]:
+def spatial_size(maps: Tensor) -> tuple[int, int]:
     """Return height and width of maps (…, H, W)."""
     return maps.shape[-2], maps.shape[-1]
 
 
-def resized(maps: Tensor, size: tuple[int, int]) -> Tensor:
+def resize_maps(maps: Tensor, size: tuple[int, int]) -> Tensor:
     """Resize floating-point maps (…, H, W), bilinear with antialiasing."""
-    old_size = size_of(maps)
+    old_size = spatial_size(maps)
     if torch.compiler.is_exporting():
-        rows, columns = (averaging(*sides) for sides in zip(old_size, size, strict=True))
+        rows, columns = (resize_matrix(*sides) for sides in zip(old_size, size, strict=True))
         return rows @ maps @ columns.mT
     if old_size == tuple(size):
         return maps
@@ -98,12 +98,12 @@ def _shrink(maps: Tensor, size: tuple[int, int]) -> Tensor:
     """Shrink maps (N, H, W) by matrix products: torch's but for rounding, twice as fast."""
     count, height, width = maps.shape
     rows = maps.new_empty(count, size[0], width)
-    for band in averaging_bands(height, size[0], ROWS):
+    for band in resize_bands(height, size[0], ROWS):
         weights = band.weights.expand(count, -1, -1)
         torch.bmm(weights, maps[:, band.inputs], out=rows[:, band.outputs])
     averaged = maps.new_empty(count * size[0], size[1])
     flat = rows.reshape(-1, width)
-    for band in averaging_bands(width, size[1], COLUMNS):
+    for band in resize_bands(width, size[1], COLUMNS):
         torch.mm(flat[:, band.inputs], band.weights.T, out=averaged[:, band.outputs])
     return averaged.reshape(count, *size)
 
@@ -118,7 +118,7 @@ class Band(NamedTuple):
 
 @lru_cache(maxsize=256)  # an image of a new size needs eight
 @torch.inference_mode(False)  # kept for callers in any mode
-def averaging_bands(inputs: int, outputs: int, width: int) -> tuple[Band, ...]:
+def resize_bands(inputs: int, outputs: int, width: int) -> tuple[Band, ...]:
     """Return the bands that resize a side; about ``width`` input pixels in each."""
     scale = inputs / outputs
     reach = max(scale, 1.0)
@@ -130,19 +130,19 @@ def averaging_bands(inputs: int, outputs: int, width: int) -> tuple[Band, ...]:
         ) * scale
         low = max(0, int(centre[0] - reach))
         high = min(inputs, int(centre[-1] + reach) + 1)
-        weights = triangles(torch.arange(low, high), centre, reach).to(torch.float32)
+        weights = triangle_weights(torch.arange(low, high), centre, reach).to(torch.float32)
         bands.append(Band(slice(start, start + len(centre)), slice(low, high), weights))
     return tuple(bands)
 
 
-def averaging(inputs: int, outputs: int) -> Tensor:
+def resize_matrix(inputs: int, outputs: int) -> Tensor:
     """Return the weights as one matrix (outputs, inputs), for sides known at run time only."""
-    scale = (side(inputs) / side(outputs)).to(torch.float32)
+    scale = (side_length(inputs) / side_length(outputs)).to(torch.float32)
     centre = (torch.arange(outputs) + 0.5) * scale
-    return triangles(torch.arange(inputs), centre, scale.clamp(min=1.0))
+    return triangle_weights(torch.arange(inputs), centre, scale.clamp(min=1.0))
 
 
-def triangles(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
+def triangle_weights(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
     """Return the weights (out, in) of input pixels (in,) in output pixels with centres (out,).
 
     A triangle around each centre, two input or two output pixels wide, whichever is wider, divided
@@ -153,15 +153,15 @@ def triangles(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
     return triangle / triangle.sum(1, keepdim=True)
 
 
-def at_image_size(cue: Tensor, size: tuple[int, int]) -> Tensor:
+def resize_to_image(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """Resize a cue (…, H, W) to the image: values bilinear, labels and masks nearest."""
     if torch.compiler.is_exporting() and not cue.is_floating_point():
         for axis in (-2, -1):
             index = torch.arange(size[axis]) * cue.shape[axis] // size[axis]
             cue = cue.index_select(axis, index)
         return cue
-    if cue.is_floating_point() or size_of(cue) == tuple(size):
-        return resized(cue, size)
+    if cue.is_floating_point() or spatial_size(cue) == tuple(size):
+        return resize_maps(cue, size)
     pixels = cue.cpu().numpy()
     if not pixels.any():
         return cue.new_zeros((*cue.shape[:-2], *size))

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.image_cache import cached_per_image
-from roadtorch.imaging.color import planes
+from roadtorch.imaging.color import color_planes
 
 
 def segment_mean(planes: Sequence[Tensor] | Tensor, labels: Tensor, size: Tensor) -> Tensor:
@@ -65,12 +65,12 @@ def segment_histogram(
     return counts.reshape(count, bins).to(torch.float32)
 
 
-def paint(values: Tensor, labels: Tensor) -> Tensor:
+def paint_segments(values: Tensor, labels: Tensor) -> Tensor:
     """Expand values (…, n) of segments to the pixels of labels (H, W): (…, H, W)."""
     return values.index_select(-1, labels.reshape(-1)).reshape(*values.shape[:-1], *labels.shape)
 
 
-def borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
+def segment_borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     """Find the pairs of adjacent segments and the mean of a plane along each border.
 
     labels: int64 (H, W) with n segments; plane: (H, W). Returns int64 (2, E), each pair once and
@@ -153,13 +153,13 @@ def measure_segments(image: Tensor, labels: Tensor) -> Segments:
     """Measure the segments ``labels`` (H, W) of an image (3, H, W) in [0, 1]."""
     height, width = labels.shape
     count = int(labels.max()) + 1
-    lab = planes(image, ("L", "a", "b"))
+    lab = color_planes(image, ("L", "a", "b"))
     rows = ((torch.arange(height).to(image) + 0.5) / height)[:, None].expand(height, width)
     columns = ((torch.arange(width).to(image) + 0.5) / width).expand(height, width)
-    maps = [*lab, lab[0].square(), gradient_length(lab[0]), rows, columns]
+    maps = [*lab, lab[0].square(), gradient_magnitude(lab[0]), rows, columns]
     pixels = segment_size(labels, count)
     mean = segment_mean(maps, labels, pixels)
-    pairs, between = borders(labels, border_contrast(lab))
+    pairs, between = segment_borders(labels, border_contrast(lab))
     return Segments(
         labels,
         pixels,
@@ -186,7 +186,7 @@ def border_contrast(lab: Tensor) -> Tensor:
     return _difference_squares(torch.from_numpy(smooth).to(lab.device)).sum(0).sqrt_().div_(2)
 
 
-def gradient_length(planes: Tensor) -> Tensor:
+def gradient_magnitude(planes: Tensor) -> Tensor:
     """Compute the gradient magnitude of planes (…, H, W): central differences, 0 at the edge."""
     return _difference_squares(planes).sqrt_().div_(2)
 
@@ -201,7 +201,7 @@ def _difference_squares(planes: Tensor) -> Tensor:
     return squares
 
 
-def likeness(segments: Segments, bandwidths: Bandwidths) -> Tensor:
+def segment_affinity(segments: Segments, bandwidths: Bandwidths) -> Tensor:
     """Compute affinities (n, n) in [0, 1]: Gaussian kernels of appearance and position."""
     scaled = [
         segments.color[0] / bandwidths.lightness,

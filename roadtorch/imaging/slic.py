@@ -75,7 +75,7 @@ def _cut(image: Tensor, superpixels: Superpixels) -> Tensor:
     return slic(image, max(16, round(pixels / superpixels.pixels)))
 
 
-def squares(height: int, width: int, size: int) -> Tensor:
+def square_grid(height: int, width: int, size: int) -> Tensor:
     """Divide an image into squares of ``size`` pixels: int64 labels (H, W), 0…n-1 by rows.
 
     Squares at the right and the lower edge are truncated. Source: P2, section 4 ("fixed square

@@ -16,8 +16,8 @@ import numpy as np
 from torch import Tensor
 
 from roadtorch.base.bounded import reason
-from roadtorch.base.errors import ConfigError, InputError, unknown_name
-from roadtorch.inputs.image_messages import COMPRESSED_TYPE, RAW_IMAGE_TYPE, image_of
+from roadtorch.base.errors import ConfigError, InputError, unknown_name_error
+from roadtorch.inputs.image_messages import COMPRESSED_TYPE, RAW_IMAGE_TYPE, decode_message
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def _choose_topic(origin: str, reader: "AnyReader", topic: str | None) -> str:
         raise ConfigError(origin, f"has {len(images)} topics with images", f"--topic: {hint}")
     if topic is not None and topic not in images:
         if topic not in kinds:
-            raise unknown_name("topic", topic, images)
+            raise unknown_name_error("topic", topic, images)
         raise InputError(origin, f"has {kinds[topic]} on {topic}, no images", hint)
     return topic or images[0]
 
@@ -194,7 +194,7 @@ def _bag_frames(origin: str, topic: str) -> Generator[Item]:
             frame_origin = f"{origin}:{topic}#{number}"
             read = partial(_raise_unreadable, frame_origin, message.damage)
             if message.content is not None:
-                read = partial(image_of, message.content, frame_origin)
+                read = partial(decode_message, message.content, frame_origin)
             yield Item(
                 f"{_source_name(origin)}/{number:06d}",
                 frame_origin,

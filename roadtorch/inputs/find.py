@@ -12,8 +12,8 @@ from typing import NamedTuple, TextIO
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.image import READABLE, read_image
-from roadtorch.base.urls import WEB, scheme_of, slug
+from roadtorch.base.image import READABLE_FORMATS, read_image
+from roadtorch.base.urls import WEB_SCHEMES, slug, url_scheme
 from roadtorch.inputs.bags import bag_source, is_bag
 from roadtorch.inputs.images import (
     ListedFile,
@@ -73,12 +73,12 @@ def find_inputs(
     images: list[Item] = []
     sources: list[Source] = []
     for argument in expand_lists(inputs, sys.stdin if names is None else names):
-        number, scheme, name = parse_camera(argument), scheme_of(argument), slug(argument)
+        number, scheme, name = parse_camera(argument), url_scheme(argument), slug(argument)
         if number is not None:
             sources.append(camera_source(number, selection))
         elif VIDEO_URL.match(argument):
             sources.append(video_source(argument, name, selection))
-        elif scheme in WEB and (image := open_web_image(argument)) is not None:
+        elif scheme in WEB_SCHEMES and (image := open_web_image(argument)) is not None:
             images.append(image)
         elif scheme in STREAMS:
             sources.append(stream_source(argument, name, selection))
@@ -93,7 +93,7 @@ def find_inputs(
                 else:
                     sources.append(video_source(file.path, name, selection))
             if not files:
-                raise InputError(argument, "holds no images", f"give {READABLE} files")
+                raise InputError(argument, "holds no images", f"give {READABLE_FORMATS} files")
     if inputs and not images and not sources:
         raise InputError(inputs[0], "contains no names", "give one a line")
     return Inputs(drop_duplicates(images), sources)
@@ -172,7 +172,7 @@ class FramePosition(NamedTuple):
     number: int | None
 
 
-def frame_places(inputs: Sequence[str], limit: int) -> list[FramePosition]:
+def locate_frames(inputs: Sequence[str], limit: int) -> list[FramePosition]:
     """Return the positions of at most ``limit`` frames, evenly spaced over images and videos.
 
     Raises:

@@ -9,7 +9,7 @@ from torch import Tensor
 from roadtorch.base.bounded import reason
 from roadtorch.base.decoding import check_pixels
 from roadtorch.base.errors import InputError
-from roadtorch.base.image import decode_image, from_pixels, undecodable
+from roadtorch.base.image import decode_image, from_pixels, report_decoding_errors
 
 RAW_IMAGE_TYPE = "sensor_msgs/msg/Image"
 COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
@@ -36,7 +36,7 @@ YUV = {
 READ_ENCODINGS = (*PLAIN, *(f"{name}{bits}" for name in BAYER for bits in (8, 16)), *YUV)
 
 
-def image_of(message: Any, origin: str) -> Tensor:
+def decode_message(message: Any, origin: str) -> Tensor:
     """Decode a ROS image message to sRGB in [0, 1], shape (3, H, W); 16-bit 65535 becomes 1.
 
     Args:
@@ -52,7 +52,7 @@ def image_of(message: Any, origin: str) -> Tensor:
     if message.encoding not in READ_ENCODINGS:
         problem = f"has the encoding {message.encoding!r}, which is not read"
         raise InputError(origin, problem, f"record one of {', '.join(READ_ENCODINGS)}")
-    with undecodable(origin):
+    with report_decoding_errors(origin):
         check_pixels(message.width, message.height)
     encoding = message.encoding
     try:

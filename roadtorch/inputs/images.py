@@ -14,10 +14,10 @@ from urllib.parse import urlsplit
 
 from torch import Tensor
 
-from roadtorch.base.atomic import digest_of
+from roadtorch.base.atomic import file_digest
 from roadtorch.base.errors import InputError, RoadtorchError
-from roadtorch.base.image import READABLE, SUFFIXES, decode_image, read_image
-from roadtorch.base.urls import answer, scheme_of, slug, url_bytes, without_password
+from roadtorch.base.image import IMAGE_SUFFIXES, READABLE_FORMATS, decode_image, read_image
+from roadtorch.base.urls import open_url, read_url, slug, strip_password, url_scheme
 from roadtorch.inputs.item import Item
 
 RESULT_SUFFIXES = (".likelihood.png", ".mask.png", ".overlay.jpg")  # our results, never inputs
@@ -40,7 +40,7 @@ def list_files(
     folder, or to the part of the glob before its first wildcard. InputError for a URL.
     """
     path = os.fspath(location)
-    if scheme_of(path):
+    if url_scheme(path):
         raise InputError(path, "cannot be read from a URL", "download it, or mount it")
     if glob.has_magic(path) and not os.path.exists(path):
         root = Path(*takewhile(lambda part: not glob.has_magic(part), Path(path).parts))
@@ -76,12 +76,12 @@ def is_image_name(name: str) -> bool:
     """Return whether a file name is that of an image: not hidden, no result of roadtorch."""
     name = name.lower()
     is_ours = name.endswith(RESULT_SUFFIXES) or ".cue." in name
-    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_ours
+    return name.endswith(IMAGE_SUFFIXES) and not name.startswith(".") and not is_ours
 
 
 def make_image_item(path: Path, name: str) -> Item:
     """Make an item of an image file."""
-    read, digest = partial(read_image, path), partial(digest_of, path)
+    read, digest = partial(read_image, path), partial(file_digest, path)
     return Item(name, str(path), read, digest, path.suffix, path)
 
 
@@ -97,7 +97,7 @@ def open_web_image(url: str) -> Item | None:
     path = PurePosixPath(urlsplit(url).path)
     name, is_named = slug(path.with_suffix("").as_posix()), is_image_name(path.name)
     try:
-        with answer(url) as response:
+        with open_url(url) as response:
             kind = response.headers.get_content_maintype()
     except InputError:
         if is_named:
@@ -112,11 +112,11 @@ def open_web_image(url: str) -> Item | None:
 @lru_cache(maxsize=1)
 def _remote_bytes(url: str) -> bytes:
     """Download an image; the last one is cached, so that reading and hashing take one transfer."""
-    return url_bytes(url)
+    return read_url(url)
 
 
 def _read_remote(url: str) -> Tensor:
-    return decode_image(_remote_bytes(url), without_password(url))
+    return decode_image(_remote_bytes(url), strip_password(url))
 
 
 def _digest_remote(url: str) -> str:
@@ -154,7 +154,7 @@ def find_images(
     for location in inputs:
         images += (listed := list_images(location, exclude))
         if not listed:
-            raise InputError(location, "holds no images", f"give {READABLE} files")
+            raise InputError(location, "holds no images", f"give {READABLE_FORMATS} files")
     return drop_duplicates(images)
 
 

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from roadtorch.base.atomic import digest_of, digest_of_folder
-from roadtorch.base.bounded import printable
+from roadtorch.base.atomic import file_digest, folder_digest
+from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import ConfigError, InputError
 
 _Value = TypeVar("_Value")
@@ -54,7 +54,7 @@ class Item:
     @property
     def row_name(self) -> str:
         """Name in index.csv: that of the results with the suffix of the file."""
-        return printable(self.name + self.suffix)
+        return to_printable(self.name + self.suffix)
 
     @property
     def clock(self) -> float:
@@ -134,7 +134,7 @@ class Source:
     @property
     def row_name(self) -> str:
         """Name in index.csv: that of the results with the suffix of the file."""
-        return printable(self.name + self._location.suffix)
+        return to_printable(self.name + self._location.suffix)
 
     @property
     def _location(self) -> Path:
@@ -143,9 +143,9 @@ class Source:
     def digest(self) -> str:
         """Return the SHA-256 of the file, or of the files in a folder; "" if there is none."""
         path = self._location
-        return digest_of_folder(path) if path.is_dir() else digest_of(path)
+        return folder_digest(path) if path.is_dir() else file_digest(path)
 
-    def sampled(self, limit: int) -> "Source":
+    def subsample(self, limit: int) -> "Source":
         """Return a source of at most ``limit`` evenly spaced items, the first ones if uncounted."""
         chosen = Selection(every=max(1, (self.count or 0) // limit), limit=limit)
         return replace(self, items=lambda: chosen.select(self.items()), count=None)

@@ -12,10 +12,10 @@ from threading import Event, Thread
 import cv2
 from torch import Tensor
 
-from roadtorch.base.decoding import quiet_opencv
+from roadtorch.base.decoding import silence_opencv
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import from_pixels
-from roadtorch.base.urls import without_password
+from roadtorch.base.urls import strip_password
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.video import ffmpeg_reason, first_video_stream, import_av, upright_image
 
@@ -58,7 +58,7 @@ def stream_source(
 ) -> Source:
     """Make a live source of a stream's URL (RTSP, HTTP, RTMP, UDP, SRT)."""
     connect = partial(_read_stream, url, policy)
-    return live_source(connect, name, without_password(url), selection, policy)
+    return live_source(connect, name, strip_password(url), selection, policy)
 
 
 def live_source(
@@ -141,7 +141,7 @@ def _fill_queue(
 
 def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor]]:
     """Yield the frames of one connection to a stream."""
-    av, origin = import_av(), without_password(url)
+    av, origin = import_av(), strip_password(url)
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
         with av.open(url, options=options, timeout=policy.timeout) as container:
@@ -159,7 +159,7 @@ def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor
 
 def _read_camera(number: int) -> Generator[Callable[[], Tensor]]:
     """Yield the frames of a camera by OpenCV; PyAV's wheels lack FFmpeg's camera input."""
-    with quiet_opencv():
+    with silence_opencv():
         camera = cv2.VideoCapture(number)
     try:
         if not camera.isOpened():

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from torch import Tensor
 
-from roadtorch.base.decoding import check_pixels, most_megapixels
+from roadtorch.base.decoding import check_pixels, max_megapixels
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.image import from_pixels, undecodable
+from roadtorch.base.image import from_pixels, report_decoding_errors
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
@@ -114,10 +114,10 @@ def first_video_stream(path: Path | str, container: "InputContainer") -> "VideoS
     stream = videos[0]
     if stream.codec_context is None:
         raise InputError(path, "uses a codec that FFmpeg cannot decode", "convert it to H.264")
-    with undecodable(path):
+    with report_decoding_errors(path):
         check_pixels(stream.codec_context.width, stream.codec_context.height)
     # A frame may be larger than the header says.
-    stream.codec_context.options = {"max_pixels": f"{most_megapixels() * 1e6:.0f}"}
+    stream.codec_context.options = {"max_pixels": f"{max_megapixels() * 1e6:.0f}"}
     # Threads decode the same images, except for damaged VP8, which shows stale memory.
     stream.thread_type = "NONE" if stream.codec_context.name == "vp8" else "AUTO"
     return stream

@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import size_of
-from roadtorch.layout.image_network import OUTPUTS, compute_cues, coordinate_planes
+from roadtorch.imaging.resize import spatial_size
+from roadtorch.layout.image_network import NUM_OUTPUTS, compute_cues, coordinate_planes
 from roadtorch.layout.patch_network import Normalisation
 
 
@@ -73,7 +73,7 @@ class BackboneNetworkSettings(Settings):
     normalisation: Normalisation = Normalisation(kind="none")
 
 
-class SamePadded(nn.Conv2d):
+class Conv2dSame(nn.Conv2d):
     """A convolution with bias, padded as in TensorFlow: at stride 2, one pixel more at the end."""
 
     def __init__(
@@ -110,9 +110,9 @@ class Bottleneck(nn.Module):
     def __init__(self, block: Block) -> None:
         super().__init__()
         middle = block.inputs * block.expansion
-        self.widen = SamePadded(block.inputs, middle, 1, 1) if block.expansion > 1 else None
-        self.look = SamePadded(middle, middle, block.kernel, block.stride, middle)
-        self.narrow = SamePadded(middle, block.outputs, 1, 1)
+        self.widen = Conv2dSame(block.inputs, middle, 1, 1) if block.expansion > 1 else None
+        self.look = Conv2dSame(middle, middle, block.kernel, block.stride, middle)
+        self.narrow = Conv2dSame(middle, block.outputs, 1, 1)
         self.has_shortcut = block.stride == 1 and block.inputs == block.outputs
 
     def forward(self, maps: Tensor) -> Tensor:
@@ -128,7 +128,7 @@ class Backbone(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.stem = SamePadded(3, STEM, 3, 2)
+        self.stem = Conv2dSame(3, STEM, 3, 2)
         self.blocks = nn.ModuleList(Bottleneck(block) for block in BLOCKS)
 
     def forward(self, images: Tensor) -> list[Tensor]:
@@ -157,7 +157,7 @@ class Head(nn.Module):
         )
         self.narrowed = nn.Conv2d(wide, narrow, 1)
         self.last = nn.Conv2d(narrow, narrow, 3, padding=1)
-        self.scores = nn.Conv2d(narrow, OUTPUTS, 1)
+        self.scores = nn.Conv2d(narrow, NUM_OUTPUTS, 1)
         self.drop = nn.Dropout2d(0.15)
 
     def forward(self, features: list[Tensor]) -> Tensor:
@@ -166,12 +166,12 @@ class Head(nn.Module):
         eighth, *coarser = (f(maps) for f, maps in zip(self.middle, levels[1:], strict=True))
         maps = eighth + self.place(coordinate_planes(eighth))
         for level in coarser:
-            maps = maps + _resize(level, size_of(eighth))
+            maps = maps + _resize(level, spatial_size(eighth))
         maps = F.relu(maps)
         for convolution in self.around:
             maps = maps + F.relu(convolution(maps))
         fine = self.fine(levels[0])
-        fine = F.relu(fine + _resize(self.narrowed(maps), size_of(fine)))
+        fine = F.relu(fine + _resize(self.narrowed(maps), spatial_size(fine)))
         return self.scores(fine + F.relu(self.last(fine)))
 
 

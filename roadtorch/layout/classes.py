@@ -12,14 +12,14 @@ SKY, VERTICAL, HORIZONTAL = range(3)
 
 UNLABELLED = 255
 
-NAMES = ("sky", "vertical", "horizontal")
+CLASS_NAMES = ("sky", "vertical", "horizontal")
 
-CLASSES = len(NAMES)
+NUM_CLASSES = len(CLASS_NAMES)
 
 LAYOUT_COLOURS = (SKY_BLUE, (213, 94, 0), (0, 158, 115))  # sky, vertical, horizontal
 
 
-def layout_colours(labels: Tensor) -> Tensor:
+def colour_layout(labels: Tensor) -> Tensor:
     """Return layout labels (H, W) as an image (3, H, W); unlabelled pixels are black."""
     table = torch.tensor([*LAYOUT_COLOURS, (0, 0, 0)]) / 255
     return table[labels.long().clamp(max=len(LAYOUT_COLOURS))].permute(2, 0, 1)
@@ -28,14 +28,14 @@ def layout_colours(labels: Tensor) -> Tensor:
 MIN_POTENTIAL = 1e-4
 """Lower bound of potentials in a pool, so that no prediction alone vetoes a class."""
 
-Share = Annotated[
+NetworkWeight = Annotated[
     float,
     Field(ge=0, le=1, description="weight of the network against the machine labels"),
 ]
-"""Setting: the ``weight`` of ``pooled``, where the second prediction is a network's."""
+"""Setting: the ``weight`` of ``opinion_pool``, where the second prediction is a network's."""
 
 
-def pooled(first: Tensor, second: Tensor, weight: float) -> Tensor:
+def opinion_pool(first: Tensor, second: Tensor, weight: float) -> Tensor:
     """Return the logarithmic opinion pool of two predictions (3, …); it sums to 1 over the classes.
 
     Source: Genest and Zidek, "Combining Probability Distributions", Statistical Science 1986.

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import resized, size_of
-from roadtorch.layout.classes import CLASSES
+from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.patch_network import Normalisation, normalise
 
 DILATIONS = (1, 2, 4, 8, 1)
@@ -25,10 +25,10 @@ DILATIONS = (1, 2, 4, 8, 1)
 GROUP_SIZE = 8
 """Channels in a group of the group normalisation; widths are multiples of it."""
 
-ROAD, EGO = CLASSES, CLASSES + 1
+ROAD_OUTPUT, EGO = NUM_CLASSES, NUM_CLASSES + 1
 """Channels of the outputs after the classes of the layout."""
 
-OUTPUTS = CLASSES + 2
+NUM_OUTPUTS = NUM_CLASSES + 2
 
 NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
 """Factor on a network's working size."""
@@ -74,7 +74,7 @@ class ImageNetwork(nn.Module):
         self.to_quarter = ConvBlock(2 * narrow, 2 * narrow)
         self.narrowed_half = nn.Conv2d(2 * narrow, narrow, 1)
         self.to_half = ConvBlock(narrow, narrow)
-        self.heads = nn.Conv2d(narrow, OUTPUTS, 1)
+        self.heads = nn.Conv2d(narrow, NUM_OUTPUTS, 1)
 
     def last_layers(self) -> list[nn.Conv2d]:
         """Return the convolution that computes the scores, as a list of one."""
@@ -83,7 +83,7 @@ class ImageNetwork(nn.Module):
     def forward(self, pixels: Tensor) -> Tensor:
         """Return scores (B, 5, H/2, W/2) of normalised images (B, 3, H, W): classes, road, ego.
 
-        H and W must be multiples of 8. ``potentials_of`` turns scores into potentials.
+        H and W must be multiples of 8. ``scores_to_potentials`` turns scores into potentials.
         """
         half = self.first(torch.cat([pixels, coordinate_planes(pixels)], 1))
         quarter = self.second(half)
@@ -103,16 +103,16 @@ def compute_cues(network: nn.Module, image: Tensor, settings: Any) -> Mapping[st
 
     settings: its height, width and normalisation. Takes a batch (N, 3, H, W) in an exported graph.
     """
-    small = resized(image, (settings.height, settings.width)).clamp(0, 1)
+    small = resize_maps(image, (settings.height, settings.width)).clamp(0, 1)
     pixels = normalise(small, settings.normalisation).pixels
     batch = pixels if pixels.ndim == 4 else pixels[None]
-    potentials = potentials_of(network(batch.to(next(network.parameters()))).to(image))
-    potentials = resized(potentials if pixels.ndim == 4 else potentials[0], size_of(image))
-    layout, road, ego = potentials.clamp(0, 1).split([CLASSES, 1, 1], -3)
+    potentials = scores_to_potentials(network(batch.to(next(network.parameters()))).to(image))
+    potentials = resize_maps(potentials if pixels.ndim == 4 else potentials[0], spatial_size(image))
+    layout, road, ego = potentials.clamp(0, 1).split([NUM_CLASSES, 1, 1], -3)
     return {"layout": layout, "road": road.squeeze(-3), "ego": ego.squeeze(-3)}
 
 
-def scaled(height: int, width: int, scale: float) -> tuple[int, int]:
+def scale_size(height: int, width: int, scale: float) -> tuple[int, int]:
     """Scale a working size to multiples of ``SIZE_STEP``; at scale 1 it is unchanged."""
     if scale == 1:
         return height, width
@@ -170,6 +170,6 @@ def coordinate_planes(pixels: Tensor) -> Tensor:
     return torch.stack([sideways, down]).expand(batch, 2, height, width)
 
 
-def potentials_of(scores: Tensor) -> Tensor:
+def scores_to_potentials(scores: Tensor) -> Tensor:
     """Return potentials of scores (B, 5, …): softmax of the layout, sigmoids of road and ego."""
-    return torch.cat([scores[:, :CLASSES].softmax(1), scores[:, CLASSES:].sigmoid()], 1)
+    return torch.cat([scores[:, :NUM_CLASSES].softmax(1), scores[:, NUM_CLASSES:].sigmoid()], 1)

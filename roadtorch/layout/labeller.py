@@ -17,18 +17,18 @@ from torch import Tensor
 
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.color import Exposure, brightened
-from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
+from roadtorch.imaging.color import Exposure, brighten
+from roadtorch.imaging.resize import WorkingSize, resize_to_image, resize_to_work, spatial_size
 from roadtorch.imaging.segments import (
     Bandwidths,
     Segments,
     class_log_density,
-    likeness,
     measure_segments,
-    paint,
+    paint_segments,
+    segment_affinity,
 )
 from roadtorch.imaging.slic import Superpixels
-from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY, UNLABELLED, VERTICAL
+from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY, UNLABELLED, VERTICAL
 
 UNSCALED_ROWS = 32
 """Rows of two chains whose product float64 holds; each factor is at least 1e-4."""
@@ -167,20 +167,22 @@ def label_layout(
         Potentials and labels at the size of the image.
     """
     settings, superpixels = settings or LabellerSettings(), superpixels or Superpixels()
-    small = at_work(image, working or WorkingSize())
-    labelled = label_whole(small, settings, superpixels, settings.min_margin)
-    return LayoutLabels(*(at_image_size(cue, size_of(image)) for cue in labelled))
+    small = resize_to_work(image, working or WorkingSize())
+    labelled = label_at_image_size(small, settings, superpixels, settings.min_margin)
+    return LayoutLabels(*(resize_to_image(cue, spatial_size(image)) for cue in labelled))
 
 
-def label_whole(
+def label_at_image_size(
     image: Tensor, settings: HorizonSettings, superpixels: Superpixels, margin: float = MIN_MARGIN
 ) -> LayoutLabels:
     """Label an image as ``label_layout`` does, at the image's own size."""
-    bright = brightened(image, EXPOSURE)
+    bright = brighten(image, EXPOSURE)
     segments = measure_segments(bright, superpixels.cut(bright))
     potentials = segment_layout(segments, settings.rules)
     labels = decide_layout(potentials, margin)
-    return LayoutLabels(paint(potentials.T, segments.labels), paint(labels, segments.labels))
+    return LayoutLabels(
+        paint_segments(potentials.T, segments.labels), paint_segments(labels, segments.labels)
+    )
 
 
 @cached_per_image
@@ -195,7 +197,7 @@ def segment_layout(segments: Segments, rules: LabellerRules = LABELLER_RULES) ->
     prior[:, SKY] += sky_evidence(segments, rules.sky)
     prior = prior.log_softmax(1)
     samples = column_samples(segments.labels, rules.order.step)
-    affinity = likeness(segments, rules.bandwidths)
+    affinity = segment_affinity(segments, rules.bandwidths)
     belief = prior.exp()
     for _ in range(rules.rounds):
         evidence = class_log_density(affinity, belief, segments.size)
@@ -241,18 +243,18 @@ def smooth_columns(scores: Tensor, samples: np.ndarray, order: ColumnChain) -> T
     """
     local = (order.weight * scores.to(torch.float64)).softmax(1).clamp_min_(1e-4).cpu().numpy()
     posterior = _chain_posterior(local.take(samples, 0), _transitions(order.change, order.breach))
-    index = (CLASSES * samples.reshape(-1, 1) + np.arange(CLASSES)).reshape(-1)
+    index = (NUM_CLASSES * samples.reshape(-1, 1) + np.arange(NUM_CLASSES)).reshape(-1)
     belief = np.bincount(index, posterior.reshape(-1), minlength=local.size).reshape(local.shape)
     unsampled = ~belief.any(1)  # these segments keep their own evidence
     belief[unsampled] = local[unsampled]
-    belief /= belief @ np.ones((CLASSES, 1))
+    belief /= belief @ np.ones((NUM_CLASSES, 1))
     return torch.from_numpy(belief).to(scores)
 
 
 @lru_cache(maxsize=8)
 def _transitions(change: float, breach: float) -> np.ndarray:
     """Return transition probabilities (6, 6): a block (3, 3) down, a block (3, 3) up."""
-    move = np.full((CLASSES, CLASSES), breach)
+    move = np.full((NUM_CLASSES, NUM_CLASSES), breach)
     move[SKY, VERTICAL] = move[VERTICAL, HORIZONTAL] = change
     np.fill_diagonal(move, 0)
     np.fill_diagonal(move, 1 - move.sum(1))
@@ -269,12 +271,12 @@ def _chain_posterior(evidence: np.ndarray, transitions: np.ndarray) -> np.ndarra
     for row in range(1, len(states)):
         previous = states[row - 1]
         if row % UNSCALED_ROWS == 0:  # rescale each of the two chains to sum 1
-            chains = previous.reshape(-1, 2, CLASSES)
+            chains = previous.reshape(-1, 2, NUM_CLASSES)
             previous = (chains / chains.sum(2, keepdims=True)).reshape(previous.shape)
         states[row] *= previous @ transitions
-    down, up = states[..., :CLASSES], states[::-1, :, CLASSES:]
+    down, up = states[..., :NUM_CLASSES], states[::-1, :, NUM_CLASSES:]
     posterior = down * up / evidence
-    return posterior / (posterior @ np.ones((CLASSES, 1)))  # a sum over three, faster
+    return posterior / (posterior @ np.ones((NUM_CLASSES, 1)))  # a sum over three, faster
 
 
 def decide_layout(potentials: Tensor, margin: float = MIN_MARGIN) -> Tensor:

@@ -15,9 +15,9 @@ from torch.nn import functional as F
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.color import Exposure, brightened, plane
+from roadtorch.imaging.color import Exposure, brighten, color_plane
 from roadtorch.imaging.resize import WorkingSize
-from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.classes import NUM_CLASSES
 
 MIN_KERNEL, MAX_KERNEL = 5, 13
 
@@ -134,7 +134,7 @@ def normalise(image: Tensor, normalisation: Normalisation) -> NormalisedImage:
     if normalisation.kind == "none":
         return NormalisedImage(image, 1.0)
     if normalisation.kind.startswith("brightened"):
-        image = brightened(image, normalisation.exposure)
+        image = brighten(image, normalisation.exposure)
     if normalisation.kind.endswith("image"):
         centred = image - image.mean((-2, -1), keepdim=True)
         if torch.compiler.is_exporting():
@@ -159,8 +159,8 @@ class PatchNetworkSettings(Settings):
 class PatchNetwork(nn.Module):
     """CNN-7 and its family (P2, section 3 and Fig. 2).
 
-    ``forward`` takes normalised patches, ``dense`` normalised whole images, ``potentials`` an image
-    as read.
+    ``forward`` takes normalised patches, ``forward_dense`` normalised whole images, ``potentials``
+    an image as read.
     """
 
     kind: ClassVar[str] = "patches"
@@ -173,7 +173,7 @@ class PatchNetwork(nn.Module):
         shape = self.settings.topology
         self.first = nn.Conv2d(3 if shape.input == "colour" else 1, shape.k1, shape.size1)
         self.second = nn.Conv2d(shape.k1, shape.k2, shape.size2)
-        self.last = nn.Conv2d(shape.k2, CLASSES, shape.size3)
+        self.last = nn.Conv2d(shape.k2, NUM_CLASSES, shape.size3)
         table = connection_table(shape.k1, shape.k2, shape.connections)
         self.register_buffer("table", table[:, :, None, None].float(), persistent=False)
         with torch.no_grad():  # initial variance as for a kernel connected to all maps
@@ -189,7 +189,7 @@ class PatchNetwork(nn.Module):
             maps = pool(maps, 2)
         return self._activate(self.last(maps)).flatten(1)
 
-    def dense(self, pixels: Tensor) -> Tensor:
+    def forward_dense(self, pixels: Tensor) -> Tensor:
         """Return potentials (…, 3, H, W) for each pixel of normalised images (…, 3, H, W).
 
         Equal to ``forward`` on the patch around each pixel, computed once for all: subsampling
@@ -198,7 +198,7 @@ class PatchNetwork(nn.Module):
         reflected.
         """
         shape = self.settings.topology
-        maps = self._input_planes(reflected(pixels, shape.patch))
+        maps = self._input_planes(reflect_pad(pixels, shape.patch))
         maps = _pool_densely(self.first(maps).tanh(), 1, shape.pooling)
         maps = F.conv2d(maps, self.second.weight * self.table, self.second.bias, dilation=2).tanh()
         if shape.subsamplings == 2:
@@ -210,13 +210,13 @@ class PatchNetwork(nn.Module):
     def potentials(self, image: Tensor) -> Tensor:
         """Return potentials (3, H, W) for each pixel of an image (3, H, W) in [0, 1]."""
         pixels = normalise(image, self.settings.normalisation).pixels
-        return self.dense(pixels.to(self.first.weight)).to(image)
+        return self.forward_dense(pixels.to(self.first.weight)).to(image)
 
     def _input_planes(self, pixels: Tensor) -> Tensor:
         """Return the input of the first layer: pixels (…, 3, H, W), or their luma (…, 1, H, W)."""
         if self.settings.topology.input == "colour":
             return pixels
-        return plane(pixels, "grey").unsqueeze(-3)
+        return color_plane(pixels, "grey").unsqueeze(-3)
 
     def _activate(self, scores: Tensor) -> Tensor:
         if self.settings.topology.potentials == "softmax":
@@ -235,7 +235,7 @@ def connection_table(k1: int, k2: int, connections: int) -> Tensor:
     return offset < (connections or k1)
 
 
-def reflected(pixels: Tensor, patch: int) -> Tensor:
+def reflect_pad(pixels: Tensor, patch: int) -> Tensor:
     """Pad pixels (…, H, W) by reflection so that each has its patch.
 
     P/2 pixels before and P/2 - 1 after; reflected repeatedly where the image is smaller.

@@ -15,9 +15,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from roadtorch.base.atomic import atomic
+from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import reason
-from roadtorch.base.errors import ConfigError, WeightsError, shortened
+from roadtorch.base.errors import ConfigError, WeightsError, truncate_middle
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
@@ -71,10 +71,10 @@ def save_network(
         "kind": network.kind,
         "settings": network.settings.model_dump(),
         "origin": dict(origin),
-        "sha256": tensors_hash(tensors),
+        "sha256": hash_tensors(tensors),
     }
     data = save(tensors, {HEADER_KEY: json.dumps(header, sort_keys=True)})
-    with atomic(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(data)
 
 
@@ -98,11 +98,11 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     except ConfigError as error:
         message = f"has settings that this version cannot use: {error.where} {error.problem}"
         raise WeightsError(path, message, "use the version of roadtorch that wrote it") from None
-    fill(network, tensors, path)
+    load_tensors(network, tensors, path)
     return network.eval()
 
 
-def network_at(network: WholeImageNetwork, height: int, width: int) -> WholeImageNetwork:
+def resize_network(network: WholeImageNetwork, height: int, width: int) -> WholeImageNetwork:
     """Return a copy of a convolutional network for images of another size."""
     resized = copy.deepcopy(network)
     settings = network.settings.model_copy(update={"height": height, "width": width})
@@ -127,9 +127,9 @@ def weights_path(text: str) -> Path:
     return shipped if is_shipped else Path(text)
 
 
-def terms_of(path: Path) -> str:
+def read_terms(path: Path) -> str:
     """Return the terms of use on the card beside weights, or an empty string."""
-    row = TERMS_ROW.search(card_of(path))
+    row = TERMS_ROW.search(read_card(path))
     return row[1] if row else ""
 
 
@@ -138,7 +138,7 @@ def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
     return _read(Path(path))[0].origin
 
 
-def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
+def read_correction_runs(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
     """Return the training runs on human corrections behind weights; none: label-free.
 
     Each counts ``images`` and ``pixels``. Raises WeightsError as ``load_network`` does.
@@ -147,21 +147,23 @@ def people_behind(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
     return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
 
 
-def corrected_images(settings: Mapping[str, Any]) -> int:
+def count_corrected_images(settings: Mapping[str, Any]) -> int:
     """Count the human-corrected images behind a detector's settings; 0 if label-free."""
     groups = [settings.get(name) for name in ("weights", "second")]
     files = [group.get("file") for group in groups if isinstance(group, Mapping)]
-    runs = [run for file in files if file for run in people_behind(weights_path(file))]
+    runs = [run for file in files if file for run in read_correction_runs(weights_path(file))]
     return sum(int(run.get("images", 0)) for run in runs)
 
 
-def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
+def load_tensors(
+    network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathLike[str]
+) -> None:
     """Load tensors into a network; raise WeightsError where they do not fit or are not finite."""
     try:
         network.load_state_dict(dict(tensors))
     except RuntimeError as error:
         _, first, *_ = str(error).splitlines()
-        message = f"holds another network: {shortened(first.strip(), MAX_MISMATCH_LENGTH)}"
+        message = f"holds another network: {truncate_middle(first.strip(), MAX_MISMATCH_LENGTH)}"
         raise WeightsError(path, message, "use weights of this network") from None
     for name, values in network.state_dict().items():
         if not values.isfinite().all():
@@ -169,7 +171,7 @@ def fill(network: nn.Module, tensors: Mapping[str, Tensor], path: str | os.PathL
             raise WeightsError(path, message, "download or train it again")
 
 
-def tensors_hash(tensors: Mapping[str, Tensor]) -> str:
+def hash_tensors(tensors: Mapping[str, Tensor]) -> str:
     """Return the SHA-256 of named tensors: sorted names, types, shapes and bytes."""
     digest = sha256()
     for name, value in sorted(tensors.items()):
@@ -204,13 +206,13 @@ def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
     if header.format > FORMAT_VERSION:
         message = f"has format {header.format}; this roadtorch reads up to {FORMAT_VERSION}"
         raise WeightsError(path, message, "install a newer roadtorch")
-    if header.sha256 is not None and header.sha256 != tensors_hash(tensors):
+    if header.sha256 is not None and header.sha256 != hash_tensors(tensors):
         message = "is damaged: its weights do not match the hash in its header"
         raise WeightsError(path, message, "download or train it again")
     return header, tensors
 
 
-def card_of(path: Path) -> str:
+def read_card(path: Path) -> str:
     """Return the text of the card beside a weight file, or an empty string."""
     card = path.with_suffix(".md")
     return card.read_text(encoding="utf-8", errors="replace") if card.is_file() else ""
@@ -221,7 +223,7 @@ def card_of(path: Path) -> str:
 
 NetworkT = TypeVar("NetworkT", bound=LayoutNetwork)
 
-FOR_IMAGES = "backbone-free"
+DEFAULT_WEIGHTS = "backbone-free"
 """Default weights of `fusion`."""
 
 
@@ -235,7 +237,7 @@ class WeightsFile(Settings):
     )
 
 
-def network_of(weights: WeightsFile, shipped: str, *kinds: type[NetworkT]) -> NetworkT:
+def load_configured_network(weights: WeightsFile, shipped: str, *kinds: type[NetworkT]) -> NetworkT:
     """Load the weights that settings choose, or else the shipped ones of a name.
 
     Raises WeightsError for a file that cannot be used, or that holds no network of these kinds.
@@ -250,11 +252,11 @@ def network_of(weights: WeightsFile, shipped: str, *kinds: type[NetworkT]) -> Ne
     return network
 
 
-def image_network_of(weights: WeightsFile, shipped: str) -> WholeImageNetwork:
-    """Load a network for whole images as ``network_of`` does, and run it once.
+def load_image_network(weights: WeightsFile, shipped: str) -> WholeImageNetwork:
+    """Load a network for whole images as ``load_configured_network`` does, and run it once.
 
     Torch compiles its convolutions in the first run, which takes twice as long as later ones.
     """
-    network = network_of(weights, shipped, ImageNetwork, BackboneNetwork)
+    network = load_configured_network(weights, shipped, ImageNetwork, BackboneNetwork)
     network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network

@@ -1,14 +1,14 @@
 """One-class colour classification (P3): learn the colours of road from one image.
 
-from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
+from roadtorch.oneclass import CLASSIFIERS, make_axes, fit
 
-fitted = fit(CLASSIFIERS["robust_gaussian"], samples, axes_of(("H", "S")))
+fitted = fit(CLASSIFIERS["robust_gaussian"], samples, make_axes(("H", "S")))
 fitted.likelihood(pixels)
 """
 
 from roadtorch.oneclass import boundary, density, histogram, mixture, neighbours, reconstruction
-from roadtorch.oneclass.axes import Axes, axes_of
-from roadtorch.oneclass.base import Classifier, ClassifierSettings, Fitted, fit
+from roadtorch.oneclass.axes import Axes, make_axes
+from roadtorch.oneclass.base import Classifier, ClassifierSettings, FittedClassifier, fit
 
 CLASSIFIERS: dict[str, Classifier] = {
     classifier.name: classifier
@@ -33,7 +33,7 @@ __all__ = [
     "Axes",
     "Classifier",
     "ClassifierSettings",
-    "Fitted",
-    "axes_of",
+    "FittedClassifier",
     "fit",
+    "make_axes",
 ]

@@ -13,13 +13,13 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from roadtorch.base.errors import unknown_name
+from roadtorch.base.errors import unknown_name_error
 from roadtorch.imaging.color import PLANES
 
 Hue = Literal["unrolled", "linear"]
 """Reading of hue: distance along the circle from the samples' mean, or a plain number.
 
-``unrolled`` is exact within half a turn; ``linear`` is cut at red, as P3's column H suggests.
+``unroll_hue`` is exact within half a turn; ``linear`` is cut at red, as P3's column H suggests.
 """
 
 MIN_MEAN_LENGTH = 1e-6
@@ -51,11 +51,11 @@ class Axes:
         return self.span / 255
 
 
-def axes_of(planes: Sequence[str]) -> Axes:
+def make_axes(planes: Sequence[str]) -> Axes:
     """Return the axes of colour planes by name; raise ConfigError for an unknown one."""
     for name in planes:
         if name not in PLANES:
-            raise unknown_name("plane", name, PLANES)
+            raise unknown_name_error("plane", name, PLANES)
     infos = [PLANES[name] for name in planes]
     return Axes(
         tuple(planes),
@@ -96,7 +96,7 @@ def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
     return torch.stack(means)
 
 
-def unrolled(hues: Tensor, mean: Tensor | float) -> Tensor:
+def unroll_hue(hues: Tensor, mean: Tensor | float) -> Tensor:
     """Return hues in turns as their distance along the circle from a mean, in [-0.5, 0.5]."""
     turns = hues - mean
     return turns.sub_(turns.round())  # faster than a remainder

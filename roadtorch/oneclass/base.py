@@ -110,13 +110,13 @@ class Classifier:
     single_plane_error: str = ""
     paper: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def refuses(self, planes: int) -> str:
+    def refusal(self, planes: int) -> str:
         """Return why it cannot work with that number of planes, or an empty string."""
         return self.single_plane_error if planes == 1 else ""
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedClassifier:
     """A classifier fitted to samples by ``fit``.
 
     ``hues`` (d,) are the mean hues of circular axes, else 0; ``threshold`` () is the distance of
@@ -152,9 +152,9 @@ class Fitted:
 
     def likelihood(self, pixels: Tensor) -> Tensor:
         """Return 1 / (1 + √(distance/t)) of pixels (n, d): float32 (n,), 0.5 at the threshold."""
-        return self.squashed(self.distance(pixels))
+        return self.to_likelihood(self.distance(pixels))
 
-    def squashed(self, distance: Tensor) -> Tensor:
+    def to_likelihood(self, distance: Tensor) -> Tensor:
         """Convert distances of any shape to likelihoods."""
         return (distance / self.threshold).sqrt_().add_(1).reciprocal_()
 
@@ -169,7 +169,7 @@ def fit(
     axes: Axes,
     settings: ClassifierSettings | None = None,
     generator: torch.Generator | None = None,
-) -> Fitted:
+) -> FittedClassifier:
     """Fit a classifier to samples of road; samples with a non-finite value are ignored.
 
     Args:
@@ -185,7 +185,7 @@ def fit(
     """
     settings = classifier.settings() if settings is None else settings
     generator = torch.Generator().manual_seed(0) if generator is None else generator
-    if reason := classifier.refuses(len(axes)):
+    if reason := classifier.refusal(len(axes)):
         raise ConfigError(classifier.name, reason, "choose other planes or another classifier")
     _check_table("samples", samples, len(axes))
     samples = samples.detach().to(torch.float32)  # the type of scored pixels
@@ -198,7 +198,9 @@ def fit(
     planes = arrange_planes(samples.T, axes, settings.hue, hues)
     model = classifier.fit(RoadSamples(planes.T.double(), inner, generator), settings)
     threshold = _threshold(model, planes, inner, settings.rejected)
-    return Fitted(axes, settings.hue, hues, model, torch.tensor(threshold, dtype=torch.float32))
+    return FittedClassifier(
+        axes, settings.hue, hues, model, torch.tensor(threshold, dtype=torch.float32)
+    )
 
 
 def _check_table(where: str, values: Tensor, dimensions: int) -> None:

@@ -35,7 +35,7 @@ class GaussianSettings(ClassifierSettings):
 
 @cache
 @torch.inference_mode(False)  # cached for callers in any mode
-def floor_of(axes: Axes) -> Tensor:
+def variance_floor(axes: Axes) -> Tensor:
     """Return the variance of rounding to 256 levels, quantum²/12: float64 (d,).
 
     Added to covariances, so that constant planes give a finite, ordered distance.
@@ -117,7 +117,7 @@ def gaussian(mean: Tensor, covariance: Tensor, settings: GaussianSettings) -> Di
 def fit_gaussian(road: RoadSamples, settings: GaussianSettings) -> DistanceModel:
     """Fit mean and covariance to the samples."""
     mean, covariance = moments(road.samples)
-    covariance = regularise(covariance, settings.ridge, floor_of(road.axes))
+    covariance = regularise(covariance, settings.ridge, variance_floor(road.axes))
     return gaussian(mean, covariance, settings)
 
 
@@ -145,7 +145,7 @@ def reweighted(
     deviations, which few outliers change.
     """
     reach = chi_quantile(1 - min(max(settings.rejected, 1e-6), 1 - 1e-6), len(axes))
-    floor, limit = floor_of(axes), MEAN_TOLERANCE * axes.span
+    floor, limit = variance_floor(axes), MEAN_TOLERANCE * axes.span
     mean = samples.median(0).values
     spread = 1.4826 * (samples - mean).abs().median(0).values
     covariance = torch.diag(spread.square() + floor)

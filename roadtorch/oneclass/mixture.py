@@ -12,7 +12,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
-from roadtorch.oneclass.density import floor_of, whitening_matrix
+from roadtorch.oneclass.density import variance_floor, whitening_matrix
 
 MAX_EM_ROUNDS = 100
 """Most rounds of expectation maximisation."""
@@ -201,7 +201,7 @@ def fit_mixture(road: RoadSamples, settings: MixtureSettings) -> DistanceModel:
     centre, generator = road.samples.mean(0), road.generator
     samples = road.samples - centre
     max_count = min(settings.components, len(samples.unique(dim=0)))
-    widening = WIDENING * samples.square().mean() + floor_of(road.axes)
+    widening = WIDENING * samples.square().mean() + variance_floor(road.axes)
     if isinstance(settings, BestMixtureSettings):
         numbers = list(range(1, max_count + 1))
         runs, likelihoods = _best_runs(samples, numbers, widening, settings.restarts, generator)

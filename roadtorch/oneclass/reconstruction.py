@@ -11,7 +11,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
-from roadtorch.oneclass.density import column_norms, floor_of, moments
+from roadtorch.oneclass.density import column_norms, moments, variance_floor
 from roadtorch.oneclass.mixture import k_means_plus_plus
 from roadtorch.oneclass.neighbours import MAX_DISTINCT, distinct_samples, squared_distances
 
@@ -55,7 +55,7 @@ def fit_components(road: RoadSamples, settings: ComponentSettings) -> DistanceMo
     mean, covariance = moments(road.samples)
     variances, directions = torch.linalg.eigh(covariance)
     # Rounding a constant plane to float32 is no variance.
-    variances = torch.where(variances > 1e-6 * floor_of(road.axes).min(), variances, 0)
+    variances = torch.where(variances > 1e-6 * variance_floor(road.axes).min(), variances, 0)
     order = variances.argsort(descending=True, stable=True)
     count = count_components(variances[order], settings.variance)
     if count == len(mean):
@@ -120,7 +120,7 @@ def fit_means(road: RoadSamples, settings: CentreSettings) -> DistanceModel:
     member = k_means_plus_plus(samples, weights, numbers, road.generator)
     start = member @ samples / member.sum(2, keepdim=True).clamp_min(1)
     centres, inertia = k_means(samples, start)
-    return to_nearest(centres[int(inertia.argmin())])
+    return distance_to_nearest(centres[int(inertia.argmin())])
 
 
 def farthest_first(distances: Tensor, count: int, first: int = 0) -> Tensor:
@@ -168,10 +168,10 @@ def fit_centres(road: RoadSamples, settings: SampleCentreSettings) -> DistanceMo
     batch = max(1, MAX_DISTINCT**2 // len(points) ** 2)  # each run needs as much as ``distances``
     runs = [k_centres(distances, part) for part in start.split(batch)]
     centres, radii = (torch.cat(parts) for parts in zip(*runs, strict=True))
-    return to_nearest(points[centres[int(radii.argmin())]])
+    return distance_to_nearest(points[centres[int(radii.argmin())]])
 
 
-def to_nearest(centres: Tensor) -> DistanceModel:
+def distance_to_nearest(centres: Tensor) -> DistanceModel:
     """Return min_j |x - c_j| of centres (k, d) as a model. P3's square changes no rank."""
     points = centres.float()
     return DistanceModel(

@@ -14,11 +14,11 @@ from torch import Tensor
 
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.color import PLANES, plane
+from roadtorch.imaging.color import PLANES, color_plane
 from roadtorch.imaging.segments import segment_median
 from roadtorch.imaging.slic import slic
-from roadtorch.oneclass.axes import circular_mean, unrolled
-from roadtorch.road.seed_area import FRAME, SeedArea, seed_area
+from roadtorch.oneclass.axes import circular_mean, unroll_hue
+from roadtorch.road.seed_area import REFERENCE_SIZE, SeedArea, seed_area
 
 MIN_SEED_SIDE = 8
 """Least side of the seed area in pixels, where the image is large enough."""
@@ -37,12 +37,15 @@ class WideSeedArea(SeedArea):
     """
 
     height: float = Field(
-        default=33, ge=1, le=FRAME[0], description="height in rows, if the image has 240; scaled"
+        default=33,
+        ge=1,
+        le=REFERENCE_SIZE[0],
+        description="height in rows, if the image has 240; scaled",
     )
     width: float = Field(
         default=100.5,
         ge=1,
-        le=FRAME[1],
+        le=REFERENCE_SIZE[1],
         description="width in columns, if the image has 320; scaled",
     )
 
@@ -109,14 +112,14 @@ def distinct_colours(image: Tensor) -> Palette:
 def plane_values(image: Tensor, name: str) -> Palette:
     """Return the distinct values of one plane of an image (3, H, W): values (1, k)."""
     palette = distinct_colours(image)
-    values, index = plane(palette.values[:, None], name)[0].unique(return_inverse=True)
+    values, index = color_plane(palette.values[:, None], name)[0].unique(return_inverse=True)
     return Palette(values[None], index[palette.index])
 
 
 @cached_per_image
 def palette_plane(image: Tensor, name: str) -> Tensor:
     """Return one plane of the distinct colours of an image (3, H, W): (k,)."""
-    return plane(distinct_colours(image).values[:, None], name)[0]
+    return color_plane(distinct_colours(image).values[:, None], name)[0]
 
 
 def representation(image: Tensor, names: tuple[str, ...]) -> Palette:
@@ -161,7 +164,7 @@ def segment_medians(image: Tensor, name: str, settings: SampleSettings, seed: Se
     if not PLANES[name].circular:
         return segment_median(values[None], labels, count)[0]
     mean = circular_mean(values.flatten(), area_values(image, "S", seed).flatten())
-    return (segment_median(unrolled(values, mean)[None], labels, count)[0] + mean).remainder(1)
+    return (segment_median(unroll_hue(values, mean)[None], labels, count)[0] + mean).remainder(1)
 
 
 def road_samples(

@@ -17,8 +17,8 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.levels import above
-from roadtorch.imaging.resize import side
+from roadtorch.imaging.levels import is_above
+from roadtorch.imaging.resize import side_length
 
 MIN_FREE = 0.1  # fraction of the image that an ego car must leave free
 
@@ -61,7 +61,7 @@ class Ego(Settings):
         return outline
 
 
-def is_given(ego: Ego) -> bool:
+def has_ego_car(ego: Ego) -> bool:
     """Return whether the settings describe an ego car."""
     return ego != Ego()
 
@@ -126,7 +126,7 @@ def any_pixel(mask: Tensor) -> bool:
 # --- from a network's map ---------------------------------------------------------------
 
 
-def ego_found(potential: Tensor) -> Tensor:
+def find_ego_car(potential: Tensor) -> Tensor:
     """Return the ego car, bool (…, H, W), from a network's potential in [0, 1] of that shape.
 
     In each column it extends from the first row from which at least ``MIN_FILL`` of all pixels
@@ -134,7 +134,7 @@ def ego_found(potential: Tensor) -> Tensor:
     not count. None where next to nothing would be left free, or where its mean potential is low.
     """
     height, width = potential.shape[-2:]
-    ego = above(potential, 0.5)
+    ego = is_above(potential, 0.5)
     if not any_pixel(ego):
         return ego
     below = ego.flip(-2).cumsum(-2, dtype=torch.int32).flip(-2)
@@ -150,7 +150,7 @@ def ego_found(potential: Tensor) -> Tensor:
 
 
 @cached_per_image
-def continued(maps: Tensor, ego: Tensor) -> Tensor:
+def extrapolate_over_ego(maps: Tensor, ego: Tensor) -> Tensor:
     """Replace the ego car, bool (H, W), in maps (…, H, W) by the ground above it; a new tensor.
 
     Column by column, a strip just above the ego car is mirrored downwards repeatedly. Pixels with
@@ -199,7 +199,7 @@ def _mirror_down_in_graph(maps: Tensor, ego: Tensor) -> Tensor:
     height = maps.shape[-2]
     rows = torch.arange(height)[:, None]
     first = height - ego.to(torch.int64).sum(1, keepdim=True)
-    strip = (side(height) * MAX_STRIP).round().to(torch.int64).clamp(min=1)
+    strip = (side_length(height) * MAX_STRIP).round().to(torch.int64).clamp(min=1)
     run = first.minimum(strip).clamp(min=1)
     step = (rows - first).clamp(min=0) % (2 * run)
     source = (first - 1 - step.minimum(2 * run - 1 - step)).clamp(min=0)

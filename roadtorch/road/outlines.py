@@ -9,8 +9,15 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.imaging.levels import at_least
-from roadtorch.imaging.resize import WorkingSize, at_work, resized, side, size_of, whole
+from roadtorch.imaging.levels import is_at_least
+from roadtorch.imaging.resize import (
+    WorkingSize,
+    resize_maps,
+    resize_to_work,
+    round_to_pixels,
+    side_length,
+    spatial_size,
+)
 from roadtorch.road.seed_area import remove_isolated
 
 Outlines = Annotated[
@@ -56,10 +63,10 @@ def refine(
         working: working size; the result has at most ``MAX_ENLARGEMENT`` times its pixels.
         threshold: likelihood from which a pixel is road.
     """
-    return fill_thin_holes(outlined(maps, small, image, working, threshold), threshold)
+    return fill_thin_holes(snap_to_edges(maps, small, image, working, threshold), threshold)
 
 
-def outlined(
+def snap_to_edges(
     maps: Mapping[str, Tensor], small: Tensor, image: Tensor, working: WorkingSize, threshold: float
 ) -> Tensor:
     """Enlarge a likelihood along the edges of the image, as ``refine`` before it fills holes.
@@ -68,17 +75,17 @@ def outlined(
     """
     more = working.model_copy(update={"pixels": MAX_ENLARGEMENT * working.pixels})
     is_small = torch.compiler.is_exporting() or image[0].numel() <= more.pixels
-    larger = image if is_small else at_work(image, more)
+    larger = image if is_small else resize_to_work(image, more)
     likelihood = maps["likelihood"]
     if "ego" in maps:
         likelihood = likelihood.masked_fill(maps["ego"], 0)
-    fine = followed(likelihood, small, larger)
-    smooth = resized(likelihood, size_of(larger))
-    agree = at_least(fine, threshold) == at_least(smooth, threshold)
+    fine = guided_filter(likelihood, small, larger)
+    smooth = resize_maps(likelihood, spatial_size(larger))
+    agree = is_at_least(fine, threshold) == is_at_least(smooth, threshold)
     return torch.where(agree, smooth, fine)
 
 
-def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
+def guided_filter(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     """Enlarge a likelihood (…, h, w) by the guided filter, with the image at both sizes as guide.
 
     In each window it is an affine function of the colour, q = a · I + b with
@@ -87,19 +94,19 @@ def followed(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     arXiv 1505.00996, 2015, a and b are computed in a small image and enlarged. Ours: windows are
     triangles ``WINDOW_SPACING`` apart and twice as wide, so no filter runs over all pixels.
     """
-    stack = resized(_stack(likelihood, image), _reduced_size(likelihood, SUBSAMPLING))
+    stack = resize_maps(_stack(likelihood, image), _reduced_size(likelihood, SUBSAMPLING))
     likelihood, small = stack[..., 0, :, :], stack[..., 1:, :, :]
     cells = _reduced_size(likelihood, WINDOW_SPACING)
     first, second = UPPER_TRIANGLE
     products = small[..., first, :, :] * small[..., second, :, :]
-    mean, square = resized(torch.cat([small, products], -3), cells).split([3, 6], -3)
+    mean, square = resize_maps(torch.cat([small, products], -3), cells).split([3, 6], -3)
     inverse = _inverse(square - mean[..., first, :, :] * mean[..., second, :, :])
     for guide in [*[small] * (PASSES - 1), larger]:
-        joint = resized(_stack(likelihood, small * likelihood[..., None, :, :]), cells)
+        joint = resize_maps(_stack(likelihood, small * likelihood[..., None, :, :]), cells)
         road, joint = joint.split([1, 3], -3)
         slope = inverse(joint - mean * road)
         offset = road.squeeze(-3) - (slope * mean).sum(-3)
-        slopes, likelihood = (resized(part, size_of(guide)) for part in (slope, offset))
+        slopes, likelihood = (resize_maps(part, spatial_size(guide)) for part in (slope, offset))
         for weight, plane in zip(slopes.unbind(-3), guide.unbind(-3), strict=True):
             likelihood.addcmul_(weight, plane)
         likelihood.clamp_(0, 1)
@@ -126,7 +133,7 @@ def _inverse(covariance: Tensor) -> Callable[[Tensor], Tensor]:
         rows = [torch.stack([six[n] for n in row], -3) for row in ((0, 1, 2), (1, 3, 4), (2, 4, 5))]
         return lambda vectors: torch.stack([(row * vectors).sum(-3) for row in rows], -3)
     first, second = UPPER_TRIANGLE
-    matrix = covariance.new_empty(3, 3, *size_of(covariance))
+    matrix = covariance.new_empty(3, 3, *spatial_size(covariance))
     matrix[first, second] = matrix[second, first] = covariance
     ridge = RIDGE * torch.eye(3, dtype=covariance.dtype, device=covariance.device)
     inverse = torch.linalg.inv(matrix.permute(2, 3, 0, 1) + ridge)
@@ -135,7 +142,9 @@ def _inverse(covariance: Tensor) -> Callable[[Tensor], Tensor]:
 
 def _reduced_size(map: Tensor, factor: int) -> tuple[int, int]:
     """Return the size of a map (…, H, W) reduced by a factor, 2 at least on each side."""
-    height, width = (whole(side(length) / factor, 2) for length in size_of(map))
+    height, width = (
+        round_to_pixels(side_length(length) / factor, 2) for length in spatial_size(map)
+    )
     return height, width
 
 
@@ -154,7 +163,7 @@ def fill_thin_holes(likelihood: Tensor, threshold: float) -> Tensor:
     Returns:
         The likelihood, shape (H, W); the input itself where nothing changed.
     """
-    mask = at_least(likelihood, threshold).cpu().contiguous().numpy()
+    mask = is_at_least(likelihood, threshold).cpu().contiguous().numpy()
     rows = np.flatnonzero(mask.any(1))
     side = max(2, round(MAX_HOLE_WIDTH * mask.shape[1]))
     if not len(rows):

@@ -11,10 +11,19 @@ from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import at_image_size, resized, side, size_of, whole
+from roadtorch.imaging.resize import (
+    resize_maps,
+    resize_to_image,
+    round_to_pixels,
+    side_length,
+    spatial_size,
+)
 from roadtorch.imaging.segments import Segments
 
-FRAME = (240, 320)  # height and width in pixels of the image that seed areas are specified for
+REFERENCE_SIZE = (
+    240,
+    320,
+)  # height and width in pixels of the image that seed areas are specified for
 
 BOTTOM_BONUS = 4.0
 """Log odds by which the bottom of the image is preferred over its top when choosing a seed."""
@@ -33,16 +42,22 @@ class SeedArea(Settings):
     """
 
     height: float = Field(
-        default=30, ge=1, le=FRAME[0], description="height, in rows per 240 rows of the image"
+        default=30,
+        ge=1,
+        le=REFERENCE_SIZE[0],
+        description="height, in rows per 240 rows of the image",
     )
     width: float = Field(
-        default=80, ge=1, le=FRAME[1], description="width, in columns per 320 columns of the image"
+        default=80,
+        ge=1,
+        le=REFERENCE_SIZE[1],
+        description="width, in columns per 320 columns of the image",
     )
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Fraction of the image's pixels."""
-        return self.height * self.width / (FRAME[0] * FRAME[1])
+        return self.height * self.width / (REFERENCE_SIZE[0] * REFERENCE_SIZE[1])
 
 
 def seed_area(
@@ -54,8 +69,8 @@ def seed_area(
     central-bottom part of the image".
     """
     seed = SeedArea() if seed is None else seed
-    rows = min(height, max(least, round(seed.height * height / FRAME[0])))
-    columns = min(width, max(least, round(seed.width * width / FRAME[1])))
+    rows = min(height, max(least, round(seed.height * height / REFERENCE_SIZE[0])))
+    columns = min(width, max(least, round(seed.width * width / REFERENCE_SIZE[1])))
     left = (width - columns) // 2
     return slice(height - rows, height), slice(left, left + columns)
 
@@ -67,7 +82,7 @@ def seed_rectangle(shape: Sequence[int], seed: SeedArea | None = None) -> Tensor
     return area
 
 
-def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, fraction: float) -> Tensor:
+def find_seed_segments(evidence: Tensor, row: Tensor, size: Tensor, fraction: float) -> Tensor:
     """Select the segments of the lower half that are likeliest road, until they fill the seed area.
 
     One at least; they need not be adjacent. Near segments show the road best, and are preferred
@@ -87,15 +102,17 @@ def likely_seed(evidence: Tensor, row: Tensor, size: Tensor, fraction: float) ->
     return torch.zeros_like(inside).scatter(-1, order, inside)
 
 
-def likely_seed_area(evidence: Tensor, fraction: float) -> Tensor:
+def find_seed_area(evidence: Tensor, fraction: float) -> Tensor:
     """Select a fraction of the image as seed area, bool (…, H, W), by log odds (…, H, W)."""
-    full = size_of(evidence)
-    rows, columns = (whole((side(length) / SEED_CELL).ceil(), 1) for length in full)
-    cells = resized(evidence, (rows, columns))
+    full = spatial_size(evidence)
+    rows, columns = (
+        round_to_pixels((side_length(length) / SEED_CELL).ceil(), 1) for length in full
+    )
+    cells = resize_maps(evidence, (rows, columns))
     row = ((torch.arange(rows, device=cells.device) + 0.5) / rows)[:, None].expand(rows, columns)
     size = torch.full_like(row, 1 / (rows * columns))
-    chosen = likely_seed(cells.flatten(-2), row.flatten(), size.flatten(), fraction)
-    return at_image_size(chosen.unflatten(-1, (rows, columns)), full)
+    chosen = find_seed_segments(cells.flatten(-2), row.flatten(), size.flatten(), fraction)
+    return resize_to_image(chosen.unflatten(-1, (rows, columns)), full)
 
 
 def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:

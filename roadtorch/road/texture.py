@@ -12,10 +12,10 @@ from pydantic import AfterValidator, Field
 from torch import Tensor
 from torch.nn import functional
 
-from roadtorch.base.errors import unknown_name
+from roadtorch.base.errors import unknown_name_error
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.color import PLANES, each_plane, planes
-from roadtorch.imaging.levels import above, at_least, order_statistic
+from roadtorch.imaging.color import PLANES, color_planes, iterate_color_planes
+from roadtorch.imaging.levels import is_above, is_at_least, order_statistic
 from roadtorch.imaging.segments import segment_histogram, segment_size
 
 VARIANCE_FLOOR = 1e-12
@@ -98,7 +98,7 @@ def saturation_mask(image: Tensor, dark: float, bright: float) -> Tensor:
     are flat for reasons other than the surface.
     """
     highest = image.amax(-3)
-    return at_least(highest, bright) | ~above(highest, dark)
+    return is_at_least(highest, bright) | ~is_above(highest, dark)
 
 
 def uniformity_likelihood(values: Tensor, midpoint: float) -> Tensor:
@@ -118,7 +118,7 @@ def relative_frequencies(histogram: Tensor) -> Tensor:
 
 def _check_plane(name: str) -> str:
     if name not in PLANES:
-        raise ValueError(unknown_name("plane", name, PLANES))
+        raise ValueError(unknown_name_error("plane", name, PLANES))
     return name
 
 
@@ -172,9 +172,9 @@ def fused_uniformity(
     samples = masked_pixels(image, seed & usable)
     if samples.shape[1] <= len(settings.planes):
         samples = masked_pixels(image, seed)
-    seed_planes = planes(samples[..., None], settings.planes)[..., 0]
+    seed_planes = color_planes(samples[..., None], settings.planes)[..., 0]
     weights = minimum_variance_weights(seed_planes.T, settings.ridge)
-    fused = fused_plane(each_plane(image, settings.planes), weights)
+    fused = fused_plane(iterate_color_planes(image, settings.planes), weights)
     low, high = value_range(fused, usable, settings.tail)
     levels = quantise_plane(fused, settings.bins, low, high)
     count = int(labels.max()) + 1

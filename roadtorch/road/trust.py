@@ -17,10 +17,10 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.levels import above
+from roadtorch.imaging.levels import is_above
 
 
-class Signs(NamedTuple):
+class TrustFeatures(NamedTuple):
     """Features from which the F-score of a mask is predicted, each in [0, 1]."""
 
     stability: float
@@ -35,17 +35,17 @@ class Signs(NamedTuple):
 
 LOW_AND_HIGH = (0.2, 0.8)
 
-FEATURE_WEIGHTS = Signs(0.12, 0.62, 0.11, 0.0)  # of the regression; ``INTERCEPT`` is added
+FEATURE_WEIGHTS = TrustFeatures(0.12, 0.62, 0.11, 0.0)  # of the regression; ``INTERCEPT`` is added
 
 INTERCEPT = 0.163
 
-MEAN_FEATURES = Signs(0.71, 0.9, 0.98, 0.2)
+MEAN_FEATURES = TrustFeatures(0.71, 0.9, 0.98, 0.2)
 """Means of the features over the images on which the weights were fitted."""
 
 ROAD_STABILITY, ROAD_ENTROPY, ROAD_INTERCEPT = 4.71, -6.17, 1.06
 """Logistic regression of whether there is a road: weights of ``stability`` and ``entropy``."""
 
-ENOUGH = 0.7
+FULL_TRUST_PROBABILITY = 0.7
 """Probability that there is a road above which the predicted F is not reduced."""
 
 NO_ROAD = "hardly anything in the image looks like road"
@@ -74,14 +74,16 @@ class Judgement(NamedTuple):
     doubt: str
 
 
-def signs_of(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> Signs:
+def trust_features(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> TrustFeatures:
     """Compute the features of a mask, bool (H, W); in an exported graph of a batch, tensors (N,).
 
     likelihood: in [0, 1], shape (H, W). cues: ``learned_road``, ``seed_area``, ``ego``, (H, W).
     """
     free = float_mask(~cues["ego"])
     inside = free * float_mask(mask)
-    low, high = (masked_sum(float_mask(above(likelihood, level)), free) for level in LOW_AND_HIGH)
+    low, high = (
+        masked_sum(float_mask(is_above(likelihood, level)), free) for level in LOW_AND_HIGH
+    )
     road, right = (masked_sum(likelihood, area) for area in (free, inside))
     seed = float_mask(cues["seed_area"])
     features: list[Any] = [
@@ -90,7 +92,7 @@ def signs_of(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> Si
         masked_sum(cues["learned_road"], seed) / masked_sum(seed, seed).clamp(min=1),
         masked_sum(entropy(likelihood), free) / masked_sum(free, free),
     ]
-    return Signs(*(features if torch.compiler.is_exporting() else map(float, features)))
+    return TrustFeatures(*(features if torch.compiler.is_exporting() else map(float, features)))
 
 
 def float_mask(area: Tensor) -> Tensor:
@@ -115,7 +117,9 @@ def entropy(likelihood: Tensor) -> Tensor:
     return information.add_(complement * complement.clamp_min(tiny).log2_()).neg_()
 
 
-def judgement(features: Signs, road: bool | Tensor, settings: TrustSettings) -> Judgement:
+def estimate_trust(
+    features: TrustFeatures, road: bool | Tensor, settings: TrustSettings
+) -> Judgement:
     """Predict the F-score of a mask, and name the feature that lowers it most.
 
     road: whether the mask has any. An exported graph gives the trust as a tensor (N,), no reason.
@@ -124,11 +128,11 @@ def judgement(features: Signs, road: bool | Tensor, settings: TrustSettings) -> 
     odds: Any = ROAD_INTERCEPT + ROAD_STABILITY * features.stability
     odds = odds + ROAD_ENTROPY * features.entropy
     if torch.compiler.is_exporting():
-        presence = (odds.sigmoid() / ENOUGH).clamp(max=1)
+        presence = (odds.sigmoid() / FULL_TRUST_PROBABILITY).clamp(max=1)
         return Judgement((presence * expected.clamp(0, 1)).where(road, 0.0), "")
     if not road:
         return Judgement(0.0, "no road found")
-    presence = min(1.0, 1 / (1 + math.exp(-odds)) / ENOUGH)
+    presence = min(1.0, 1 / (1 + math.exp(-odds)) / FULL_TRUST_PROBABILITY)
     trust = presence * min(1.0, max(0.0, expected))
     if trust >= settings.threshold:
         return Judgement(trust, "")

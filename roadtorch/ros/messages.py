@@ -8,7 +8,7 @@ import numpy as np
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.camera.ground_grid import Grid
-from roadtorch.run.writers.bag import CLASS_NAMES
+from roadtorch.run.writers.bag import MASK_CLASS_NAMES
 
 INSTALL_HINT = "source the setup.bash of ROS 2 first, or pip install 'roadtorch[ros]'"
 
@@ -16,7 +16,7 @@ OK, WARN = 0, 1
 """Levels of diagnostic_msgs/DiagnosticStatus as numbers: its own constants are bytes."""
 
 
-def ros_module(name: str) -> Any:
+def import_ros(name: str) -> Any:
     """Import a module of ROS 2, such as ``sensor_msgs.msg``; ConfigError where it is missing."""
     try:
         return importlib.import_module(name)
@@ -28,7 +28,7 @@ def ros_module(name: str) -> Any:
 
 def image_message(header: Any, pixels: np.ndarray) -> Any:
     """Return a sensor_msgs/Image: mono8 of uint8 pixels (H, W), rgb8 of (H, W, 3)."""
-    message = ros_module("sensor_msgs.msg").Image(header=header)
+    message = import_ros("sensor_msgs.msg").Image(header=header)
     message.height, message.width = pixels.shape[:2]
     message.encoding = "mono8" if pixels.ndim == 2 else "rgb8"
     message.step = pixels[0].size
@@ -38,7 +38,7 @@ def image_message(header: Any, pixels: np.ndarray) -> Any:
 
 def grid_message(header: Any, grid: Grid, frame_id: str) -> Any:
     """Return a nav_msgs/OccupancyGrid: 0 free, 100 not road, -1 unknown."""
-    message = ros_module("nav_msgs.msg").OccupancyGrid()
+    message = import_ros("nav_msgs.msg").OccupancyGrid()
     message.header.stamp, message.header.frame_id = header.stamp, frame_id
     info = message.info
     info.map_load_time, info.resolution = header.stamp, grid.resolution
@@ -51,14 +51,16 @@ def grid_message(header: Any, grid: Grid, frame_id: str) -> Any:
 
 def label_info_message(threshold: float) -> Any:
     """Return a vision_msgs/LabelInfo with the names of the mask's classes."""
-    kinds = ros_module("vision_msgs.msg")
-    classes = [kinds.VisionClass(class_id=n, class_name=name) for n, name in CLASS_NAMES.items()]
+    kinds = import_ros("vision_msgs.msg")
+    classes = [
+        kinds.VisionClass(class_id=n, class_name=name) for n, name in MASK_CLASS_NAMES.items()
+    ]
     return kinds.LabelInfo(class_map=classes, threshold=float(threshold))
 
 
 def diagnostics_message(stamp: Any, warning: str, values: Mapping[str, object]) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray with one status, OK without a warning."""
-    kinds = ros_module("diagnostic_msgs.msg")
+    kinds = import_ros("diagnostic_msgs.msg")
     pairs = [kinds.KeyValue(key=key, value=str(value)) for key, value in values.items()]
     level = bytes([WARN if warning else OK])
     status = kinds.DiagnosticStatus(

@@ -14,22 +14,22 @@ from pydantic import Field
 
 from roadtorch.base.errors import ConfigError, RoadtorchError
 from roadtorch.base.settings import Settings, build_settings, parse_assignments
-from roadtorch.base.signals import Stop
-from roadtorch.camera.calibration import lens_of_info
+from roadtorch.base.signals import StopRequest
+from roadtorch.camera.calibration import lens_from_camera_info
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.ground_grid import GridSettings, ground_grid
-from roadtorch.camera.mounting import Mounting, Placing, placing_of
+from roadtorch.camera.mounting import CameraPlacement, Mounting, build_placement
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
-from roadtorch.inputs.image_messages import image_of
+from roadtorch.inputs.image_messages import decode_message
 from roadtorch.inputs.item import Item, Source
-from roadtorch.road.steady import Steady, SteadySettings
+from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
 from roadtorch.ros.messages import (
     diagnostics_message,
     grid_message,
     image_message,
+    import_ros,
     label_info_message,
-    ros_module,
 )
 from roadtorch.run.loop import Inference, detect_frames
 from roadtorch.run.workers import Workers
@@ -77,16 +77,16 @@ class NodeParameters(Settings):
     base_frame: str = Field(default="base_link", description="frame of the grid")
 
 
-def spin(arguments: Sequence[str], stop: Stop) -> None:
+def spin(arguments: Sequence[str], stop: StopRequest) -> None:
     """Run the node with the given ROS arguments until a stop is requested.
 
     Raises ConfigError where rclpy is missing, and for invalid parameters.
     """
-    rclpy = ros_module("rclpy")
-    no_handlers = ros_module("rclpy.signals").SignalHandlerOptions.NO  # ``stop`` handles signals
+    rclpy = import_ros("rclpy")
+    no_handlers = import_ros("rclpy.signals").SignalHandlerOptions.NO  # ``stop`` handles signals
     rclpy.init(args=[NODE_NAME, *arguments], signal_handler_options=no_handlers)
     node = rclpy.create_node(NODE_NAME)
-    executor = ros_module("rclpy.executors").SingleThreadedExecutor()
+    executor = import_ros("rclpy.executors").SingleThreadedExecutor()
     executor.add_node(node)
     thread = Thread(target=_spin_executor, args=(executor,), daemon=True)
     try:
@@ -154,15 +154,15 @@ class Inbox:
             self.header = message.header
             return message
 
-    def source(self, topic: str, stop: Stop) -> Source:
+    def source(self, topic: str, stop: StopRequest) -> Source:
         """Return the messages as a live source of frames, until a stop is requested."""
 
         def frames() -> Iterator[Item]:
             number = 0
-            while not stop.asked:
+            while not stop.requested:
                 if (message := self.take()) is not None:
                     stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-                    read = partial(image_of, message, topic)
+                    read = partial(decode_message, message, topic)
                     yield Item(f"{number:06d}", topic, read, number=number, stamp=stamp)
                     number += 1
 
@@ -173,17 +173,19 @@ class RoadNode:
     """Subscriptions and publishers of an rclpy node, and the detection of its images."""
 
     def __init__(self, node: Any, parameters: NodeParameters) -> None:
-        qos, kinds = ros_module("rclpy.qos"), ros_module("sensor_msgs.msg")
+        qos, kinds = import_ros("rclpy.qos"), import_ros("sensor_msgs.msg")
         camera = Camera.read(parameters.camera) if parameters.camera else None
         settings = parse_assignments(parameters.settings)
         self.detector = load_detector(parameters.detector, camera=camera, **settings)
         self.infer = Inference(self.detector, camera)
-        self.temporal_filter = Steady(SteadySettings()) if parameters.smoothing else None
+        self.temporal_filter = (
+            TemporalFilter(TemporalFilterSettings()) if parameters.smoothing else None
+        )
         self.node, self.parameters, self.inbox = node, parameters, Inbox()
         self.times, self.failures, self.last_warning = deque[float](maxlen=30), 0, ""
         self.last_detection: Detection | None = None
         self.latency = 0.0  # seconds from the arrival of the last image to its results
-        self.placing, self.grid_settings = self._make_placement()
+        self.placement, self.grid_settings = self._make_placement()
         newest, latched = qos.qos_profile_sensor_data, qos.QoSProfile(depth=1)
         latched.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
         node.create_subscription(kinds.Image, "image", self.inbox.put, newest)
@@ -193,13 +195,13 @@ class RoadNode:
             topic: node.create_publisher(kinds.Image, topic, 1)
             for topic in (MASK_TOPIC, CONFIDENCE_TOPIC, OVERLAY_TOPIC)
         }
-        occupancy = ros_module("nav_msgs.msg").OccupancyGrid
+        occupancy = import_ros("nav_msgs.msg").OccupancyGrid
         self.grids = node.create_publisher(occupancy, GRID_TOPIC, latched)
-        array = ros_module("diagnostic_msgs.msg").DiagnosticArray
+        array = import_ros("diagnostic_msgs.msg").DiagnosticArray
         self.diagnostics = node.create_publisher(array, "/diagnostics", 1)
         self.labels = self._publish_labels(latched)
 
-    def run(self, stop: Stop) -> None:
+    def run(self, stop: StopRequest) -> None:
         """Detect the road in the newest image and publish it, until a stop is requested."""
         topic = self.node.resolve_topic_name("image")
         self.node.get_logger().info(f"{self.detector.name} subscribes to {topic}")
@@ -223,7 +225,7 @@ class RoadNode:
         self.images[CONFIDENCE_TOPIC].publish(image_message(header, confidence))
         if self.images[OVERLAY_TOPIC].get_subscription_count():
             self.images[OVERLAY_TOPIC].publish(image_message(header, detection.overlay()))
-        if self.placing is not None and not self.placing.lacks_lens:
+        if self.placement is not None and not self.placement.needs_lens:
             self._publish_grid(header, detection)
         self.last_detection = detection
         self.latency = time.monotonic() - self.inbox.arrival
@@ -231,11 +233,11 @@ class RoadNode:
 
     def _publish_grid(self, header: Any, detection: Detection) -> None:
         """Publish the ground grid; warn where the pitch of the image is unknown."""
-        assert self.placing is not None
+        assert self.placement is not None
         assert detection.image is not None
         likelihood, settings = detection.likelihood, self.grid_settings
         try:
-            camera, _ = self.placing(detection.image, detection.cues.get("layout"))
+            camera, _ = self.placement(detection.image, detection.cues.get("layout"))
             road = likelihood * (detection.mask | (likelihood < settings.threshold))
             grid = ground_grid(road, camera, settings, detection.cues.get("ego"))
         except RoadtorchError as error:
@@ -245,7 +247,7 @@ class RoadNode:
 
     # --- camera -----------------------------------------------------------------------------
 
-    def _make_placement(self) -> tuple[Placing | None, GridSettings]:
+    def _make_placement(self) -> tuple[CameraPlacement | None, GridSettings]:
         """Return the pose of the camera, None without a height, and the settings of the grid."""
         values = self.parameters
         cells = {name: getattr(values, name) for name in ("resolution", "range", "side")}
@@ -260,18 +262,20 @@ class RoadNode:
             fov=values.fov or None,
             camera=Path(values.camera) if values.camera else None,
         )
-        return placing_of(mounting, of_bags=True), settings
+        return build_placement(mounting, of_bags=True), settings
 
     def _take_lens(self, message: Any) -> None:
         """Take the lens from the first CameraInfo message."""
-        if self.placing is None or not self.placing.lacks_lens:
+        if self.placement is None or not self.placement.needs_lens:
             return
         size, topic = (message.width, message.height), self.node.resolve_topic_name("camera_info")
         try:
             if not message.k[0] > 0:
                 raise ConfigError(topic, "has no calibration", "calibrate the camera, or set fov")
-            lens = lens_of_info(topic, size, [*message.k], [*message.d], message.distortion_model)
-            self.placing = self.placing.through(lens)
+            lens = lens_from_camera_info(
+                topic, size, [*message.k], [*message.d], message.distortion_model
+            )
+            self.placement = self.placement.with_lens(lens)
         except RoadtorchError as error:
             self._warn(str(error))
 
@@ -280,7 +284,7 @@ class RoadNode:
     def _publish_labels(self, latched: Any) -> Any:
         """Publish the latched label info; None where vision_msgs is not installed."""
         try:
-            kind = ros_module("vision_msgs.msg").LabelInfo
+            kind = import_ros("vision_msgs.msg").LabelInfo
         except ConfigError:
             self._warn(f"vision_msgs is not installed: {LABELS_TOPIC} is not published")
             return None

@@ -6,18 +6,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from roadtorch.base.atomic import locked, make_folder, remove_leftovers, write_text
-from roadtorch.base.bounded import printable, read_regular
+from roadtorch.base.atomic import lock_folder, make_folder, remove_leftovers, write_text
+from roadtorch.base.bounded import read_regular, to_printable
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.data.maps import CONFIG
-from roadtorch.run.ledger import INDEX
+from roadtorch.data.likelihood_maps import INFER_CONFIG
+from roadtorch.run.ledger import INDEX_FILE
 
 OUT_HINT = "give another --out"
 COCO_FILE, RUN_FILE = "coco.json", "run.json"
 
 
 @contextmanager
-def output_lock(out: Path) -> Iterator[None]:
+def lock_output(out: Path) -> Iterator[None]:
     """Create and lock an output folder, and remove half-written files of killed runs.
 
     Raises InputError when it cannot be written, or another run holds the lock.
@@ -30,26 +30,26 @@ def output_lock(out: Path) -> Iterator[None]:
     except OSError as error:
         problem = f"cannot be written: {error.strerror}"
         raise InputError(out, problem, OUT_HINT) from None
-    with locked(out, "wait for it, or give another --out"):
+    with lock_folder(out, "wait for it, or give another --out"):
         remove_leftovers([out])
         yield
 
 
 @contextmanager
-def result_folder(out: Path, effective: str, overwrite: bool) -> Iterator[None]:
+def open_result_folder(out: Path, effective: str, overwrite: bool) -> Iterator[None]:
     """Lock an output folder and write the effective settings, as TOML, into it.
 
-    Raises as ``output_lock``, and ConfigError where the folder holds results of different settings,
+    Raises as ``lock_output``, and ConfigError where the folder holds results of different settings,
     unless ``overwrite``: the second run would skip what the first one did, and mix their results.
     """
-    with output_lock(out):
-        config, effective = out / CONFIG, effective + "\n"
+    with lock_output(out):
+        config, effective = out / INFER_CONFIG, effective + "\n"
         try:
-            differs = config.exists() and read_regular(config) != printable(effective).encode()
+            differs = config.exists() and read_regular(config) != to_printable(effective).encode()
         except OSError as error:
             raise InputError(config, f"cannot be read: {error.strerror}", OUT_HINT) from None
-        if differs and (out / INDEX).exists() and not overwrite:
-            problem = f"holds results of other settings ({CONFIG})"
+        if differs and (out / INDEX_FILE).exists() and not overwrite:
+            problem = f"holds results of other settings ({INFER_CONFIG})"
             raise ConfigError(out, problem, OUT_HINT + ", or --overwrite")
         write_text(config, effective)
         yield

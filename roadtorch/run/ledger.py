@@ -12,12 +12,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from roadtorch.base.atomic import csv_text, from_cell, unwritable, write_text
-from roadtorch.base.bounded import printable, read_regular
+from roadtorch.base.atomic import csv_text, unescape_cell, write_error, write_text
+from roadtorch.base.bounded import read_regular, to_printable
 from roadtorch.base.errors import ExitCode, InputError
 from roadtorch.inputs.item import Item, Source
 
-INDEX = "index.csv"
+INDEX_FILE = "index.csv"
 DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
 """Status of a row; all but ``done`` are followed by a colon and the reason."""
 
@@ -25,7 +25,7 @@ BAG_METADATA_FILE = "metadata.yaml"
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class IndexRow:
     """A row of index.csv, all values as text.
 
     ms: milliseconds from reading to the last file written. trust: predicted F-score of the mask,
@@ -59,36 +59,36 @@ class Row:
         return self.status.startswith(DOUBTFUL)
 
 
-INDEX_COLUMNS = list(Row.__dataclass_fields__)
+INDEX_COLUMNS = list(IndexRow.__dataclass_fields__)
 
 
-def failed_row(name: str, error: object) -> Row:
+def failed_row(name: str, error: object) -> IndexRow:
     """Return the row of an item without a result, with the error in its status."""
-    return Row(name, status=f"{FAILED}: {' '.join(str(error).split())}")
+    return IndexRow(name, status=f"{FAILED}: {' '.join(str(error).split())}")
 
 
 @dataclass(frozen=True)
 class Method:
     """Everything but the image that results depend on: two runs of one method give the same bytes.
 
-    key: hash of it, see ``roadtorch.run.memo.key_of``. kinds: kinds of results that are written.
+    key: hash of it, see ``roadtorch.run.memo.cache_key``. kinds: kinds of results that are written.
     """
 
     key: str
     kinds: tuple[str, ...]
 
-    def mark(self, row: Row) -> Row:
+    def mark(self, row: IndexRow) -> IndexRow:
         """Return a row marked as made with this method; a failed row is returned unchanged."""
         return row if row.failed else replace(row, saved=" ".join(self.kinds), method=self.key)
 
-    def covers(self, row: Row | None) -> bool:
+    def covers(self, row: IndexRow | None) -> bool:
         """Return whether a row lists all these kinds, made with this method."""
         if row is None or row.failed or row.method != self.key:
             return False
         return set(self.kinds) <= set(row.saved.split())
 
 
-def read_index(path: Path) -> dict[str, Row]:
+def read_index(path: Path) -> dict[str, IndexRow]:
     """Read the last row of each file in an index.csv; empty where the index does not exist.
 
     Raises InputError for a file of that name that is not an index.
@@ -99,7 +99,9 @@ def read_index(path: Path) -> dict[str, Row]:
         text = read_regular(path).decode()
         whole = io.StringIO(text[: text.rfind("\n") + 1], newline="")  # a killed run may cut a row
         lines = csv.DictReader(whole)
-        rows = [Row(**{key: from_cell(cell) for key, cell in line.items()}) for line in lines]
+        rows = [
+            IndexRow(**{key: unescape_cell(cell) for key, cell in line.items()}) for line in lines
+        ]
         if any(None in asdict(row).values() for row in rows):
             raise TypeError("a row is cut short")
         return {row.file: row for row in rows}
@@ -107,7 +109,7 @@ def read_index(path: Path) -> dict[str, Row]:
         raise InputError(path, "is not an index of roadtorch", "give another --out") from None
 
 
-def write_index(path: Path, rows: Iterable[Row]) -> None:
+def write_index(path: Path, rows: Iterable[IndexRow]) -> None:
     """Write rows, sorted by file, as index.csv."""
     write_text(path, csv_text(INDEX_COLUMNS, map(asdict, sorted(rows, key=lambda row: row.file))))
 
@@ -144,7 +146,7 @@ class Ledger:
         ends = [end for end in suffixes if "{}" not in end]
         return all(has_result(self.path.parent, item.name + end) for end in ends)
 
-    def add(self, row: Row) -> None:
+    def add(self, row: IndexRow) -> None:
         """Append a row, and keep the kinds saved earlier by the same method from the same bytes.
 
         Raises InputError when it cannot be written.
@@ -157,9 +159,11 @@ class Ledger:
         text = csv_text(INDEX_COLUMNS, [asdict(row)])
         try:
             with self.path.open("ab", buffering=0) as file:
-                file.write(printable(text if not file.tell() else text.partition("\n")[2]).encode())
+                file.write(
+                    to_printable(text if not file.tell() else text.partition("\n")[2]).encode()
+                )
         except OSError as error:
-            failure = unwritable(self.path, error)
+            failure = write_error(self.path, error)
             failure.exit_code = ExitCode.SOME_FAILED  # earlier results are kept
             raise failure from None
 

@@ -18,17 +18,17 @@ from typing import NamedTuple, Protocol, TypeVar
 from torch import Tensor
 
 from roadtorch.base.atomic import make_folder
-from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, fault
-from roadtorch.base.signals import Stop
+from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, to_input_error
+from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.detectors.detector import Detector, Evidence
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.road.steady import Steady, SteadySettings
+from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
 from roadtorch.run.folder import OUT_HINT
-from roadtorch.run.ledger import DONE, DOUBTFUL, Method, Row, failed_row
-from roadtorch.run.workers import DIED, Workers
+from roadtorch.run.ledger import DONE, DOUBTFUL, IndexRow, Method, failed_row
+from roadtorch.run.workers import WORKER_CRASH, Workers
 
 Value = TypeVar("Value")
 
@@ -52,7 +52,7 @@ class Inference:
 
     def find_evidence(self, image: Tensor) -> Evidence:
         """Compute the evidence of a frame, the part of detection that needs no other frame."""
-        return self.detector.to(self.device).find(self.move(image))
+        return self.detector.to(self.device).find_evidence(self.move(image))
 
     def move(self, image: Tensor) -> Tensor:
         """Move an image to the device; InputError where it does not fit the camera."""
@@ -91,14 +91,14 @@ class Task:
     writer: FileWriter
     method: Method
 
-    def __call__(self, item: Item) -> Row:
+    def __call__(self, item: Item) -> IndexRow:
         """Process an image and return its row; an error becomes a failed row."""
         return write_row(item, lambda: self.infer(item.read()), self.writer, self.method)
 
 
 def write_row(
     item: Item, detect: Callable[[], Detection], writer: FileWriter, method: Method, ms: float = 0
-) -> Row:
+) -> IndexRow:
     """Write the results of an image or frame, and return its row of index.csv.
 
     Args:
@@ -119,7 +119,7 @@ def write_row(
             make_folder((writer.folder / item.name).parent, OUT_HINT)
         changes = writer.write(item, detection)
         height, width = detection.mask.shape
-        row = Row(
+        row = IndexRow(
             item.row_name,
             str(width),
             str(height),
@@ -132,7 +132,9 @@ def write_row(
         )
         return method.mark(replace(row, **changes))
     except Exception as error:  # one image that breaks a detector must not end a long run
-        return replace(failed_row(item.row_name, fault(item.origin, error)), seconds=seconds)
+        return replace(
+            failed_row(item.row_name, to_input_error(item.origin, error)), seconds=seconds
+        )
 
 
 def elapsed_ms(start: float, ms: float = 0.0) -> str:
@@ -140,9 +142,9 @@ def elapsed_ms(start: float, ms: float = 0.0) -> str:
     return f"{ms + 1000 * (perf_counter() - start):.0f}"
 
 
-def crashed_row(item: Item) -> Row:
+def crashed_row(item: Item) -> IndexRow:
     """Return the row of an image whose worker process died."""
-    return failed_row(item.row_name, InputError(item.origin, *DIED))
+    return failed_row(item.row_name, InputError(item.origin, *WORKER_CRASH))
 
 
 # --- frames -------------------------------------------------------------------------------
@@ -171,7 +173,7 @@ def _time_step(where: str, step: Callable[[], Value]) -> tuple[Value | Roadtorch
     try:
         result = step()
     except Exception as error:  # as in ``write_row``
-        result = fault(where, error)
+        result = to_input_error(where, error)
     return result, 1000 * (perf_counter() - start)
 
 
@@ -197,9 +199,9 @@ def detect_frames(
     source: Source,
     inference: Inference,
     workers: Workers,
-    temporal_filter: Steady | None = None,
+    temporal_filter: TemporalFilter | None = None,
     cues: bool = True,
-    stop: Stop | None = None,
+    stop: StopRequest | None = None,
 ) -> Generator[FrameResult]:
     """Detect the road in every frame of a source, in order; raises as ``source.items``.
 
@@ -225,7 +227,7 @@ def detect_frames(
     items = source.items()
     frames = items if stop is None else until_stopped(items, stop, source.live)
     with closing(items) if isinstance(items, Generator) else nullcontext():
-        crashed = InputError("image", *DIED), 0.0
+        crashed = InputError("image", *WORKER_CRASH), 0.0
         results = workers.map(_EvidenceTask(inference, cues), images(frames), lambda _: crashed)
         with closing(results):
             for evidence, find_ms in results:
@@ -241,7 +243,7 @@ def _conclude(
     image: Tensor | RoadtorchError,
     evidence: Evidence | RoadtorchError,
     detector: Detector,
-    temporal_filter: Steady | None,
+    temporal_filter: TemporalFilter | None,
 ) -> Detection:
     """Decide the mask of a frame, after temporal smoothing; called on the frames in order."""
     if isinstance(evidence, RoadtorchError):
@@ -256,7 +258,9 @@ def _conclude(
     return replace(detection, name=item.name, seconds=item.seconds)
 
 
-def until_stopped(values: Iterable[Value], stop: Stop, live: bool = False) -> Iterator[Value]:
+def until_stopped(
+    values: Iterable[Value], stop: StopRequest, live: bool = False
+) -> Iterator[Value]:
     """Yield values until a stop is requested.
 
     Args:
@@ -265,14 +269,14 @@ def until_stopped(values: Iterable[Value], stop: Stop, live: bool = False) -> It
         live: whether the values are those of a live source, for which a stop does not wait.
     """
     values = iter(values)
-    while not stop.asked:
-        stop.at_once = live
+    while not stop.requested:
+        stop.raises_at_once = live
         try:
             value = next(values)
         except StopIteration:
             return
         finally:
-            stop.at_once = False
+            stop.raises_at_once = False
         yield value
 
 
@@ -281,7 +285,7 @@ def detect_stream(
     detector: Detector,
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     *,
-    steady: bool | Steady = True,
+    steady: bool | TemporalFilter = True,
     progress: Callable[[int, float | None], None] | None = None,
     failed: Callable[[Item, RoadtorchError], None] | None = None,
 ) -> Generator[Detection]:
@@ -316,7 +320,7 @@ def detect_stream(
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
     if isinstance(steady, bool):
-        smoothing = Steady(SteadySettings()) if steady and source.footage else None
+        smoothing = TemporalFilter(TemporalFilterSettings()) if steady and source.footage else None
     else:
         smoothing = steady
     with closing(detect_frames(source, Inference(detector), Workers(), smoothing)) as frames:

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.atomic import atomic, digest_of, make_folder
+from roadtorch.base.atomic import atomic_write, file_digest, make_folder
 from roadtorch.base.bounded import read_regular
 from roadtorch.base.errors import InputError
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
-from roadtorch.layout.weights import tensors_hash, weights_path
+from roadtorch.layout.weights import hash_tensors, weights_path
 
 Arrays = dict[str, Tensor]
 
@@ -27,7 +27,7 @@ MAX_CACHED_FILES = 1000
 of the time of augmenting it."""
 
 
-def key_of(*parts: object) -> str:
+def cache_key(*parts: object) -> str:
     """Return a cache key of all inputs of a result and roadtorch's version: 32 hexadecimal digits.
 
     A path is hashed by its bytes, a folder by those of all files below it; a detector by its
@@ -39,9 +39,9 @@ def key_of(*parts: object) -> str:
         text = repr(part)
         if isinstance(part, Path):
             files = sorted(part.rglob("*")) if part.is_dir() else [part]
-            text = repr([(str(file.relative_to(part)), digest_of(file)) for file in files])
+            text = repr([(str(file.relative_to(part)), file_digest(file)) for file in files])
         if isinstance(part, Detector):
-            settings, weights = part.settings, tensors_hash(part.state_dict())
+            settings, weights = part.settings, hash_tensors(part.state_dict())
             text = repr((part.name, settings, file_digests(settings.model_dump()), weights))
         digest.update(f"{len(text)} {text}".encode("utf-8", "surrogateescape"))
     return digest.hexdigest()[:32]
@@ -59,13 +59,13 @@ def find_paths(settings: object) -> list[Path]:
 
 def file_digests(settings: object) -> dict[str, str]:
     """Return the SHA-256 by path of the files named in nested settings (no folders)."""
-    return {str(path): digest_of(path) for path in find_paths(settings) if path.is_file()}
+    return {str(path): file_digest(path) for path in find_paths(settings) if path.is_file()}
 
 
-def kept(path: Path, key: str | None, *names: str) -> Arrays | None:
+def read_cached(path: Path, key: str | None, *names: str) -> Arrays | None:
     """Read cached tensors, all or those named; None where they are missing or damaged.
 
-    key: the key they were written with by ``keep``; None accepts any.
+    key: the key they were written with by ``write_cached``; None accepts any.
     """
     try:
         arrays = read_arrays(path, *names, *((KEY_NAME,) if names else ()))
@@ -77,7 +77,7 @@ def kept(path: Path, key: str | None, *names: str) -> Arrays | None:
     return arrays
 
 
-def keep(path: Path, key: str, arrays: Arrays) -> None:
+def write_cached(path: Path, key: str, arrays: Arrays) -> None:
     """Write named tensors with their cache key atomically; create missing folders."""
     make_folder(path.parent)
     write_arrays(path, {**arrays, KEY_NAME: torch.tensor(list(key.encode()), dtype=torch.uint8)})
@@ -85,7 +85,7 @@ def keep(path: Path, key: str, arrays: Arrays) -> None:
 
 def write_arrays(path: Path, arrays: Arrays) -> None:
     """Write named tensors atomically as a compressed .npz archive."""
-    with atomic(path) as temporary, temporary.open("wb") as file:
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
         named = {name: value.numpy() for name, value in arrays.items()}
         np.savez_compressed(file, allow_pickle=False, **named)
 
@@ -102,6 +102,6 @@ def read_arrays(path: Path, *names: str) -> Arrays:
         raise InputError(path, "is damaged", "remove it; it will be made again") from None
 
 
-def cached_arrays() -> Callable[..., Arrays]:
+def make_cached_reader() -> Callable[..., Arrays]:
     """Return ``read_arrays`` with an LRU cache; callers must not change the tensors in place."""
     return lru_cache(maxsize=MAX_CACHED_FILES)(read_arrays)

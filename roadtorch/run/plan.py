@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from roadtorch.base.bounded import printable
+from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import ConfigError
-from roadtorch.data.maps import CONFIG
+from roadtorch.data.likelihood_maps import INFER_CONFIG
 from roadtorch.inputs.find import Inputs
 from roadtorch.inputs.item import Item, Source
 from roadtorch.run.folder import COCO_FILE, OUT_HINT, RUN_FILE
-from roadtorch.run.ledger import FRAME_NUMBER, INDEX
+from roadtorch.run.ledger import FRAME_NUMBER, INDEX_FILE
 from roadtorch.run.loop import FileWriter, Writer
-from roadtorch.run.workers import Workers, processors, workers_for
+from roadtorch.run.workers import Workers, count_processors, make_workers
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class RunOptions:
     def workers(self, count: int | None) -> Iterator[Workers]:
         """Open workers for ``count`` items (None: unknown); ConfigError where Ray is missing."""
         if self.engine == "local":
-            yield workers_for(self.jobs, count, self.device)
+            yield make_workers(self.jobs, count, self.device)
             return
         from roadtorch.run.ray_workers import ray_workers
 
         address = None if self.engine == "ray" else self.engine
-        with ray_workers(self.jobs or processors(), address, self.device) as workers:
+        with ray_workers(self.jobs or count_processors(), address, self.device) as workers:
             yield workers
 
 
@@ -92,7 +92,7 @@ class Plan(NamedTuple):
         return names + [source.row_name for source, _ in self.sources]
 
 
-def plan(
+def plan_run(
     inputs: Inputs,
     out: Path,
     suffixes: Sequence[str],
@@ -104,7 +104,9 @@ def plan(
     a source. Raises ConfigError where two inputs would write the same file, or one would overwrite
     an input image.
     """
-    owners: dict[str, str] = dict.fromkeys((INDEX, CONFIG, COCO_FILE, RUN_FILE), "the run itself")
+    owners: dict[str, str] = dict.fromkeys(
+        (INDEX_FILE, INFER_CONFIG, COCO_FILE, RUN_FILE), "the run itself"
+    )
     sources = [(source, output(source)) for source in inputs.sources] if output else []
     numbered: dict[str, str] = {}
     # Path.resolve raises for a link to itself.
@@ -113,7 +115,7 @@ def plan(
 
     def claim(name: str, origin: str, owner: str | None = None) -> None:
         """Claim a result's name as index.csv spells it: distinct file names may coincide there."""
-        owner = owner or owners.get(printable(name))
+        owner = owner or owners.get(to_printable(name))
         if owner is not None:
             problem = f"both would write {out}/{name}"
             raise ConfigError(
@@ -121,7 +123,7 @@ def plan(
             )
         if os.path.realpath(out / name) in images:
             raise ConfigError(out / name, "is one of the input images", OUT_HINT)
-        owners[printable(name)] = origin
+        owners[to_printable(name)] = origin
 
     for item in inputs.images:
         for suffix in [suffix for suffix in suffixes if "{}" not in suffix] or [""]:

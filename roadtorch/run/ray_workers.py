@@ -51,7 +51,7 @@ class RayPool:
         self.crashes: tuple[type[Exception], ...] = (RayActorError, OutOfMemoryError)
         self._ray: Any = ray
         self._task = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
-        self._threads = Threads.of_now()
+        self._threads = Threads.current()
         # OpenMP and BLAS read it before torch is loaded; Ray's default is one thread. Workers of a
         # local cluster inherit the environment of this process.
         variables = {"OMP_NUM_THREADS": str(self._threads.torch)}
@@ -83,7 +83,7 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Work
     installed, or no cluster answers.
     """
     # Inherited by the processes of a local cluster.
-    os.environ.update(QUIET_VARIABLES, OMP_NUM_THREADS=str(Threads.of_now().torch))
+    os.environ.update(QUIET_VARIABLES, OMP_NUM_THREADS=str(Threads.current().torch))
     with TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder:
         ray = _import_ray()
         try:

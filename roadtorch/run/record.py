@@ -11,19 +11,19 @@ import cv2
 import numpy as np
 import torch
 
-from roadtorch.base.atomic import digest_of, write_json
+from roadtorch.base.atomic import file_digest, write_json
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ExitCode, RoadtorchError
-from roadtorch.base.signals import Terminated
+from roadtorch.base.signals import SigtermInterrupt
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
-from roadtorch.layout.weights import corrected_images, tensors_hash
+from roadtorch.layout.weights import count_corrected_images, hash_tensors
 from roadtorch.run.folder import RUN_FILE
-from roadtorch.run.ledger import INDEX, read_index
+from roadtorch.run.ledger import INDEX_FILE, read_index
 
 
 @contextmanager
-def recorded(
+def record_run(
     folder: Path,
     detector: Detector,
     files: Sequence[str],
@@ -40,13 +40,13 @@ def recorded(
         yield
         status = None
     except KeyboardInterrupt as stop:
-        status = ExitCode.TERMINATED if isinstance(stop, Terminated) else ExitCode.INTERRUPTED
+        status = ExitCode.TERMINATED if isinstance(stop, SigtermInterrupt) else ExitCode.INTERRUPTED
         raise
     except RoadtorchError:
         status = ExitCode.WRONG_USAGE
         raise
     finally:
-        index = folder / INDEX
+        index = folder / INDEX_FILE
         rows = read_index(index)
         tried = [rows[file] for file in files if file in rows]
         done = sorted((row for row in tried if not row.failed), key=lambda row: row.file)
@@ -64,12 +64,12 @@ def recorded(
             "command": command,
             "detector": detector.name,
             "settings": settings,
-            "corrected_images": corrected_images(settings),
-            "weights_sha256": tensors_hash(detector.state_dict()),
-            "threads": vars(Threads.of_now()),
+            "corrected_images": count_corrected_images(settings),
+            "weights_sha256": hash_tensors(detector.state_dict()),
+            "threads": vars(Threads.current()),
             "options": options,
             "inputs_sha256": hashlib.sha256(inputs.encode()).hexdigest(),
-            "index_sha256": digest_of(index),
+            "index_sha256": file_digest(index),
             "started": started,
             "ended": _now(),
             "images": {

@@ -15,19 +15,19 @@ import click
 from roadtorch.base.atomic import make_folder, remove_leftovers
 from roadtorch.base.errors import RoadtorchError
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import Stop, stop_on_signals
+from roadtorch.base.signals import StopRequest, stop_on_signals
 from roadtorch.inputs.item import Item, Source
-from roadtorch.road.steady import Steady, SteadySettings
-from roadtorch.run.folder import OUT_HINT, result_folder
+from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
+from roadtorch.run.folder import OUT_HINT, open_result_folder
 from roadtorch.run.ledger import (
     DONE,
     DOUBTFUL,
     FAILED,
-    INDEX,
+    INDEX_FILE,
     PARTIAL,
+    IndexRow,
     Ledger,
     Method,
-    Row,
     open_ledger,
 )
 from roadtorch.run.loop import (
@@ -55,16 +55,16 @@ class Run:
     workers: Workers
     options: RunOptions
 
-    def all(self, plan: Plan, task: Task, footage_method: Method, steady: bool = True) -> int:
+    def process(self, plan: Plan, task: Task, footage_method: Method, steady: bool = True) -> int:
         """Process all images and sources of a plan, and return the exit code.
 
         footage_method: of the sources, instead of the task's. steady: whether to smooth
         over time.
         """
-        failed = self.images(plan.images, task)
+        failed = self.process_images(plan.images, task)
         return max(failed, self.process_sources(plan, replace(task, method=footage_method), steady))
 
-    def images(self, items: Sequence[Item], task: Task) -> int:
+    def process_images(self, items: Sequence[Item], task: Task) -> int:
         """Process the images that are not done yet, and return the exit code.
 
         An image is done when index.csv lists it with this method and its current bytes, and its
@@ -84,7 +84,7 @@ class Run:
             results = self.workers.map(task, until_stopped(todo, stop), crashed_row)
             tried = list(self._record(results, "image", total=len(todo)))
             self._remove_leftovers(items)  # of workers that died
-        stop.interrupt()
+        stop.raise_if_requested()
         failed = sum(rows[item.row_name].failed for item in todo)
         if not self.options.quiet or failed:
             done = f"{len(todo) - failed} done" + (f" ({again} redone)" if again else "")
@@ -124,7 +124,7 @@ class Run:
 
     # --- one source ---------------------------------------------------------------------
 
-    def _process_source(self, source: Source, output: Output, task: Task, steady: bool) -> Row:
+    def _process_source(self, source: Source, output: Output, task: Task, steady: bool) -> IndexRow:
         """Process the frames of a source as far as possible, and return its recorded row."""
         count, folder = _Count(), self.folder / source.name
         remove_leftovers([folder.parent, folder])
@@ -136,7 +136,7 @@ class Run:
                 rows = self._frame_rows(source, task, writers, output.cues, steady, stop)
                 for row in self._record(rows, "frame", total=source.count):
                     count.add(row)
-            stop.interrupt()
+            stop.raise_if_requested()
         except (RoadtorchError, KeyboardInterrupt) as raised:
             error = raised
         row = task.method.mark(_source_row(source, count, error))
@@ -153,10 +153,19 @@ class Run:
         return row
 
     def _frame_rows(
-        self, source: Source, task: Task, writers: Writers, cues: bool, steady: bool, stop: Stop
-    ) -> Iterator[Row]:
+        self,
+        source: Source,
+        task: Task,
+        writers: Writers,
+        cues: bool,
+        steady: bool,
+        stop: StopRequest,
+    ) -> Iterator[IndexRow]:
         """Detect and write the frames of a source in order, and yield their rows."""
-        temporal_filter, infer = Steady(SteadySettings()) if steady else None, task.infer
+        temporal_filter, infer = (
+            TemporalFilter(TemporalFilterSettings()) if steady else None,
+            task.infer,
+        )
         assert isinstance(infer, Inference)
         results = detect_frames(source, infer, self.workers, temporal_filter, cues, stop)
         with closing(results) as frames:
@@ -171,7 +180,7 @@ class Run:
 
     # --- output on the terminal ---------------------------------------------------------
 
-    def _record(self, rows: Any, unit: str, total: int | None) -> Iterator[Row]:
+    def _record(self, rows: Any, unit: str, total: int | None) -> Iterator[IndexRow]:
         """Add rows to the index as they arrive, show progress, and print failures.
 
         Closing this generator closes ``rows``.
@@ -201,22 +210,22 @@ def open_run(
     """Open a run over ``count`` items (None: unknown) into an output folder.
 
     effective: all settings as TOML, written to config.toml. record: context entered around the
-    run, such as ``roadtorch.run.record.recorded``. Raises as ``result_folder`` and ``open_ledger``.
+    run, such as ``record_run``. Raises as ``open_result_folder`` and ``open_ledger``.
     """
     with (
         options.workers(count) as workers,
-        result_folder(out, effective, options.overwrite),
+        open_result_folder(out, effective, options.overwrite),
         record or nullcontext(),
-        open_ledger(out / INDEX) as ledger,
+        open_ledger(out / INDEX_FILE) as ledger,
     ):
         yield Run(out, ledger, workers, options)
 
 
-def _trust(row: Row) -> float:
+def _trust(row: IndexRow) -> float:
     return float(row.trust or "inf")
 
 
-def least_trusted_lines(rows: Iterable[Row]) -> list[str]:
+def least_trusted_lines(rows: Iterable[IndexRow]) -> list[str]:
     """Return lines that list the least trusted images, the worst first; empty without trusts."""
     rated = sorted((row for row in rows if row.trust), key=_trust)
     if not rated:
@@ -243,10 +252,10 @@ class _Count:
     failed: int = 0
     doubtful: int = 0
     ms: float = 0.0
-    last_row: Row = Row("")  # noqa: RUF009 - it is frozen
-    least_trusted: list[Row] = field(default_factory=list)
+    last_row: IndexRow = IndexRow("")  # noqa: RUF009 - it is frozen
+    least_trusted: list[IndexRow] = field(default_factory=list)
 
-    def add(self, row: Row) -> None:
+    def add(self, row: IndexRow) -> None:
         """Count the row of a frame."""
         self.failed += row.failed
         if not row.failed:
@@ -264,7 +273,7 @@ class _Count:
         return ", ".join(parts)
 
 
-def _source_row(source: Source, count: _Count, error: BaseException | None) -> Row:
+def _source_row(source: Source, count: _Count, error: BaseException | None) -> IndexRow:
     """Return the row of a source; an interruption is the usual end of a live one."""
     reason = ""
     if isinstance(error, RoadtorchError):
@@ -276,5 +285,5 @@ def _source_row(source: Source, count: _Count, error: BaseException | None) -> R
         reason = f"{source.origin}: {frames} (see their rows in index.csv)"
     status = f"{PARTIAL if count.done else FAILED}: {reason}" if reason else DONE
     last = count.last_row
-    row = Row(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
+    row = IndexRow(source.row_name, last.width, last.height, f"{count.ms:.0f}", status=status)
     return replace(row, seconds=last.seconds)

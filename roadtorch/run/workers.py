@@ -27,7 +27,7 @@ from torch import Tensor
 
 from roadtorch.base.compute import Threads, check_device, keep_freed_memory
 from roadtorch.base.errors import InputError
-from roadtorch.base.signals import SIGNALS, end_with_parent, interrupting_none_started
+from roadtorch.base.signals import STOP_SIGNALS, block_sigint_in_children, end_with_parent
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -41,7 +41,7 @@ MAX_AHEAD = 2
 SHUTDOWN_TIMEOUT = 10.0
 """Seconds that a worker gets to finish its item, before it is killed."""
 
-DIED = ("its worker process died", "run it again, with --jobs 1 if memory is short")
+WORKER_CRASH = ("its worker process died", "run it again, with --jobs 1 if memory is short")
 """Problem and hint of an item whose worker process died."""
 
 # --- in order -----------------------------------------------------------------------------
@@ -137,25 +137,25 @@ def _map_in_order(
         pool.stop([*idle, *busy.values()])
 
 
-def processors() -> int:
+def count_processors() -> int:
     """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def workers_for(jobs: int | None, count: int | None = None, device: str = "cpu") -> Workers:
+def make_workers(jobs: int | None, count: int | None = None, device: str = "cpu") -> Workers:
     """Return workers for ``count`` items (None: unknown) and ``--jobs``.
 
     Without ``--jobs``: one process per processor, and only this process for few items or a GPU.
     """
     if jobs is None:
-        jobs = processors() if device == "cpu" else 1
+        jobs = count_processors() if device == "cpu" else 1
         jobs = jobs if count is None else min(jobs, count // MIN_ITEMS_PER_WORKER)
     return Workers(max(jobs, 1))
 
 
-def settle(threads: int, device: str = "cpu") -> None:
+def configure_threads(threads: int, device: str = "cpu") -> None:
     """Set the threads of torch and OpenCV, and malloc; ConfigError for an unavailable device."""
     Threads(threads, threads).set()
     keep_freed_memory()
@@ -197,7 +197,7 @@ class _ProcessPool:
     crashes: tuple[type[Exception], ...] = (BrokenExecutor,)
 
     def __init__(self, task: Callable[[Any], Any]) -> None:
-        self._threads = Threads.of_now()
+        self._threads = Threads.current()
         is_plain = self._threads.torch == 1 and not torch.cuda.is_initialized()
         forks = sys.platform == "linux" and is_plain
         self._context = get_context("fork" if forks else "spawn")
@@ -213,7 +213,7 @@ class _ProcessPool:
         try:
             arguments = (self._threads, self._inherited_task)
             executor = ProcessPoolExecutor(1, self._context, _initialise_worker, arguments)
-            with interrupting_none_started():
+            with block_sigint_in_children():
                 executor.submit(_load_task, self._pickled_task)
         except (OSError, RuntimeError) as error:  # RuntimeError: its thread cannot start
             for process in set(active_children()) - earlier:
@@ -255,7 +255,7 @@ def _initialise_worker(threads: Threads, task: Callable[[Any], Any] | None) -> N
     global _task
     _task = task
     gc.freeze()  # no finalizer of the parent's objects may run here: its threads do not exist
-    for number in SIGNALS:
+    for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     end_with_parent()
     threads.set()

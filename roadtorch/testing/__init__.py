@@ -35,7 +35,7 @@ class ContractError(AssertionError):
 
 
 def check_detector(entry: Entry, **settings: Any) -> None:
-    """Check a detector against every rule of the contract, ``CHECKS``.
+    """Check a detector against every rule of the contract, ``CONTRACT_CHECKS``.
 
     Args:
         entry: the detector's registration.
@@ -50,9 +50,9 @@ def check_detector(entry: Entry, **settings: Any) -> None:
 
 def contract_violations(entry: Entry, **settings: Any) -> list[str]:
     """Return violations of the contract, the first of each check; empty for a valid detector."""
-    checked = entry.configured(settings)
+    checked = entry.make_settings(settings)
     detector, again = (Detector(entry, checked).eval() for _ in range(2))
-    violations = [next(check(detector, again), None) for check in CHECKS]
+    violations = [next(check(detector, again), None) for check in CONTRACT_CHECKS]
     return [f"{entry.name} {text}" for text in violations if text is not None]
 
 
@@ -177,7 +177,7 @@ def check_refusals(detector: Detector, _: Detector) -> Violations:
         yield f"accepts an image that is {kind}"
 
 
-CHECKS: tuple[Callable[[Detector, Detector], Violations], ...] = (
+CONTRACT_CHECKS: tuple[Callable[[Detector, Detector], Violations], ...] = (
     check_sizes,
     check_featureless_images,
     check_determinism,

@@ -18,13 +18,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.image import write_colours
+from roadtorch.base.image import write_rgb_png
 from roadtorch.layout import classes as layout
 
-SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
+SCENE_SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
 
 LAYOUT_OF_CLASS = np.full(12, layout.VERTICAL, np.uint8)
-LAYOUT_OF_CLASS[[SKY, ROAD, PAVEMENT]] = layout.SKY, layout.HORIZONTAL, layout.HORIZONTAL
+LAYOUT_OF_CLASS[[SCENE_SKY, ROAD, PAVEMENT]] = layout.SKY, layout.HORIZONTAL, layout.HORIZONTAL
 CAMERA_HEIGHT = 1.35  # metres above the road
 MAX_DISTANCE = 90.0  # metres: nothing upright stands farther away
 
@@ -86,7 +86,7 @@ class Canvas:
         self.focal = 0.95 * max(width, height * 4 / 3)  # pixels
         self.horizon = street.horizon * height
         self.rgb = np.zeros((height, width, 3), np.float32)
-        self.classes = np.full((height, width), SKY, np.uint8)
+        self.classes = np.full((height, width), SCENE_SKY, np.uint8)
 
     def project(self, right: float, up: float, ahead: float) -> tuple[float, float]:
         """Project a point, in metres from the camera's foot on the road, to a pixel (x, y)."""
@@ -135,7 +135,9 @@ def expose(canvas: Canvas, generator: np.random.Generator) -> RenderedScene:
     light = np.array([1.0, 1 - 0.08 * dusk, 1 - 0.05 * dusk]) * (1 - 0.5 * dusk)
     rgb = canvas.rgb * light
     if dusk:  # the sky stays brighter than the street
-        rgb = np.where((canvas.classes == SKY)[..., None], canvas.rgb * (1 - 0.25 * dusk), rgb)
+        rgb = np.where(
+            (canvas.classes == SCENE_SKY)[..., None], canvas.rgb * (1 - 0.25 * dusk), rgb
+        )
     rgb = cv2.GaussianBlur(rgb, (0, 0), 1.1)
     rgb = rgb.reshape(canvas.height // 2, 2, canvas.width // 2, 2, 3).mean((1, 3))
     rgb = rgb + generator.normal(0, canvas.street.noise, rgb.shape) * (0.4 + np.sqrt(np.abs(rgb)))
@@ -375,7 +377,7 @@ def render_scene(seed: int, height: int = 240, width: int = 320, **options: floa
 def write_image(path: Path, scene: RenderedScene) -> None:
     """Write the scene's image as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_colours(path, scene.image)
+    write_rgb_png(path, scene.image)
 
 
 def write_scenes() -> None:

@@ -22,7 +22,7 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.base.vision import import_torchvision
-from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.prepared import from_uint8
 
@@ -428,5 +428,5 @@ def paste_ego_car(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, 
     On it the road is 0, the layout has no weight and the ego car is known.
     """
     over = (car.ego > 0.5).to(targets)
-    target = targets.new_tensor([0.0] * CLASSES + [0, 0, 1, 1, 1]).reshape(1, -1, 1, 1)
+    target = targets.new_tensor([0.0] * NUM_CLASSES + [0, 0, 1, 1, 1]).reshape(1, -1, 1, 1)
     return torch.lerp(image, car.image, car.ego), torch.lerp(targets, target, over)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
-from roadtorch.base.errors import ConfigError, unknown_name
+from roadtorch.base.errors import ConfigError, unknown_name_error
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.slic import Superpixels
@@ -255,7 +255,7 @@ def build_training(values: dict[str, Any]) -> Training:
     nested = dict(values)
     kind = str(nested.pop("kind", PatchTraining.name))  # str, as a list could not be looked up
     if kind not in TRAINING_KINDS:
-        raise unknown_name("kind of training", kind, TRAINING_KINDS)
+        raise unknown_name_error("kind of training", kind, TRAINING_KINDS)
     try:
         settings = build_settings(TRAINING_KINDS[kind], nested)
     except ConfigError:

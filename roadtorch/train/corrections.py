@@ -11,10 +11,10 @@ import tomli_w
 
 from roadtorch.base.atomic import make_folder, write_text
 from roadtorch.base.errors import InputError
-from roadtorch.data.corrections import Correction, image_size
-from roadtorch.data.events import NOT_ROAD, ROAD_SAID
+from roadtorch.data.corrections import Correction, read_image_size
+from roadtorch.data.events import NOT_ROAD, ROAD_LABEL
 from roadtorch.inputs.item import Item
-from roadtorch.layout.weights import people_behind, weights_path
+from roadtorch.layout.weights import read_correction_runs, weights_path
 from roadtorch.run.memo import Arrays, write_arrays
 from roadtorch.train.config import Descent, ImageTraining, Training
 from roadtorch.train.prepared import image_file_name
@@ -37,7 +37,7 @@ def corrections_by_image(
         correction = by_path.get(image.path.resolve())
         if correction is None:
             continue
-        if image_size(image.path) != correction.labels.shape:
+        if read_image_size(image.path) != correction.labels.shape:
             message = "has changed its size since it was corrected"
             raise InputError(image.path, message, WRONG_IMAGES)
         by_name[image_file_name(image)] = correction
@@ -99,7 +99,7 @@ def write_fusion_config(path: Path, weights: Path, corrections: Sequence[Correct
     With true labels, a log odds of 0 separates road from background, not the usual centre.
     """
     roads = [correction.road for correction in corrections]
-    if not any(((road == ROAD_SAID) | (road == NOT_ROAD)).any() for road in roads):
+    if not any(((road == ROAD_LABEL) | (road == NOT_ROAD)).any() for road in roads):
         return False
     comment = f"# Trained with {len(corrections)} human-corrected images: not label-free."
     values = {
@@ -122,7 +122,7 @@ def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:
     names = [training.initial_weights]
     if isinstance(training, ImageTraining):
         names.append(training.teacher.weights)
-    runs = [run for name in names if name for run in people_behind(weights_path(name))]
+    runs = [run for name in names if name for run in read_correction_runs(weights_path(name))]
     return [run for number, run in enumerate(runs) if run not in runs[:number]]
 
 

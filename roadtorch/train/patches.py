@@ -15,17 +15,17 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.base.errors import InputError
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.data.corrections import Correction
-from roadtorch.data.events import VOID_SAID
-from roadtorch.imaging.resize import at_image_size, at_work, working_size
+from roadtorch.data.events import VOID_LABEL
+from roadtorch.imaging.resize import resize_to_image, resize_to_work, working_size
 from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
-from roadtorch.layout.classes import CLASSES, UNLABELLED
+from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
-from roadtorch.run.memo import Arrays, cached_arrays, key_of, read_arrays
+from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import uniform
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
 from roadtorch.train.prepared import from_uint8, to_uint8
@@ -63,17 +63,17 @@ def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
 
     Raises InputError if no image has a labelled patch.
     """
-    counts = torch.zeros(CLASSES)
+    counts = torch.zeros(NUM_CLASSES)
     for file in files:
         classes = read_arrays(file, "classes")["classes"]
-        counts += torch.bincount(classes.long(), minlength=CLASSES)
+        counts += torch.bincount(classes.long(), minlength=NUM_CLASSES)
     if not counts.sum():
         message = "have no superpixel with a certain label"
         hint = "lower labeller.margin, or give street images"
         raise InputError("the images", message, hint)
     if training.balance == "none":
-        return torch.ones(CLASSES)
-    return counts.sum() / (CLASSES * counts.clamp_min(1))
+        return torch.ones(NUM_CLASSES)
+    return counts.sum() / (NUM_CLASSES * counts.clamp_min(1))
 
 
 # --- corrections ------------------------------------------------------------------------
@@ -213,7 +213,7 @@ class PatchSamples:
     """Patches of prepared images, shuffled over ``shuffle_images`` of them at a time.
 
     A chunk holds a part of the patches of that many images, another part at each visit. Memory is
-    that of about ``shuffle_images`` / ``passes`` images and of ``cached_arrays``, however many
+    that of about ``shuffle_images`` / ``passes`` images and of ``make_cached_reader``, however many
     images there are.
     """
 
@@ -225,7 +225,7 @@ class PatchSamples:
     ) -> None:
         self._files, self._corrected = files, corrected
         self._training = training
-        self._read = cached_arrays()
+        self._read = make_cached_reader()
         self._weights = class_weights(files, training)
         self._groups = -(-len(files) // training.shuffle_images)
         patch = training.network.topology.patch
@@ -296,7 +296,7 @@ class PatchSamples:
 
 def squared_error(network: nn.Module, batch: Batch) -> Tensor:
     """Sum |potentials - one-hot|² over patches, weighted. P2, section 3.1."""
-    one_hot = F.one_hot(batch.targets, CLASSES).to(batch.inputs)
+    one_hot = F.one_hot(batch.targets, NUM_CLASSES).to(batch.inputs)
     return ((network(batch.inputs) - one_hot).square().sum(1) * batch.weights).sum()
 
 
@@ -315,9 +315,9 @@ class PatchRecipe:
 
     def key(self, image: Item) -> str:
         """Return the cache key of a prepared image."""
-        return key_of(self.preparation, image.path, None)  # without an ego car
+        return cache_key(self.preparation, image.path, None)  # without an ego car
 
-    def survey(self, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
+    def survey(self, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool) -> None:
         """Do nothing: patches depend on single images."""
 
     def prepare(self, image: Tensor, name: str) -> Arrays:
@@ -327,7 +327,7 @@ class PatchRecipe:
         Centres about which the labeller is uncertain are left out.
         """
         training, working = self._training, self._training.network.working
-        small = at_work(image, working)
+        small = resize_to_work(image, working)
         labels = label_layout(small, training.labeller, working, training.superpixels).labels
         centres = find_centres(training.superpixels.cut(small), training.centres)
         classes = labels[centres[:, 0], centres[:, 1]]
@@ -346,8 +346,8 @@ class PatchRecipe:
         """
         height, width = correction.labels.shape
         size = working_size(height, width, self._training.network.working)
-        layout = at_image_size(torch.from_numpy(correction.layout), size)
-        void = at_image_size(torch.from_numpy(correction.road == VOID_SAID), size)
+        layout = resize_to_image(torch.from_numpy(correction.layout), size)
+        void = resize_to_image(torch.from_numpy(correction.road == VOID_LABEL), size)
         return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
     def make_network(self, initial: LayoutNetwork | None) -> LayoutNetwork:
@@ -357,7 +357,7 @@ class PatchRecipe:
         with seed_torch(self._training.random_seed, 0):
             return PatchNetwork(self._training.network)
 
-    def make_samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> PatchSamples:
+    def make_samples(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> PatchSamples:
         """Return the augmented patches of prepared images, corrected images oversampled."""
         fraction = self._training.corrections.fraction
         oversampled = oversample(inputs.files, inputs.corrected, fraction)

@@ -9,15 +9,15 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from roadtorch.base.compute import single_threaded
+from roadtorch.base.compute import single_threaded_process
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import Stop
-from roadtorch.detectors.detector import checked_image
+from roadtorch.base.signals import StopRequest
+from roadtorch.detectors.detector import validate_image
 from roadtorch.inputs.item import Item
 from roadtorch.run.loop import until_stopped
-from roadtorch.run.memo import Arrays, keep, kept
-from roadtorch.run.workers import DIED, workers_for
+from roadtorch.run.memo import Arrays, read_cached, write_cached
+from roadtorch.run.workers import WORKER_CRASH, make_workers
 
 
 def to_uint8(values: Tensor) -> Tensor:
@@ -55,10 +55,12 @@ class Preparation:
         """Prepare an image unless its file is up to date; ConfigError if a setting is wrong."""
         name, key = image_file_name(image), self.key(image)
         file = self.folder / f"{name}.npz"
-        if kept(file, key) is not None:  # read as a whole, as damage would end the training later
+        if (
+            read_cached(file, key) is not None
+        ):  # read as a whole, as damage would end the training later
             return PreparedImage(name, file)
         try:
-            arrays = self.compute(checked_image(image.read()), image.name)
+            arrays = self.compute(validate_image(image.read()), image.name)
         except InputError as error:
             where = image.path if error.where == "image" else error.where
             return PreparedImage(name, None, str(InputError(where, error.problem, error.hint)))
@@ -68,20 +70,20 @@ class Preparation:
             # One image on which a detector fails must not end a long run.
             text = f"{image.path}: {type(error).__name__}: {error} (report it)"
             return PreparedImage(name, None, " ".join(text.split()))
-        keep(file, key, arrays)
+        write_cached(file, key, arrays)
         return PreparedImage(name, file)
 
 
 def prepare(
-    images: Sequence[Item], preparation: Preparation, stop: Stop, quiet: bool = False
+    images: Sequence[Item], preparation: Preparation, stop: StopRequest, quiet: bool = False
 ) -> list[PreparedImage]:
     """Prepare all images that are not up to date; report and skip those that fail.
 
     Returns one item an image, in order; if a stop is requested, only those that are ready.
     """
     made, count = list[PreparedImage](), len(images)
-    with single_threaded():
-        workers = workers_for(None, count)
+    with single_threaded_process():
+        workers = make_workers(None, count)
         results = workers.map(preparation, until_stopped(images, stop), _died)
         bar = Progress(results, total=count, desc="labels", unit="image", quiet=quiet)
         with closing(results):
@@ -93,7 +95,7 @@ def prepare(
 
 
 def _died(image: Item) -> PreparedImage:
-    return PreparedImage(image_file_name(image), None, str(InputError(image.origin, *DIED)))
+    return PreparedImage(image_file_name(image), None, str(InputError(image.origin, *WORKER_CRASH)))
 
 
 def image_file_name(image: Item) -> str:

@@ -10,12 +10,12 @@ from torch import Tensor
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import Stop
-from roadtorch.camera.footage import still_ego
-from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, size_of
+from roadtorch.base.signals import StopRequest
+from roadtorch.camera.footage import detect_ego_car
+from roadtorch.imaging.resize import WorkingSize, resize_to_image, resize_to_work, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.run.loop import until_stopped
-from roadtorch.run.memo import Arrays, keep, kept, key_of
+from roadtorch.run.memo import Arrays, cache_key, read_cached, write_cached
 from roadtorch.train.config import Recordings
 
 MAX_FRAMES = 120
@@ -38,7 +38,7 @@ def recording_name(name: str, separator: str) -> str:
 
 
 def find_ego_cars(
-    images: Sequence[Item], folder: Path, settings: Recordings, stop: Stop, quiet: bool
+    images: Sequence[Item], folder: Path, settings: Recordings, stop: StopRequest, quiet: bool
 ) -> Mapping[str, Path]:
     """Find the ego car of each recording; return the file of the result by image name.
 
@@ -55,9 +55,9 @@ def find_ego_cars(
     bar = Progress(files.items(), desc="ego cars", unit="image", quiet=quiet)
     for name, file in until_stopped(bar, stop):
         frames = evenly_spaced(long[name], MAX_FRAMES)
-        key = key_of(settings.min_frames, *(image.path for image in frames))
-        if kept(file, key) is None:
-            keep(file, key, detect_ego_cars(frames, settings.min_frames))
+        key = cache_key(settings.min_frames, *(image.path for image in frames))
+        if read_cached(file, key) is None:
+            write_cached(file, key, detect_ego_cars(frames, settings.min_frames))
     return {image.name: files[name] for name, group in long.items() for image in group}
 
 
@@ -66,10 +66,10 @@ def detect_ego_cars(images: Sequence[Item], min_frames: int) -> Arrays:
     shapes: dict[int, list[Tensor]] = {}
     for image in images:
         with suppress(InputError):  # reported when it is prepared
-            frame = at_work(read_image(image.path), FRAME_SIZE)
+            frame = resize_to_work(read_image(image.path), FRAME_SIZE)
             shapes.setdefault(aspect_bin(frame), []).append(frame)
     enough = {shape: frames for shape, frames in shapes.items() if len(frames) >= min_frames}
-    cars = {str(shape): still_ego(frames) for shape, frames in enough.items()}
+    cars = {str(shape): detect_ego_car(frames) for shape, frames in enough.items()}
     return {shape: ego for shape, ego in cars.items() if ego is not None and has_smooth_edge(ego)}
 
 
@@ -92,5 +92,5 @@ def aspect_bin(image: Tensor) -> int:
 def read_ego(file: Path | None, image: Tensor) -> Tensor | None:
     """Read the ego car of an image's recording, bool (H, W) of the image; None if there is none."""
     shape = str(aspect_bin(image))
-    cars = kept(file, None, shape) if file else None
-    return at_image_size(cars[shape], size_of(image)) if cars else None
+    cars = read_cached(file, None, shape) if file else None
+    return resize_to_image(cars[shape], spatial_size(image)) if cars else None

@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from roadtorch.base.atomic import shared, write_text
+from roadtorch.base.atomic import share_folder, write_text
 from roadtorch.base.errors import InputError, WeightsError
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import Stop, stop_on_signals
+from roadtorch.base.signals import StopRequest, stop_on_signals
 from roadtorch.base.version import __version__
 from roadtorch.data.corrections import Correction
 from roadtorch.inputs.images import find_images
@@ -21,7 +21,7 @@ from roadtorch.layout.weights import (
     LayoutNetwork,
     WholeImageNetwork,
     load_network,
-    network_at,
+    resize_network,
     save_network,
     weights_path,
 )
@@ -35,7 +35,9 @@ from roadtorch.train.corrections import (
     write_corrections,
     write_fusion_config,
 )
-from roadtorch.train.folder import (
+from roadtorch.train.patches import PatchRecipe
+from roadtorch.train.prepared import Preparation, PreparedImage, prepare
+from roadtorch.train.run_folder import (
     BAD_CHECKPOINT,
     CHECKPOINT,
     INITIAL_LABELS,
@@ -44,8 +46,6 @@ from roadtorch.train.folder import (
     config_hash,
     make_record,
 )
-from roadtorch.train.patches import PatchRecipe
-from roadtorch.train.prepared import Preparation, PreparedImage, prepare
 from roadtorch.train.training_loop import Loop, TrainingInputs, TrainingProgress
 from roadtorch.train.whole_images import ImageRecipe
 
@@ -58,7 +58,7 @@ FUSION_CONFIG = "fusion.toml"
 
 
 @dataclass(frozen=True)
-class Request:
+class TrainingRequest:
     """The inputs of a run.
 
     images: a folder, file or quoted glob. prepared: folder of prepared images; None for one inside
@@ -83,7 +83,7 @@ class Outcome:
     skipped: int
 
 
-def train(training: Training, request: Request) -> Outcome:
+def train(training: Training, request: TrainingRequest) -> Outcome:
     """Train a network on machine labels of images, or resume such a run.
 
     Raises InputError without a usable image and if another run holds the folder, ConfigError and
@@ -116,7 +116,7 @@ def load_initial_network(training: Training) -> LayoutNetwork | None:
         return None
     network = load_network(weights_path(training.initial_weights))
     if isinstance(network, WholeImageNetwork) and isinstance(training, ImageTraining):
-        network = network_at(network, training.network.height, training.network.width)
+        network = resize_network(network, training.network.height, training.network.width)
     if network.settings != training.network:
         message = "holds a network with other settings than this training"
         hint = "give the same [network] settings, or leave initial_weights out"
@@ -125,12 +125,12 @@ def load_initial_network(training: Training) -> LayoutNetwork | None:
 
 
 def prepare_folder(
-    recipe: Recipe, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool
+    recipe: Recipe, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool
 ) -> list[PreparedImage]:
     """Prepare images in a folder; fewer if a stop is requested."""
-    with shared(folder):
+    with share_folder(folder):
         recipe.survey(images, folder, stop, quiet)
-        if stop.asked:  # an incomplete survey prepares nothing
+        if stop.requested:  # an incomplete survey prepares nothing
             return []
         preparation = Preparation(folder, recipe.key, recipe.prepare)
         return prepare(images, preparation, stop, quiet)
@@ -146,9 +146,9 @@ class TrainingRun:
     training: Training
     recipe: Recipe
     initial: LayoutNetwork | None
-    request: Request
+    request: TrainingRequest
     folder: RunFolder
-    stop: Stop
+    stop: StopRequest
     corrections: Mapping[str, Correction]
 
     def run(self, images: Sequence[Item]) -> Outcome:
@@ -163,7 +163,7 @@ class TrainingRun:
         prepared_folder = self.request.prepared or folder.path / PREPARED
         prepared = prepare_folder(self.recipe, images, prepared_folder, stop, self.request.quiet)
         skipped = sum(item.file is None for item in prepared)
-        if stop.asked or not self._train(prepared, state, inherited):
+        if stop.requested or not self._train(prepared, state, inherited):
             return Outcome(None, stop.signal or SIGTERM, skipped)
         return Outcome(folder.path / WEIGHTS, None, skipped)
 

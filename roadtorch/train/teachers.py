@@ -13,19 +13,19 @@ from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
-from roadtorch.imaging.resize import resized, size_of
-from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.image_network import EGO, ROAD, potentials_of
+from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.layout.classes import NUM_CLASSES
+from roadtorch.layout.image_network import EGO, ROAD_OUTPUT, scores_to_potentials
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
-from roadtorch.road.ego import continued
-from roadtorch.road.fusion import centred_odds, log_odds
+from roadtorch.road.bayes import centred_odds, log_odds
+from roadtorch.road.ego import extrapolate_over_ego
 from roadtorch.run.loop import until_stopped
-from roadtorch.run.memo import Arrays, keep, kept, key_of, read_arrays
+from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
 from roadtorch.train.config import ImageTraining, Rounds, Teacher
 from roadtorch.train.prepared import from_uint8, to_uint8
 
@@ -53,7 +53,7 @@ class Targets(NamedTuple):
     ego_weight: Tensor
 
 
-TARGET_PLANES = (CLASSES, 1, 1, 1, 1, 1)
+TARGET_PLANES = (NUM_CLASSES, 1, 1, 1, 1, 1)
 """Planes of the fields of ``Targets``."""
 
 
@@ -68,10 +68,13 @@ def make_targets(
     ``margin``; with ``combine = "agreement"`` only where teacher and network agree on the class,
     or on road. On the ego car road is 0 and counts, and the layout does not count.
     """
-    layout, road = teacher[:, :CLASSES], centre_likelihood(teacher[:, CLASSES:], settings)
+    layout, road = teacher[:, :NUM_CLASSES], centre_likelihood(teacher[:, NUM_CLASSES:], settings)
     agree = agree_road = torch.ones_like(road)
     if network is not None:
-        network_layout, network_road = network[:, :CLASSES], network[:, ROAD : ROAD + 1]
+        network_layout, network_road = (
+            network[:, :NUM_CLASSES],
+            network[:, ROAD_OUTPUT : ROAD_OUTPUT + 1],
+        )
         if rounds.combine == "agreement":
             agree = (best_class(layout) == best_class(network_layout)).to(road)
             agree_road = ((road >= 0.5) == (network_road >= 0.5)).to(road)
@@ -120,7 +123,7 @@ def prepare_image(
     teacher sees it; None if unknown. Raises ConfigError for a teacher without a layout.
     """
     size = (training.network.height, training.network.width)
-    street = image if ego is None else continued(image, ego)
+    street = image if ego is None else extrapolate_over_ego(image, ego)
     maps = teacher_maps(street, teacher, training.teacher.views)
     return encode_maps(image, maps, torch.full(size, 0.5) if ego is None else ego.float(), size)
 
@@ -132,7 +135,7 @@ def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int])
     1 ego, 0 not, 0.5 unknown.
     """
     parts = {"image": image, "maps": maps, "ego": ego[None]}
-    small = {name: to_uint8(resized(part, size).clamp(0, 1)) for name, part in parts.items()}
+    small = {name: to_uint8(resize_maps(part, size).clamp(0, 1)) for name, part in parts.items()}
     return {**small, "ego": small["ego"][0]}
 
 
@@ -172,22 +175,22 @@ def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor
 
 
 def label_with_network(
-    files: Sequence[Path], folder: Path, network: WholeImageNetwork, stop: Stop, quiet: bool
+    files: Sequence[Path], folder: Path, network: WholeImageNetwork, stop: StopRequest, quiet: bool
 ) -> list[Path]:
     """Write a network's maps of prepared images, averaged over mirroring; return the files.
 
     One file an image, in the order of ``files``; those of the same image and network are reused.
     Stops early on request.
     """
-    weights = key_of([value.numpy().tobytes() for value in network.state_dict().values()])
+    weights = cache_key([value.numpy().tobytes() for value in network.state_dict().values()])
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
     pairs = list(zip(files, names, strict=True))
     bar = Progress(pairs, desc="initial labels", unit="image", quiet=quiet)
     for file, name in until_stopped(bar, stop):
-        key = key_of(weights, file)
-        if kept(name, key) is None:
+        key = cache_key(weights, file)
+        if read_cached(name, key) is None:
             image = from_uint8(read_arrays(file, "image")["image"])
-            keep(name, key, {"maps": to_uint8(network_maps(network, image))})
+            write_cached(name, key, {"maps": to_uint8(network_maps(network, image))})
     return names
 
 
@@ -195,8 +198,8 @@ def label_with_network(
 def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
     """Compute potentials (5, h, w) in [0, 1] of an image (3, h, w), averaged over mirroring."""
     pixels = normalise(image, network.settings.normalisation).pixels
-    maps = potentials_of(network(torch.stack([pixels, pixels.flip(-1)])))
-    return resized((maps[0] + maps[1].flip(-1)) / 2, size_of(image))
+    maps = scores_to_potentials(network(torch.stack([pixels, pixels.flip(-1)])))
+    return resize_maps((maps[0] + maps[1].flip(-1)) / 2, spatial_size(image))
 
 
 # --- agreement --------------------------------------------------------------------------
@@ -216,8 +219,8 @@ def teacher_agreement(
         image, maps, ego = (from_uint8(arrays[name]) for name in ("image", "maps", "ego"))
         targets = make_targets(maps[None], ego[None, None], None, training.teacher, training.rounds)
         potentials = network_maps(network, image)[None]
-        layout = potentials[:, :CLASSES].argmax(1) == targets.layout.argmax(1)
-        road = (potentials[:, ROAD] >= 0.5) == (targets.road[:, 0] >= 0.5)
+        layout = potentials[:, :NUM_CLASSES].argmax(1) == targets.layout.argmax(1)
+        road = (potentials[:, ROAD_OUTPUT] >= 0.5) == (targets.road[:, 0] >= 0.5)
         where = torch.stack([targets.layout_weight[:, 0], targets.road_weight[:, 0]]) > 0
         agreeing += (torch.stack([layout, road]) & where).flatten(1).sum(1)
         counted += where.flatten(1).sum(1)

@@ -16,10 +16,10 @@ from torch import Tensor, nn
 
 from roadtorch.base.errors import ConfigError, WeightsError
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import Stop
-from roadtorch.layout.weights import LayoutNetwork, fill
+from roadtorch.base.signals import StopRequest
+from roadtorch.layout.weights import LayoutNetwork, load_tensors
 from roadtorch.train.config import Descent, Stopping
-from roadtorch.train.folder import BAD_CHECKPOINT, CHECKPOINT, RunFolder
+from roadtorch.train.run_folder import BAD_CHECKPOINT, CHECKPOINT, RunFolder
 
 # --- randomness -------------------------------------------------------------------------
 
@@ -134,7 +134,7 @@ class Loop:
     stopping: Stopping
     progress: TrainingProgress
     folder: RunFolder
-    stop: Stop
+    stop: StopRequest
     quiet: bool = False
     part: tuple[int, int] = (1, 1)
 
@@ -157,8 +157,8 @@ class Loop:
         """Restore weights and optimizer from a checkpoint; WeightsError if it lacks them."""
         path = self.folder.path / CHECKPOINT
         try:
-            fill(self.network, state["network"], path)
-            fill(self.average.network, state["average"], path)
+            load_tensors(self.network, state["network"], path)
+            load_tensors(self.average.network, state["average"], path)
             self._optimiser.load_state_dict(state["optimiser"])
         except (KeyError, TypeError, ValueError, AttributeError):
             raise WeightsError(path, *BAD_CHECKPOINT) from None
@@ -171,7 +171,7 @@ class Loop:
         """
         self.network.train()
         with self._bar() as bar:
-            while not self.progress.finished and not self.stop.asked:
+            while not self.progress.finished and not self.stop.requested:
                 self._train_epoch(bar)
                 if self.progress.chunk == self.chunks:
                     self._end_epoch()
@@ -200,7 +200,7 @@ class Loop:
             if time.monotonic() - saved > SAVE_INTERVAL:
                 self.save()
                 saved = time.monotonic()
-            if self.stop.asked:
+            if self.stop.requested:
                 return
 
     def _bar(self) -> Progress:

@@ -10,23 +10,23 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.data.corrections import Correction
-from roadtorch.data.events import NOT_ROAD, ROAD_SAID, VOID_SAID
-from roadtorch.imaging.resize import resized
+from roadtorch.data.events import NOT_ROAD, ROAD_LABEL, VOID_LABEL
+from roadtorch.imaging.resize import resize_maps
 from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
-from roadtorch.layout.classes import CLASSES, HORIZONTAL, SKY
+from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
 from roadtorch.layout.image_network import (
     EGO,
-    ROAD,
+    ROAD_OUTPUT,
     ImageNetwork,
     ImageNetworkSettings,
-    scaled,
+    scale_size,
 )
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
-from roadtorch.run.memo import Arrays, cached_arrays, file_digests, key_of
+from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.prepared import from_uint8, to_uint8
@@ -72,7 +72,7 @@ class ImageSamples:
     sampling_weights: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
     corrected: Mapping[Path, Path]
-    read: Callable[..., Arrays] = field(default_factory=cached_arrays)
+    read: Callable[..., Arrays] = field(default_factory=make_cached_reader)
 
     @property
     def count(self) -> int:
@@ -102,7 +102,9 @@ class ImageSamples:
         scales = training.scales
         scale = scales[int(torch.randint(len(scales), (), generator=generator))]
         if scale != 1:
-            images, targets = (resized(maps, scaled(*size, scale)) for maps in (images, targets))
+            images, targets = (
+                resize_maps(maps, scale_size(*size, scale)) for maps in (images, targets)
+            )
         yield Batch(images, targets, torch.ones(len(images)))
 
     def _augment(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
@@ -177,7 +179,7 @@ def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Target
     planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.encode_correction``. Void removes both;
     corrected road is no ego car.
     """
-    road, not_road, void, layout = planes.split((1, 1, 1, CLASSES), 1)
+    road, not_road, void, layout = planes.split((1, 1, 1, NUM_CLASSES), 1)
     is_corrected, is_void = road + not_road >= MIN_CORRECTED, void > MIN_CORRECTED
     road_fraction = road / (road + not_road).clamp_min(1e-6)
     layout_fraction = layout.sum(1, keepdim=True)
@@ -216,7 +218,7 @@ def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Ten
     small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
     targets = Targets(*small.split(TARGET_PLANES, 1))
     if training.teacher.targets == "hard":
-        best = F.one_hot(best_class(targets.layout)[:, 0], CLASSES).permute(0, 3, 1, 2)
+        best = F.one_hot(best_class(targets.layout)[:, 0], NUM_CLASSES).permute(0, 3, 1, 2)
         road = (targets.road >= 0.5).to(targets.road)
         targets = targets._replace(layout=best.to(targets.layout), road=road)
     return target_loss(scores, targets, training.heads)
@@ -228,8 +230,8 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
     def binary(scores: Tensor, targets: Tensor) -> Tensor:
         return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
 
-    layout = -(targets.layout * scores[:, :CLASSES].log_softmax(1)).sum(1, keepdim=True)
-    road = binary(scores[:, ROAD : ROAD + 1], targets.road) * targets.road_weight
+    layout = -(targets.layout * scores[:, :NUM_CLASSES].log_softmax(1)).sum(1, keepdim=True)
+    road = binary(scores[:, ROAD_OUTPUT : ROAD_OUTPUT + 1], targets.road) * targets.road_weight
     ego = binary(scores[:, EGO:], targets.ego) * targets.ego_weight
     loss = layout * targets.layout_weight + weights.road * road + weights.ego * ego
     return loss.mean((1, 2, 3)).sum()
@@ -260,9 +262,9 @@ class ImageRecipe:
 
     def key(self, image: Item) -> str:
         """Return the cache key of a prepared image; call ``survey`` first."""
-        return key_of(self.preparation, image.path, self._recordings.get(image.name))
+        return cache_key(self.preparation, image.path, self._recordings.get(image.name))
 
-    def survey(self, images: Sequence[Item], folder: Path, stop: Stop, quiet: bool) -> None:
+    def survey(self, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool) -> None:
         """Find the ego cars of the recordings, cached in ``folder``."""
         self._prepared, settings = folder, self._training.recordings
         self._recordings = find_ego_cars(images, folder / EGO_CARS, settings, stop, quiet)
@@ -280,8 +282,8 @@ class ImageRecipe:
         """
         network = self._training.network
         road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
-        planes = [road == value for value in (ROAD_SAID, NOT_ROAD, VOID_SAID)]
-        planes += [layout == number for number in range(CLASSES)]
+        planes = [road == value for value in (ROAD_LABEL, NOT_ROAD, VOID_LABEL)]
+        planes += [layout == number for number in range(NUM_CLASSES)]
         stacked = torch.stack(planes).to(torch.float32)
         return {"planes": to_uint8(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
 
@@ -296,7 +298,7 @@ class ImageRecipe:
         with seed_torch(self._training.random_seed, 0):
             return ImageNetwork(settings)
 
-    def make_samples(self, inputs: TrainingInputs, stop: Stop, quiet: bool) -> ImageSamples:
+    def make_samples(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> ImageSamples:
         """Return augmented images with their targets, and the labels of an initial network."""
         training, files, labels = self._training, inputs.files, list[Path]()
         if isinstance(inputs.initial, WholeImageNetwork):

@@ -77,7 +77,7 @@ def whiten_patches(image: Tensor, settings: DictionarySettings) -> Tensor:
     return torch.addmm(-(mean @ matrix), patches, matrix)
 
 
-def start_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
+def initial_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
     """Return initial bases (K, d) for K-means; equal seeds give equal bases."""
     generator = torch.Generator().manual_seed(settings.random_seed)
     if settings.init == "patches":
@@ -88,7 +88,7 @@ def start_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
     return (INITIAL_NOISE * noise).to(patches)
 
 
-def assign(patches: Tensor, dictionary: Tensor) -> Tensor:
+def assign_patches(patches: Tensor, dictionary: Tensor) -> Tensor:
     """Return the nearest base of each patch, int64 (n,); of equally near ones the first.
 
     The nearest base maximises x·c - c·c/2, so that one matrix product finds it.
@@ -109,7 +109,7 @@ def update_dictionary(patches: Tensor, dictionary: Tensor) -> tuple[Tensor, Tens
     Bases without patches become zero and stay, as in the authors' program: they represent patches
     without contrast.
     """
-    nearest = assign(patches, dictionary)
+    nearest = assign_patches(patches, dictionary)
     sums = torch.zeros_like(dictionary).index_add_(0, nearest, patches)
     counts = torch.bincount(nearest, minlength=len(dictionary))
     return sums / counts.clamp_min(1)[:, None], counts
@@ -117,7 +117,7 @@ def update_dictionary(patches: Tensor, dictionary: Tensor) -> tuple[Tensor, Tens
 
 def learn_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
     """Learn the dictionary (K, d) of white patches (n, d) by K-means (Lloyd)."""
-    dictionary = start_dictionary(patches, settings)
+    dictionary = initial_dictionary(patches, settings)
     for _ in range(settings.rounds):
         dictionary, _ = update_dictionary(patches, dictionary)
     return dictionary

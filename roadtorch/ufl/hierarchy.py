@@ -69,7 +69,7 @@ class RegionTree:
     node_of: Tensor
 
 
-def thresholds(levels: int, top: TopLevel) -> Tensor:
+def region_thresholds(levels: int, top: TopLevel) -> Tensor:
     """Return 0, 1/L, …, (L-1)/L and, if included, 1: float64."""
     return torch.arange(levels + (top == "included"), dtype=torch.float64) / levels
 

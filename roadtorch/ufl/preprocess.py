@@ -65,7 +65,7 @@ class Smoothing(Settings):
         return math.ceil(self.window * self.sigma)
 
 
-def bicubic(image: Tensor, size: tuple[int, int]) -> Tensor:
+def resize_bicubic(image: Tensor, size: tuple[int, int]) -> Tensor:
     """Resize an image (3, H, W) in [0, 1] as MATLAB's ``imresize`` does.
 
     Cubic kernel a = -0.5, widened when reducing, mirrored border, rounded to 8 bits after the rows
@@ -117,7 +117,7 @@ def brightness(image: Tensor, sigma: float, reach: int) -> Tensor:
     return blur(grey[None], sigma, reach)[0]
 
 
-def equalised(image: Tensor, settings: Smoothing) -> Tensor:
+def equalise(image: Tensor, settings: Smoothing) -> Tensor:
     """Blur an image (3, H, W) and equalise its brightness to ``target`` (eqs. 1 and 2).
 
     Black pixels stay black: the authors' program divides 0 by 0 there, and fails.

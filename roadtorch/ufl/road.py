@@ -9,8 +9,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import at_image_size
-from roadtorch.road.fusion import TRIANGLE_APEX
+from roadtorch.imaging.resize import resize_to_image
+from roadtorch.road.bayes import TRIANGLE_APEX
+from roadtorch.ufl.feature_maps import FeatureMaps
 from roadtorch.ufl.hierarchy import (
     NodeChoice,
     RegionTree,
@@ -20,14 +21,13 @@ from roadtorch.ufl.hierarchy import (
     select_nodes,
     selected_area,
 )
-from roadtorch.ufl.maps import FeatureMaps
 
 Centring = Literal["road", "none", "basis"]
 
 SHARPNESS = 2.0
 """Factor of a pixel's stability in the sigmoid of its likelihood."""
 
-AS_CHOSEN = 0.5
+MASK_THRESHOLD = 0.5
 """Threshold at which a likelihood is exactly the mask."""
 
 MIN_WIDTH = 0.03
@@ -81,7 +81,7 @@ class StabilitySettings(Settings):
     )
 
 
-def place_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"]) -> Tensor:
+def position_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"]) -> Tensor:
     """Return the first two terms of eq. 6, float64 (rows, columns): road is low and central.
 
     From -2 or less in the upper corners to nearly 2 at the middle of the bottom edge.
@@ -134,7 +134,7 @@ def reconstruction_error(maps: Tensor, road: Tensor, centring: Centring, fractio
     return residual.square().sum(0).sqrt().view(road.shape)
 
 
-def normalised_error(error: Tensor, covered: Tensor) -> Tensor:
+def normalise_error(error: Tensor, covered: Tensor) -> Tensor:
     """Scale errors (H, W) to [0, 1] over the covered pixels; 0 elsewhere, and if all are equal."""
     if not covered.any():
         return torch.zeros_like(error)
@@ -180,7 +180,7 @@ def find_road(
     if settings.position == "ahead":
         position = triangle_position_weights(rows, columns, settings.apex, settings.base)
     else:
-        position = place_weights(rows, columns, settings.position)
+        position = position_weights(rows, columns, settings.position)
     covered = mean_map != 0 if settings.error_range == "covered" else torch.ones_like(mean_map) > 0
     error = torch.zeros_like(mean_map)
     rounds: list[Round] = []
@@ -193,7 +193,7 @@ def find_road(
             return rounds
         learned = node_area(tree, model).to(maps.device)
         error = reconstruction_error(maps, learned, settings.centring, settings.variance)
-        error = normalised_error(error, covered)
+        error = normalise_error(error, covered)
 
 
 def model_node(choice: NodeChoice, kind: Literal["selected", "best"]) -> int | None:
@@ -205,7 +205,7 @@ def model_node(choice: NodeChoice, kind: Literal["selected", "best"]) -> int | N
     return int(choice.best[1:].argmax()) + 1
 
 
-def widened(mask: Tensor, reach: int) -> Tensor:
+def dilate(mask: Tensor, reach: int) -> Tensor:
     """Dilate a mask, bool (H, W), by a square of ``reach`` pixels on each side."""
     return F.max_pool2d(mask[None].float(), 2 * reach + 1, 1, reach)[0] > 0
 
@@ -233,25 +233,25 @@ def _pad_border(values: Tensor, side: int) -> Tensor:
 def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:
     """Combine a mask and the stability of pixels in [0, 1) into a likelihood (H, W) in [0, 1].
 
-    The mask dominates: at ``AS_CHOSEN`` the likelihood gives exactly the mask. Ours: of twelve
+    The mask dominates: at ``MASK_THRESHOLD`` the likelihood gives exactly the mask. Ours: of twelve
     candidates the best by MaxF on the development drives (docs/how/features.md).
     """
     return (mask.to(pixels.device) + pixels) / 2
 
 
-def enlarged_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:
+def resize_likelihood(likelihood: Tensor, size: tuple[int, int]) -> Tensor:
     """Resize a likelihood of ``road_likelihood`` (h, w) so that its mask stays exact.
 
     The mask is resized as every mask is, the stability inside and outside of it smoothly. Resizing
     their sum would move the border inwards: it is 0.5 or more inside, and far less outside.
     """
-    mask = likelihood >= AS_CHOSEN
+    mask = likelihood >= MASK_THRESHOLD
     return road_likelihood(
-        at_image_size(mask, size), at_image_size(2 * likelihood - mask.to(likelihood), size)
+        resize_to_image(mask, size), resize_to_image(2 * likelihood - mask.to(likelihood), size)
     )
 
 
-def map_images(
+def figure_maps(
     maps: FeatureMaps, mean_map: Tensor, tree: RegionTree, last: Round, side: int
 ) -> dict[str, Tensor]:
     """Return the maps of P1's Fig. 4 by name, at image size; ``side`` is the patch's."""

@@ -10,9 +10,9 @@ import matplotlib
 from matplotlib.figure import Figure
 from PIL import Image
 
-from roadtorch.base.atomic import atomic, csv_text, write_text
+from roadtorch.base.atomic import atomic_write, csv_text, write_text
 from roadtorch.evaluation.report.charts import STYLE
-from roadtorch.evaluation.report.table import aligned
+from roadtorch.evaluation.report.table import align_columns
 
 DOTS = 100  # per inch
 COLOURS = 128  # of a chart's file: lines and their soft edges need no more
@@ -31,7 +31,7 @@ def chart(path: Path, width: float, height: float, dots: int = DOTS) -> Iterator
         png = io.BytesIO()
         figure.savefig(png, dpi=dots)
     image = Image.open(png).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-    with atomic(path) as temporary:
+    with atomic_write(path) as temporary:
         image.save(temporary, format="PNG", optimize=True)
 
 
@@ -45,5 +45,5 @@ def show_table(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
         }
         for row in rows
     ]
-    print(aligned([columns, *([row.get(name, "") for name in columns] for row in cells)]))
+    print(align_columns([columns, *([row.get(name, "") for name in columns] for row in cells)]))
     write_text(path, csv_text(columns, cells))

@@ -12,14 +12,14 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, LabelledItem, every_kth
+from roadtorch.data.dataset import Dataset, LabelledItem, subsample_dataset
 from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, roc
 from roadtorch.evaluation.evaluate import evaluate
-from roadtorch.evaluation.methods import Contender, Look, named_detector
-from roadtorch.evaluation.result import of_groups
-from roadtorch.evaluation.tally import Part, Tally
+from roadtorch.evaluation.methods import Contender, Predictor, contender_from_name
+from roadtorch.evaluation.result import pool_groups
+from roadtorch.evaluation.tally import PooledCounts, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.road.seed_area import seed_rectangle
 from scripts.figures.chart import chart, show_table
@@ -35,7 +35,7 @@ def streets(data: Path, every: int = EVERY) -> Dataset:
     root = data / "camvid"
     split = "test" if (root / "test").is_dir() else "dev"
     dataset = open_dataset("camvid", root, split)
-    chosen = every_kth(dataset, -(-len(dataset.items) // every))
+    chosen = subsample_dataset(dataset, -(-len(dataset.items) // every))
     print(f"CamVid {split}, {len(chosen.items)} of {len(dataset.items)} images", end="\n\n")
     return chosen
 
@@ -48,9 +48,9 @@ def tally_of(dataset: Dataset, contenders: Sequence[str | Contender]) -> Mapping
     return run.tallies
 
 
-def pooled(tally: Tally) -> Part:
+def pooled(tally: Tally) -> PooledCounts:
     """Pool the pixels of all drives, as P2 does."""
-    return of_groups(tally, dict.fromkeys(tally.road, 0.5))
+    return pool_groups(tally, dict.fromkeys(tally.road, 0.5))
 
 
 # --- layout ------------------------------------------------------------------------------
@@ -145,10 +145,10 @@ def fig6a(data: Path, out: Path) -> None:
     """Write P2's Fig. 6a: ROC curves and AUC without isolated areas, on CamVid and IDD."""
     sets = {"camvid": streets(data, EVERY // 2)}
     if (data / "idd_lite").is_dir():
-        sets["idd"] = every_kth(open_dataset("idd-lite", data / "idd_lite"), IDD_IMAGES)
+        sets["idd"] = subsample_dataset(open_dataset("idd-lite", data / "idd_lite"), IDD_IMAGES)
     contenders, rows = [], []
     for title, (name, settings) in LINES.items():
-        contender = named_detector(name, settings)
+        contender = contender_from_name(name, settings)
         joined = partial(_prepare_discarding, contender.prepare)
         contenders.append(replace(contender, name=title, prepare=joined))
         contenders.append(replace(contender, name=title + WHOLE))
@@ -160,7 +160,7 @@ def fig6a(data: Path, out: Path) -> None:
     show_table(out / "p2-fig6a.csv", rows)
 
 
-def _prepare_discarding(prepare: Callable[[Dataset], Look], dataset: Dataset) -> Look:
+def _prepare_discarding(prepare: Callable[[Dataset], Predictor], dataset: Dataset) -> Predictor:
     """Discard every area that does not touch the seed area, at every threshold."""
     detect = prepare(dataset)
 
@@ -228,12 +228,12 @@ def fig6b(data: Path, out: Path) -> None:
     tallies = tally_of(streets(data), ACCURACY)
     rows = []
     for name in ACCURACY:
-        row = {"detector": name, "threshold": f"{named_detector(name, {}).threshold:g}"}
+        row = {"detector": name, "threshold": f"{contender_from_name(name, {}).threshold:g}"}
         rows.append(row | accuracy_row(pooled(tallies[name])))
     show_table(out / "p2-fig6b.csv", rows)
 
 
-def accuracy_row(counts: Part) -> dict[str, float]:
+def accuracy_row(counts: PooledCounts) -> dict[str, float]:
     """Return recall, FPR, precision and F of the detector's masks; the FPR at a recall of 0.95."""
     curve = roc(counts.road)
     at = int(torch.searchsorted(curve.y.contiguous(), 0.95))

@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.data.dataset import Dataset, subsample_dataset
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import auc, count_levels
-from roadtorch.imaging.color import PLANES, plane
-from roadtorch.oneclass.axes import circular_mean, unrolled
+from roadtorch.imaging.color import PLANES, color_plane
+from roadtorch.oneclass.axes import circular_mean, unroll_hue
 from roadtorch.testing.scenes import RenderedScene, render_scene
 from scripts.figures.chart import chart, show_table
 
@@ -150,12 +150,12 @@ def median_of(values: Tensor, name: str) -> Tensor:
     if not PLANES[name].circular:
         return values.median()
     mean = circular_mean(values)
-    return (unrolled(values, mean).median() + mean).remainder(1)
+    return (unroll_hue(values, mean).median() + mean).remainder(1)
 
 
 def distance(values: Tensor, reference: Tensor, name: str) -> Tensor:
     """Return how far values of a plane are from others, ≥ 0; of hue along the circle."""
-    return (unrolled(values, reference) if PLANES[name].circular else values - reference).abs()
+    return (unroll_hue(values, reference) if PLANES[name].circular else values - reference).abs()
 
 
 def deviation(values: Tensor, name: str) -> float:
@@ -169,8 +169,8 @@ def moves(change: Change, seeds: Sequence[int]) -> dict[str, float]:
     pairs = [pair for pair in map(change, seeds) if pair.here.any() and pair.there.any()]
     moved = {}
     for name in NAMES:
-        ones = [plane(pair.one, name) for pair in pairs]
-        others = [plane(pair.other, name) for pair in pairs]
+        ones = [color_plane(pair.one, name) for pair in pairs]
+        others = [color_plane(pair.other, name) for pair in pairs]
         here = [median_of(one[pair.here], name) for one, pair in zip(ones, pairs, strict=True)]
         there = [median_of(two[pair.there], name) for two, pair in zip(others, pairs, strict=True)]
         shifts = distance(torch.stack(here), torch.stack(there), name)
@@ -201,7 +201,7 @@ def drive_rows(dataset: Dataset) -> list[Row]:
         medians: dict[str, list[Tensor]] = {}
         for drive, image, truth in read:
             if truth.road.any():
-                values.setdefault(str(drive), []).append(plane(image, name))
+                values.setdefault(str(drive), []).append(color_plane(image, name))
                 medians.setdefault(str(drive), []).append(
                     median_of(values[str(drive)][-1][truth.road], name)
                 )
@@ -255,7 +255,7 @@ def draw_moves(path: Path, rows: Sequence[Row]) -> None:
 
 def table2(data: Path, out: Path) -> None:
     """Write P3's Table II: shift of the road in each plane when light, place or shape change."""
-    few = every_kth(open_dataset("camvid", data / "camvid"), IMAGES)
+    few = subsample_dataset(open_dataset("camvid", data / "camvid"), IMAGES)
     rows: list[Row] = [
         {"property": name, **moves(change, range(SCENES))} for name, change in CHANGES.items()
     ]

@@ -17,12 +17,19 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import every_kth
+from roadtorch.data.dataset import subsample_dataset
 from roadtorch.detectors.catalogue import list_detectors
 from roadtorch.evaluation.curves import vertical_average, vertical_sample
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import AUC_MEAN
-from roadtorch.evaluation.report.charts import COLOURS, DASHES, GRID, INK, WIDTH, Series
+from roadtorch.evaluation.report.charts import (
+    COLOURS,
+    DASHES,
+    GRID_COLOUR,
+    INK,
+    PANEL_WIDTH,
+    Series,
+)
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
@@ -62,7 +69,7 @@ def printed_table() -> Mapping[Key, float]:
 
 def evaluate_few(data: Path, patterns: Sequence[str]) -> Evaluation:
     """Measure the AUC of detectors on some images of CamVid."""
-    few = every_kth(open_dataset("camvid", data / "camvid"), IMAGES)
+    few = subsample_dataset(open_dataset("camvid", data / "camvid"), IMAGES)
     return evaluate(few, patterns, with_baselines=False, measures=(AUC_MEAN,), quiet=False)
 
 
@@ -77,15 +84,15 @@ def cells(evaluation: Evaluation) -> Mapping[Key, str]:
 def percents(evaluation: Evaluation) -> Mapping[Key, float]:
     """Return AUC in percent."""
     figures = evaluation.headlines
-    return {key: 100 * AUC_MEAN.of(figures[name]) for key, name in cells(evaluation).items()}
+    return {key: 100 * AUC_MEAN.get(figures[name]) for key, name in cells(evaluation).items()}
 
 
 def mean_lines(evaluation: Evaluation) -> Mapping[Key, np.ndarray]:
     """Return P3's average ROC curve, mean over drives: FPR and TPR (2, points) of each cell."""
     lines = {}
     for key, name in cells(evaluation).items():
-        tally, groups = evaluation.tallies[name], evaluation.detectors[name].counting
-        rates = [vertical_sample(tally.kept([group]).road).nanmean(0) for group in groups]
+        tally, groups = evaluation.tallies[name], evaluation.detectors[name].counted_groups
+        rates = [vertical_sample(tally.table([group]).road).nanmean(0) for group in groups]
         line = vertical_average(torch.stack(rates).nanmean(0))
         lines[key] = torch.stack([line.x, line.y]).numpy()
     return lines
@@ -124,7 +131,7 @@ def draw_families(
     for row, name in zip(panels, classifiers, strict=True):
         for axes, (half, planes) in zip(row, HALVES.items(), strict=True):
             axes.set_title(f"{name}, {half}", fontsize=9, color=INK)
-            axes.plot([0, 1], [0, 1], color=GRID, linewidth=1)
+            axes.plot([0, 1], [0, 1], color=GRID_COLOUR, linewidth=1)
             for number, representation in enumerate(planes):
                 line = lines.get((name, representation), ([], []))
                 dash = DASHES[number // len(COLOURS)]
@@ -143,7 +150,7 @@ def draw_curves(data: Path, parts: Mapping[Path, Sequence[str]]) -> None:
     run = evaluate_few(data, [f"oneclass:{name}:*" for name in chain(*parts.values())])
     lines = mean_lines(run)
     for path, classifiers in parts.items():
-        with chart(path, WIDTH / 72, (KEY + ROW * len(classifiers)) / 72, DOTS) as figure:
+        with chart(path, PANEL_WIDTH / 72, (KEY + ROW * len(classifiers)) / 72, DOTS) as figure:
             draw_families(figure, lines, classifiers)
 
 

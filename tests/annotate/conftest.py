@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from roadtorch.annotate.session import Session, opened_session
+from roadtorch.annotate.session import Session, open_session
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.testing.scenes import write_image
 from tests.streets import scene
@@ -32,4 +32,4 @@ def streets(rendered: Path, tmp_path: Path) -> Path:
 def session(streets: Path, tmp_path: Path) -> Session:
     out = tmp_path / "corrections"
     out.mkdir()
-    return opened_session(streets, out, load_detector("prior:triangle"))
+    return open_session(streets, out, load_detector("prior:triangle"))

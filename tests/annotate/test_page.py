@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from roadtorch.annotate.server import page_server
-from roadtorch.annotate.session import opened_session
+from roadtorch.annotate.server import make_page_server
+from roadtorch.annotate.session import open_session
 from roadtorch.data.corrections import Correction, read_corrections
 from roadtorch.detectors.catalogue import load_detector
 
@@ -32,8 +32,8 @@ class Server:
     def __init__(self, folder: Path, out: Path) -> None:
         self.folder, self.out = folder, out
         out.mkdir(exist_ok=True)
-        session = opened_session(folder, out, load_detector("prior:triangle"))
-        self._server = page_server(session)
+        session = open_session(folder, out, load_detector("prior:triangle"))
+        self._server = make_page_server(session)
         self._thread = threading.Thread(target=self._server.run, daemon=True)
         self._thread.start()
         self.url = self._server.address.url

@@ -14,7 +14,7 @@ from roadtorch.annotate.views import (
     corrected_road,
     segment_evidence,
 )
-from roadtorch.data.events import LABELS
+from roadtorch.data.events import LABEL_NAMES
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.segments import Segments, measure_segments
@@ -96,7 +96,7 @@ def view(detector: Detector) -> ImageView:
 def labels_of(**rows: slice) -> np.ndarray:
     labels = np.zeros((48, 64), np.uint8)
     for name, part in rows.items():
-        labels[part] = LABELS.index(name)
+        labels[part] = LABEL_NAMES.index(name)
     return labels
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from roadtorch.annotate.report import corrections_report
 from roadtorch.annotate.server import Address, bind_socket, read_address, write_address
-from roadtorch.annotate.session import Session, compute_views, opened_session
+from roadtorch.annotate.session import Session, compute_views, open_session
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.events import Confirm, Redo, SuperpixelStroke, Undo
@@ -28,7 +28,7 @@ def superpixel(identity: str, saying: str, *segments: int) -> SuperpixelStroke:
 
 
 def reopen(session: Session) -> Session:
-    return opened_session(session.images.root, session.out, load_detector("prior:triangle"))
+    return open_session(session.images.root, session.out, load_detector("prior:triangle"))
 
 
 def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:

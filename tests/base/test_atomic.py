@@ -11,8 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.base import atomic as files
-from roadtorch.base.atomic import atomic, csv_text, locked, remove_leftovers, shared, write_text
-from roadtorch.base.bounded import printable, read_regular
+from roadtorch.base.atomic import (
+    atomic_write,
+    csv_text,
+    lock_folder,
+    remove_leftovers,
+    share_folder,
+    write_text,
+)
+from roadtorch.base.bounded import read_regular, to_printable
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import write_npy
 
@@ -50,7 +57,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
     path = tmp_path / "a.txt"
     path.write_text("old")
 
-    with pytest.raises(KeyboardInterrupt), atomic(path) as temporary:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), atomic_write(path) as temporary:  # noqa: PT012
         temporary.write_text("half of the n")
         raise KeyboardInterrupt
 
@@ -61,14 +68,14 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
 def test_a_shared_folder_is_cleared_of_leftovers_by_its_first_run(tmp_path: Path) -> None:
     left = tmp_path / "made" / "below" / ".roadtorch.0123abcd.part"
 
-    with shared(tmp_path / "made"):
+    with share_folder(tmp_path / "made"):
         left.parent.mkdir()
         left.touch()
-        with shared(tmp_path / "made"):  # the first run may be writing it
+        with share_folder(tmp_path / "made"):  # the first run may be writing it
             assert left.exists()
-    with locked(left.parent), shared(tmp_path / "made"):  # a run may be writing it
+    with lock_folder(left.parent), share_folder(tmp_path / "made"):  # a run may be writing it
         assert left.exists()
-    with shared(tmp_path / "made"):
+    with share_folder(tmp_path / "made"):
         assert not left.exists()
         assert left.parent.is_dir()
 
@@ -83,7 +90,7 @@ def test_no_library_writes_under_names_of_its_own() -> None:
 
 
 def test_leftovers_of_killed_processes_go_and_all_else_stays(tmp_path: Path) -> None:
-    with atomic(tmp_path / "x") as temporary:
+    with atomic_write(tmp_path / "x") as temporary:
         left = tmp_path / f"{temporary.name}"
         left.write_text("half")
         os.link(left, tmp_path / ".a.mask.png.0123abcd.part")  # of earlier versions
@@ -109,13 +116,13 @@ def test_a_file_is_read_up_to_its_bound(tmp_path: Path) -> None:
 
 
 def test_bytes_that_are_no_text_are_shown_and_ascii_systems_get_their_letters_back() -> None:
-    assert printable(os.fsdecode(b"z\xff.jpg")) == r"z\xff.jpg"
-    assert printable("Straße".encode().decode("ascii", "surrogateescape")) == "Straße"
-    assert printable("Straße") == "Straße"
+    assert to_printable(os.fsdecode(b"z\xff.jpg")) == r"z\xff.jpg"
+    assert to_printable("Straße".encode().decode("ascii", "surrogateescape")) == "Straße"
+    assert to_printable("Straße") == "Straße"
 
 
 @given(st.binary())
 def test_every_name_can_be_written(name: bytes) -> None:
-    data = printable(os.fsdecode(name)).encode()
+    data = to_printable(os.fsdecode(name)).encode()
 
     assert data.decode("utf-8") == name.decode("utf-8", "backslashreplace")

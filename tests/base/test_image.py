@@ -17,12 +17,12 @@ from roadtorch.base.image import (
     decode_image,
     read_image,
     tint_mask,
-    write_colours,
     write_labels,
     write_map,
     write_mask,
     write_npy,
     write_overlay,
+    write_rgb_png,
 )
 from tests.base.test_decoding import tiff
 
@@ -191,7 +191,7 @@ def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> No
 
     write_mask(tmp_path / "mask.png", torch.tensor([[True, False]]))
     write_labels(tmp_path / "labels.png", torch.tensor([[0, 2, 255]]))
-    write_colours(tmp_path / "image.png", image)
+    write_rgb_png(tmp_path / "image.png", image)
     write_npy(tmp_path / "image.npy", image)
     write_overlay(tmp_path / "overlay.jpg", image, torch.ones(5, 7, dtype=torch.bool))
 

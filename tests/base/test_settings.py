@@ -16,14 +16,14 @@ from roadtorch.base.errors import (
     InputError,
     RoadtorchError,
     WeightsError,
-    unknown_name,
+    unknown_name_error,
 )
 from roadtorch.base.progress import Progress
 from roadtorch.base.settings import (
     CONFIGS,
     Settings,
     build_settings,
-    config_file,
+    find_config,
     list_shipped_configs,
     parse_assignments,
     read_settings_file,
@@ -37,7 +37,7 @@ class Texture(Settings):
 
 def _known_plane(name: str) -> str:
     if name != "R":
-        raise ValueError(unknown_name("plane", name, ["R"]))
+        raise ValueError(unknown_name_error("plane", name, ["R"]))
     return name
 
 
@@ -124,7 +124,7 @@ def test_only_names_of_files_with_a_suffix_are_those_beside_the_file(tmp_path: P
 
 
 def test_every_config_of_the_repository_has_a_name_that_leads_to_it() -> None:
-    files = {config_file(name).resolve() for name in list_shipped_configs()}
+    files = {find_config(name).resolve() for name in list_shipped_configs()}
 
     assert CONFIGS.resolve() == Path(__file__).resolve().parents[2] / "configs"
     assert files == set(CONFIGS.resolve().rglob("*.toml"))
@@ -134,13 +134,13 @@ def test_every_config_of_the_repository_has_a_name_that_leads_to_it() -> None:
 def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "layout-free").mkdir()  # a folder is no config
-    assert config_file("layout-free") == CONFIGS / "layout-free.toml"
+    assert find_config("layout-free") == CONFIGS / "layout-free.toml"
 
     (tmp_path / "adapt").write_text("random_seed = 1")
-    assert config_file("adapt") == Path("adapt")
-    assert config_file("none.toml") == Path("none.toml")  # to be refused when it is read
+    assert find_config("adapt") == Path("adapt")
+    assert find_config("none.toml") == Path("none.toml")  # to be refused when it is read
     with pytest.raises(ConfigError, match=r"adpat: unknown config, and no file \(did you mean"):
-        config_file("adpat")
+        find_config("adpat")
 
 
 # --- errors -----------------------------------------------------------------------------
@@ -163,7 +163,7 @@ def test_errors_survive_a_process_boundary_and_are_short(kind: type[RoadtorchErr
     ("name", "hint"), [("fuson", "did you mean fusion?"), ("zzz", "known: cpf, fusion, lbp")]
 )
 def test_an_unknown_name_gets_the_nearest_names_or_all(name: str, hint: str) -> None:
-    error = unknown_name("detector", name, ["lbp", "fusion", "cpf"])
+    error = unknown_name_error("detector", name, ["lbp", "fusion", "cpf"])
 
     assert str(error) == f"{name}: unknown detector ({hint})"
 

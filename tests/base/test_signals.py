@@ -12,7 +12,7 @@ import pytest
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import (
-    Terminated,
+    SigtermInterrupt,
     prefer_interruption,
     raise_on_sigterm,
     record_signals,
@@ -25,7 +25,7 @@ def send(number: signal.Signals) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)]
+    ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SigtermInterrupt)]
 )
 def test_an_interruption_stays_one(number: signal.Signals, raised: type[KeyboardInterrupt]) -> None:
     def read() -> None:
@@ -42,13 +42,13 @@ def test_a_signal_that_only_requests_a_stop_is_not_recorded() -> None:
     with stop_on_signals() as stop, record_signals() as recorded:
         send(signal.SIGINT)
 
-    assert stop.asked
-    assert not recorded.asked
+    assert stop.requested
+    assert not recorded.requested
 
 
 PROCESSES = """
 import multiprocessing, os, time
-from roadtorch.base.signals import end_with_parent, interrupting_none_started
+from roadtorch.base.signals import end_with_parent, block_sigint_in_children
 
 def work():
     end_with_parent()
@@ -56,7 +56,7 @@ def work():
     time.sleep(60)
 
 if __name__ == "__main__":
-    with interrupting_none_started():
+    with block_sigint_in_children():
         process = multiprocessing.get_context("spawn").Process(target=work)
         process.start()
     print(os.getpid(), flush=True)

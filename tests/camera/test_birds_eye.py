@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.camera.birds_eye import cell_pixels, to_birds_eye
+from roadtorch.camera.birds_eye import cell_pixels, warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from tests.reference import bev as reference
 
@@ -32,7 +32,7 @@ def pattern(height: int, width: int) -> torch.Tensor:
 def test_every_cell_holds_the_pixel_its_centre_falls_on(size, pitch):
     rows = reference.made_up_rows(pitch)
     image = pattern(*size)
-    cells = to_birds_eye(image, reference.calibration(rows))
+    cells = warp_to_birds_eye(image, reference.calibration(rows))
 
     generator = np.random.default_rng(0)
     places = np.column_stack([generator.integers(0, 800, 3000), generator.integers(0, 400, 3000)])
@@ -51,12 +51,12 @@ def test_any_type_and_any_leading_axes_and_zero_where_there_is_no_source(dtype):
     if dtype.is_floating_point:
         stack[0, 0] = torch.nan
 
-    cells = to_birds_eye(stack, calibration)
+    cells = warp_to_birds_eye(stack, calibration)
 
     _, inside = cell_pixels(calibration, HEIGHT, WIDTH)
     assert cells.dtype == dtype
     assert cells.shape == (2, 3, 800, 400)
-    assert torch.equal(cells[1, 2], to_birds_eye(stack[1, 2], calibration))
+    assert torch.equal(cells[1, 2], warp_to_birds_eye(stack[1, 2], calibration))
     assert (cells[..., ~inside] == 0).all()
     assert cells[0, 0, inside].isnan().all() == dtype.is_floating_point
 
@@ -90,7 +90,7 @@ def test_the_kits_whole_maps_byte_by_byte(tmp_path, name):
     height, width = entry["image_height"], entry["image_width"]
     (forward,) = (case for case in vectors["warp_forward"] if case["calib"] == name)
 
-    cells = to_birds_eye(pattern(height, width), calibration)
+    cells = warp_to_birds_eye(pattern(height, width), calibration)
 
     _, inside = cell_pixels(calibration, height, width)
     assert int(inside.sum()) == forward["cells_inside"]

@@ -10,13 +10,13 @@ from torch import Tensor
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.camera.camera import Camera
-from roadtorch.camera.footage import camera_of, still_ego
+from roadtorch.camera.footage import detect_ego_car, estimate_camera
 from roadtorch.camera.gradients import estimate_horizon
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
 from roadtorch.detectors.illuminant import IlluminantSettings
-from roadtorch.imaging.resize import resized
+from roadtorch.imaging.resize import resize_maps
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.testing.scenes import render_scene, sample_street
 from tests.streets import bonnet, drive, scene
@@ -25,13 +25,13 @@ from tests.streets import bonnet, drive, scene
 
 
 def test_the_bonnet_is_found_where_it_is_painted_and_none_where_there_is_none() -> None:
-    ego, painted = still_ego(drive()), bonnet(120, 160)
+    ego, painted = detect_ego_car(drive()), bonnet(120, 160)
 
     assert ego is not None
     assert (ego & painted).sum() > 0.85 * (ego | painted).sum()
-    assert still_ego(drive(rise=0)) is None
+    assert detect_ego_car(drive(rise=0)) is None
     with pytest.raises(InputError, match=r"footage: is 1 frame\(s\)"):
-        still_ego(drive()[:1])
+        detect_ego_car(drive()[:1])
 
 
 # --- the camera -----------------------------------------------------------------------------
@@ -39,7 +39,7 @@ def test_the_bonnet_is_found_where_it_is_painted_and_none_where_there_is_none() 
 
 @pytest.fixture(scope="module")
 def camera() -> Camera:
-    return camera_of(drive())
+    return estimate_camera(drive())
 
 
 def test_horizon_and_seed_row_come_back_from_a_file(camera: Camera, tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_horizon_and_seed_row_come_back_from_a_file(camera: Camera, tmp_path: Pa
 
 
 def test_its_own_images_pass_at_any_size_and_others_are_refused(camera: Camera) -> None:
-    for image in (*drive(), resized(drive()[3], (240, 320)).clamp(0, 1)):
+    for image in (*drive(), resize_maps(drive()[3], (240, 320)).clamp(0, 1)):
         camera.check(image)
     with pytest.raises(InputError, match="image: does not show this camera's ego car"):
         camera.check(scene(40, 120, 160).image)
@@ -84,7 +84,7 @@ def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
 )
 def test_footage_of_several_cameras_or_none_is_refused(frames: list[Tensor], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        camera_of(frames)
+        estimate_camera(frames)
 
 
 # --- real cameras ---------------------------------------------------------------------------
@@ -97,7 +97,7 @@ def read_frames(data_root: Path, prefix: str, most: int = 20) -> list[Tensor]:
 
 @pytest.mark.data
 def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
-    camera = camera_of(read_frames(data_root, "udhwy"))
+    camera = estimate_camera(read_frames(data_root, "udhwy"))
 
     assert camera.seed_row == pytest.approx(0.95, abs=0.025)
 
@@ -105,7 +105,7 @@ def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
 @pytest.mark.data
 @pytest.mark.parametrize("prefix", ["udlane", "driveai_us", "dnit_br", "s2tld", "lund"])
 def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
-    assert camera_of(read_frames(data_root, prefix, 12)).ego.outline == ()
+    assert estimate_camera(read_frames(data_root, prefix, 12)).ego.outline == ()
 
 
 # --- the horizon of an image -----------------------------------------------------------
@@ -124,7 +124,7 @@ def test_a_true_layout_gives_the_horizon(seed: int) -> None:
     assert horizon.row == pytest.approx(
         sample_street(np.random.default_rng(seed)).horizon, abs=0.04
     )
-    assert horizon.spread >= 0.025
+    assert horizon.deviation >= 0.025
 
 
 @pytest.mark.parametrize(

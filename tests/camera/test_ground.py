@@ -24,7 +24,7 @@ from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
     camera_pose,
-    distorted,
+    distort_points,
     pinhole_lens,
     pitch_from_horizon,
     undistort_points,
@@ -90,7 +90,7 @@ def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> Non
     projected, inside = camera.project(points)
 
     undistorted = undistort_points(camera.lens, pixels)
-    assert np.abs(distorted(camera.lens, undistorted) - pixels).max() < 1e-3
+    assert np.abs(distort_points(camera.lens, undistorted) - pixels).max() < 1e-3
     assert inside.all()
     assert ground_points(camera, projected) == pytest.approx(points[:, :2], abs=1e-4)
 

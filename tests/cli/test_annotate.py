@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from roadtorch.annotate.server import PageServer
-from roadtorch.annotate.session import opened_session
-from roadtorch.base.atomic import locked
+from roadtorch.annotate.session import open_session
+from roadtorch.base.atomic import lock_folder
 from roadtorch.cli.annotate import LABEL_FORMAT
 from roadtorch.data import correction_formats
 from roadtorch.data.corrections import read_corrections, read_logs
@@ -23,7 +23,7 @@ def corrected(footage: Path) -> Path:
     """Confirm the labels of one image of the footage."""
     out = footage / "corrections"
     out.mkdir()
-    session = opened_session(footage, out, load_detector("prior:triangle"))
+    session = open_session(footage, out, load_detector("prior:triangle"))
     session.add("sub/c.png", Confirm(kind="right", id="a", seconds=12.0))
     return footage
 
@@ -55,7 +55,7 @@ def test_packages_are_missing(call: Call, footage: Path, monkeypatch: pytest.Mon
 
 def test_two_at_once_are_refused(call: Call, footage: Path) -> None:
     (footage / "corrections").mkdir()
-    with locked(footage / "corrections"):
+    with lock_folder(footage / "corrections"):
         result = call("annotate", footage, *QUICK)
     assert "another run is writing here" in result.stderr
 
@@ -86,4 +86,4 @@ def test_no_images(call: Call, tmp_path: Path, name: str, words: str) -> None:
 
 
 def test_formats_are_those_that_there_are() -> None:
-    assert tuple(correction_formats.FORMATS) == tuple(LABEL_FORMAT.choices)
+    assert tuple(correction_formats.CORRECTION_FORMATS) == tuple(LABEL_FORMAT.choices)

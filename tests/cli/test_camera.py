@@ -10,10 +10,10 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 
-from roadtorch.base.image import read_image, write_colours
+from roadtorch.base.image import read_image, write_rgb_png
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
-from roadtorch.inputs.find import frame_places, read_frames
+from roadtorch.inputs.find import locate_frames, read_frames
 from roadtorch.road.ego import ego_car
 from tests.command import Call
 from tests.streets import drive, scene
@@ -74,12 +74,12 @@ def test_a_video_shows_what_its_frames_show(call: Call, tmp_path: Path) -> None:
     camera = Camera.read(tmp_path / "camera.toml")
     assert camera.frames == 12
     assert camera.seed_row == pytest.approx(0.82, abs=0.03)
-    first = next(read_frames(frame_places([str(video)], 12)))
+    first = next(read_frames(locate_frames([str(video)], 12)))
     assert (first - drive()[0]).abs().mean() < 0.05
 
 
 def test_frames_are_chosen_evenly_over_all_inputs(street: Path) -> None:
-    chosen = frame_places([str(street), str(street / "03.png")], 4)
+    chosen = locate_frames([str(street), str(street / "03.png")], 4)
 
     assert [place.path.stem for place in chosen] == ["01", "04", "08", "11"]
 
@@ -104,7 +104,7 @@ def test_infer_leaves_the_car_out(
     call: Call, street: Path, camera_file: Path, tmp_path: Path
 ) -> None:
     foreign = tmp_path / "foreign.png"
-    write_colours(foreign, scene(40, 120, 160).image)
+    write_rgb_png(foreign, scene(40, 120, 160).image)
     out = tmp_path / "out"
 
     result = call(
@@ -129,9 +129,9 @@ def test_evaluate_takes_it_for_all(
     (root / "masks").mkdir()
     car = ego_car(torch.zeros(3, 120, 160), Camera.read(camera_file).ego)
     for number in range(2):
-        write_colours(root / "images" / f"{number}.png", read_image(street / f"{number:02d}.png"))
+        write_rgb_png(root / "images" / f"{number}.png", read_image(street / f"{number:02d}.png"))
         road = scene(number, 120, 160, horizon=0.42, dusk=0.0).road & ~car
-        write_colours(root / "masks" / f"{number}.png", road.expand(3, -1, -1).float())
+        write_rgb_png(root / "masks" / f"{number}.png", road.expand(3, -1, -1).float())
 
     result = call(
         *("evaluate", "folder", root, "--detector", "prior:rows", "--detector", "cpf"),

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from click.testing import Result
 
-from roadtorch.annotate.session import import_event
+from roadtorch.annotate.session import make_import_event
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.cli.evaluate import evaluate_command
 from roadtorch.cli.options import DetectorOptions
-from roadtorch.data.corrections import EventLog, LogHead, log_path
+from roadtorch.data.corrections import EventLog, LogHeader, log_path
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation import scoring, uncertainty
 from roadtorch.evaluation.report import files
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import Call, invoked
-from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
+from tests.command import Call, invoke_command
+from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, register_oracle, write_set
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -35,11 +35,11 @@ def _few_draws() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def camvid(tmp_path_factory) -> Path:
-    know_oracle()
+    register_oracle()
     return write_set(tmp_path_factory.mktemp("set") / "camvid")
 
 
-run = partial(invoked, evaluate_command)
+run = partial(invoke_command, evaluate_command)
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +152,8 @@ def test_weights_are_scored_on_corrections_beside_the_detector_they_began_with(t
     for seed in range(3):
         write_image(images / f"{seed}.png", scene := render_scene(seed, 48, 64))
         labels = np.where(scene.road.numpy(), 1, 2).astype(np.uint8)
-        head = LogHead(image=f"../streets/{seed}.png", height=48, width=64)
-        EventLog(log_path(corrections, f"{seed}.png"), head).add(import_event(labels))
+        head = LogHeader(image=f"../streets/{seed}.png", height=48, width=64)
+        EventLog(log_path(corrections, f"{seed}.png"), head).add(make_import_event(labels))
     network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
     weights = tmp_path / "mine" / "weights.safetensors"
     weights.parent.mkdir()

@@ -7,7 +7,7 @@ import pytest
 from roadtorch.detectors.catalogue import detector_groups, list_detectors
 from roadtorch.detectors.detector import Detector
 from roadtorch.export import export
-from roadtorch.export.export import Exported, Parity
+from roadtorch.export.export import ExportResult, Parity
 from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from tests.command import Call
@@ -90,11 +90,11 @@ def test_a_detectors_config_is_found_by_name(call: Call, footage: Path, tmp_path
 
 
 def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def written(detector: Detector, out: Path) -> Exported:
+    def written(detector: Detector, out: Path) -> ExportResult:
         out.write_bytes(bytes(20_000))
         part = f"the whole of {detector.name}"
         notes = {"part": part, "lacks": "a soul, trust", "threshold": "0.4"}
-        return Exported((out,), notes, Parity(2e-5, "road at 16×16", 1e-7, 6))
+        return ExportResult((out,), notes, Parity(2e-5, "road at 16×16", 1e-7, 6))
 
     monkeypatch.setattr(export, "export_detector", written)
     out = tmp_path / "road.onnx"

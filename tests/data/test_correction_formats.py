@@ -9,9 +9,9 @@ import pytest
 
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.correction_formats import FORMATS, match_image_name
+from roadtorch.data.correction_formats import CORRECTION_FORMATS, match_image_name
 from roadtorch.data.corrections import Correction
-from roadtorch.data.events import LABELS
+from roadtorch.data.events import LABEL_NAMES
 from tests.data.conftest import write
 
 SIZE = (19, 27)
@@ -19,7 +19,7 @@ SIZE = (19, 27)
 
 def noise(seed: int) -> np.ndarray:
     """Return a random label for each pixel: the worst case for polygons."""
-    return np.random.default_rng(seed).integers(0, len(LABELS), SIZE).astype(np.uint8)
+    return np.random.default_rng(seed).integers(0, len(LABEL_NAMES), SIZE).astype(np.uint8)
 
 
 def nested(seed: int) -> np.ndarray:
@@ -29,7 +29,7 @@ def nested(seed: int) -> np.ndarray:
     for _ in range(14):
         centre = (int(generator.integers(SIZE[1])), int(generator.integers(SIZE[0])))
         radius, thickness = int(generator.integers(1, 9)), int(generator.choice([-1, 1, 3]))
-        cv2.circle(labels, centre, radius, int(generator.integers(len(LABELS))), thickness)
+        cv2.circle(labels, centre, radius, int(generator.integers(len(LABEL_NAMES))), thickness)
     return labels
 
 
@@ -51,12 +51,12 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", CORRECTION_FORMATS)
 def test_labels_come_back_pixel_by_pixel(name: str, case: str, tmp_path: Path) -> None:
     labels = CASES[case]
-    FORMATS[name].write([correction(labels)], tmp_path)
+    CORRECTION_FORMATS[name].write([correction(labels)], tmp_path)
     shape = (labels.shape[0], labels.shape[1])
-    by_image = FORMATS[name].read(tmp_path, {"sub/a.jpg": shape, "b.jpg": (5, 5)})
+    by_image = CORRECTION_FORMATS[name].read(tmp_path, {"sub/a.jpg": shape, "b.jpg": (5, 5)})
     assert by_image.keys() == {"sub/a.jpg"}
     assert (by_image["sub/a.jpg"] == labels).all()
 
@@ -64,22 +64,22 @@ def test_labels_come_back_pixel_by_pixel(name: str, case: str, tmp_path: Path) -
 def test_two_images_that_would_have_one_file_are_refused(tmp_path: Path) -> None:
     pair, labels = ["sub/a.jpg", "sub/a.png"], np.ones(SIZE, np.uint8)
     with pytest.raises(DatasetError, match=r"sub/a\.jpg and sub/a\.png: have one file, sub/a, in"):
-        FORMATS["png"].write([correction(labels, image) for image in pair], tmp_path)
+        CORRECTION_FORMATS["png"].write([correction(labels, image) for image in pair], tmp_path)
     assert not list(tmp_path.rglob("a.*"))
-    FORMATS["png"].write([correction(labels, pair[0])], tmp_path)
+    CORRECTION_FORMATS["png"].write([correction(labels, pair[0])], tmp_path)
     with pytest.raises(DatasetError, match="have one file"):
-        FORMATS["png"].read(tmp_path, dict.fromkeys(pair, SIZE))
+        CORRECTION_FORMATS["png"].read(tmp_path, dict.fromkeys(pair, SIZE))
 
 
 def test_a_set_of_ones_own_reads_the_files_and_untouched_is_void(tmp_path: Path) -> None:
     labels = nested(4)
     write(tmp_path / "images/a.png", np.zeros((*SIZE, 3), np.uint8))
-    FORMATS["png"].write([correction(labels, "a.png")], tmp_path)
+    CORRECTION_FORMATS["png"].write([correction(labels, "a.png")], tmp_path)
     dataset = open_dataset("folder", tmp_path)
     truth = dataset.truth(dataset.items[0])
-    silent = [LABELS.index(label) for label in ("untouched", "void", "horizontal")]
+    silent = [LABEL_NAMES.index(label) for label in ("untouched", "void", "horizontal")]
     assert (truth.valid.numpy() == ~np.isin(labels, silent)).all()
-    assert (truth.road.numpy() == (labels == LABELS.index("road"))).all()
+    assert (truth.road.numpy() == (labels == LABEL_NAMES.index("road"))).all()
     assert truth.layout is not None
     assert (truth.layout.numpy() == correction(labels).layout).all()
 
@@ -99,7 +99,9 @@ def coco(folder: Path, *segmentations: object) -> np.ndarray:
     categories = [{"id": 1, "name": "road"}, {"id": 2, "name": "sky"}]
     document = {"images": images, "categories": categories, "annotations": regions}
     path.write_text(json.dumps(document | {"licenses": [], "info": {}}))
-    return FORMATS["coco"].read(path, {"sub/a.jpg": (2, 4), "b.jpg": (9, 9)})["sub/a.jpg"]
+    return CORRECTION_FORMATS["coco"].read(path, {"sub/a.jpg": (2, 4), "b.jpg": (9, 9)})[
+        "sub/a.jpg"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -122,12 +124,12 @@ def test_regions_of_others(
 
 def test_a_coco_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
     labels = np.zeros(SIZE, np.uint8)
-    labels[3:9, 4:14] = LABELS.index("sky")
+    labels[3:9, 4:14] = LABEL_NAMES.index("sky")
     labels[5:7, 6:8] = 0  # a hole
-    FORMATS["coco"].write([correction(labels)], tmp_path)
+    CORRECTION_FORMATS["coco"].write([correction(labels)], tmp_path)
     document = json.loads((tmp_path / "coco.json").read_text())
     (region,) = document["annotations"]
-    assert [category["name"] for category in document["categories"]] == list(LABELS[1:])
+    assert [category["name"] for category in document["categories"]] == list(LABEL_NAMES[1:])
     assert document["images"] == [{"id": 1, "file_name": "sub/a.jpg", "width": 27, "height": 19}]
     assert (region["id"], region["image_id"], region["category_id"]) == (1, 1, 4)
     assert (region["area"], region["bbox"], region["iscrowd"]) == (56, [4, 3, 10, 6], 0)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from roadtorch.base.errors import InputError
-from roadtorch.data.corrections import EventLog, LogHead, log_path, read_corrections, read_log
+from roadtorch.data.corrections import EventLog, LogHeader, log_path, read_corrections, read_log
 from roadtorch.data.events import (
-    LABELS,
+    LABEL_NAMES,
     STROKE_LABELS,
     AnyEvent,
     BrushStroke,
@@ -17,12 +17,12 @@ from roadtorch.data.events import (
     Redo,
     Undo,
     decode_runs,
+    encode_runs,
     layout_layer,
     parse_event,
     relabel,
     replay,
     road_layer,
-    runs_of,
     stroke_mask,
 )
 
@@ -39,7 +39,7 @@ def box(event_id: str, label: str, x1: int, y1: int, x2: int, y2: int) -> Polygo
 
 def log(folder: Path, image: str, *events: AnyEvent) -> Path:
     path = log_path(folder, image)
-    head = LogHead(image=f"../{image}", height=SIZE[0], width=SIZE[1])
+    head = LogHeader(image=f"../{image}", height=SIZE[0], width=SIZE[1])
     for event in events:
         EventLog(path, head).add(event)
     return path
@@ -49,7 +49,7 @@ def log(folder: Path, image: str, *events: AnyEvent) -> Path:
 
 
 @pytest.mark.parametrize("label", STROKE_LABELS)
-@pytest.mark.parametrize("previous", range(len(LABELS)))
+@pytest.mark.parametrize("previous", range(len(LABEL_NAMES)))
 def test_a_label_holds_whatever_it_replaces(label: str, previous: int) -> None:
     labels = relabel(np.array([previous], np.uint8), label)
     road, layout = int(road_layer(labels)[0]), int(layout_layer(labels)[0])
@@ -64,7 +64,7 @@ def test_a_label_holds_whatever_it_replaces(label: str, previous: int) -> None:
     assert (road, layout) == expected[label]
     if label == "horizontal":  # it keeps road and not road, but not what sky and wall imply
         previous_road = int(road_layer(np.array([previous], np.uint8))[0])
-        keeps = LABELS[previous] in ("road", "not_road") or previous == 7
+        keeps = LABEL_NAMES[previous] in ("road", "not_road") or previous == 7
         assert road == (previous_road if keeps else 255)
 
 
@@ -73,8 +73,8 @@ def test_a_label_holds_whatever_it_replaces(label: str, previous: int) -> None:
 
 def test_runs_are_the_mask() -> None:
     mask = np.random.default_rng(0).random(SIZE) > 0.5
-    assert (decode_runs(runs_of(mask), SIZE) == mask).all()
-    assert runs_of(np.zeros(SIZE, np.bool_)) == ()
+    assert (decode_runs(encode_runs(mask), SIZE) == mask).all()
+    assert encode_runs(np.zeros(SIZE, np.bool_)) == ()
 
 
 @pytest.mark.parametrize(
@@ -97,8 +97,8 @@ def test_a_brush_is_round_and_stays_in_the_image() -> None:
 def test_undo_and_redo_are_events_of_their_own_and_each_counts_once() -> None:
     first, second = box("a", "road", 0, 0, 9, 9), box("b", "not_road", 5, 0, 9, 9)
     labels = replay([first, second], SIZE)
-    assert labels[0, 4] == LABELS.index("road")
-    assert labels[0, 5] == LABELS.index("not_road")
+    assert labels[0, 4] == LABEL_NAMES.index("road")
+    assert labels[0, 5] == LABEL_NAMES.index("not_road")
     assert (replay([first, second, first], SIZE) == labels).all()  # sent twice
     undone = [first, second, Undo(kind="undo", id="c", of="b")]
     assert (replay(undone, SIZE) == replay([first], SIZE)).all()
@@ -112,13 +112,13 @@ def test_confirming_labels_the_remaining_pixels() -> None:
         box("a", "void", 0, 0, 3, 3),
         box("b", "not_road", 0, 15, 3, 19),
         box("c", "horizontal", 20, 8, 25, 12),
-        Confirm(kind="right", id="d", runs=runs_of(road)),
+        Confirm(kind="right", id="d", runs=encode_runs(road)),
     ]
     labels = replay(events, SIZE)
     assert (road_layer(labels) != 255).all()
     rows, columns = [0, 19, 19, 8, 12], [0, 0, 10, 22, 22]
     expected = ["void", "not_road", "road", "not_road_horizontal", "road"]
-    assert [LABELS[label] for label in labels[rows, columns]] == expected
+    assert [LABEL_NAMES[label] for label in labels[rows, columns]] == expected
 
 
 @pytest.mark.parametrize(
@@ -158,13 +158,6 @@ def test_half_a_line_of_a_crash_is_passed_over_and_cut_off(tmp_path: Path, torn:
     assert ids(path) == ["a", "b"]
 
 
-def test_a_log_of_the_first_release_is_read(tmp_path: Path) -> None:
-    path = log(tmp_path, "a.jpg", box("a", "road", 0, 0, 9, 9))
-    path.write_bytes(path.read_bytes().replace(b'"image":', b'"picture":', 1))
-
-    assert ids(path) == ["a"]
-
-
 # --- corrections ------------------------------------------------------------------------
 
 
@@ -177,7 +170,7 @@ def test_corrections_have_what_training_needs(tmp_path: Path) -> None:
     assert correction.road.dtype == correction.layout.dtype == np.uint8
     assert correction.road[[15, 2, 7], 0].tolist() == [1, 0, 255]
     assert correction.layout[[15, 2, 7], 0].tolist() == [2, 0, 255]
-    assert correction.says_road[[15, 2, 7], 0].tolist() == [True, True, False]
+    assert correction.has_road_label[[15, 2, 7], 0].tolist() == [True, True, False]
     (moved,) = read_corrections(tmp_path / "corrections", tmp_path / "elsewhere")
     assert moved.image == tmp_path / "elsewhere/sub/a.jpg"
 

@@ -11,7 +11,7 @@ import torch
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.data.kitti import BirdsEyeView, birds_eye, open_kitti_road, result_name
+from roadtorch.data.kitti_road import BirdsEyeView, open_kitti_road, result_name, use_birds_eye_view
 from roadtorch.evaluation.metrics import average_precision, count_levels, max_f
 from tests.data.conftest import write
 from tests.reference import bev as reference
@@ -60,7 +60,7 @@ def test_images_are_grouped_by_category(kitti):
     assert dataset.groups() == ["um", "umm", "uu"]
     assert dataset.items[2].label == kitti / "gt_image_2/umm_road_000000.png"
     assert dataset.levels == 256
-    assert dataset.view is None
+    assert dataset.scoring_space is None
     assert open_dataset("kitti-road", kitti) == dataset
 
 
@@ -69,7 +69,7 @@ def test_the_archives_own_folder_is_found(kitti, tmp_path):
     dataset = open_kitti_road(tmp_path, "road")
 
     assert len(dataset.items) == 4
-    assert birds_eye(dataset).view == BirdsEyeView(tmp_path / "training/calib")
+    assert use_birds_eye_view(dataset).scoring_space == BirdsEyeView(tmp_path / "training/calib")
 
 
 def test_lanes_are_those_of_um(kitti):
@@ -87,7 +87,7 @@ def test_lanes_are_those_of_um(kitti):
 
 def scores(dataset: Dataset, item: LabelledItem, likelihood: torch.Tensor) -> tuple[float, float]:
     """Return MaxF and AP of a likelihood in the space in which the set is scored."""
-    truth, view = dataset.truth(item), dataset.view
+    truth, view = dataset.truth(item), dataset.scoring_space
     assert view is not None
     road, valid = view(item, truth.road), view(item, truth.valid)
     counts = count_levels(view(item, likelihood), road, valid, dataset.levels)
@@ -95,19 +95,21 @@ def scores(dataset: Dataset, item: LabelledItem, likelihood: torch.Tensor) -> tu
 
 
 def test_cells_without_a_pixel_are_void(kitti):
-    dataset = birds_eye(open_kitti_road(kitti, "road"))
+    dataset = use_birds_eye_view(open_kitti_road(kitti, "road"))
     item = dataset.items[0]
-    assert dataset.view is not None
+    assert dataset.scoring_space is not None
 
-    unseen = ~dataset.view(item, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
-    valid = dataset.view(item, dataset.truth(item).valid)
+    unseen = ~dataset.scoring_space(item, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
+    valid = dataset.scoring_space(item, dataset.truth(item).valid)
 
     assert unseen.any()
     assert not (valid & unseen).any()
     road = dataset.truth(item).road.float()
     assert scores(dataset, item, road) == pytest.approx((1, 1), abs=1e-9)
     assert scores(dataset, item, 1 - road)[0] < 0.9
-    assert pickle.loads(pickle.dumps(dataset.view)) == dataset.view  # it travels to other processes
+    assert (
+        pickle.loads(pickle.dumps(dataset.scoring_space)) == dataset.scoring_space
+    )  # it travels to other processes
 
 
 def test_a_missing_calibration_costs_its_image_only(kitti, tmp_path):
@@ -133,16 +135,16 @@ def test_kittis_frames_have_the_kits_counts_and_scores(data_root):
     if not vectors.is_file():
         pytest.skip("the benchmark's vectors are not beside the repository (../shared/reference)")
     frames = json.loads(vectors.read_text())["optional_real_ground_truth_counts"]
-    dataset = birds_eye(open_kitti_road(data_root / "kitti_road", "road"))
+    dataset = use_birds_eye_view(open_kitti_road(data_root / "kitti_road", "road"))
     items = {item.name: item for item in dataset.items}
-    assert dataset.view is not None
+    assert dataset.scoring_space is not None
 
     for frame in frames:
         item = items[frame["frame"]]
         image, truth = dataset.read(item)
         assert list(image.shape[1:]) == frame["size"]
         assert frame_counts(truth.road, truth.valid) == list(frame["image"].values())
-        cells = dataset.view(item, truth.road), dataset.view(item, truth.valid)
+        cells = dataset.scoring_space(item, truth.road), dataset.scoring_space(item, truth.valid)
         assert frame_counts(*cells) == list(frame["bev"].values())
         assert scores(dataset, item, truth.road.float()) == pytest.approx((1, 1), abs=1e-9)
         inverted = scores(dataset, item, 1 - truth.road.float())

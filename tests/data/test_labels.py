@@ -13,8 +13,8 @@ from PIL import Image
 
 from roadtorch.data.correction_formats import fill_area
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.data.labels import ColourLabels, NumberLabels, pair_files
-from roadtorch.data.maps import map_likelihood
+from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
+from roadtorch.data.likelihood_maps import read_likelihood_map
 from roadtorch.data.polygons import fill_polygon
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 
@@ -90,7 +90,7 @@ def test_8_and_16_bit_images_and_numpy_files_are_read_alike(tmp_path):
     np.save(tmp_path / "a.npy", RAMP)  # the same as beside it
 
     for name, step in (("a", 1 / 255), ("b", 1 / 65535), ("c", 1e-7)):
-        likelihood = map_likelihood(tmp_path, ["none", name], [(4, 6)])
+        likelihood = read_likelihood_map(tmp_path, ["none", name], [(4, 6)])
         assert likelihood.dtype == torch.float32
         assert np.abs(likelihood.numpy() - RAMP).max() <= step / 2 + 1e-7
 

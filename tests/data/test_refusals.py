@@ -14,12 +14,12 @@ import pytest
 
 from roadtorch.base.errors import ConfigError, DatasetError, InputError, RoadtorchError
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.correction_formats import FORMATS
+from roadtorch.data.correction_formats import CORRECTION_FORMATS
 from roadtorch.data.corrections import read_corrections
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.data.kitti import birds_eye
-from roadtorch.data.labels import ColourLabels, NumberLabels, pair_files
-from roadtorch.data.maps import map_likelihood
+from roadtorch.data.kitti_road import use_birds_eye_view
+from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
+from roadtorch.data.likelihood_maps import read_likelihood_map
 from tests.data.conftest import Content, write
 
 Files = Mapping[str, Content]
@@ -91,7 +91,7 @@ SETS: Rows = [
      "leftImg8bit/val", r"holds no images CITY/\*_leftImg8bit\.png"),
     (partial(open_dataset, "kitti-road"), {**KITTI, "image_2/thumb.png": BLACK},
      "thumb", "is not the name of a KITTI road image"),
-    (lambda folder: birds_eye(open_dataset("kitti-road", folder)), KITTI, "calib",
+    (lambda folder: use_birds_eye_view(open_dataset("kitti-road", folder)), KITTI, "calib",
      "does not exist"),
 ]  # fmt: skip
 
@@ -114,7 +114,7 @@ CONDITIONS: Rows = [
 
 
 def read_format(name: str, folder: Path) -> object:
-    return FORMATS[name].read(folder, {"a.jpg": (1, 2)})
+    return CORRECTION_FORMATS[name].read(folder, {"a.jpg": (1, 2)})
 
 
 def coco(region: Mapping[str, object] | None = None, **more: object) -> str:
@@ -179,7 +179,7 @@ RAMP = np.linspace(0, 1, 24).reshape(4, 6)
 
 
 def read_map(folder: Path) -> object:
-    return map_likelihood(folder, ["m"], [(4, 6)])
+    return read_likelihood_map(folder, ["m"], [(4, 6)])
 
 
 MAPS: Rows = [
@@ -204,7 +204,7 @@ MAPS: Rows = [
 OPTIONS: Rows = [
     (lambda folder: open_dataset("camvid", folder, "trian"), {}, "trian",
      "unknown split of camvid .*train"),
-    (lambda folder: birds_eye(open_dataset("camvid32", folder)), FRAME, "camvid32",
+    (lambda folder: use_birds_eye_view(open_dataset("camvid32", folder)), FRAME, "camvid32",
      "has no bird's-eye view"),
     (lambda _: NumberLabels(road=(2,), void=(), values=(0, 1)), {}, "NumberLabels",
      "not among its values"),

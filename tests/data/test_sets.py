@@ -15,7 +15,7 @@ import roadtorch.data.catalogue
 from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem, Truth, leave_out
-from roadtorch.data.folder import with_conditions
+from roadtorch.data.label_folders import add_conditions
 from tests.data.conftest import write
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs/evaluation.md"
@@ -110,7 +110,9 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def conditions(dataset: Dataset) -> dict[str, list[str]]:
-    return {name: [item.name for item in items] for name, items in dataset.by_condition().items()}
+    return {
+        name: [item.name for item in items] for name, items in dataset.items_by_condition().items()
+    }
 
 
 def test_a_table_in_the_folder_is_read_and_every_word_is_a_condition(root):
@@ -136,9 +138,9 @@ def test_another_table_takes_its_place(root, tmp_path, folder, text, expected):
     table.write_text(text)
     dataset = open_dataset("folder", root / folder)
 
-    assert conditions(with_conditions(dataset, table)) == expected
+    assert conditions(add_conditions(dataset, table)) == expected
     with pytest.raises(DatasetError, match=r"none\.csv: cannot be read: .*No such file"):
-        with_conditions(dataset, tmp_path / "none.csv")
+        add_conditions(dataset, tmp_path / "none.csv")
 
 
 def test_groups_left_out_stay_in_the_set_but_in_no_condition(root):
@@ -149,7 +151,7 @@ def test_groups_left_out_stay_in_the_set_but_in_no_condition(root):
     assert dataset.items == whole.items
     assert dataset.groups() == ["far", "near"]
     assert dataset.left_out == {"far"}
-    assert set(dataset.by_condition()) == {"day", "bonnet"}
+    assert set(dataset.items_by_condition()) == {"day", "bonnet"}
     assert leave_out(whole, ()) == whole
 
 
@@ -243,7 +245,7 @@ def test_other_packages_add_sets(monkeypatch, tmp_path):
     dataset = open_dataset("theirs", tmp_path)
     image, truth = dataset.read(dataset.items[0])
 
-    assert (dataset.split, dataset.levels, dataset.view) == ("day", 65_536, None)
+    assert (dataset.split, dataset.levels, dataset.scoring_space) == ("day", 65_536, None)
     assert image.shape == (3, 4, 6)
     assert truth.road.sum() == 12
     with pytest.raises(DatasetError, match="holds no images of the split night"):

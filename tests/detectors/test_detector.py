@@ -22,10 +22,10 @@ from roadtorch.base.image import overlay_pixels, read_image
 from roadtorch.detectors.detection import to_pandas
 from roadtorch.detectors.detector import Detection, use_inference_mode
 from roadtorch.imaging import slic as superpixels
-from roadtorch.imaging.resize import at_image_size, averaging_bands
+from roadtorch.imaging.resize import resize_bands, resize_to_image
 from roadtorch.oneclass import base
-from roadtorch.oneclass.axes import axes_of
-from roadtorch.oneclass.density import floor_of
+from roadtorch.oneclass.axes import make_axes
+from roadtorch.oneclass.density import variance_floor
 from roadtorch.testing.scenes import write_image
 from tests.streets import scene
 
@@ -48,7 +48,7 @@ def test_gradients_that_are_asked_for_flow() -> None:
 
 
 def test_cues_are_enlarged_when_asked_for_and_cross_processes_small() -> None:
-    evidence = load_detector("fusion:untrained", working={"pixels": 400}).find(
+    evidence = load_detector("fusion:untrained", working={"pixels": 400}).find_evidence(
         scene(1, 48, 64).image
     )
 
@@ -58,7 +58,7 @@ def test_cues_are_enlarged_when_asked_for_and_cross_processes_small() -> None:
     for name, cue in sent.cues.items():
         assert cue.shape[-2:] == (48, 64)
         assert sent.cues.maps[name].shape[-2:] != (48, 64)
-        assert torch.equal(cue, at_image_size(evidence.outputs[name], (48, 64)))
+        assert torch.equal(cue, resize_to_image(evidence.outputs[name], (48, 64)))
     with pytest.raises(KeyError, match="missing"):
         sent.cues["missing"]
 
@@ -77,14 +77,14 @@ def test_detections_hold_ordinary_tensors(name: str) -> None:
 
 
 def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
-    grid, axes = superpixels._grid(17, 23, 6), axes_of(("R", "G"))  # nobody has asked for these
+    grid, axes = superpixels._grid(17, 23, 6), make_axes(("R", "G"))  # nobody has asked for these
     with torch.inference_mode():
         kept = [
-            *(band.weights for band in averaging_bands(41, 23, 8)),
+            *(band.weights for band in resize_bands(41, 23, 8)),
             superpixels._positions(grid, 1),
             *superpixels._distance_maps(grid, 0.0123, 1),
             base._quantum_steps(axes),
-            floor_of(axes),
+            variance_floor(axes),
         ]
 
     assert [tensor.is_inference() for tensor in kept] == [False] * len(kept)

@@ -15,7 +15,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.oneclass import mixture
 from roadtorch.oneclass.samples import SampleSettings, road_samples
-from roadtorch.ufl.features import DictionarySettings, start_dictionary
+from roadtorch.ufl.features import DictionarySettings, initial_dictionary
 from tests.reference import alvarez2012, alvarez2014, zhang2016
 
 STEPS = Path(__file__).resolve().parents[2] / "docs/pictures/steps.jpg"
@@ -36,7 +36,7 @@ def real_image(name: str, width: int, height: int) -> Tensor:
 
 def test_ufl_paper_is_the_text_of_zhang_et_al() -> None:
     image = real_image("motorway", 80, 60)
-    start = start_dictionary(torch.zeros(1, 108).double(), DictionarySettings())
+    start = initial_dictionary(torch.zeros(1, 108).double(), DictionarySettings())
 
     result = load_detector("ufl:paper", working={"rows": 60}).analysis(image)["likelihood"] >= 0.5
 

@@ -14,9 +14,9 @@ from roadtorch.detectors.fusion import RoadCalibration, calibrated_likelihood
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.weights import FOR_IMAGES, load_network, shipped_weights
-from roadtorch.road.fusion import RULES, Exponents, log_odds, prior_rows, segment_road
-from tests.streets import lost_highlights
+from roadtorch.layout.weights import DEFAULT_WEIGHTS, load_network, shipped_weights
+from roadtorch.road.bayes import ROAD_RULES, Exponents, log_odds, prior_rows, segment_road
+from tests.streets import saturated_street
 
 CUES = {
     *("layout", "layout_labels", "learned_road", "texture", "uniformity", "fused_plane"),
@@ -26,7 +26,7 @@ CUES = {
 
 @cache
 def street() -> Tensor:
-    return lost_highlights(dusk=0.3)  # darker, its ground passes for an ego car
+    return saturated_street(dusk=0.3)  # darker, its ground passes for an ego car
 
 
 def test_saturated_segments_have_no_texture_the_seed_area_is_nearest_and_the_sky_far() -> None:
@@ -44,8 +44,10 @@ def test_saturated_segments_have_no_texture_the_seed_area_is_nearest_and_the_sky
 
 def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.MonkeyPatch) -> None:
     exponents = Exponents(layout=0.9, distance=1.3, texture=0.6)
-    place = RULES.position._replace(weight=0.3)
-    rules = RULES._replace(rounds=0, bias=0.5, temperature=2.0, position=place, exponents=exponents)
+    place = ROAD_RULES.position._replace(weight=0.3)
+    rules = ROAD_RULES._replace(
+        rounds=0, bias=0.5, temperature=2.0, position=place, exponents=exponents
+    )
     monkeypatch.setattr(fusion, "segment_road", partial(segment_road, rules=rules))
 
     detection = load_detector("fusion:untrained").detect(street())
@@ -72,7 +74,7 @@ def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> 
 def test_the_likelihood_is_the_mean_of_the_looks_of_the_network_calibrated(crops: tuple) -> None:
     usual = {"centre": 0.5, "temperature": 2.0}
     plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
-    image, network = street(), load_network(shipped_weights(FOR_IMAGES))
+    image, network = street(), load_network(shipped_weights(DEFAULT_WEIGHTS))
     assert isinstance(network, BackboneNetwork)
 
     detection = load_detector("fusion", crops=crops, **plain).detect(image)

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detection, Detector
-from roadtorch.imaging.resize import resized
-from roadtorch.road.ego import Ego, continued, ego_car
+from roadtorch.imaging.resize import resize_maps
+from roadtorch.road.ego import Ego, ego_car, extrapolate_over_ego
 from roadtorch.testing import detection_violations
 from tests.detectors.test_fusion import CUES
 from tests.networks import write_ego_network
@@ -105,7 +105,7 @@ def test_where_hidden_ground_alone_reaches_the_seed_area_nothing_is_dropped(weig
 def test_above_the_ground_goes_on(weights: Path, detected: Detection) -> None:
     blind = fusion(write_ego_network(weights.with_name("blind.safetensors"), 0.0))
 
-    without = blind.detect(continued(street(), car(96, 128)))
+    without = blind.detect(extrapolate_over_ego(street(), car(96, 128)))
 
     above = ~car(96, 128)
     assert not without.cues["ego"].any()
@@ -117,7 +117,7 @@ def test_above_the_ground_goes_on(weights: Path, detected: Detection) -> None:
 def test_it_holds_at_any_size(name: str, size: tuple[int, int], weights: Path) -> None:
     seeing = load_detector(name, weights={"file": str(weights)})
 
-    detection = seeing.detect(resized(street(), size).clamp(0, 1))
+    detection = seeing.detect(resize_maps(street(), size).clamp(0, 1))
 
     ego, crops = detection.cues["ego"], getattr(seeing.settings, "crops", ())
     least = BOTTOM * (1 - max(crops, default=0))  # the lowest quarter of what each look sees

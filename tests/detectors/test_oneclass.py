@@ -15,8 +15,8 @@ from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.detectors.detector import Detection, Detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.evaluation import metrics
-from roadtorch.imaging.color import REPRESENTATIONS, planes
-from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit, samples
+from roadtorch.imaging.color import REPRESENTATIONS, color_planes
+from roadtorch.oneclass import CLASSIFIERS, FittedClassifier, fit, make_axes, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
 from roadtorch.testing.scenes import render_scene
 from tests.representatives import representatives
@@ -28,7 +28,7 @@ ONE_OF_EACH = [name for name in representatives() if name in BY_NAME]
 
 def detector(name: str, **settings: object) -> Detector:
     entry = BY_NAME[f"oneclass:{name}" if ":" in name and "oneclass" not in name else name]
-    return Detector(entry, entry.configured(settings)).eval()
+    return Detector(entry, entry.make_settings(settings)).eval()
 
 
 SCENE = render_scene(3, 120, 160)
@@ -101,8 +101,8 @@ def test_maps_are_those_of_the_classifier_fitted_by_hand(name: str) -> None:
 
     detection = detected(name)
 
-    fitted = fit(classifier, road_samples(street(), names, every), axes_of(names), defaults)
-    likelihood = fitted.likelihood(planes(street(), names).flatten(1).T).view(120, 160)
+    fitted = fit(classifier, road_samples(street(), names, every), make_axes(names), defaults)
+    likelihood = fitted.likelihood(color_planes(street(), names).flatten(1).T).view(120, 160)
     # Planes of the distinct colours may differ from planes of the pixels in the last digit.
     close = torch.isclose(detection.likelihood, likelihood, atol=2e-3)
     assert close.float().mean() > 0.995
@@ -120,7 +120,7 @@ def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
     names = [name for name in ONE_OF_EACH if "hist" not in name]
     with (
         patch.object(samples, "slic", wraps=samples.slic) as cut,
-        patch.object(samples, "plane", wraps=samples.plane) as made,
+        patch.object(samples, "color_plane", wraps=samples.color_plane) as made,
         image_cache(),
     ):
         detections = {name: detector(name).detect(street()) for name in names}
@@ -136,13 +136,13 @@ def test_planes_and_superpixels_are_made_once_for_all_detectors() -> None:
 def test_of_a_byte_plane_no_more_than_its_levels_are_scored(planes: str) -> None:
     image = torch.randint(256, (3, 100, 100)).to(torch.float32) / 255
     sizes = []
-    score = Fitted.distance
+    score = FittedClassifier.distance
 
-    def watched(fitted: Fitted, pixels: Tensor) -> Tensor:
+    def watched(fitted: FittedClassifier, pixels: Tensor) -> Tensor:
         sizes.append(len(pixels))
         return score(fitted, pixels)
 
-    with patch.object(Fitted, "distance", watched):
+    with patch.object(FittedClassifier, "distance", watched):
         detector(f"gaussian:{planes}").detect(image)
 
     assert 0 < sum(sizes) <= 256

@@ -13,17 +13,17 @@ from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.image import write_mask
-from roadtorch.base.settings import Settings, build_settings, group_at, merge
+from roadtorch.base.settings import Settings, build_settings, find_settings_group, merge
 from roadtorch.detectors.catalogue import detector_entry, load_detector
 from roadtorch.oneclass import CLASSIFIERS
 from tests.networks import write_random_network
-from tests.representatives import ways_of_working
-from tests.streets import lost_highlights
+from tests.representatives import distinct_detectors
+from tests.streets import saturated_street
 
 
 @cache
 def street() -> Tensor:
-    return lost_highlights(dusk=0.6)
+    return saturated_street(dusk=0.6)
 
 
 FILES = TemporaryDirectory()
@@ -34,7 +34,7 @@ GRID = "oneclass"
 
 def one_of_each() -> list[str]:
     """List every way of working that can be set; of the one-class grid one for each classifier."""
-    names = [name for name in ways_of_working() if name.partition(":")[0] not in ("prior", GRID)]
+    names = [name for name in distinct_detectors() if name.partition(":")[0] not in ("prior", GRID)]
     cells = [f"{GRID}:{name}:{'HSV' if name == 'pca' else 'HS'}" for name in CLASSIFIERS]
     return names + cells
 
@@ -94,13 +94,13 @@ def nested(path: tuple[str, ...], value: object) -> dict:
 
 def declared_in(kind: type[Settings], path: tuple[str, ...]) -> type:
     """Return the class that declares a setting; detectors that share it share its code."""
-    group = group_at(kind, path[:-1])
+    group = find_settings_group(kind, path[:-1])
     return next(kind for kind in group.__mro__ if path[-1] in get_annotations(kind))
 
 
 def candidates(name: str, path: tuple[str, ...], default: Any) -> Iterator[Any]:
     """Values for a setting, by its type, its bounds and its default; some are not allowed."""
-    field = group_at(detector_entry(name).settings, path[:-1]).model_fields[path[-1]]
+    field = find_settings_group(detector_entry(name).settings, path[:-1]).model_fields[path[-1]]
     if path == ("weights", "file"):
         kind: Any = type(load_detector(name).analysis.network)
         yield str(write_random_network(Path(FILES.name) / f"{kind.kind}.safetensors", 0, kind))
@@ -200,7 +200,7 @@ def claims() -> dict[str, list[Claim]]:
     for name in one_of_each():
         kind = detector_entry(name).settings
         groups: dict[type, Claim] = {}
-        for path, default in leaves(detector_entry(name).configured({}).model_dump()):
+        for path, default in leaves(detector_entry(name).make_settings({}).model_dump()):
             if path[0] in WITHOUT.get(name, ()):
                 continue
             if name == SHOWS_ALL or "oneclass" not in name or path[0] == "classifier":

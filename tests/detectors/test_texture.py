@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.imaging.color import plane
-from roadtorch.imaging.slic import squares
+from roadtorch.imaging.color import color_plane
+from roadtorch.imaging.slic import square_grid
 from roadtorch.road.seed_area import SeedArea, seed_rectangle
 from roadtorch.road.texture import (
     Saturation,
@@ -19,12 +19,12 @@ from roadtorch.road.texture import (
     unsaturated_uniformity,
     value_range,
 )
-from tests.streets import lost_highlights
+from tests.streets import saturated_street
 
 
 @cache
 def street() -> Tensor:
-    return lost_highlights()
+    return saturated_street()
 
 
 def per_segment(cue: Tensor, segments: Tensor) -> Tensor:
@@ -64,7 +64,7 @@ def test_grey_uniformity_is_that_of_the_grey_levels_of_each_segment() -> None:
     detection = load_detector("grey-uniformity", bins=32).detect(street())
 
     segments = detection.cues["segments"]
-    levels = (plane(street(), "grey") * 32).long().clamp(0, 31)
+    levels = (color_plane(street(), "grey") * 32).long().clamp(0, 31)
     for number, value in enumerate(per_segment(detection.cues["uniformity"], segments)):
         shares = levels[segments == number].bincount(minlength=32) / (segments == number).sum()
         assert float(value) == pytest.approx(float(shares.square().sum()), abs=1e-5)
@@ -78,9 +78,9 @@ def test_the_fused_plane_varies_least_over_the_seed_area_and_a_single_plane_is_i
     rows, columns = slice(72, 96), slice(40, 88)
     variance = cues["fused_plane"][rows, columns].var()
     for name in TextureSettings().planes:
-        assert variance <= plane(street(), name)[rows, columns].var() * 1.001
+        assert variance <= color_plane(street(), name)[rows, columns].var() * 1.001
     alone = load_detector("cpf", texture={"planes": ["ng"]}).detect(street()).cues["fused_plane"]
-    assert torch.allclose(alone, plane(street(), "ng"))
+    assert torch.allclose(alone, color_plane(street(), "ng"))
 
 
 def test_segments_with_the_texture_of_the_seed_area_are_more_likely_road_by_lbp() -> None:
@@ -129,7 +129,7 @@ def test_saturated_pixels_do_not_enter_the_histogram_of_their_segment() -> None:
 
 
 def test_a_seed_area_without_enough_usable_pixels_gives_the_weights_with_all_of_them() -> None:
-    labels, seed = squares(96, 128, 16), seed_rectangle((96, 128))
+    labels, seed = square_grid(96, 128, 16), seed_rectangle((96, 128))
     above = (torch.arange(96) < 80)[:, None].expand(96, 128)
 
     few, usual = (

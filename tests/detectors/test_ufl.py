@@ -9,10 +9,10 @@ from torch import Tensor
 
 from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.ufl import ENTRIES
-from roadtorch.imaging.resize import resized
+from roadtorch.imaging.resize import resize_maps
 from roadtorch.testing import detection_violations
 from roadtorch.testing.scenes import render_scene
-from roadtorch.ufl.road import AS_CHOSEN
+from roadtorch.ufl.road import MASK_THRESHOLD
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
 QUICK = {"working": {"rows": 48}, "dictionary": {"bases": 30, "rounds": 3}}
@@ -20,7 +20,7 @@ QUICK = {"working": {"rows": 48}, "dictionary": {"bases": 30, "rounds": 3}}
 
 def detector(name: str, **settings: Any) -> Detector:
     entry = BY_NAME[name]
-    return Detector(entry, entry.configured(settings))
+    return Detector(entry, entry.make_settings(settings))
 
 
 @cache
@@ -43,13 +43,13 @@ def test_the_cues_show_every_stage_at_the_size_of_the_image() -> None:
 @pytest.mark.parametrize("size", [(96, 128), (241, 319), (120, 397)])
 @pytest.mark.parametrize("name", BY_NAME)
 def test_at_a_half_the_likelihood_is_the_chosen_region(name: str, size: tuple[int, int]) -> None:
-    image = resized(render_scene(4, 120, 160).image, size).clamp(0, 1)
+    image = resize_maps(render_scene(4, 120, 160).image, size).clamp(0, 1)
 
     detection = detector(name, **QUICK).detect(image)
 
     chosen = detection.cues["iteration_2"]
     assert chosen.any()
-    assert torch.equal(detection.likelihood >= AS_CHOSEN, chosen)
+    assert torch.equal(detection.likelihood >= MASK_THRESHOLD, chosen)
 
 
 def test_where_no_selected_base_responds_the_likelihood_is_the_mask_alone() -> None:

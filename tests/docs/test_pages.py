@@ -41,7 +41,7 @@ def is_setting(assignment: str) -> bool:
     """Return whether some detector of the papers takes ``group.key=value``."""
     for name in SETTINGS_OF:
         try:
-            detector_entry(name).configured(parse_assignments([assignment]))
+            detector_entry(name).make_settings(parse_assignments([assignment]))
         except RoadtorchError:
             continue
         return True

@@ -11,7 +11,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
 from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics, uncertainty
-from roadtorch.evaluation.methods import Contender, Look
+from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.metrics import RoadCounts
 from roadtorch.evaluation.result import DetectorScores, summarise
 from roadtorch.evaluation.scoring import score_dataset
@@ -45,7 +45,7 @@ def dataset(scenes, tmp_path_factory) -> Dataset:
     return open_dataset("camvid", root, "train")
 
 
-def answering(likelihood: Answer, **cues: Answer) -> Look:
+def answering(likelihood: Answer, **cues: Answer) -> Predictor:
     """Return a detector whose likelihood and cues are functions of the item's name."""
 
     def look(image, item):
@@ -55,7 +55,7 @@ def answering(likelihood: Answer, **cues: Answer) -> Look:
     return look
 
 
-def tally_of(dataset: Dataset, look: Look) -> Tally:
+def tally_of(dataset: Dataset, look: Predictor) -> Tally:
     """Count one detector on every image of a set."""
     total = Tally()
     for result in score_dataset(dataset, [Contender("it", lambda _: look)]):

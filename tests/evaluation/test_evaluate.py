@@ -9,7 +9,7 @@ import torch
 
 from roadtorch.base.atomic import write_json
 from roadtorch.base.errors import ConfigError, DatasetError, InputError, UnscorableError
-from roadtorch.base.image import read_image, write_colours
+from roadtorch.base.image import read_image, write_rgb_png
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
@@ -19,12 +19,12 @@ from roadtorch.evaluation.report.files import build_document
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.evaluation.tally import UNGROUPED
 from roadtorch.testing.scenes import write_image
-from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, know_oracle, write_set
+from tests.oracle import DECISION, GROUPS, ORACLE, SCENES, register_oracle, write_set
 
 
 @pytest.fixture(scope="module")
 def camvid(tmp_path_factory) -> Dataset:
-    know_oracle()
+    register_oracle()
     return open_dataset("camvid", write_set(tmp_path_factory.mktemp("set") / "camvid"))
 
 
@@ -179,7 +179,7 @@ def test_labels_without_any_road_are_an_error(tmp_path):
     for folder in ("images", "masks"):
         (tmp_path / folder).mkdir()
         image = next(iter(SCENES.values())).image
-        write_colours(tmp_path / folder / "a.png", image if folder == "images" else 0 * image)
+        write_rgb_png(tmp_path / folder / "a.png", image if folder == "images" else 0 * image)
 
     with pytest.raises(UnscorableError, match="no label has any road") as caught:
         evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
@@ -239,7 +239,7 @@ def test_a_condition_is_scored_on_its_images_whatever_their_group(camvid):
     for item in chosen:
         truth, detection = camvid.truth(item), load_detector(name).detect(read_image(item.image))
         counts = metrics.count_levels(detection.likelihood, truth.road, truth.valid, 256)
-        f.append(metrics.decisions_at(counts, scores.thresholds[item.group or ""]))
+        f.append(metrics.confusion_at(counts, scores.thresholds[item.group or ""]))
     assert rain["f"] == pytest.approx(float(metrics.f_measure(f[0] + f[1])))
 
 

@@ -8,13 +8,13 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MAXF, MEASURES
-from tests.oracle import GROUPS, know_oracle, write_set
+from tests.oracle import GROUPS, register_oracle, write_set
 
 DOCUMENT = Path(__file__).parents[2] / "docs/evaluation.md"
 
 
 def test_a_formula_that_replicates_cannot_compute_is_named(tmp_path):
-    know_oracle()
+    register_oracle()
     dataset = open_dataset("camvid", write_set(tmp_path / "camvid"))
     wrong = Measure("seen", "seen", "Images.", lambda part: part.images and 1.0, interval=True)
 

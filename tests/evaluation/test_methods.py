@@ -7,12 +7,17 @@ import torch
 
 from roadtorch.base.errors import ConfigError, WeightsError
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, every_kth
+from roadtorch.data.dataset import Dataset, subsample_dataset
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.methods import contenders, mean_masks, parse_contenders, resize_map
+from roadtorch.evaluation.methods import (
+    collect_contenders,
+    mean_masks,
+    parse_contenders,
+    resize_map,
+)
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.road.fusion import prior_rows
+from roadtorch.road.bayes import prior_rows
 from tests.evaluation.conftest import GROUPS
 
 
@@ -78,11 +83,14 @@ def test_a_text_that_names_nothing_is_refused(files, text, error, message):
 
 
 def test_a_detector_is_scored_once_and_two_of_one_name_are_refused(files, dataset):
-    names = [entry.name for entry in contenders(dataset, ["prior:t*", "prior:rows", "prior:*"], {})]
+    names = [
+        entry.name
+        for entry in collect_contenders(dataset, ["prior:t*", "prior:rows", "prior:*"], {})
+    ]
 
     assert names == ["prior:triangle", "prior:rows", "prior:uniform", "prior:mean"]
     with pytest.raises(ConfigError, match="names two detectors"):
-        contenders(dataset, ["x=mine/a=b.toml", "x=mine/weights.safetensors"], {})
+        collect_contenders(dataset, ["x=mine/a=b.toml", "x=mine/weights.safetensors"], {})
 
 
 # --- the baseline that data sets teach -----------------------------------------------------------
@@ -99,13 +107,13 @@ def test_the_mean_mask_is_the_other_groups(dataset, scenes):
     mask = mean_masks(dataset)["0001TP"]
 
     assert torch.allclose(mask, (shares["0006R0"] + shares["0016E5"]) / 2)
-    assert mean_masks(every_kth(dataset, 1)) == {}  # one group alone teaches nothing
+    assert mean_masks(subsample_dataset(dataset, 1)) == {}  # one group alone teaches nothing
 
 
 def test_a_mask_from_elsewhere_is_brought_to_the_size_of_the_image(dataset):
-    single = every_kth(dataset, 1)
+    single = subsample_dataset(dataset, 1)
 
-    *_, mean = contenders(single, (), {}, mean_from=dataset)
+    *_, mean = collect_contenders(single, (), {}, mean_from=dataset)
     detection = mean.prepare(single)(torch.zeros(3, 24, 32), single.items[0])
 
     assert mean.name == "prior:mean"
@@ -139,7 +147,7 @@ def test_row_prior_on_camvid_by_group(data_root):
 @pytest.mark.data
 def test_row_prior_and_camvids_mean_mask_on_idd(data_root):
     idd = open_dataset("idd-lite", data_root / "idd_lite")
-    few = every_kth(open_dataset("camvid", data_root / "camvid"), 100)  # for speed
+    few = subsample_dataset(open_dataset("camvid", data_root / "camvid"), 100)  # for speed
 
     assert baseline_scores(idd)[""] == pytest.approx(0.813, abs=6e-4)
     assert baseline_scores(idd, mean_masks(idd, few))[""] == pytest.approx(0.834, abs=4e-3)

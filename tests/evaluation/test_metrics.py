@@ -9,7 +9,7 @@ from sklearn.metrics import confusion_matrix, jaccard_score, roc_auc_score
 
 from roadtorch.base.errors import InputError
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.metrics import Decisions, RoadCounts
+from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
 from tests.evaluation.conftest import count, random_map
 from tests.reference import metrics as slow
 
@@ -39,7 +39,7 @@ def test_iou_at_a_threshold_and_of_a_mask_leave_void_out(seed):
     valid = np.random.default_rng(1000 + seed).random(road.shape) < 0.7
     maps = torch.from_numpy(scores), torch.from_numpy(road), torch.from_numpy(valid)
 
-    at_threshold = metrics.iou(metrics.decisions_at(metrics.count_levels(*maps), 0.5))
+    at_threshold = metrics.iou(metrics.confusion_at(metrics.count_levels(*maps), 0.5))
     outcome = metrics.count_mask(maps[0] >= 0.5, *maps[1:])
 
     expected = jaccard_score(road[valid], scores[valid] >= 0.5)
@@ -81,7 +81,7 @@ def test_f_of_table_1_follows_from_its_precision_and_recall(name, precision, rec
     sums = torch.tensor([p * r, r * (10_000 - p), p * (10_000 - r), 0])
     first = sums // 3
 
-    pooled = Decisions(*first) + Decisions(*(sums - first))
+    pooled = ConfusionCounts(*first) + ConfusionCounts(*(sums - first))
 
     assert float(metrics.precision(pooled)) == pytest.approx(precision / 100, abs=1e-12)
     assert float(metrics.recall(pooled)) == pytest.approx(recall / 100, abs=1e-12)
@@ -140,7 +140,7 @@ def test_measures_equal_those_of_the_development_kit(name, k, max_f, ap, pre, re
     counts = kitti_cases()[name]
 
     best, threshold = metrics.max_f(counts)
-    outcome = metrics.decisions_at(counts, float(threshold))
+    outcome = metrics.confusion_at(counts, float(threshold))
 
     assert round(float(threshold) * 255) == k
     assert float(best) == pytest.approx(max_f, abs=6e-7)
@@ -164,7 +164,7 @@ KITTI_COUNTED = {
 
 @pytest.mark.parametrize("name", KITTI_COUNTED)
 def test_counts_of_the_development_kit_at_single_thresholds(name):
-    outcomes = {k: metrics.decisions_at(kitti_cases()[name], k / 255) for k in KITTI_COUNTED[name]}
+    outcomes = {k: metrics.confusion_at(kitti_cases()[name], k / 255) for k in KITTI_COUNTED[name]}
 
     errors = {
         k: (int(outcome.false_negative), int(outcome.false_positive))
@@ -201,8 +201,8 @@ def test_what_is_not_defined_is_nan():
     assert math.isnan(metrics.auc(no_background))
     assert all(math.isnan(part) for part in metrics.max_f(no_road))
     assert math.isnan(metrics.average_precision(no_road))
-    assert math.isnan(metrics.precision(metrics.decisions_at(count([0.1], [1]), 0.5)))
-    assert math.isnan(metrics.false_positive_rate(metrics.decisions_at(no_background, 0.5)))
+    assert math.isnan(metrics.precision(metrics.confusion_at(count([0.1], [1]), 0.5)))
+    assert math.isnan(metrics.false_positive_rate(metrics.confusion_at(no_background, 0.5)))
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ from roadtorch.evaluation.result import (
     held_out_thresholds,
     shared_threshold,
 )
-from roadtorch.evaluation.tally import Score, Tally
-from roadtorch.layout.classes import NAMES
+from roadtorch.evaluation.tally import ImageCounts, Tally
+from roadtorch.layout.classes import CLASS_NAMES
 from tests.evaluation.conftest import GROUPS, answering, scores_of, tally_of
 
 
@@ -49,7 +49,7 @@ def test_a_perfect_map_scores_one_and_an_inverted_one_does_not(dataset, scenes):
     for measure in MEASURES:
         if measure.key in perfect.headline and not measure.key.startswith("layout/"):
             ideal = {"higher": 1, "lower": 0}.get(measure.better or "")
-            assert ideal is None or measure.of(perfect.headline) == pytest.approx(ideal, abs=1e-9)
+            assert ideal is None or measure.get(perfect.headline) == pytest.approx(ideal, abs=1e-9)
     assert perfect.pooled["maxf"] == pytest.approx(1, abs=1e-9)
     assert inverted.headline["brier"] == 1
     assert inverted.headline["eer"] == 1
@@ -94,12 +94,12 @@ def test_an_image_without_road_is_skipped_in_the_mean_auc():
     assert scores.headline["ms_per_image"] == pytest.approx(200)
 
 
-def score(road: dict[int, int], background: dict[int, int], seconds: float) -> Score:
+def score(road: dict[int, int], background: dict[int, int], seconds: float) -> ImageCounts:
     hits, negatives = (torch.tensor(sum(part.values())) for part in (road, background))
     none = torch.tensor(0)
-    mask = metrics.Decisions(hits, none, none, negatives)
+    mask = metrics.ConfusionCounts(hits, none, none, negatives)
     border = torch.zeros((len(boundary.TOLERANCES), 4), dtype=torch.int64)
-    return Score(counts_of(road, background), mask, border, None, None, seconds)
+    return ImageCounts(counts_of(road, background), mask, border, None, None, seconds)
 
 
 # --- thresholds ----------------------------------------------------------------------------------
@@ -131,7 +131,9 @@ def test_where_thresholds_come_from():
     contender = Contender("it", lambda _: NotImplemented, threshold=0.6)
 
     assert choose_thresholds(contender, {"all": counts})[1] == {"all": 0.6}
-    assert choose_thresholds(replace(contender, chosen=0.2), {"all": counts})[1] == {"all": 0.2}
+    assert choose_thresholds(replace(contender, earlier_threshold=0.2), {"all": counts})[1] == {
+        "all": 0.2
+    }
     assert choose_thresholds(contender, {"a": counts, "b": counts})[1]["a"] == 0.4
 
 
@@ -164,7 +166,7 @@ def test_layout_recalls_by_group_over_all_and_labelled_pixels(dataset, scenes):
     scores = scores_of(tally_of(dataset, road))
 
     group = scores.groups["0001TP"]
-    assert [group[f"layout/{name}"] for name in NAMES] == [1, 1, 0]
+    assert [group[f"layout/{name}"] for name in CLASS_NAMES] == [1, 1, 0]
     assert scores.headline["layout/mean"] == pytest.approx(2 / 3)
     assert group["layout/labelled/mean"] == 1
     assert 0.2 < group["layout/labelled_share"] < 0.8
@@ -197,7 +199,7 @@ def test_trust_is_measured_on_all_images_together_and_by_group(dataset, scenes):
     scores = scores_of(tally)
     blind = scores_of(tally_of(dataset, trusting(scenes, dict.fromkeys(scenes, 0.5)))).headline
 
-    table = tally.kept()
+    table = tally.table()
     f, trusts = metrics.f_measure(table.mask), torch.tensor([knowing[name] for name in table.names])
     correlation = scores.headline["trust/rank_correlation"]
     assert correlation == pytest.approx(spearmanr(trusts, f)[0])

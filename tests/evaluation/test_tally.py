@@ -7,10 +7,10 @@ from typing import ClassVar
 import pytest
 import torch
 
-from roadtorch.data.dataset import LabelledItem, every_kth
+from roadtorch.data.dataset import LabelledItem, subsample_dataset
 from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.methods import Contender, contenders, named_detector
+from roadtorch.evaluation.methods import Contender, collect_contenders, contender_from_name
 from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import Tally
 from tests.evaluation.conftest import GROUPS, answering, scores_of, tally_of
@@ -36,11 +36,11 @@ def test_images_with_and_without_layout_may_be_mixed_in_any_order(dataset):
         counts = with_layout if is_shown else replace(with_layout, layout=None)
         tally.add(replace(item, name=f"{index}"), counts)
 
-    table = tally.kept()
+    table = tally.table()
     layout = table.layout
 
     assert list(table.names) == [f"{index}" for index in range(200)]
-    assert (table.road.road == tally_of(dataset, look).kept().road.road[0]).all()
+    assert (table.road.road == tally_of(dataset, look).table().road.road[0]).all()
     assert layout is not None
     assert len(layout) == 200
     assert torch.equal(layout.flatten(1).sum(1) > 0, (torch.arange(200) // 10) == 9)
@@ -49,11 +49,11 @@ def test_images_with_and_without_layout_may_be_mixed_in_any_order(dataset):
 def test_images_come_group_by_group_when_groups_are_asked_for(dataset):
     tally = tally_of(dataset, look)
 
-    table = tally.kept(GROUPS[2:0:-1])
+    table = tally.table(GROUPS[2:0:-1])
 
     assert list(table.groups) == [GROUPS[2]] * 2 + [GROUPS[1]] * 2
     assert torch.equal(table.road.road, tally.select(table.names).road.road[[2, 3, 0, 1]])
-    assert tally.kept(GROUPS[2:]).names == table.names[:2]
+    assert tally.table(GROUPS[2:]).names == table.names[:2]
 
 
 def test_counts_go_between_processes_whole_and_small() -> None:
@@ -75,10 +75,11 @@ def test_counts_go_between_processes_whole_and_small() -> None:
 
 
 def test_results_keep_the_order_of_the_set_and_every_kth_spreads(dataset):
-    chosen = every_kth(dataset, 3)
+    chosen = subsample_dataset(dataset, 3)
 
     names = [
-        result.item.name for result in score_dataset(chosen, [named_detector("prior:rows", {})])
+        result.item.name
+        for result in score_dataset(chosen, [contender_from_name("prior:rows", {})])
     ]
 
     assert names == [dataset.items[i].name for i in (0, 2, 4)]
@@ -94,7 +95,7 @@ def test_a_detector_that_breaks_is_named(dataset):
 
 
 def test_two_processes_give_the_results_of_one(dataset):
-    methods = contenders(dataset, (), {})  # the baselines
+    methods = collect_contenders(dataset, (), {})  # the baselines
 
     serial, parallel = (
         list(score_dataset(dataset, methods)),
@@ -124,7 +125,7 @@ class LowerHalf:
 
 
 def test_maps_and_truth_are_scored_in_the_view_of_the_set(dataset, scenes):
-    viewed = replace(dataset, view=LowerHalf())
+    viewed = replace(dataset, scoring_space=LowerHalf())
 
     def above(name):  # wrong in the upper half alone
         likelihood = scenes[name].road.clone()

@@ -11,12 +11,12 @@ from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
 
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.evaluation import trust
-from roadtorch.evaluation.disagreement import Disagreement, Disagreements, most_and_spread
+from roadtorch.evaluation import trust_measures
+from roadtorch.evaluation.disagreement import Disagreement, Disagreements, select_changed
 from roadtorch.evaluation.report.adaptation import Adaptation, summary_table
-from roadtorch.evaluation.trust import Trusted
+from roadtorch.evaluation.trust_measures import TrustSamples
 from tests.reference import trust as slow
-from tests.reports import made_contender, scored
+from tests.reports import make_contender, make_scored_run
 
 TENTHS = st.integers(0, 10).map(lambda tenths: tenths / 10)  # few values: many are equal
 
@@ -38,10 +38,10 @@ def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
 
     if trusts.unique().numel() > 1 and f.unique().numel() > 1:
         expected = spearmanr(trusts, f)[0]
-        assert trust.rank_correlation(trusts, f) == pytest.approx(expected, abs=1e-9)
+        assert trust_measures.rank_correlation(trusts, f) == pytest.approx(expected, abs=1e-9)
     if 0 < bad.sum() < len(bad):
         expected = float(roc_auc_score(bad, -trusts))
-        assert trust.failure_auc(trusts, f, 0.6) == pytest.approx(expected, abs=1e-12)
+        assert trust_measures.failure_auc(trusts, f, 0.6) == pytest.approx(expected, abs=1e-12)
 
 
 @settings(deadline=None, max_examples=20)
@@ -49,11 +49,11 @@ def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
 def test_the_risk_of_equals_is_the_mean_over_their_orders(pairs):
     trusts, f = columns(pairs)
 
-    curve = trust.risk_coverage_curve(trusts, f)
+    curve = trust_measures.risk_coverage_curve(trusts, f)
 
     risks = slow.risks(trusts.tolist(), f.tolist())
     assert curve.y.tolist() == pytest.approx(risks, abs=1e-9)
-    assert trust.aurc(curve) == pytest.approx(sum(risks) / len(risks), abs=1e-9)
+    assert trust_measures.aurc(curve) == pytest.approx(sum(risks) / len(risks), abs=1e-9)
     assert curve.x.tolist() == pytest.approx([(k + 1) / len(f) for k in range(len(f))])
 
 
@@ -61,20 +61,20 @@ def test_within_groups_what_differs_between_them_counts_for_nothing():
     # In each group trust has the wrong order; the groups' levels give the right one over all.
     trusts = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9], dtype=torch.float64)
     f = torch.tensor([0.4, 0.3, 0.2, 0.1, 0.9, 0.8, 0.7, 0.6], dtype=torch.float64)
-    samples = Trusted(trusts, f, ["a"] * 4 + ["b"] * 4)
+    samples = TrustSamples(trusts, f, ["a"] * 4 + ["b"] * 4)
 
-    assert trust.rank_correlation(samples.trust, samples.f) > 0.5
-    assert trust.correlation_within(samples) == pytest.approx(-1)
+    assert trust_measures.rank_correlation(samples.trust, samples.f) > 0.5
+    assert trust_measures.mean_group_correlation(samples) == pytest.approx(-1)
 
 
 def test_a_group_of_three_has_no_correlation_of_its_own():
     f = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.9, 0.8, 0.7])
     groups = ["a"] * 4 + ["b"] * 3
 
-    correlation = trust.correlation_within(Trusted(f.sort().values, f, groups))
+    correlation = trust_measures.mean_group_correlation(TrustSamples(f.sort().values, f, groups))
 
     assert correlation == pytest.approx(1)
-    assert math.isnan(trust.correlation_within(Trusted(f[4:], f[4:], groups[4:])))
+    assert math.isnan(trust_measures.mean_group_correlation(TrustSamples(f[4:], f[4:], groups[4:])))
 
 
 def test_constant_values_are_nan():
@@ -82,9 +82,9 @@ def test_constant_values_are_nan():
     nothing = torch.zeros(0)
 
     for pair in ((constant, f), (nothing, nothing)):
-        assert math.isnan(trust.rank_correlation(*pair))
-        assert math.isnan(trust.failure_auc(*pair, 0.6))
-    assert math.isnan(trust.aurc(trust.risk_coverage_curve(nothing, nothing)))
+        assert math.isnan(trust_measures.rank_correlation(*pair))
+        assert math.isnan(trust_measures.failure_auc(*pair, 0.6))
+    assert math.isnan(trust_measures.aurc(trust_measures.risk_coverage_curve(nothing, nothing)))
 
 
 # --- disagreement -----------------------------------------------------------------------
@@ -104,7 +104,7 @@ def numbers(ranked: list[Disagreement]) -> list[int]:
 def test_half_changed_most_and_the_others_are_spread_down_to_the_least() -> None:
     ranked = [change(number, number / 100) for number in reversed(range(25))]
 
-    chosen = most_and_spread(ranked, 10)
+    chosen = select_changed(ranked, 10)
 
     # 24 to 20 changed most; of the twenty others every fourth, the least changed included.
     assert numbers(chosen) == [24, 23, 22, 21, 20, 16, 12, 8, 4, 0]
@@ -114,7 +114,7 @@ def test_half_changed_most_and_the_others_are_spread_down_to_the_least() -> None
 @pytest.mark.parametrize("images", [1, 2, 7, 10, 11, 12])
 def test_no_image_is_chosen_twice_and_none_is_missing(images: int, count: int) -> None:
     ranked = [change(number, number / 100) for number in reversed(range(images))]
-    chosen = numbers(most_and_spread(ranked, count))
+    chosen = numbers(select_changed(ranked, count))
     assert len(chosen) == len(set(chosen)) == min(images, count)
     assert chosen[0] == images - 1
 
@@ -126,8 +126,8 @@ def test_the_means_leave_out_images_without_trust() -> None:
         change(2, 0.2, math.nan, math.nan),
     ]
 
-    methods = made_contender("before"), made_contender("after")
-    comparison = Disagreements(scored({"it": None}).dataset, methods, changes, [])
+    methods = make_contender("before"), make_contender("after")
+    comparison = Disagreements(make_scored_run({"it": None}).dataset, methods, changes, [])
     table = summary_table(Adaptation(comparison, (Path("a"), Path("b")), changes, None, []))
 
     minus = "\N{MINUS SIGN}"

@@ -22,7 +22,7 @@ def test_interval_of_a_mean_is_the_textbook_one():
     values = torch.randn(200, generator=generator, dtype=torch.float64)
 
     weights = uncertainty.bootstrap_weights(200, generator.manual_seed(2), 4000)
-    low, high = uncertainty.interval(weights.to(values.dtype) @ values / 200)
+    low, high = uncertainty.percentile_interval(weights.to(values.dtype) @ values / 200)
 
     error = float(values.std()) / math.sqrt(200)
     assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)
@@ -32,8 +32,8 @@ def test_interval_of_a_mean_is_the_textbook_one():
 def test_replicates_without_a_value_are_left_out():
     values = torch.tensor([math.nan, 1, 1, math.nan, 1], dtype=torch.float64)
 
-    assert all(math.isnan(end) for end in uncertainty.interval(values[:1]))
-    assert uncertainty.interval(values) == (1, 1)
+    assert all(math.isnan(end) for end in uncertainty.percentile_interval(values[:1]))
+    assert uncertainty.percentile_interval(values) == (1, 1)
 
 
 # --- of a run -------------------------------------------------------------------------------------

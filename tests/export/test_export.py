@@ -14,14 +14,14 @@ import torch
 from PIL import Image
 
 import roadtorch.export.export as export_module
-from roadtorch.base.atomic import digest_of
+from roadtorch.base.atomic import file_digest
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image, to_pixels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.export.export import (
-    BOUND,
-    Exported,
+    MAX_DIFFERENCE,
     ExportGraph,
+    ExportResult,
     describe_export,
     export_detector,
     exportable_part,
@@ -52,25 +52,25 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def cnn7(folder: Path) -> Exported:
+def cnn7(folder: Path) -> ExportResult:
     return export_detector(load_detector("layout:cnn-7"), folder / "cnn7.onnx")
 
 
 # --- what files say ---------------------------------------------------------------------
 
 
-def test_a_file_agrees_with_python_at_any_size_and_batch(fusion: Exported) -> None:
+def test_a_file_agrees_with_python_at_any_size_and_batch(fusion: ExportResult) -> None:
     steps = exportable_part(load_detector(NAME)).compute
     batches = [images(*size, count=2) for size in SIZES]
 
     apart = measure_parity(open_onnx(fusion.files[0], 1), steps, batches)
 
-    assert apart.most < BOUND
-    assert apart.mean < apart.most
+    assert apart.max_difference < MAX_DIFFERENCE
+    assert apart.mean_difference < apart.max_difference
     assert apart.images == 2 * len(SIZES)
 
 
-def test_a_file_of_cnn7_agrees_with_the_detector(cnn7: Exported) -> None:
+def test_a_file_of_cnn7_agrees_with_the_detector(cnn7: ExportResult) -> None:
     detector = load_detector("layout:cnn-7")
     run = open_onnx(cnn7.files[0], 1)
 
@@ -79,7 +79,7 @@ def test_a_file_of_cnn7_agrees_with_the_detector(cnn7: Exported) -> None:
         detection = detector.detect(images(height, width)[0], order="rgb")
         expected = {"likelihood": detection.likelihood, "layout": detection.cues["layout"]}
         for name, values in expected.items():
-            assert np.abs(maps[name][0] - values.numpy()).max() < BOUND
+            assert np.abs(maps[name][0] - values.numpy()).max() < MAX_DIFFERENCE
 
 
 def test_a_file_names_custom_weights(tmp_path: Path) -> None:
@@ -90,16 +90,16 @@ def test_a_file_names_custom_weights(tmp_path: Path) -> None:
     notes = describe_export(detector, exportable_part(detector))
 
     assert notes["weights"] == "0.safetensors, 1.safetensors"
-    assert notes["weights_sha256"] == ", ".join(map(digest_of, paths))
+    assert notes["weights_sha256"] == ", ".join(map(file_digest, paths))
     assert notes["threshold"] == "0.9"
     assert notes["terms"].startswith("those of the author of the weights")
 
 
-def test_one_detector_gives_one_file(cnn7: Exported, tmp_path: Path) -> None:
+def test_one_detector_gives_one_file(cnn7: ExportResult, tmp_path: Path) -> None:
     again, detector = tmp_path / "again.onnx", load_detector("layout:cnn-7")
 
     part = exportable_part(detector)
-    write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), cnn7.notes, again)
+    write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), cnn7.metadata, again)
 
     assert again.read_bytes() == cnn7.files[0].read_bytes()
 
@@ -107,20 +107,22 @@ def test_one_detector_gives_one_file(cnn7: Exported, tmp_path: Path) -> None:
 # --- what they say about themselves -------------------------------------------------------
 
 
-def test_files_state_what_they_take_and_their_origin(fusion: Exported, cnn7: Exported) -> None:
+def test_files_state_what_they_take_and_their_origin(
+    fusion: ExportResult, cnn7: ExportResult
+) -> None:
     for exported, names in ((fusion, ("backbone-free", "rendered-free")), (cnn7, ("cnn-7",))):
-        model, notes = onnx.load(exported.files[0]), exported.notes
+        model, notes = onnx.load(exported.files[0]), exported.metadata
         onnx.checker.check_model(model, full_check=True)
         assert {entry.key: entry.value for entry in model.metadata_props} == notes
         assert notes["colour_order"] == "RGB"
         assert notes["range"] == "0 to 255"
         assert notes["input"] == "image: uint8 (N, H, W, 3)"
-        digests = [digest_of(shipped_weights(name)) for name in names]
+        digests = [file_digest(shipped_weights(name)) for name in names]
         assert notes["weights_sha256"] == ", ".join(digests)
         assert all(f"{name}.md" in notes["terms"] for name in names)
 
 
-def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: Exported) -> None:
+def test_shapes_are_named_and_no_path_of_this_machine_is_in_a_file(fusion: ExportResult) -> None:
     graph = onnx.load(fusion.files[0]).graph
     shapes = {
         value.name: [side.dim_param or side.dim_value for side in value.type.tensor_type.shape.dim]
@@ -162,7 +164,7 @@ def test_what_cannot_be_exported_is_refused_before_any_work(
 
 
 def test_a_file_that_differs_from_python_is_not_written(
-    fusion: Exported, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fusion: ExportResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def write(module: object, notes: object, path: Path) -> None:
         shutil.copyfile(fusion.files[0], path)
@@ -181,8 +183,8 @@ def test_nan_counts_as_an_infinite_difference() -> None:
 
     apart = measure_parity(run, lambda _: {"likelihood": torch.zeros(16, 20)}, [images(16, 20)])
 
-    assert apart.most == float("inf")
-    assert apart.where == "likelihood at 20×16"
+    assert apart.max_difference == float("inf")
+    assert apart.location == "likelihood at 20×16"
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -203,7 +205,9 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
-def test_the_example_needs_neither_torch_nor_roadtorch(fusion: Exported, tmp_path: Path) -> None:
+def test_the_example_needs_neither_torch_nor_roadtorch(
+    fusion: ExportResult, tmp_path: Path
+) -> None:
     source = tmp_path / "images" / "sub"
     source.mkdir(parents=True)
     for name in ("a.jpg", "b.png"):
@@ -233,7 +237,7 @@ HEADERS = [
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
 @pytest.mark.skipif(not HEADERS, reason="there are no headers (Debian 13: libonnxruntime-dev)")
-def test_the_example_in_cpp_agrees_with_python(fusion: Exported, tmp_path: Path) -> None:
+def test_the_example_in_cpp_agrees_with_python(fusion: ExportResult, tmp_path: Path) -> None:
     runtime = find_spec("onnxruntime")
     assert runtime is not None
     (library,) = Path(str(runtime.origin)).parent.glob("capi/libonnxruntime.so.*")

@@ -11,24 +11,24 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.imaging.color import Exposure, brightened
-from roadtorch.imaging.levels import above, at_least
-from roadtorch.imaging.resize import WorkingSize, at_image_size, at_work, resized
+from roadtorch.imaging.color import Exposure, brighten
+from roadtorch.imaging.levels import is_above, is_at_least
+from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_image, resize_to_work
 from roadtorch.layout.patch_network import Normalisation, normalise
-from roadtorch.road.ego import continued, ego_found
-from roadtorch.road.fusion import log_odds
-from roadtorch.road.outlines import followed
-from roadtorch.road.seed_area import likely_seed_area
-from roadtorch.road.trust import TrustSettings, judgement, signs_of
+from roadtorch.road.bayes import log_odds
+from roadtorch.road.ego import extrapolate_over_ego, find_ego_car
+from roadtorch.road.outlines import guided_filter
+from roadtorch.road.seed_area import find_seed_area
+from roadtorch.road.trust import TrustSettings, estimate_trust, trust_features
 from roadtorch.testing import street
-from tests.draws import seeded
+from tests.draws import seeded_generator
 
 HEIGHT, WIDTH = 61, 80
 IMAGES = torch.stack([street(HEIGHT, WIDTH), street(HEIGHT, WIDTH, 1) * 0.1])
 BONNET = torch.zeros(HEIGHT, WIDTH)
 BONNET[50:, 20:], BONNET[54:, :20] = 0.95, 0.9
 EGO = torch.stack([BONNET, torch.zeros_like(BONNET)])
-ROAD = torch.rand(2, HEIGHT, WIDTH, generator=seeded(3))
+ROAD = torch.rand(2, HEIGHT, WIDTH, generator=seeded_generator(3))
 
 
 @contextmanager
@@ -43,26 +43,26 @@ def normalised(kind: str, image: Tensor) -> Tensor:
 
 
 def trust(road: Tensor) -> Tensor:
-    seed, ego = likely_seed_area(log_odds(road), 0.05), torch.zeros_like(road, dtype=torch.bool)
+    seed, ego = find_seed_area(log_odds(road), 0.05), torch.zeros_like(road, dtype=torch.bool)
     cues = {"learned_road": road, "seed_area": seed, "ego": ego}
-    signs, mask = signs_of(road, road > 0.5, cues), road > 0.5
-    return torch.as_tensor(judgement(signs, mask.flatten(-2).any(-1), TrustSettings()).trust)
+    signs, mask = trust_features(road, road > 0.5, cues), road > 0.5
+    return torch.as_tensor(estimate_trust(signs, mask.flatten(-2).any(-1), TrustSettings()).trust)
 
 
 STEPS: dict[str, tuple[Callable[..., Tensor], tuple[Tensor, ...]]] = {
-    "above": (partial(above, level=0.5), (IMAGES,)),
-    "at_least": (partial(at_least, level=0.5), (IMAGES,)),
-    "smaller": (partial(resized, size=(33, 20)), (IMAGES,)),
-    "larger": (partial(resized, size=(90, 200)), (IMAGES,)),
-    "labels": (partial(at_image_size, size=(90, 20)), (EGO > 0.5,)),
-    "at_work": (partial(at_work, working=WorkingSize(pixels=1000)), (IMAGES,)),
-    "brightened": (partial(brightened, exposure=Exposure()), (IMAGES,)),
+    "above": (partial(is_above, level=0.5), (IMAGES,)),
+    "at_least": (partial(is_at_least, level=0.5), (IMAGES,)),
+    "smaller": (partial(resize_maps, size=(33, 20)), (IMAGES,)),
+    "larger": (partial(resize_maps, size=(90, 200)), (IMAGES,)),
+    "labels": (partial(resize_to_image, size=(90, 20)), (EGO > 0.5,)),
+    "resize_to_work": (partial(resize_to_work, working=WorkingSize(pixels=1000)), (IMAGES,)),
+    "brightened": (partial(brighten, exposure=Exposure()), (IMAGES,)),
     "fixed": (partial(normalised, "fixed"), (IMAGES,)),
     "image": (partial(normalised, "brightened image"), (IMAGES,)),
-    "ego_found": (ego_found, (EGO,)),
-    "continued": (continued, (IMAGES, EGO > 0.5)),
-    "likely_seed_area": (partial(likely_seed_area, fraction=0.05), (log_odds(ROAD),)),
-    "followed": (followed, (ROAD, IMAGES, resized(IMAGES, (122, 160)))),
+    "find_ego_car": (find_ego_car, (EGO,)),
+    "continued": (extrapolate_over_ego, (IMAGES, EGO > 0.5)),
+    "find_seed_area": (partial(find_seed_area, fraction=0.05), (log_odds(ROAD),)),
+    "followed": (guided_filter, (ROAD, IMAGES, resize_maps(IMAGES, (122, 160)))),
     "trust": (trust, (ROAD,)),
 }
 
@@ -87,7 +87,7 @@ SIDES = st.integers(2, 80)  # torch does not enlarge columns that are alone
 def test_matrices_resize_as_torch_does(height: int, width: int, rows: int, columns: int) -> None:
     maps = torch.rand(2, 3, height, width)
     with exporting():
-        actual = resized(maps, (rows, columns))
+        actual = resize_maps(maps, (rows, columns))
 
     expected = F.interpolate(maps, (rows, columns), mode="bilinear", antialias=True)
     assert torch.allclose(actual, expected, atol=1e-5)

@@ -8,15 +8,15 @@ import torch
 
 from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.export.folders import export_folder
-from roadtorch.layout.weights import terms_of
+from roadtorch.export.folders import export_hub
+from roadtorch.layout.weights import read_terms
 from roadtorch.testing import street
 from tests.networks import write_ego_network
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    export_folder(load_detector("fusion", threshold=0.6), tmp_path / "first")
+    export_hub(load_detector("fusion", threshold=0.6), tmp_path / "first")
     return Path(shutil.move(tmp_path / "first", tmp_path / "moved"))
 
 
@@ -46,11 +46,11 @@ def test_its_cards_state_the_terms_and_have_no_dead_links(folder: Path) -> None:
     front = (folder / "README.md").read_text(encoding="utf-8")
     assert front.startswith("---\nlicense: apache-2.0\n")
     assert "](../" not in front + (folder / "model.md").read_text(encoding="utf-8")
-    assert terms_of(folder / "model.safetensors").startswith("anything")
+    assert read_terms(folder / "model.safetensors").startswith("anything")
 
 
 def test_both_networks_of_a_detector_are_in_the_folder(tmp_path: Path) -> None:
-    export_folder(load_detector("fusion:large"), tmp_path)
+    export_hub(load_detector("fusion:large"), tmp_path)
 
     names = {path.name for path in tmp_path.iterdir()}
     assert {"model.safetensors", "model.md", "second.safetensors", "second.md"} < names
@@ -63,7 +63,7 @@ def test_both_networks_of_a_detector_are_in_the_folder(tmp_path: Path) -> None:
 def test_weights_without_a_card_have_terms_of_their_own(tmp_path: Path) -> None:
     weights = write_ego_network(tmp_path / "own.safetensors", bottom=0.25)
 
-    export_folder(load_detector("fusion", weights={"file": str(weights)}), tmp_path / "hub")
+    export_hub(load_detector("fusion", weights={"file": str(weights)}), tmp_path / "hub")
 
     assert "license: other" in (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
     assert not (tmp_path / "hub" / "model.md").exists()
@@ -71,6 +71,6 @@ def test_weights_without_a_card_have_terms_of_their_own(tmp_path: Path) -> None:
 
 def test_what_has_no_network_and_what_is_no_such_folder_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="lbp: cannot be exported"):
-        export_folder(load_detector("lbp"), tmp_path / "hub")
+        export_hub(load_detector("lbp"), tmp_path / "hub")
     with pytest.raises(InputError, match=r"detector\.toml: cannot be read"):
         load_detector(str(tmp_path))

@@ -15,7 +15,7 @@ from roadtorch.base.image import read_image, to_pixels, write_pixels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.export import folders as page_module
-from roadtorch.export.export import Exported
+from roadtorch.export.export import ExportResult
 from roadtorch.export.folders import RUNTIME_VERSION, export_page
 from roadtorch.testing import street
 from scripts.browser import CHROMIUM, PATIENCE, looked_at, served, wait_for_status
@@ -32,7 +32,7 @@ BROWSER = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, fusion: Exported) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, fusion: ExportResult) -> Path:
     """Write the page, with the runtime from npm."""
     if shutil.which("npm") is None:
         pytest.skip("npm, which brings onnxruntime-web, is not installed")
@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, fusion: Exported) -> Path:
     if installed.returncode:
         pytest.skip(f"npm does not bring onnxruntime-web: {installed.stderr[-200:]}")
 
-    def exported(_: Detector, out: Path) -> Exported:
+    def exported(_: Detector, out: Path) -> ExportResult:
         out.parent.mkdir()
         return replace(fusion, files=(shutil.copy(fusion.files[0], out),))
 

@@ -14,30 +14,36 @@ from PIL import Image
 
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import build_settings, parse_assignments, to_toml
-from roadtorch.camera.birds_eye import to_birds_eye
+from roadtorch.camera.birds_eye import warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration, read_camera_info
 from roadtorch.camera.camera import Camera, EgoTemplate
 from roadtorch.cli.options import DetectorOptions
-from roadtorch.data.camvid import COLOURS32, READINGS
+from roadtorch.data.camvid import CLASS_MAPPINGS, COLOURS32
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.correction_formats import FORMATS as IMPORTED
+from roadtorch.data.correction_formats import CORRECTION_FORMATS as IMPORTED
 from roadtorch.data.corrections import Correction, read_log
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.data.folder import FolderLabels, with_conditions
-from roadtorch.data.labels import ColourLabels
-from roadtorch.data.maps import CONFIG, deciding_settings, map_likelihood, map_mask, read_map
-from roadtorch.data.polygons import labelme_document, read_outlined_mask
+from roadtorch.data.label_folders import FolderLabels, add_conditions
+from roadtorch.data.label_images import ColourLabels
+from roadtorch.data.likelihood_maps import (
+    INFER_CONFIG,
+    read_decision_settings,
+    read_likelihood_map,
+    read_map,
+    read_or_decide_mask,
+)
+from roadtorch.data.polygons import labelme_document, read_labelme_mask
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.evaluation.methods import Contender, named_detector, with_thresholds
+from roadtorch.evaluation.methods import Contender, apply_thresholds, contender_from_name
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.road.ego import Ego, ego_car, read_ego_mask
-from roadtorch.run.folder import result_folder
-from roadtorch.run.ledger import Row, read_index, write_index
+from roadtorch.run.folder import open_result_folder
+from roadtorch.run.ledger import IndexRow, read_index, write_index
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import PatchTraining, as_values, build_training
-from roadtorch.train.folder import CHECKPOINT, FORMAT, RUN, RunFolder
+from roadtorch.train.run_folder import CHECKPOINT, CHECKPOINT_FORMAT, RUN, RunFolder
 from tests.data.conftest import write
 from tests.fuzz.mutations import (
     BYTE_MUTATIONS,
@@ -121,7 +127,7 @@ ARRAYS = {"image": torch.zeros(3, 9, 9, dtype=torch.uint8), "source": torch.ones
 
 def write_checkpoint(path: Path) -> None:
     data = io.BytesIO()  # in a file its name would be part of the bytes
-    torch.save({"format": FORMAT, "progress": {"epoch": 1}, "w": torch.ones(50)}, data)
+    torch.save({"format": CHECKPOINT_FORMAT, "progress": {"epoch": 1}, "w": torch.ones(50)}, data)
     path.write_bytes(data.getvalue())
 
 
@@ -218,7 +224,7 @@ def read_labels(path: Path) -> bool:
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
 
 
-CAMVID32 = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), READINGS["camvid32"])
+CAMVID32 = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), CLASS_MAPPINGS["camvid32"])
 
 
 def make_colours(draw: Draw, _: Path) -> bytes:
@@ -287,7 +293,7 @@ def read_conditions(path: Path) -> bool:
     for name in ("images/a", "masks/a", "images/b", "masks/b"):
         write(path.parent / "set" / f"{name}.png", np.zeros((18, 24), np.uint8))
     dataset = open_dataset("folder", path.parent / "set")
-    return len(with_conditions(dataset, path).items) == len(dataset.items)
+    return len(add_conditions(dataset, path).items) == len(dataset.items)
 
 
 CALIBRATION = """P0: 1 2 3
@@ -306,7 +312,7 @@ def make_calibration(draw: Draw, _: Path) -> bytes:
 
 
 def read_birds_eye(path: Path) -> bool:
-    return to_birds_eye(torch.rand(HEIGHT, WIDTH), read_calibration(path)).shape == (800, 400)
+    return warp_to_birds_eye(torch.rand(HEIGHT, WIDTH), read_calibration(path)).shape == (800, 400)
 
 
 CAMERA_INFO = """image_width: 640
@@ -320,8 +326,8 @@ distortion_coefficients: {rows: 1, cols: 5, data: [-0.3, 0.1, 0.001, -0.001, 0]}
 # --- results of earlier runs ----------------------------------------------------------------
 
 INDEX = (
-    Row("a.png", "64", "48", "12", "0.5", "0.81", saved="mask", method="ab", sha256="cd"),
-    Row("sub/b\nc.png", status="failed: sub/b: is empty (replace the file)"),
+    IndexRow("a.png", "64", "48", "12", "0.5", "0.81", saved="mask", method="ab", sha256="cd"),
+    IndexRow("sub/b\nc.png", status="failed: sub/b: is empty (replace the file)"),
 )
 RESULTS = 'detector = "cpf"\nthreshold = 0.7\nisolated = "keep"\n\n[seed_area]\nheight = 0.2\n'
 MAP = np.linspace(0, 1, SIZE[0] * SIZE[1]).reshape(SIZE)
@@ -336,9 +342,9 @@ def read_rows(path: Path) -> bool:
 def read_results(path: Path) -> bool:
     """Read the deciding settings of results; a run with other settings must be refused."""
     write_index(path.with_name("index.csv"), [])
-    threshold = deciding_settings(path.parent).threshold
+    threshold = read_decision_settings(path.parent).threshold
     try:
-        with result_folder(path.parent, "threshold = 0.123", overwrite=False):
+        with open_result_folder(path.parent, "threshold = 0.123", overwrite=False):
             return False
     except ConfigError:
         return 0 <= threshold <= 1
@@ -354,13 +360,15 @@ def make_map(draw: Draw, _: Path) -> bytes:
 
 def read_maps(path: Path) -> bool:
     assert read_map(path).ndim == 2
-    likelihood = map_likelihood(path.parent, [path.stem], [SIZE])
-    mask = map_mask(path.parent, [path.stem], likelihood, deciding_settings(path.parent))
+    likelihood = read_likelihood_map(path.parent, [path.stem], [SIZE])
+    mask = read_or_decide_mask(
+        path.parent, [path.stem], likelihood, read_decision_settings(path.parent)
+    )
     return mask.shape == likelihood.shape == SIZE and bool(likelihood.isfinite().all())
 
 
 def prior_contenders() -> list[Contender]:
-    return [named_detector(DETECTOR, {})]
+    return [contender_from_name(DETECTOR, {})]
 
 
 def make_metrics(draw: Draw, _: Path) -> bytes:
@@ -370,7 +378,10 @@ def make_metrics(draw: Draw, _: Path) -> bytes:
 
 
 def read_thresholds(path: Path) -> bool:
-    return all(0 <= (entry.chosen or 0) <= 1 for entry in with_thresholds(prior_contenders(), path))
+    return all(
+        0 <= (entry.earlier_threshold or 0) <= 1
+        for entry in apply_thresholds(prior_contenders(), path)
+    )
 
 
 KINDS: Mapping[str, Kind] = {
@@ -397,7 +408,7 @@ KINDS: Mapping[str, Kind] = {
     "outlines": Kind(
         "a.labelme.json",
         make_outlines,
-        lambda path: read_outlined_mask(path, (HEIGHT, WIDTH)).shape == (HEIGHT, WIDTH),
+        lambda path: read_labelme_mask(path, (HEIGHT, WIDTH)).shape == (HEIGHT, WIDTH),
     ),
     "labels": Kind("label.png", make_labels, read_labels),
     "colours": Kind("a_L.png", make_colours, read_colours),
@@ -412,7 +423,7 @@ KINDS: Mapping[str, Kind] = {
     "index": Kind(
         "index.csv", mutated_file(lambda path: write_index(path, INDEX), TEXT_MUTATIONS), read_rows
     ),
-    "results": Kind(CONFIG, text_file(RESULTS), read_results),
+    "results": Kind(INFER_CONFIG, text_file(RESULTS), read_results),
     "maps": Kind("a.npy", make_map, read_maps),
     "map images": Kind(
         "a.png",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from skimage.color import rgb2lab
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.imaging.color import PLANES, REPRESENTATIONS, plane, planes
+from roadtorch.imaging.color import PLANES, REPRESENTATIONS, color_plane, color_planes
 from tests.reference.color import planes_of_pixel
 
 CORNERS = list(itertools.product((0.0, 1.0), repeat=3))
@@ -43,12 +43,12 @@ def colors() -> torch.Tensor:
 def test_planes_follow_their_definition_pixel_by_pixel(colors, name):
     wanted = [planes_of_pixel(*pixel)[name] for pixel in colors[:, 0].T.double().tolist()]
 
-    assert plane(colors.double(), name)[0].tolist() == pytest.approx(wanted, abs=1e-12)
+    assert color_plane(colors.double(), name)[0].tolist() == pytest.approx(wanted, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", PLANES)
 def test_single_precision_is_close_to_double(colors, name):
-    difference = (plane(colors, name).double() - plane(colors.double(), name)).abs()
+    difference = (color_plane(colors, name).double() - color_plane(colors.double(), name)).abs()
     if PLANES[name].circular:
         difference = torch.minimum(difference, 1 - difference)
 
@@ -58,7 +58,7 @@ def test_single_precision_is_close_to_double(colors, name):
 def test_lab_agrees_with_scikit_image(colors):
     wanted = rgb2lab(colors.double().permute(1, 2, 0).numpy()) / 100
 
-    found = planes(colors.double(), ("L", "a", "b")).permute(1, 2, 0).numpy()
+    found = color_planes(colors.double(), ("L", "a", "b")).permute(1, 2, 0).numpy()
 
     # scikit-image divides by the tabulated white, of six digits
     np.testing.assert_allclose(found, wanted, atol=1e-4)
@@ -66,13 +66,13 @@ def test_lab_agrees_with_scikit_image(colors):
 
 @pytest.mark.parametrize("name", PLANES)
 def test_values_keep_to_their_bounds_and_the_corners_reach_them(colors, name):
-    values = plane(torch.cat([colors, image_of(CORNERS)], 2), name)
+    values = color_plane(torch.cat([colors, image_of(CORNERS)], 2), name)
     low, high = PLANES[name].low, PLANES[name].high
 
     assert values.min() >= low - 1e-6
     assert values.max() <= high + 1e-6
     if name != "H":
-        corners = plane(image_of(CORNERS), name)
+        corners = color_plane(image_of(CORNERS), name)
         assert corners.min() == pytest.approx(low, abs=1e-3)
         assert corners.max() == pytest.approx(high, abs=1e-3)
 
@@ -81,7 +81,7 @@ def test_values_keep_to_their_bounds_and_the_corners_reach_them(colors, name):
 @example((1.0, 0.0, 1e-30))  # just below red
 @settings(max_examples=100, deadline=None)
 def test_hue_never_reaches_a_whole_turn(color):
-    assert 0 <= plane(image_of([color]), "H").item() < 1
+    assert 0 <= color_plane(image_of([color]), "H").item() < 1
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -89,14 +89,14 @@ def test_batches_dtypes_and_the_image_are_kept(dtype):
     batch = torch.stack([random_image(dtype=dtype), random_image(dtype=dtype).flip(0)])
     before = batch.clone()
 
-    found = planes(batch, tuple(PLANES))
-    again = planes(batch[1], tuple(PLANES))
+    found = color_planes(batch, tuple(PLANES))
+    again = color_planes(batch[1], tuple(PLANES))
 
     assert found.shape == (2, len(PLANES), 40, 50)
     assert found.dtype == dtype
     torch.testing.assert_close(found[1], again)
-    assert torch.equal(again[1], plane(batch[1], list(PLANES)[1]))
-    again[:] = plane(batch[0], "R")[:] = 0  # no views of the image
+    assert torch.equal(again[1], color_plane(batch[1], list(PLANES)[1]))
+    again[:] = color_plane(batch[0], "R")[:] = 0  # no views of the image
     assert torch.equal(batch, before)
 
 
@@ -112,7 +112,7 @@ def test_the_representations_are_thirteen_planes_and_six_combinations():
 def test_chromatic_planes_of_grey_images_are_constant_to_the_bit(name, size, dtype):
     grey = torch.rand(1, *size, generator=torch.Generator().manual_seed(2), dtype=dtype)
 
-    values = plane(grey.expand(3, -1, -1).contiguous(), name)
+    values = color_plane(grey.expand(3, -1, -1).contiguous(), name)
 
     expected = torch.tensor(1 / 3 if name in ("nr", "ng") else 0, dtype=dtype)
     assert torch.equal(values, expected.expand(size))
@@ -128,4 +128,4 @@ def test_chromatic_planes_of_grey_images_are_constant_to_the_bit(name, size, dty
 )
 def test_unknown_planes_and_what_is_no_image_are_refused(shape, names, problem):
     with pytest.raises((ConfigError, InputError), match=problem):
-        planes(torch.zeros(shape), names)
+        color_planes(torch.zeros(shape), names)

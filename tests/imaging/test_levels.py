@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.imaging.color import MIN_GAMMA, Exposure, brightened
+from roadtorch.imaging.color import MIN_GAMMA, Exposure, brighten
 from roadtorch.imaging.levels import OTSU_BINS, order_statistic, otsu_threshold
-from roadtorch.road.fusion import centred_odds
+from roadtorch.road.bayes import centred_odds
 from roadtorch.road.seed_area import lower_quartile
 from tests.draws import random
 from tests.reference import otsu as reference
@@ -75,7 +75,7 @@ def test_the_lower_part_of_a_dark_image_reaches_the_level(grey: float) -> None:
     image = torch.full((3, 20, 30), grey)
     image[:, :11] = 0.9  # the sky: rows above 0.55 of the height do not count
 
-    bright = brightened(image, Exposure(ground=0.4))
+    bright = brighten(image, Exposure(ground=0.4))
 
     assert float(bright.mean(0)[11:].median()) == pytest.approx(0.4, abs=1e-4)
 
@@ -85,7 +85,7 @@ def test_brightening_keeps_the_order_of_values_and_the_range(dark: float) -> Non
     image = random(3, 24, 32) * dark
     image[:, 0, 0], image[:, 0, 1] = 0.0, 1.0
 
-    bright = brightened(image, Exposure())
+    bright = brighten(image, Exposure())
 
     order = image.reshape(-1).argsort(stable=True)
     assert (bright.reshape(-1)[order].diff() >= 0).all()
@@ -96,7 +96,7 @@ def test_brightening_keeps_the_order_of_values_and_the_range(dark: float) -> Non
 
 @pytest.mark.parametrize(("grey", "bright"), [(0.01, 0.01**MIN_GAMMA), (0.0, 0.0)])
 def test_the_exponent_has_a_floor_and_black_stays_black(grey: float, bright: float) -> None:
-    found = brightened(torch.full((3, 16, 40), grey), Exposure(ground=0.9))
+    found = brighten(torch.full((3, 16, 40), grey), Exposure(ground=0.9))
 
     assert found.unique().numel() == 1
     assert float(found[0, 0, 0]) == pytest.approx(bright, rel=1e-5, abs=0.1 * (grey == 0))

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from torch.nn import functional as F
 
 from roadtorch.imaging.motion import dense_flow, flow_image, forward_backward_error, warp
-from roadtorch.imaging.resize import SHORTEST, WorkingSize, at_image_size, resized, working_size
+from roadtorch.imaging.resize import (
+    SHORTEST,
+    WorkingSize,
+    resize_maps,
+    resize_to_image,
+    working_size,
+)
 from roadtorch.testing.scenes import render_scene
 
 SIDES = st.integers(16, 4000)
@@ -35,7 +41,7 @@ def test_the_working_size_keeps_shape_and_bound(height: int, width: int, pixels:
 def test_averaging_is_torchs_antialiased_filter(height: int, tall: int, seed: int) -> None:
     maps = torch.rand(2, height, 37, generator=torch.Generator().manual_seed(seed))
 
-    result = resized(maps, (tall, 16))
+    result = resize_maps(maps, (tall, 16))
 
     batch = F.interpolate(maps[None], size=(tall, 16), mode="bilinear", antialias=True)
     torch.testing.assert_close(result, batch[0], atol=2e-5, rtol=0)
@@ -45,7 +51,7 @@ def test_averaging_is_torchs_antialiased_filter(height: int, tall: int, seed: in
 def test_labels_come_back_as_labels_and_masks_as_masks(size: tuple[int, int]) -> None:
     labels = torch.arange(130).reshape(10, 13)
 
-    result, mask = at_image_size(labels, size), at_image_size(labels > 64, size)
+    result, mask = resize_to_image(labels, size), resize_to_image(labels > 64, size)
 
     assert result.shape == mask.shape == size
     assert result.dtype == torch.int64

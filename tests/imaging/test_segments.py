@@ -9,23 +9,23 @@ from scipy import ndimage
 from torch import Tensor
 
 from roadtorch.imaging import slic as superpixels
-from roadtorch.imaging.color import planes
+from roadtorch.imaging.color import color_planes
 from roadtorch.imaging.connectivity import connect
 from roadtorch.imaging.segments import (
     Bandwidths,
-    borders,
     class_log_density,
-    gradient_length,
-    likeness,
+    gradient_magnitude,
     measure_segments,
-    paint,
+    paint_segments,
+    segment_affinity,
+    segment_borders,
     segment_histogram,
     segment_mean,
     segment_median,
     segment_size,
 )
-from roadtorch.imaging.slic import slic, squares
-from tests.draws import random, seeded
+from roadtorch.imaging.slic import slic, square_grid
+from tests.draws import random, seeded_generator
 from tests.reference import superpixels as reference
 
 
@@ -43,15 +43,15 @@ def means_of(values: Tensor, labels: Tensor, count: int) -> Tensor:
 
 @pytest.mark.parametrize("seed", range(25))
 def test_statistics_over_segments_are_those_of_loops(seed: int) -> None:
-    generator = seeded(seed)
+    generator = seeded_generator(seed)
     channels, height, width, count, bins = torch.randint(1, 7, (5,), generator=generator).tolist()
     values = torch.randn(channels, height, width, generator=generator).mul(3).round()
     labels = torch.randint(count, (height, width), generator=generator)  # some may be empty
 
     levels = (values[0].abs() * 2).long().clamp_max(bins - 1)
     histogram = segment_histogram(levels, labels, count, bins)
-    pairs, means = borders(labels, values[0])
-    painted = paint(torch.arange(2.0 * count).reshape(2, count), labels)
+    pairs, means = segment_borders(labels, values[0])
+    painted = paint_segments(torch.arange(2.0 * count).reshape(2, count), labels)
 
     for number in range(count):
         inside = values[:, labels == number]
@@ -96,7 +96,7 @@ def test_gradients_are_those_of_numpy_but_0_at_the_edges() -> None:
     down, across = np.gradient(plane.numpy())
 
     down[[0, -1]], across[:, [0, -1]] = 0, 0
-    np.testing.assert_allclose(gradient_length(plane), np.hypot(across, down), atol=1e-6)
+    np.testing.assert_allclose(gradient_magnitude(plane), np.hypot(across, down), atol=1e-6)
 
 
 def test_segments_are_measured_by_their_pixels() -> None:
@@ -105,8 +105,8 @@ def test_segments_are_measured_by_their_pixels() -> None:
 
     segments = measure_segments(image, labels)
 
-    lab = planes(image, ("L", "a", "b"))
-    gradient = gradient_length(lab[0])
+    lab = color_planes(image, ("L", "a", "b"))
+    gradient = gradient_magnitude(lab[0])
     for number in range(int(labels.max()) + 1):
         inside = labels == number
         rows, columns = inside.nonzero().T
@@ -122,7 +122,7 @@ def test_segments_are_measured_by_their_pixels() -> None:
             measured = float(getattr(segments, name)[number])
             assert measured == pytest.approx(float(value), abs=2e-3 if name == "contrast" else 1e-5)
     assert float(segments.size.sum()) == pytest.approx(1, abs=1e-5)
-    assert torch.equal(segments.pairs, borders(labels, gradient)[0])
+    assert torch.equal(segments.pairs, segment_borders(labels, gradient)[0])
     assert segments.contrast_between.shape == (segments.pairs.shape[1],)
 
 
@@ -148,7 +148,7 @@ def test_likeness_is_a_product_of_gaussians(count: int) -> None:
     segments = measure_segments(image, slic(image, count))
     widths = Bandwidths(0.135, 0.045, 0.07, 0.09, 0.4, 0.3)
 
-    alike = likeness(segments, widths)
+    alike = segment_affinity(segments, widths)
 
     squared = torch.zeros(len(segments.size), len(segments.size), dtype=torch.float64)
     for values, width in (
@@ -187,7 +187,7 @@ def test_the_density_of_a_class_is_a_weighted_mean_of_likeness(seed: int, apart:
 
 def textured(height: int, width: int, seed: int = 0) -> Tensor:
     """Soft blobs of colour with some grain, (3,H,W) in [0,1]."""
-    generator = seeded(seed)
+    generator = seeded_generator(seed)
     coarse = torch.rand(1, 3, max(2, height // 12), max(2, width // 12), generator=generator)
     blobs = torch.nn.functional.interpolate(coarse, (height, width), mode="bicubic")[0]
     return (blobs + 0.03 * torch.randn(3, height, width, generator=generator)).clamp(0, 1)
@@ -292,7 +292,7 @@ def test_each_pixel_goes_to_the_nearest_of_nine_centres(height: int, width: int)
 @settings(max_examples=80)
 @given(st.integers(0, 10**6), st.integers(1, 9), st.integers(1, 9), st.integers(1, 12))
 def test_small_regions_join_others(seed: int, height: int, width: int, smallest: int) -> None:
-    labels = torch.randint(5, (1, height, width), generator=seeded(seed))
+    labels = torch.randint(5, (1, height, width), generator=seeded_generator(seed))
 
     found = connect(labels, smallest)[0]
 
@@ -312,4 +312,4 @@ def test_the_largest_one_takes_all_through_others(labels: list, smallest: int) -
 
 
 def test_squares_are_numbered_by_rows_and_cut_off_at_the_edges():
-    assert squares(3, 5, 2).tolist() == [[0, 0, 1, 1, 2], [0, 0, 1, 1, 2], [3, 3, 4, 4, 5]]
+    assert square_grid(3, 5, 2).tolist() == [[0, 0, 1, 1, 2], [0, 0, 1, 1, 2], [3, 3, 4, 4, 5]]

@@ -13,7 +13,7 @@ import torch
 
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.inputs.bags import bag_source, camera_info, is_bag
-from roadtorch.inputs.image_messages import image_of
+from roadtorch.inputs.image_messages import decode_message
 from roadtorch.inputs.item import Selection
 from tests.inputs.bags import (
     FIRST,
@@ -127,7 +127,7 @@ def test_what_is_not_there_or_has_to_be_chosen(
 
 def decoded(pixels: np.ndarray, encoding: str, **replaced: Any) -> np.ndarray:
     message = raw_image(ROS2, pixels, encoding, 0, **replaced)
-    return image_of(message, "a frame").permute(1, 2, 0).numpy()
+    return decode_message(message, "a frame").permute(1, 2, 0).numpy()
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ def test_sampled_items_are_evenly_spaced(count: int, counted: bool, expected: li
     opened = items()  # held here, so that it is not closed by itself
     source = Source("a", "a", lambda: opened, count=count if counted else None)
 
-    assert [frame.number for frame in source.sampled(3).items()] == expected
+    assert [frame.number for frame in source.subsample(3).items()] == expected
     assert len(numbers) <= (expected[-1] + 1 if expected else 0)
     assert closed == [True]
 

@@ -120,7 +120,7 @@ def test_what_does_not_end_is_a_stream(host: str) -> None:
     ],
 )
 def test_server_faults(url: str, error: str, host: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(urls, "ANSWER", 0.2)
+    monkeypatch.setattr(urls, "RESPONSE_TIMEOUT", 0.2)
     monkeypatch.setattr(urls, "MAX_BYTES", 10**6)
     url = url.format(host=host)
 

@@ -9,26 +9,26 @@ import torch
 from safetensors.torch import save_file
 from torch.nn import functional as F
 
-from roadtorch.base.atomic import digest_of
+from roadtorch.base.atomic import file_digest
 from roadtorch.base.errors import WeightsError
-from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, SamePadded
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, scaled
+from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, Conv2dSame
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, scale_size
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.weights import (
     LayoutNetwork,
     WeightsFile,
-    card_of,
-    image_network_of,
     list_shipped_weights,
+    load_image_network,
     load_network,
-    network_at,
+    read_card,
     read_origin,
+    read_terms,
+    resize_network,
     save_network,
     shipped_weights,
-    terms_of,
     weights_path,
 )
-from tests.draws import seeded
+from tests.draws import seeded_generator
 
 SMALL = ImageNetworkSettings(height=48, width=64, narrow=8, wide=16)
 
@@ -43,7 +43,7 @@ def backbone() -> BackboneNetwork:
 @pytest.mark.parametrize("size", [(16, 16), (50, 61), (100, 333)])
 def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: BackboneNetwork) -> None:
     for network in (backbone, ImageNetwork(SMALL)):
-        cues = network.cues(torch.rand(3, *size, generator=seeded(0)))
+        cues = network.cues(torch.rand(3, *size, generator=seeded_generator(0)))
         assert cues["layout"].shape == (3, *size)
         assert cues["road"].shape == cues["ego"].shape == size
         assert all(0 <= float(maps.min()) <= float(maps.max()) <= 1 for maps in cues.values())
@@ -55,9 +55,9 @@ def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: Backbo
 
 def test_weights_apply_to_images_of_another_size() -> None:
     network = ImageNetwork(SMALL).eval()
-    pixels = torch.rand(1, 3, 64, 88, generator=seeded(0))
+    pixels = torch.rand(1, 3, 64, 88, generator=seeded_generator(0))
 
-    resized = network_at(network, 64, 88)
+    resized = resize_network(network, 64, 88)
 
     assert (resized.settings.height, resized.settings.width) == (64, 88)
     assert resized.settings.wide == SMALL.wide
@@ -71,7 +71,7 @@ def test_weights_apply_to_images_of_another_size() -> None:
 
 @pytest.mark.parametrize(("kernel", "pads"), [(3, (0, 1)), (5, (1, 2))])
 def test_stride_two_is_padded_as_in_tensorflow(kernel: int, pads: tuple[int, int]) -> None:
-    layer, maps = SamePadded(1, 1, kernel, 2), torch.rand(1, 1, 8, 8)
+    layer, maps = Conv2dSame(1, 1, kernel, 2), torch.rand(1, 1, 8, 8)
 
     expected = F.conv2d(F.pad(maps, pads * 2), layer.weight, layer.bias, 2)
 
@@ -84,7 +84,7 @@ def test_a_backbone_survives_half_precision(backbone: BackboneNetwork, tmp_path:
     save_network(path, backbone, {})
     assert path.stat().st_size < 2.2 * sum(value.numel() for value in backbone.parameters())
 
-    image = torch.rand(3, 64, 96, generator=seeded(0))
+    image = torch.rand(3, 64, 96, generator=seeded_generator(0))
     loaded = load_network(path)
     assert isinstance(loaded, BackboneNetwork)
     original, reloaded = (network.cues(image)["road"] for network in (backbone, loaded))
@@ -110,7 +110,7 @@ def test_the_card_of_the_backbone_names_imagenet() -> None:
 def test_multiples_of_32_pixels(
     size: tuple[int, int], scale: float, expected: tuple[int, int]
 ) -> None:
-    assert scaled(*size, scale) == expected
+    assert scale_size(*size, scale) == expected
 
 
 # --- weight files -----------------------------------------------------------------------
@@ -199,7 +199,7 @@ def test_other_headers_are_refused(changes: dict[str, object], message: str, wei
 def test_a_network_of_another_kind_is_refused(weights: Path) -> None:
     message = r"holds a patch network \(CNN-7\); this detector needs a whole-image network"
     with pytest.raises(WeightsError, match=message):
-        image_network_of(WeightsFile(file=str(weights)), "backbone-free")
+        load_image_network(WeightsFile(file=str(weights)), "backbone-free")
 
 
 # --- cards ---------------------------------------------------------------------------------
@@ -211,11 +211,11 @@ def test_hashes_of_shipped_weights_are_on_their_cards(name: str) -> None:
 
     load_network(path)
 
-    assert f"| sha256 | `{digest_of(path)}` |" in card_of(path)
+    assert f"| sha256 | `{file_digest(path)}` |" in read_card(path)
 
 
 def test_cards_of_shipped_weights_state_terms_of_use() -> None:
-    terms = {name: terms_of(shipped_weights(name)) for name in list_shipped_weights()}
+    terms = {name: read_terms(shipped_weights(name)) for name in list_shipped_weights()}
     assert [name for name in terms if not terms[name].startswith("anything: Apache-2.0")] == []
     assert terms.keys() == {
         *("backbone-free", "cnn-7", "cnn-7-paper", "layout-free", "rendered-free")
@@ -230,9 +230,9 @@ def test_initial_weights_of_the_free_weights_are_free() -> None:
 
 
 def test_weights_without_a_card_state_no_terms(weights: Path) -> None:
-    assert terms_of(weights) == ""
+    assert read_terms(weights) == ""
     weights.with_suffix(".md").write_text("# Mine\n\n| terms | anything |\n| sha256 | later |\n")
-    assert terms_of(weights) == "anything"
+    assert read_terms(weights) == "anything"
 
 
 def test_weights_are_named_by_their_file_or_by_the_name_of_shipped_ones(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from roadtorch.layout.labeller import (
     smooth_columns,
 )
 from roadtorch.testing.scenes import RenderedScene
-from tests.draws import seeded
+from tests.draws import seeded_generator
 from tests.reference import layout as reference
 from tests.streets import scene
 
@@ -74,14 +74,14 @@ def assert_like_every_path(scores: Tensor, labels: Tensor, order: ColumnChain) -
 def test_columns_of_single_samples_have_the_posteriors_of_all_paths(
     rows: int, columns: int, weight: float, change: float, breach: float, seed: int
 ) -> None:
-    scores = 3 * torch.randn(rows * columns, 3, generator=seeded(seed))
+    scores = 3 * torch.randn(rows * columns, 3, generator=seeded_generator(seed))
     labels = torch.arange(rows * columns).reshape(rows, columns)
     assert_like_every_path(scores, labels, ColumnChain(weight, change, breach, step=1))
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 4])
 def test_segments_get_the_mean_of_their_samples_or_their_own_score(step: int) -> None:
-    generator = seeded(step)
+    generator = seeded_generator(step)
     labels = torch.randint(0, 9, (7, 9), generator=generator)
     scores = 2 * torch.randn(12, 3, generator=generator)  # 9, 10 and 11 never occur
     assert_like_every_path(scores, labels, ColumnChain(step=step))

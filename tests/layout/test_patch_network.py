@@ -6,7 +6,7 @@ import torch
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import build_settings
-from roadtorch.imaging.color import plane
+from roadtorch.imaging.color import color_plane
 from roadtorch.layout.patch_network import (
     Normalisation,
     PatchNetwork,
@@ -14,9 +14,9 @@ from roadtorch.layout.patch_network import (
     Topology,
     connection_table,
     normalise,
-    reflected,
+    reflect_pad,
 )
-from tests.draws import seeded
+from tests.draws import seeded_generator
 from tests.reference import network as reference
 from tests.streets import scene
 
@@ -39,7 +39,7 @@ def network_of(topology: Topology, **groups: object) -> PatchNetwork:
 
 
 def pixels(*size: int) -> torch.Tensor:
-    return torch.randn(*size, generator=seeded(size[-2]))
+    return torch.randn(*size, generator=seeded_generator(size[-2]))
 
 
 # --- the family -----------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def test_unconnected_maps_have_no_effect_and_no_gradient() -> None:
 def test_a_grey_network_depends_on_luma_alone() -> None:
     network = network_of(Topology(input="grey"))
     colourful = pixels(2, 3, 32, 32)
-    grey = plane(colourful, "grey").unsqueeze(1).expand(-1, 3, -1, -1)
+    grey = color_plane(colourful, "grey").unsqueeze(1).expand(-1, 3, -1, -1)
     assert tuple(network.first.weight.shape) == (4, 1, 7, 7)
     torch.testing.assert_close(network(colourful), network(grey), atol=1e-5, rtol=0)
 
@@ -126,18 +126,18 @@ def test_dense_equals_the_network_patch_by_patch(topology: Topology) -> None:
         reference.patch_around(image.numpy(), row, column, topology.patch) for row, column in places
     ]
 
-    dense = network.dense(image)
+    dense = network.forward_dense(image)
 
     # Every position, cut by unfolding; and some whose patches are cut pixel by pixel.
-    cut = reflected(image, topology.patch).unfold(1, topology.patch, 1)
+    cut = reflect_pad(image, topology.patch).unfold(1, topology.patch, 1)
     cut = cut.unfold(2, topology.patch, 1).permute(1, 2, 0, 3, 4).flatten(0, 1)
     torch.testing.assert_close(dense.flatten(1), network(cut).T, atol=1e-5, rtol=0)
     cut_by_pixel = network(torch.from_numpy(np.stack(around)).float())
     rows, columns = zip(*places, strict=True)
     torch.testing.assert_close(dense[:, rows, columns], cut_by_pixel.T, atol=1e-5, rtol=0)
     # Of several images, and of one pixel.
-    torch.testing.assert_close(network.dense(image.expand(2, -1, -1, -1))[1], dense)
-    assert network.dense(image[:, :1, :1]).shape == (3, 1, 1)
+    torch.testing.assert_close(network.forward_dense(image.expand(2, -1, -1, -1))[1], dense)
+    assert network.forward_dense(image[:, :1, :1]).shape == (3, 1, 1)
 
 
 # --- images --------------------------------------------------------------------------------

@@ -9,11 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, fit
+from roadtorch.oneclass import CLASSIFIERS, FittedClassifier, fit, make_axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings
-from tests.draws import seeded
+from tests.draws import seeded_generator
 
-PLANES = {1: axes_of(("nr",)), 2: axes_of(("nr", "ng")), 3: axes_of(("R", "G", "B"))}  # 0 to 1
+PLANES = {
+    1: make_axes(("nr",)),
+    2: make_axes(("nr", "ng")),
+    3: make_axes(("R", "G", "B")),
+}  # 0 to 1
 DIMENSIONS = pytest.mark.parametrize("dimensions", PLANES)
 RGB = PLANES[3]
 HISTOGRAMS = {name for name in CLASSIFIERS if name.startswith("hist")}
@@ -52,14 +56,14 @@ def readings(*left_out: str) -> list[Any]:
 
 
 @cache
-def of_asphalt(classifier: Classifier) -> Fitted:
+def of_asphalt(classifier: Classifier) -> FittedClassifier:
     """Return a classifier fitted to ``asphalt()`` with default settings, cached."""
     return fit(classifier, asphalt(), RGB)
 
 
 def fitted(
     classifier: Classifier, samples: Tensor, settings: ClassifierSettings | None = None
-) -> Fitted:
+) -> FittedClassifier:
     """Return a classifier fitted to samples (m, d) of d planes."""
     return fit(classifier, samples, PLANES[samples.shape[1]], settings)
 
@@ -76,12 +80,12 @@ def doubles(values: Tensor) -> np.ndarray:
 
 def some(number: int, dimensions: int, seed: int = 0, spread: float = 1.0) -> Tensor:
     """Return uniform samples (number, dimensions) in a box of side ``spread`` around 0.4."""
-    return 0.4 + spread * (torch.rand(number, dimensions, generator=seeded(seed)) - 0.4)
+    return 0.4 + spread * (torch.rand(number, dimensions, generator=seeded_generator(seed)) - 0.4)
 
 
 def road(number: int, dimensions: int, seed: int = 1, spread: float = 0.03) -> Tensor:
     """Return samples (number, dimensions) of a grey with some noise."""
-    return 0.4 + spread * torch.randn(number, dimensions, generator=seeded(seed))
+    return 0.4 + spread * torch.randn(number, dimensions, generator=seeded_generator(seed))
 
 
 def asphalt(count: int = 90, seed: int = 0) -> Tensor:

@@ -8,19 +8,19 @@ import torch
 from torch import Tensor
 
 from roadtorch.oneclass import base
-from roadtorch.oneclass.axes import axes_of, mean_hues, unrolled
+from roadtorch.oneclass.axes import make_axes, mean_hues, unroll_hue
 from roadtorch.oneclass.base import (
     Classifier,
     ClassifierSettings,
     DistanceModel,
-    Fitted,
+    FittedClassifier,
     RoadSamples,
     fit,
     rejection_distance,
 )
 from tests.draws import random
 
-PLANE = axes_of(("S",))
+PLANE = make_axes(("S",))
 
 
 def middle_of(
@@ -28,7 +28,7 @@ def middle_of(
     training: Tensor | None = None,
     threshold: float | None = None,
     rejected: float = 0.025,
-) -> Fitted:
+) -> FittedClassifier:
     """Return a classifier by the distance to the mean of samples of one plane."""
 
     def fit_middle(road: RoadSamples, settings: ClassifierSettings) -> DistanceModel:
@@ -62,7 +62,7 @@ FIVE = line(0.3, 0.4, 0.5, 0.6, 0.7)
     ],
 )
 def test_the_mean_hue_is_circular(hues: list[float], saturations: list[float], mean: float) -> None:
-    means = mean_hues(torch.tensor([hues, saturations]), axes_of(("H", "S"))).tolist()
+    means = mean_hues(torch.tensor([hues, saturations]), make_axes(("H", "S"))).tolist()
 
     assert means == pytest.approx([mean, 0], abs=1e-7)
 
@@ -70,7 +70,7 @@ def test_the_mean_hue_is_circular(hues: list[float], saturations: list[float], m
 def test_unrolled_hue_is_the_distance_along_the_circle() -> None:
     hues = torch.cat([random(200, dtype=torch.float32), torch.tensor([0, 0.5, 1])])
     for mean in (0.0, 0.25, 0.5, 0.99, 1.0):
-        away = unrolled(hues, mean)
+        away = unroll_hue(hues, mean)
 
         along = (hues - mean).abs()
         assert away.abs().max() <= 0.5 + 1e-7
@@ -112,7 +112,9 @@ def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_distance()
     ],
     ids=["of the samples", "its own", "of what it gives", "one quantum for one colour"],
 )
-def test_where_the_threshold_comes_from(fitted: Callable[[], Fitted], threshold: float) -> None:
+def test_where_the_threshold_comes_from(
+    fitted: Callable[[], FittedClassifier], threshold: float
+) -> None:
     assert float(fitted().threshold) == pytest.approx(threshold, rel=1e-4)
 
 

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.oneclass import CLASSIFIERS, Fitted, axes_of, base, fit
+from roadtorch.oneclass import CLASSIFIERS, FittedClassifier, base, fit, make_axes
 from roadtorch.oneclass.axes import Hue
 from roadtorch.oneclass.base import Classifier
-from tests.draws import seeded
+from tests.draws import seeded_generator
 from tests.oneclass.cases import (
     HISTOGRAMS,
     RGB,
@@ -32,17 +32,17 @@ from tests.oneclass.cases import (
 )
 from tests.reference import oneclass_boundary, oneclass_density
 
-HS = axes_of(("H", "S"))
+HS = make_axes(("H", "S"))
 WRONG = ((9, 2), (9,), (2, 9, 3))
 
 
 def colours(count: int = 500, planes: int = 3) -> Tensor:
-    return torch.rand(count, planes, generator=seeded(1))
+    return torch.rand(count, planes, generator=seeded_generator(1))
 
 
-def check_answers(fitted: Fitted, pixels: Tensor) -> None:
+def check_answers(fitted: FittedClassifier, pixels: Tensor) -> None:
     distance = fitted.distance(pixels)
-    likelihood = fitted.squashed(distance)
+    likelihood = fitted.to_likelihood(distance)
     assert distance.dtype == likelihood.dtype == torch.float32
     assert distance.shape == likelihood.shape == (len(pixels),)
     assert not distance.isnan().any()
@@ -196,7 +196,7 @@ def test_another_shape_or_type_is_refused_in_one_line(values: Tensor, problem: s
 @every_classifier
 def test_one_plane_is_enough_but_for_pca(classifier: Classifier) -> None:
     for plane in ("R", "H", "nr"):
-        axes = axes_of((plane,))
+        axes = make_axes((plane,))
         if classifier.name == "pca":
             with pytest.raises(ConfigError, match="pca: one plane has a single principal comp"):
                 fit(classifier, asphalt()[:, :1], axes)

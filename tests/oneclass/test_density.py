@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.oneclass import CLASSIFIERS, axes_of, fit
+from roadtorch.oneclass import CLASSIFIERS, fit, make_axes
 from roadtorch.oneclass.density import (
     GaussianSettings,
     RobustSettings,
@@ -26,7 +26,7 @@ from roadtorch.oneclass.mixture import (
     log_densities,
     m_step,
 )
-from tests.draws import random, seeded
+from tests.draws import random, seeded_generator
 from tests.oneclass.cases import DIMENSIONS, PLANES, rank_correlation
 from tests.reference import oneclass_density as reference
 
@@ -35,7 +35,7 @@ GAUSSIAN, ROBUST = CLASSIFIERS["gaussian"], CLASSIFIERS["robust_gaussian"]
 
 def correlated(planes: int, count: int = 90, seed: int = 0) -> Tensor:
     """Return correlated samples (count, planes), float64, around 0.4."""
-    noise = torch.randn(count, planes, generator=seeded(seed), dtype=torch.float64)
+    noise = torch.randn(count, planes, generator=seeded_generator(seed), dtype=torch.float64)
     mixing = random(planes, planes, seed=seed + 1)
     return 0.4 + 0.02 * noise @ (mixing + torch.eye(planes))
 
@@ -95,7 +95,7 @@ SIMPLE = CLASSIFIERS["hist64_s"]
 
 def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -> None:
     samples = torch.tensor([[0.1], [0.5], [0.5], [0.5], [0.9]])
-    fitted = fit(SIMPLE, samples, axes_of(("S",)))
+    fitted = fit(SIMPLE, samples, make_axes(("S",)))
 
     distance = fitted.distance(torch.tensor([[0.5], [0.1], [0.3]]))
 
@@ -104,12 +104,12 @@ def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -
 
 
 def test_the_noisy_copy_has_p3s_deviation_and_is_clipped_dropped_or_wrapped_at_the_range() -> None:
-    axes, samples = axes_of(("S", "O2")), torch.tensor([[0.5, 0.0]]).double().repeat(50_000, 1)
+    axes, samples = make_axes(("S", "O2")), torch.tensor([[0.5, 0.0]]).double().repeat(50_000, 1)
     edge = torch.full((1000, 1), 0.99, dtype=torch.float64)
 
-    clipped = add_noisy_copy(samples, axes, 30 / 256, "clip", seeded())
-    dropped = add_noisy_copy(edge, axes_of(("S",)), 0.1, "drop", seeded())
-    wrapped = add_noisy_copy(edge, axes_of(("H",)), 0.1, "drop", seeded())
+    clipped = add_noisy_copy(samples, axes, 30 / 256, "clip", seeded_generator())
+    dropped = add_noisy_copy(edge, make_axes(("S",)), 0.1, "drop", seeded_generator())
+    wrapped = add_noisy_copy(edge, make_axes(("H",)), 0.1, "drop", seeded_generator())
 
     assert torch.equal(clipped[:50_000], samples)
     deviation = clipped[50_000:].std(0) / axes.span
@@ -122,7 +122,7 @@ def test_the_noisy_copy_has_p3s_deviation_and_is_clipped_dropped_or_wrapped_at_t
 
 def test_too_many_bins_are_refused_in_one_line() -> None:
     with pytest.raises(ConfigError, match=r"^bins: 400 bins in 3 dimensions are too many .use"):
-        fit(SIMPLE, random(90, 3), axes_of(("R", "G", "B")), HistogramSettings(bins=400))
+        fit(SIMPLE, random(90, 3), make_axes(("R", "G", "B")), HistogramSettings(bins=400))
 
 
 # --- mixtures -----------------------------------------------------------------------------
@@ -138,13 +138,13 @@ def clusters(number: int, count: int = 120) -> Tensor:
     """Return samples (count, 2), float64, in round clusters on a circle, mean 0."""
     angle = 2 * torch.pi * torch.arange(number, dtype=torch.float64) / number
     middles = 0.3 * torch.stack([angle.cos(), angle.sin()], 1)
-    noise = torch.randn(count, 2, generator=seeded(), dtype=torch.float64)
+    noise = torch.randn(count, 2, generator=seeded_generator(), dtype=torch.float64)
     return (middles.repeat(-(-count // number), 1)[:count] if number > 1 else 0) + 0.03 * noise
 
 
 def memberships(samples: Tensor, number: int) -> Tensor:
     weights = samples.new_ones(1, len(samples))
-    return k_means_plus_plus(samples, weights, torch.tensor([number]), seeded())
+    return k_means_plus_plus(samples, weights, torch.tensor([number]), seeded_generator())
 
 
 def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,9 +158,9 @@ def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @DIMENSIONS
 def test_the_density_is_the_sum_of_its_gaussians(dimensions: int) -> None:
-    samples = 0.1 * torch.randn(60, dimensions, generator=seeded(), dtype=torch.float64)
+    samples = 0.1 * torch.randn(60, dimensions, generator=seeded_generator(), dtype=torch.float64)
     mixtures = m_step(samples, memberships(samples, 3), WIDENING[:1].expand(dimensions))
-    points = torch.randn(40, dimensions, generator=seeded(1), dtype=torch.float64)
+    points = torch.randn(40, dimensions, generator=seeded_generator(1), dtype=torch.float64)
 
     logs = log_densities(_polynomial_features(points), mixtures).logsumexp(1)[0]
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from roadtorch.oneclass import CLASSIFIERS
 from roadtorch.oneclass.reconstruction import ComponentSettings, farthest_first, k_centres, k_means
-from tests.draws import random, seeded
+from tests.draws import random, seeded_generator
 from tests.oneclass.cases import fitted
 from tests.reference import oneclass_density as reference
 from tests.reference import ufl
@@ -48,7 +48,9 @@ def test_the_means_are_those_of_lloyds_rounds_one_by_one(number: int) -> None:
 
 def test_the_best_of_the_restarts_is_as_good_as_the_best_of_many_starts() -> None:
     samples = random(90, 3)
-    starts = [samples[torch.randperm(90, generator=seeded(seed))[:5]] for seed in range(50)]
+    starts = [
+        samples[torch.randperm(90, generator=seeded_generator(seed))[:5]] for seed in range(50)
+    ]
 
     inertia = fitted(MEANS, samples.float()).distance(samples.float()).square().sum()
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from roadtorch.imaging.color import REPRESENTATIONS, planes
+from roadtorch.imaging.color import REPRESENTATIONS, color_planes
 from roadtorch.imaging.segments import segment_median
 from roadtorch.oneclass.samples import (
     AllSampleSettings,
@@ -17,7 +17,7 @@ from roadtorch.oneclass.samples import (
     road_samples,
     sample_area,
 )
-from tests.draws import random, seeded
+from tests.draws import random, seeded_generator
 from tests.streets import scene
 
 GRID = SampleSettings(reduction="grid")
@@ -26,7 +26,7 @@ ALL = AllSampleSettings()
 
 def eight_bit(levels: int = 12) -> Tensor:
     """Return an 8-bit image of few colours, as read_image does."""
-    steps = torch.randint(levels, (3, 96, 128), generator=seeded(), dtype=torch.uint8)
+    steps = torch.randint(levels, (3, 96, 128), generator=seeded_generator(), dtype=torch.uint8)
     return (steps * (255 // levels)).to(torch.float32).div_(255)
 
 
@@ -66,7 +66,7 @@ def test_a_representation_is_its_planes(names: tuple[str, ...]) -> None:
     for image in (eight_bit(), eight_bit() * 0.99):  # with levels and without
         palette = representation(image, names)
 
-        expected = planes(image, names)
+        expected = color_planes(image, names)
         np.testing.assert_allclose(palette.values[:, palette.index], expected, rtol=1e-6, atol=1e-6)
 
 
@@ -80,7 +80,7 @@ def test_a_sample_is_the_median_of_one_of_about_ninety_superpixels() -> None:
     samples = road_samples(image, ("S", "O2"), settings)
 
     labels = area_segments(image, settings, WideSeedArea())
-    stack = planes(image, ("S", "O2"))[:, rows, columns]
+    stack = color_planes(image, ("S", "O2"))[:, rows, columns]
     expected = segment_median(stack, labels, int(labels.max()) + 1)
     assert 60 <= len(samples) <= 130
     np.testing.assert_allclose(samples, expected.T, atol=1e-6)

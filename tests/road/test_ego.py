@@ -12,7 +12,15 @@ from torch import Tensor
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import write_mask
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.road.ego import MIN_FILL, MIN_FREE, Ego, continued, ego_car, ego_found, outline_rows
+from roadtorch.road.ego import (
+    MIN_FILL,
+    MIN_FREE,
+    Ego,
+    ego_car,
+    extrapolate_over_ego,
+    find_ego_car,
+    outline_rows,
+)
 from tests.streets import bonnet, scene
 
 
@@ -120,7 +128,7 @@ def test_a_column_is_mirrored_again_and_again(car: list[bool]) -> None:
     column = [float(value) for value in range(len(car))]
     maps = torch.tensor(column).view(1, -1, 1).expand(1, -1, 3)
 
-    made = continued(maps, torch.tensor(car)[:, None].expand(-1, 3))
+    made = extrapolate_over_ego(maps, torch.tensor(car)[:, None].expand(-1, 3))
 
     assert made[0, :, 1].tolist() == slowly_continued(column, car)
 
@@ -197,7 +205,7 @@ LIT[33:36, 20:30] = 0.2
 def test_the_ego_car_reaches_the_lower_edge(
     evidence: Tensor, car: list[tuple[slice, slice]]
 ) -> None:
-    assert torch.equal(ego_found(evidence), potential(*car) > 0.5)
+    assert torch.equal(find_ego_car(evidence), potential(*car) > 0.5)
 
 
 @given(st.integers(0, 2**31), st.floats(0.1, 0.9))
@@ -205,7 +213,7 @@ def test_each_column_is_free_above_and_solid_ego_car_below(seed: int, level: flo
     at = torch.Generator().manual_seed(seed)
     rough = torch.rand(12, 16, generator=at) + (torch.arange(12)[:, None] / 12 - 0.5) * level
 
-    car = ego_found(rough.clamp(0, 1))
+    car = find_ego_car(rough.clamp(0, 1))
 
     assert (car.int().diff(dim=0) >= 0).all()
     for column in car.any(0).nonzero()[:, 0].tolist():

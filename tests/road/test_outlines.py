@@ -7,19 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch.imaging.resize import WorkingSize, at_work, resized, size_of
-from roadtorch.road.ego import continued
-from roadtorch.road.outlines import HOLE_MARGIN, fill_thin_holes, followed, outlined
+from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_work, spatial_size
+from roadtorch.road.ego import extrapolate_over_ego
+from roadtorch.road.outlines import HOLE_MARGIN, fill_thin_holes, guided_filter, snap_to_edges
 from roadtorch.road.trust import (
     DOUBT_REASONS,
     FEATURE_WEIGHTS,
     INTERCEPT,
     MEAN_FEATURES,
     NO_ROAD,
-    Signs,
+    TrustFeatures,
     TrustSettings,
-    judgement,
-    signs_of,
+    estimate_trust,
+    trust_features,
 )
 
 
@@ -32,22 +32,24 @@ def halves(height: int, width: int) -> Tensor:
 
 
 def test_stairs_become_the_line_that_the_image_has() -> None:
-    image, small = halves(480, 640), resized(halves(480, 640), (180, 240))
+    image, small = halves(480, 640), resize_maps(halves(480, 640), (180, 240))
     road = image[0] > 0.5
     stairs = small[0, 6::12, 6::12].repeat_interleave(12, 0).repeat_interleave(12, 1)
     likelihood = 0.1 + 0.8 * (stairs > 0.5)
 
-    wrong = (resized(likelihood, (480, 640)) > 0.5) != road
-    still = (followed(likelihood, small, image) > 0.5) != road
+    wrong = (resize_maps(likelihood, (480, 640)) > 0.5) != road
+    still = (guided_filter(likelihood, small, image) > 0.5) != road
 
     assert still.sum() < wrong.sum() / 10
 
 
 def test_what_is_an_affine_function_of_colour_stays_itself() -> None:
-    image = resized(torch.rand(3, 15, 20, generator=torch.Generator().manual_seed(0)), (120, 160))
+    image = resize_maps(
+        torch.rand(3, 15, 20, generator=torch.Generator().manual_seed(0)), (120, 160)
+    )
     function = 0.2 + 0.3 * image[0] + 0.4 * image[2]
 
-    refined = followed(function, image, image)
+    refined = guided_filter(function, image, image)
 
     assert (refined - function).abs().max() < 0.06  # the ridge flattens it a little
 
@@ -56,7 +58,7 @@ def test_what_is_an_affine_function_of_colour_stays_itself() -> None:
 def test_what_says_the_same_everywhere_says_it_in_any_image(height, width, value, seed):
     image = torch.rand(3, height, width, generator=torch.Generator().manual_seed(seed))
 
-    refined = followed(torch.full((height, width), value), image, image)
+    refined = guided_filter(torch.full((height, width), value), image, image)
 
     assert refined.shape == (height, width)
     assert 0 <= float(refined.min()) <= float(refined.max()) <= 1
@@ -68,13 +70,13 @@ def test_what_the_ego_car_map_leaves_of_a_bonnet_like_the_road_stays_no_road() -
     noise = torch.randn(3, 480, 640, generator=torch.Generator().manual_seed(0))
     level = torch.where(torch.arange(480)[:, None] < begins, 0.5, 0.4)
     image = (level + 0.04 * noise).clamp(0, 1)
-    small = at_work(image, working)
+    small = resize_to_work(image, working)
     below = (torch.arange(len(small[0]))[:, None] + 0.5) * 480 / len(small[0]) - begins
-    below = below.expand(size_of(small))
+    below = below.expand(spatial_size(small))
     ego = below > missed
-    likelihood = continued(0.9 - 0.8 * (below / 12 + 0.5).clamp(0, 1), ego)
+    likelihood = extrapolate_over_ego(0.9 - 0.8 * (below / 12 + 0.5).clamp(0, 1), ego)
 
-    refined = outlined({"likelihood": likelihood, "ego": ego}, small, image, working, 0.5)
+    refined = snap_to_edges({"likelihood": likelihood, "ego": ego}, small, image, working, 0.5)
 
     assert (refined[begins : begins + missed] > 0.5).double().mean() < 0.05
     assert (refined[: begins - 12] > 0.5).double().mean() > 0.99
@@ -112,7 +114,7 @@ ROAD = torch.zeros(20, 20)
 ROAD[:, :10] = 1  # over the left half
 UNSURE_ABOVE, UNSURE_BELOW = ROAD.clone(), ROAD.clone()
 UNSURE_ABOVE[:5], UNSURE_BELOW[15:] = 0.5, 0.5
-BEST = Signs(stability=1, expected=1, seed=1, entropy=0)
+BEST = TrustFeatures(stability=1, expected=1, seed=1, entropy=0)
 
 
 def signs(
@@ -120,8 +122,10 @@ def signs(
     mask: Tensor = ROAD > 0.5,
     learned: Tensor = ROAD,
     ego: Tensor = NOWHERE,
-) -> Signs:
-    return signs_of(likelihood, mask, {"learned_road": learned, "seed_area": SEED, "ego": ego})
+) -> TrustFeatures:
+    return trust_features(
+        likelihood, mask, {"learned_road": learned, "seed_area": SEED, "ego": ego}
+    )
 
 
 def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
@@ -137,9 +141,9 @@ def test_the_signs_of_a_mask_tell_what_is_wrong_with_it() -> None:
 
 
 def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
-    best = judgement(BEST, True, TrustSettings())
-    usual = judgement(MEAN_FEATURES, True, TrustSettings())
-    worst = judgement(Signs(0, 0, 0, 0), True, TrustSettings())
+    best = estimate_trust(BEST, True, TrustSettings())
+    usual = estimate_trust(MEAN_FEATURES, True, TrustSettings())
+    worst = estimate_trust(TrustFeatures(0, 0, 0, 0), True, TrustSettings())
 
     assert 0 <= worst.trust < usual.trust < best.trust <= 1  # better, and in its range
     assert usual.doubt == ""
@@ -148,12 +152,12 @@ def test_better_signs_are_trusted_more_and_usual_ones_without_a_doubt() -> None:
         weight * sign for weight, sign in zip(FEATURE_WEIGHTS, MEAN_FEATURES, strict=True)
     )
     assert usual.trust == pytest.approx(linear)
-    assert judgement(BEST, False, TrustSettings()) == (0.0, "no road found")
+    assert estimate_trust(BEST, False, TrustSettings()) == (0.0, "no road found")
 
 
 def test_where_all_is_in_doubt_there_is_no_road() -> None:
-    judged = judgement(
-        Signs(stability=0.1, expected=0.8, seed=0.9, entropy=0.8), True, TrustSettings()
+    judged = estimate_trust(
+        TrustFeatures(stability=0.1, expected=0.8, seed=0.9, entropy=0.8), True, TrustSettings()
     )
 
     assert judged.trust < 0.3
@@ -165,7 +169,7 @@ def test_the_reason_is_the_sign_that_is_worse_than_usual(number: int) -> None:
     wrong = list(MEAN_FEATURES)
     wrong[number] = 0.0
 
-    judged = judgement(Signs(*wrong), True, TrustSettings(threshold=1.0))
+    judged = estimate_trust(TrustFeatures(*wrong), True, TrustSettings(threshold=1.0))
 
     assert judged.doubt == DOUBT_REASONS[number]
-    assert judged.trust < judgement(MEAN_FEATURES, True, TrustSettings()).trust
+    assert judged.trust < estimate_trust(MEAN_FEATURES, True, TrustSettings()).trust

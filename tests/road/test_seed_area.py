@@ -6,10 +6,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.imaging.slic import squares
+from roadtorch.imaging.slic import square_grid
 from roadtorch.road.seed_area import (
     SeedArea,
-    likely_seed,
+    find_seed_segments,
     remove_isolated,
     seed_area,
     seed_rectangle,
@@ -70,7 +70,7 @@ def test_only_regions_that_touch_the_seed_area_stay(mask, seed, expected):
     [
         # The seed area is rows 210…239 and columns 120…199: the squares at columns 120 and 150 lie
         # inside, and of that at 180, 20 of 30 columns do.
-        (squares(240, 320, 30), [7 * 11 + 4, 7 * 11 + 5, 7 * 11 + 6]),
+        (square_grid(240, 320, 30), [7 * 11 + 4, 7 * 11 + 5, 7 * 11 + 6]),
         # None is half inside: the one that fills most of it, 50 columns of 80.
         ((torch.arange(320) >= 170).long().expand(240, 320), [0]),
     ],
@@ -87,7 +87,7 @@ SMALL = st.integers(16, 60)
 
 @given(SMALL, SMALL, st.integers(1, 70), st.integers(1, 240), st.integers(1, 320))
 def test_there_is_a_seed_segment_and_each_is_in_the_seed_area(height, width, size, tall, wide):
-    labels, seed = squares(height, width, size), SeedArea(height=tall, width=wide)
+    labels, seed = square_grid(height, width, size), SeedArea(height=tall, width=wide)
 
     result = segments_inside(labels, seed_rectangle((height, width), seed))
 
@@ -108,7 +108,7 @@ def test_there_is_a_seed_segment_and_each_is_in_the_seed_area(height, width, siz
 def test_a_likely_seed_is_where_road_is_likeliest(evidence, row, share, seed):
     size = torch.full((len(row),), 0.2)
 
-    result = likely_seed(torch.tensor(evidence), torch.tensor(row), size, share)
+    result = find_seed_segments(torch.tensor(evidence), torch.tensor(row), size, share)
 
     assert result.nonzero()[:, 0].tolist() == seed
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.feature import local_binary_pattern
 
-from roadtorch.imaging.color import planes
+from roadtorch.imaging.color import color_planes
 from roadtorch.road.texture import (
     TextureSettings,
     fused_plane,
@@ -43,7 +43,7 @@ def test_weights_and_the_fused_plane_follow_equations_2_and_3():
 
 
 def test_without_a_ridge_the_nine_planes_of_the_paper_fuse_to_nothing():
-    stack = planes(random(3, 24, 32, dtype=torch.float32), TextureSettings().planes)
+    stack = color_planes(random(3, 24, 32, dtype=torch.float32), TextureSettings().planes)
     samples = stack[:, 16:].flatten(1).T
 
     collapsed, kept = (

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.cli.ros import ros_command
 from roadtorch.detectors.detection import Detection
 from roadtorch.ros.node import Inbox
 from roadtorch.run.writers.bag import mask_and_confidence
-from tests.command import invoked
+from tests.command import invoke_command
 
 
 def message(number: int) -> Any:
@@ -28,7 +28,7 @@ def message(number: int) -> Any:
 
 
 def test_the_newest_message_is_taken_and_the_others_are_counted() -> None:
-    inbox, stop = Inbox(), Stop()
+    inbox, stop = Inbox(), StopRequest()
     for number in range(3):
         inbox.put(message(number))
     frames = inbox.source("/image", stop).items()
@@ -43,8 +43,8 @@ def test_the_newest_message_is_taken_and_the_others_are_counted() -> None:
 
 
 def test_frames_end_when_somebody_asks_to_stop() -> None:
-    inbox, stop = Inbox(), Stop()
-    threading.Timer(0.2, stop.ask, (15,)).start()
+    inbox, stop = Inbox(), StopRequest()
+    threading.Timer(0.2, stop.request, (15,)).start()
 
     assert [*islice(inbox.source("/image", stop).items(), 1)] == []
 
@@ -62,4 +62,4 @@ def test_without_ros_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "rclpy", None)
 
     with pytest.raises(ConfigError, match=r"ros: rclpy is not installed \(source the setup\.bash"):
-        invoked(ros_command)
+        invoke_command(ros_command)

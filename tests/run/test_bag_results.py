@@ -9,7 +9,7 @@ import pytest
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.inputs.bags import bag_source
-from tests.command import ROWS, Call, files_in, rows_of
+from tests.command import ROWS, Call, files_in, read_index_rows
 from tests.inputs.bags import FIRST, STEP, write_drive
 from tests.run.writers.test_bags import read_bag
 from tests.videos import street_pixels, write_video
@@ -50,7 +50,7 @@ def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, out: Pa
     labels = next(entry.message for entry in messages if entry.topic == "/segmentation/label_info")
     assert labels.threshold == pytest.approx(0.4)
     assert (out / "drive.overlay.mp4").is_file()
-    assert rows_of(out)["drive/000002"]["saved"] == "overlay bag"
+    assert read_index_rows(out)["drive/000002"]["saved"] == "overlay bag"
 
 
 def test_what_is_done_is_skipped_until_the_bag_changes(run: Call, drive: Path, out: Path) -> None:

@@ -13,8 +13,8 @@ import cv2
 import pytest
 import torch
 
-from roadtorch.annotate.session import opened_session
-from roadtorch.base.image import write_colours, write_mask
+from roadtorch.annotate.session import open_session
+from roadtorch.base.image import write_mask, write_rgb_png
 from roadtorch.camera.camera import Camera, Ego
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
@@ -199,7 +199,7 @@ def test_a_training_with_another_file_is_refused(
     error: str,
 ) -> None:
     for number, frame in enumerate(drive()):
-        write_colours(root / f"drive/{number:02d}.png", frame)
+        write_rgb_png(root / f"drive/{number:02d}.png", frame)
     words = [*split_command(root, line), "--out", tmp_path / "out"]
     with monkeypatch.context() as cut:
         cut.setattr(TrainingRun, "_train", Mock(side_effect=KeyboardInterrupt))
@@ -219,7 +219,7 @@ def test_the_page_shows_what_a_new_folder_would(root: Path, tmp_path: Path, name
         weights, ego = str(root / "weights.safetensors"), str(root / "ego.png")
         detector = load_detector("fusion", weights={"file": weights}, ego={"mask": ego})
         (tmp_path / out).mkdir(exist_ok=True)
-        return opened_session(root / "streets", tmp_path / out, detector).view("street_0.png").odds
+        return open_session(root / "streets", tmp_path / out, detector).view("street_0.png").odds
 
     original = odds("out")
     change(root, name)

@@ -13,10 +13,10 @@ from torch import Tensor
 from roadtorch import detect_stream, load_detector
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import read_image
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.road.steady import Steady, SteadySettings
+from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
 from roadtorch.run.loop import FrameResult, Inference, detect_frames
 from roadtorch.run.workers import Workers
 from tests.command import Call, save_image
@@ -185,7 +185,13 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
     alone, side_by_side = (
         list(
-            detect_frames(scene_source(7), Inference(GREY), workers, Steady(SteadySettings()), cues)
+            detect_frames(
+                scene_source(7),
+                Inference(GREY),
+                workers,
+                TemporalFilter(TemporalFilterSettings()),
+                cues,
+            )
         )
         for workers in (Workers(), Workers(3))
     )
@@ -212,9 +218,9 @@ def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) ->
 
 def test_stopping_ends_the_frames() -> None:
     closed: list[bool] = []
-    stop = Stop()
+    stop = StopRequest()
     frames = detect_frames(scene_source(10**6, closed), Inference(ROWS), Workers(), stop=stop)
     next(frames)
-    stop.ask(signal.SIGINT)
+    stop.request(signal.SIGINT)
     assert len(list(frames)) <= 1
     assert closed == [True]

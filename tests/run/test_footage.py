@@ -19,9 +19,15 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import video_source
 from roadtorch.run.writers.video import VideoWriter
-from tests.command import ROWS, Call, bytes_in, files_in, rows_of
+from tests.command import ROWS, Call, bytes_in, files_in, read_index_rows
 from tests.inputs.bags import write_drive
-from tests.videos import pixels_of, stamps_of, street_pixels, write_sound, write_video
+from tests.videos import (
+    read_frame_pixels,
+    read_frame_times,
+    street_pixels,
+    write_sound,
+    write_video,
+)
 
 GREY = ("--detector", "grey-uniformity")
 
@@ -47,8 +53,8 @@ def test_a_video_gives_an_overlay_and_a_row_a_frame(run: Call, drive: Path, out:
         f"roadtorch: drive.mp4: 12 frames\nroadtorch: 1 done; results in {out}\n"
     )
     assert files_in(out) == {"config.toml", "drive.overlay.mp4", "index.csv", "run.json"}
-    assert stamps_of(out / "drive.overlay.mp4") == pytest.approx([n / 10 for n in range(12)])
-    rows = rows_of(out)
+    assert read_frame_times(out / "drive.overlay.mp4") == pytest.approx([n / 10 for n in range(12)])
+    rows = read_index_rows(out)
     assert list(rows) == ["drive.mp4", *(f"drive/{n:06d}" for n in range(12))]
     assert [row["seconds"] for row in rows.values()][1:4] == ["0.000", "0.100", "0.200"]
     assert {row["status"] for row in rows.values()} == {"done"}
@@ -70,7 +76,7 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) ->
     detection = load_detector("grey-uniformity").detect(frame.read())
     mask = np.asarray(Image.open(out / "drive" / "000007.mask.png"))
     assert np.array_equal(mask > 0, detection.mask.numpy())
-    pixels = pixels_of(out / "drive.mask.mp4")[1][..., 0] > 127
+    pixels = read_frame_pixels(out / "drive.mask.mp4")[1][..., 0] > 127
     assert (pixels == detection.mask.numpy()).mean() > 0.95
 
 
@@ -94,7 +100,8 @@ def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
     for name in ("drive.overlay.mp4", "b.cue.uniformity.png", "drive/000003.mask.png"):
         assert name in alone
     lasting = [
-        {name: row | {"ms": ""} for name, row in rows_of(tmp_path / jobs).items()} for jobs in "13"
+        {name: row | {"ms": ""} for name, row in read_index_rows(tmp_path / jobs).items()}
+        for jobs in "13"
     ]
     assert lasting[0] == lasting[1]
 
@@ -110,7 +117,7 @@ def test_a_done_video_is_skipped_until_something_changes(run: Call, drive: Path,
 
     assert again.stderr == f"roadtorch: 0 done, 1 skipped (done before); results in {out}\n"
     assert thinned.stderr.startswith("roadtorch: drive.mp4: 3 frames")
-    assert len(rows_of(out)) == 4  # those of the first run are gone
+    assert len(read_index_rows(out)) == 4  # those of the first run are gone
     (out / "drive.overlay.mp4").unlink()
     assert "3 frames" in run("--every", "4").stderr
 
@@ -133,12 +140,12 @@ def test_a_cut_video_keeps_what_is_readable(
         for line in result.stderr.splitlines()
         if line.startswith(("roadtorch: failed: ", "roadtorch: partial: "))
     )
-    frames = len(stamps_of(out / "a.overlay.mp4"))
+    frames = len(read_frame_times(out / "a.overlay.mp4"))
     assert 10 < frames < 40
     assert first.startswith(f"roadtorch: partial: {cut}: ends after ")
     assert " of 4.0 seconds (the rest was used; copy it again" in first
     assert "song.mp4: has audio but no video" in second
-    rows = rows_of(out)
+    rows = read_index_rows(out)
     assert sum(name.startswith("a/") for name in rows) == frames
     assert rows["a.mp4"]["status"] == first.removeprefix("roadtorch: ")
     assert rows["drive.mp4"]["status"] == "done"
@@ -164,8 +171,8 @@ def test_a_video_that_cannot_be_written_on_keeps_the_finished_frames(
     message = f"{out}/drive.overlay.mp4: cannot be written: No space left on device (make room)"
     assert result.exit_code == 1
     assert result.stderr.splitlines()[1] == f"roadtorch: partial: {message}"
-    assert len(stamps_of(out / "drive.overlay.mp4")) == 5
-    rows = rows_of(out)
+    assert len(read_frame_times(out / "drive.overlay.mp4")) == 5
+    rows = read_index_rows(out)
     assert len(rows) == 5 + 1
     assert rows["drive.mp4"]["status"] == f"partial: {message}"
 
@@ -184,8 +191,8 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
 
     assert process.returncode == ExitCode.INTERRUPTED
     assert message.endswith("roadtorch: interrupted; finished results are kept\n")
-    frames = len(stamps_of(out / "drive.overlay.mp4"))
-    rows = rows_of(out)
+    frames = len(read_frame_times(out / "drive.overlay.mp4"))
+    rows = read_index_rows(out)
     assert len(rows) == frames + 1 > 20
     assert rows["drive.mp4"]["status"] == f"partial: {path}: was interrupted (run it again)"
     assert not list(out.glob(".*"))

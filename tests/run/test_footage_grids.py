@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from roadtorch.base.image import to_pixels
-from tests.command import Call, bytes_in, rows_of
+from tests.command import Call, bytes_in, read_index_rows
 from tests.inputs.bags import FIRST, ROS2, STEP, raw_image, write_bag, write_drive
 from tests.run.test_grids import TRIANGLE, VIEW
 from tests.run.writers.test_bags import read_bag
@@ -49,7 +49,7 @@ def test_a_bag_gives_grids_and_messages(call: Call, tmp_path: Path, out: Path, f
         assert (about.origin.position.x, about.origin.position.y) == (0, -8)
         assert entry.message.header.frame_id == "robot"
     assert (out / "drive" / "000001.grid.pgm").is_file()
-    row = rows_of(out)["drive/000001"]
+    row = read_index_rows(out)["drive/000001"]
     assert (row["saved"], row["seconds"]) == ("pgm yaml npy bag", "0.100")
 
 

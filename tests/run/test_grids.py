@@ -7,7 +7,7 @@ import pytest
 
 from roadtorch.camera.camera import Camera
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import Call, rows_of
+from tests.command import Call, read_index_rows
 from tests.run.writers.test_files import load_map
 
 VIEW = ("--height", 1.35, "--fov", 55, "--range", 20, "--side", 8, "--resolution", 0.2)
@@ -37,7 +37,7 @@ def test_every_image_gives_a_map(call: Call, street: Path, out: Path) -> None:
     likelihood = np.load(out / "a.grid.likelihood.npy")
     assert (np.isnan(likelihood) == (np.load(out / "a.grid.npy") == -1)).mean() > 0.99
     assert (out / "a.grid.jpg").is_file()
-    assert list(rows_of(out)) == ["a.png", "sub/b.png"]
+    assert list(read_index_rows(out)) == ["a.png", "sub/b.png"]
 
 
 def test_the_pitch_of_a_camera_file(call: Call, street: Path, tmp_path: Path, out: Path) -> None:

@@ -19,7 +19,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Inference
 from roadtorch.run.writers.maps import cue_image
 from roadtorch.testing.scenes import render_scene
-from tests.command import ROWS, Call, files_in, rows_of, save_image
+from tests.command import ROWS, Call, files_in, read_index_rows, save_image
 
 GREY = ("--detector", "grey-uniformity")
 
@@ -34,7 +34,7 @@ def test_a_folder_gives_three_files_an_image(run: Call, footage: Path, out: Path
     kinds = ("likelihood.png", "mask.png", "overlay.jpg")
     expected = {f"{name}.{kind}" for name in ("a", "b", "sub/c") for kind in kinds}
     assert files_in(out) == expected | {"index.csv", "config.toml", "run.json"}
-    rows = rows_of(out)
+    rows = read_index_rows(out)
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
     assert list(rows["a.jpg"]) == [
         *("file", "width", "height", "ms", "road_share", "trust", "status"),
@@ -133,7 +133,7 @@ def test_what_is_done_is_skipped_until_overwrite(run: Call, footage: Path, out: 
     assert again.stderr == f"roadtorch: 2 done, 2 skipped (done before); results in {out}\n"
     assert (out / "a.mask.png").exists()
     assert (out / "b.mask.png").read_bytes() == b"marked"
-    assert list(rows_of(out)) == ["a.jpg", "b.png", "d.png", "sub/c.png"]
+    assert list(read_index_rows(out)) == ["a.jpg", "b.png", "d.png", "sub/c.png"]
 
     anew = run("--overwrite")
     assert anew.stderr.startswith("roadtorch: 4 done;")
@@ -145,7 +145,7 @@ def test_results_beside_the_images_are_not_taken_for_images(call: Call, footage:
         result = call("infer", footage, *ROWS, "--out", footage, "--save", "mask,cues")
         assert result.exit_code == 0
 
-    assert list(rows_of(footage)) == ["a.jpg", "b.png", "sub/c.png"]
+    assert list(read_index_rows(footage)) == ["a.jpg", "b.png", "sub/c.png"]
 
 
 # --- bad input ------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ def test_broken_images_become_failed_rows_beside_others(
 
     assert result.exit_code == 1
     assert result.stderr.splitlines()[-1] == f"roadtorch: 3 done, 5 failed; results in {out}"
-    rows = rows_of(out)
+    rows = read_index_rows(out)
     for file, problem in [
         ("cut.jpg", "cannot be decoded"),
         ("empty.png", "is empty"),
@@ -207,8 +207,8 @@ def test_a_detector_that_trips_costs_one_row(
     monkeypatch.setattr(Inference, "__call__", trips)
 
     assert run().exit_code == 1
-    assert message in rows_of(out)["b.png"]["status"]
-    assert rows_of(out)["sub/c.png"]["status"] == "done"
+    assert message in read_index_rows(out)["b.png"]["status"]
+    assert read_index_rows(out)["sub/c.png"]["status"] == "done"
 
 
 # --- trust --------------------------------------------------------------------------------
@@ -222,7 +222,7 @@ def test_the_five_least_trusted_images_are_named_in_order(call: Call, tmp_path: 
 
     result = call("infer", tmp_path, "--out", tmp_path / "out")
 
-    rows = rows_of(tmp_path / "out")
+    rows = read_index_rows(tmp_path / "out")
     first, *lines = result.stdout.splitlines()
     trusts = [float(line.split()[0]) for line in lines]
     assert first.endswith("of 7; least trusted:")
@@ -247,7 +247,7 @@ def test_odd_names_and_files_that_are_none(run: Call, footage: Path, out: Path) 
     for skipped in ("", "0 done, 3 skipped"):  # what is done under such a name is done
         result = run()
         assert result.exit_code == 1
-        rows = rows_of(out)
+        rows = read_index_rows(out)
         done = [file for file, row in rows.items() if row["status"] == "done"]
         assert done == ["b.png", "sub/c.png", r"z\xff.jpg"]
         assert set(rows) - set(done) == {"loop.png", "pipe.png"}
@@ -283,4 +283,4 @@ def test_a_first_image_that_cannot_be_read_is_a_failed_row(
     result = call("infer", path.parent, *ROWS, "--out", out)
 
     assert result.exit_code == 1, result.stderr
-    assert rows_of(out)["x.png"]["status"].startswith(f"failed: {path}: {reason}")
+    assert read_index_rows(out)["x.png"]["status"].startswith(f"failed: {path}: {reason}")

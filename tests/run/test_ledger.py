@@ -14,21 +14,21 @@ from roadtorch.run import ledger as module
 from roadtorch.run import memo
 from roadtorch.run.ledger import (
     INDEX_COLUMNS,
+    IndexRow,
     Method,
-    Row,
     failed_row,
     open_ledger,
     read_index,
     write_index,
 )
 from roadtorch.run.memo import (
-    cached_arrays,
+    cache_key,
     file_digests,
     find_paths,
-    keep,
-    kept,
-    key_of,
+    make_cached_reader,
     read_arrays,
+    read_cached,
+    write_cached,
 )
 
 HEAD = ",".join(INDEX_COLUMNS) + "\n"
@@ -42,9 +42,9 @@ def path(tmp_path: Path) -> Path:
 def test_rows_are_appended_as_they_come_and_sorted_at_the_end(path: Path) -> None:
     with open_ledger(path) as ledger:
         for count, name in enumerate(("c", "a", "b"), 1):
-            ledger.add(Row(name))
+            ledger.add(IndexRow(name))
             assert len(path.read_text().splitlines()) == 1 + count
-        ledger.add(Row("c", status="failed: x"))
+        ledger.add(IndexRow("c", status="failed: x"))
         assert [line[0] for line in path.read_text().splitlines()[1:]] == [*"cabc"]
 
     assert [line[0] for line in path.read_text().splitlines()[1:]] == [*"abc"]
@@ -53,8 +53,8 @@ def test_rows_are_appended_as_they_come_and_sorted_at_the_end(path: Path) -> Non
 
 def test_the_end_comes_after_an_error_too_and_a_cut_row_counts_for_nothing(path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), open_ledger(path) as ledger:  # noqa: PT012
-        ledger.add(Row("b"))
-        ledger.add(Row("a"))
+        ledger.add(IndexRow("b"))
+        ledger.add(IndexRow("a"))
         raise KeyboardInterrupt
     assert [*read_index(path)] == ["a", "b"]
 
@@ -79,23 +79,23 @@ def test_what_is_no_index_of_ours_is_refused(path: Path, text: str) -> None:
 
 @pytest.mark.parametrize("name", ["=1+1.png", "+a", "-a", "@a", "\t=a", "'=a", "''@", "'"])
 def test_a_name_is_no_formula_for_spreadsheets(name: str, path: Path) -> None:
-    write_index(path, [Row(name, ms="-3")])
+    write_index(path, [IndexRow(name, ms="-3")])
 
     cells = next(csv.DictReader(io.StringIO(path.read_text(), newline="")))
 
     assert (cells["file"], cells["ms"]) == (f"'{name}", "-3")
-    assert read_index(path) == {name: Row(name, ms="-3")}
+    assert read_index(path) == {name: IndexRow(name, ms="-3")}
 
 
 @pytest.mark.parametrize("name", ["a\rb", "a\nb", "a\r\nb", "\r", 'a,"b\r', "x\ty", "ö"])
 def test_names_with_line_ends_are_rows_like_others(name: str, path: Path) -> None:
-    write_index(path, [Row(name, status=f"failed: {name}")])
+    write_index(path, [IndexRow(name, status=f"failed: {name}")])
 
-    assert read_index(path) == {name: Row(name, status=f"failed: {name}")}
+    assert read_index(path) == {name: IndexRow(name, status=f"failed: {name}")}
 
 
 def test_kinds_of_one_method_and_the_same_bytes_add_up(path: Path) -> None:
-    first = Row("a", saved="likelihood mask", method="m", sha256="s")
+    first = IndexRow("a", saved="likelihood mask", method="m", sha256="s")
     with open_ledger(path) as ledger:
         for change, saved in [
             ({"saved": "mask cues"}, "likelihood mask cues"),
@@ -112,7 +112,7 @@ def test_frames_of_a_source_are_forgotten_and_nothing_else(path: Path) -> None:
     names = ["drive/000001", "drive/1000000", "drive/x.png", "drive/01", "drive.mp4", "b/000001"]
     with open_ledger(path) as ledger:
         for name in names:
-            ledger.add(Row(name))
+            ledger.add(IndexRow(name))
         ledger.drop_frames("drive")
         assert [*ledger.rows] == names[2:]
         ledger.drop_frames("b")
@@ -124,18 +124,18 @@ def test_a_full_disk_is_one_error_and_rows_stay(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ledger = module.Ledger(path)
-    ledger.add(Row("a"))
+    ledger.add(IndexRow("a"))
     ledger.path = Path("/dev/full")
 
     with pytest.raises(InputError, match=r"cannot be written: No space left .* \(make room"):
-        ledger.add(Row("b"))
+        ledger.add(IndexRow("b"))
 
     assert [*read_index(path)] == ["a"]
 
 
 def test_a_method_covers_what_it_made() -> None:
     method = Method("key", ("mask", "npy"))
-    row = method.mark(Row("a", sha256="s"))
+    row = method.mark(IndexRow("a", sha256="s"))
 
     assert (row.saved, row.method) == ("mask npy", "key")
     assert method.covers(row)
@@ -158,18 +158,18 @@ ARRAYS = {"road": torch.rand(3, 4) > 0.5, "sums": torch.arange(6.0).view(2, 3)}
 def test_arrays_come_back_under_their_key_alone(tmp_path: Path) -> None:
     path = tmp_path / "made" / "x.npz"
 
-    keep(path, key_of("a"), ARRAYS)
+    write_cached(path, cache_key("a"), ARRAYS)
 
-    for key in (key_of("a"), None):
-        arrays = kept(path, key)
+    for key in (cache_key("a"), None):
+        arrays = read_cached(path, key)
         assert arrays is not None
         assert arrays.keys() == ARRAYS.keys()
         assert all(torch.equal(arrays[name], ARRAYS[name]) for name in ARRAYS)
-    named = kept(path, key_of("a"), "sums")
+    named = read_cached(path, cache_key("a"), "sums")
     assert named is not None
     assert [*named] == ["sums"]
-    assert kept(path, key_of("b")) is None
-    assert kept(path, key_of("a"), "none") is None
+    assert read_cached(path, cache_key("b")) is None
+    assert read_cached(path, cache_key("a"), "none") is None
     assert [file.name for file in path.parent.iterdir()] == ["x.npz"]
 
 
@@ -185,11 +185,11 @@ def test_arrays_come_back_under_their_key_alone(tmp_path: Path) -> None:
 )
 def test_a_damaged_file_holds_nothing(tmp_path: Path, change) -> None:
     path = tmp_path / "x.npz"
-    keep(path, "k", ARRAYS)
+    write_cached(path, "k", ARRAYS)
     path.write_bytes(change(path.read_bytes()))
 
-    assert kept(path, "k") is None
-    assert kept(tmp_path / "none.npz", "k") is None
+    assert read_cached(path, "k") is None
+    assert read_cached(tmp_path / "none.npz", "k") is None
     with pytest.raises(InputError, match=r"x\.npz: is damaged \(remove it; it will be made again"):
         read_arrays(path)
 
@@ -197,8 +197,8 @@ def test_a_damaged_file_holds_nothing(tmp_path: Path, change) -> None:
 def test_arrays_without_a_key_are_not_ours(tmp_path: Path) -> None:
     memo.write_arrays(tmp_path / "x.npz", ARRAYS)
 
-    assert kept(tmp_path / "x.npz", None) is None
-    read = cached_arrays()
+    assert read_cached(tmp_path / "x.npz", None) is None
+    read = make_cached_reader()
     assert read(tmp_path / "x.npz") is read(tmp_path / "x.npz")
 
 
@@ -207,30 +207,30 @@ def test_a_key_changes_with_every_part(tmp_path: Path, monkeypatch: pytest.Monke
     (folder / "below").mkdir(parents=True)
     file.write_text("a")
     (folder / "below" / "x").write_text("a")
-    keys = [key_of("a", 1, file, folder)]
-    repeated = key_of("a", 1, file, folder)
+    keys = [cache_key("a", 1, file, folder)]
+    repeated = cache_key("a", 1, file, folder)
 
-    keys += [key_of("b", 1, file, folder), key_of("a", 1.0, file, folder)]
-    keys += [key_of("a", 1, folder), key_of("a1", file, folder)]
+    keys += [cache_key("b", 1, file, folder), cache_key("a", 1.0, file, folder)]
+    keys += [cache_key("a", 1, folder), cache_key("a1", file, folder)]
     file.write_text("b")
-    keys.append(key_of("a", 1, file, folder))
+    keys.append(cache_key("a", 1, file, folder))
     (folder / "below" / "x").write_text("b")
-    keys.append(key_of("a", 1, file, folder))
+    keys.append(cache_key("a", 1, file, folder))
     (folder / "below" / "x").rename(folder / "y")
-    keys.append(key_of("a", 1, file, folder))
+    keys.append(cache_key("a", 1, file, folder))
     settings = {"a": str(file), "b": {"c": [file, "none"], "d": 3, "e": ""}, "f": str(folder)}
     assert find_paths(settings) == [file, file, folder]
     assert list(file_digests(settings)) == [str(file)]
     assert [path.name for path in find_paths({"w": "cnn-7"})] == ["cnn-7.safetensors"]
     detector = load_detector("prior:rows")
-    keys += [key_of(detector), key_of(load_detector("prior:rows", threshold=0.4))]
+    keys += [cache_key(detector), cache_key(load_detector("prior:rows", threshold=0.4))]
     changed = load_detector("layout:cnn-7")
-    keys.append(key_of(changed))
+    keys.append(cache_key(changed))
     with torch.no_grad():
         next(changed.parameters()).add_(1)
-    keys.append(key_of(changed))
+    keys.append(cache_key(changed))
     monkeypatch.setattr(memo, "__version__", "99")
-    keys.append(key_of("a", 1, file, folder))
+    keys.append(cache_key("a", 1, file, folder))
 
     assert repeated == keys[0]
     assert len(set(keys)) == len(keys)

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from roadtorch.cli import main
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import bytes_in, rows_of
+from tests.command import bytes_in, read_index_rows
 
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
 WORK = ("--detector", "cpf", "--threads", "1", "--save", "likelihood,mask,overlay,json")
@@ -79,7 +79,7 @@ def parents(process: str) -> Iterator[int]:
 
 
 def without_ms(out: Path) -> dict[str, dict[str, str]]:
-    rows = rows_of(out)
+    rows = read_index_rows(out)
     for row in rows.values():
         row["ms"] = ""
     return rows
@@ -95,7 +95,7 @@ def test_a_killed_worker_costs_one_image(images: Path, expected: Path, tmp_path:
     stderr = run.communicate(timeout=LONGEST)[1]
 
     lines = [line for line in stderr.splitlines() if " left" not in line]  # of the progress
-    failed = {name: row for name, row in rows_of(out).items() if row["status"] != "done"}
+    failed = {name: row for name, row in read_index_rows(out).items() if row["status"] != "done"}
     assert run.returncode == 1, stderr
     assert len(lines) == 3, stderr
     assert lines[-1] == f"roadtorch: 15 done, 2 failed; results in {out}"
@@ -121,7 +121,7 @@ def test_an_interrupted_run_keeps_its_rows(images: Path, expected: Path, tmp_pat
 
     stderr = run.communicate(timeout=LONGEST)[1]
 
-    rows = rows_of(out)
+    rows = read_index_rows(out)
     assert run.returncode == 130, stderr
     assert stderr.endswith("roadtorch: interrupted; finished results are kept\n")
     assert 0 < len(rows) < 17

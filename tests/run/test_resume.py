@@ -16,9 +16,9 @@ import pytest
 
 from roadtorch.inputs.item import Item
 from roadtorch.run import memo
-from roadtorch.run.ledger import Row
+from roadtorch.run.ledger import IndexRow
 from roadtorch.run.loop import Task
-from tests.command import ROWS, Call, bytes_in, files_in, rows_of
+from tests.command import ROWS, Call, bytes_in, files_in, read_index_rows
 
 BeforeEach = Callable[[Callable[[Item], None]], AbstractContextManager[None]]
 
@@ -30,7 +30,7 @@ def before_each(monkeypatch: pytest.MonkeyPatch) -> BeforeEach:
 
     @contextmanager
     def acting(act: Callable[[Item], None]) -> Iterator[None]:
-        def acted(self: Task, item: Item) -> Row:
+        def acted(self: Task, item: Item) -> IndexRow:
             act(item)
             return real(self, item)
 
@@ -135,7 +135,7 @@ def test_what_is_in_hand_is_finished_when_a_signal_ends_the_run(
     record = json.loads((out / "run.json").read_text())
 
     assert stopped.exit_code == record["exit_status"] == code
-    assert {name: row["status"] for name, row in rows_of(out).items()} == dict.fromkeys(
+    assert {name: row["status"] for name, row in read_index_rows(out).items()} == dict.fromkeys(
         ["a.jpg", "b.png"][:jobs], "done"
     )
     assert record["images"]["not_tried"] == 3 - jobs
@@ -162,7 +162,7 @@ def test_a_death_costs_its_image_alone_and_is_told(
         f"{footage}/b.png: its worker process died (run it again, with --jobs 1 if memory is short)"
     )
     assert f"roadtorch: failed: {why}\n" in result.stderr
-    statuses = {name: row["status"] for name, row in rows_of(out).items()}
+    statuses = {name: row["status"] for name, row in read_index_rows(out).items()}
     assert statuses == {"a.jpg": "done", "b.png": f"failed: {why}", "sub/c.png": "done"}
     assert not list(out.glob(".*"))
     assert call(*run, out).exit_code == 0
@@ -180,7 +180,7 @@ def test_a_kill_costs_the_image_in_hand(run: Call, out: Path, before_each: Befor
         process.join()
 
     assert process.exitcode == -signal.SIGKILL
-    assert list(rows_of(out)) == ["a.jpg"]
+    assert list(read_index_rows(out)) == ["a.jpg"]
     assert run().stderr.startswith("roadtorch: 2 done, 1 skipped")
 
 
@@ -194,7 +194,7 @@ def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path) -> None:
     ended = subprocess.run(words, cwd=tmp_path, timeout=120, check=False)
 
     assert ended.returncode == 0
-    assert [row["status"] for row in rows_of(tmp_path / "out").values()] == ["done"] * 3
+    assert [row["status"] for row in read_index_rows(tmp_path / "out").values()] == ["done"] * 3
 
 
 def test_a_disk_that_takes_no_more_is_one_error_and_what_was_finished_stays(
@@ -214,7 +214,7 @@ def test_a_disk_that_takes_no_more_is_one_error_and_what_was_finished_stays(
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
     assert full.exit_code == 1
-    rows = rows_of(out)
+    rows = read_index_rows(out)
     assert rows["a.jpg"]["status"] == "done"
     why = f"{out}/b.likelihood.npy: cannot be written: File too large"
     assert rows["b.png"]["status"].startswith(f"failed: {why}")

@@ -14,11 +14,11 @@ from PIL import Image
 
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.data.polygons import read_outlined_mask
-from roadtorch.run.folder import result_folder
+from roadtorch.data.polygons import read_labelme_mask
+from roadtorch.run.folder import open_result_folder
 from roadtorch.run.ledger import has_result
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import ROWS, Call, bytes_in, rows_of, save_image
+from tests.command import ROWS, Call, bytes_in, read_index_rows, save_image
 from tests.videos import write_video
 
 # --- polygons and facts -----------------------------------------------------------------
@@ -38,7 +38,7 @@ def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out:
     assert names == [["1.png"], ["1.png", "2.png"]]
     for seed, entry in zip((1, 2), cocos[1]["annotations"], strict=True):
         mask = np.asarray(Image.open(out / f"{seed}.mask.png")) == 255
-        assert np.array_equal(read_outlined_mask(out / f"{seed}.labelme.json", mask.shape), mask)
+        assert np.array_equal(read_labelme_mask(out / f"{seed}.labelme.json", mask.shape), mask)
         assert entry["area"] == mask.sum() > 0
 
 
@@ -61,7 +61,7 @@ def test_an_image_does_not_depend_on_the_run(call: Call, footage: Path, tmp_path
 def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: Path) -> None:
     (footage / "bad.png").write_bytes(b"no image")
 
-    threads = Threads.of_now()
+    threads = Threads.current()
     try:
         run("--threshold", "0.4", "--threads", "2")
     finally:
@@ -76,7 +76,9 @@ def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: 
     assert record["exit_status"] == 1
     assert record["index_sha256"] == sha256((out / "index.csv").read_bytes()).hexdigest()
     assert record["started"] < record["ended"]
-    lines = [f"{row['sha256']}  {name}\n" for name, row in rows_of(out).items() if row["sha256"]]
+    lines = [
+        f"{row['sha256']}  {name}\n" for name, row in read_index_rows(out).items() if row["sha256"]
+    ]
     assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
 
 
@@ -94,16 +96,16 @@ def test_a_bag_that_is_a_folder_is_there_once_it_has_its_list(tmp_path: Path) ->
 def test_results_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
     out = tmp_path / "out"
     for effective in ("a = 1", "a = 2"):  # nothing was done with the first ones
-        with result_folder(out, effective, overwrite=False):
+        with open_result_folder(out, effective, overwrite=False):
             assert (out / "config.toml").read_text() == f"{effective}\n"
     (out / "index.csv").write_text("file\n")
 
     with (
         pytest.raises(ConfigError, match=r"holds results of other settings \(config\.toml\)"),
-        result_folder(out, "a = 1", overwrite=False),
+        open_result_folder(out, "a = 1", overwrite=False),
     ):
         pass
-    with result_folder(out, "a = 1", overwrite=True):
+    with open_result_folder(out, "a = 1", overwrite=True):
         assert (out / "config.toml").read_text() == "a = 1\n"
 
 
@@ -112,13 +114,13 @@ def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:
     fcntl.flock(handle, fcntl.LOCK_EX)
     with (
         pytest.raises(InputError, match=r"another run is writing here \(wait for it, or give ano"),
-        result_folder(tmp_path, "", overwrite=False),
+        open_result_folder(tmp_path, "", overwrite=False),
     ):
         pass
     os.close(handle)
     with (
         pytest.raises(InputError, match="is an address"),
-        result_folder(Path("s3://bucket/out"), "", overwrite=False),
+        open_result_folder(Path("s3://bucket/out"), "", overwrite=False),
     ):
         pass
 
@@ -165,7 +167,7 @@ def test_images_beside_a_video_of_their_name_stay(call: Call, tmp_path: Path, ou
     result = call("infer", inputs, *ROWS, "--out", out)
 
     assert result.exit_code == 0, result.stderr
-    assert {"drive/000003.png", "drive/x.png"} < set(rows_of(out))
+    assert {"drive/000003.png", "drive/x.png"} < set(read_index_rows(out))
 
 
 def test_a_name_that_is_too_long_costs_its_own_image(call: Call, tmp_path: Path, out: Path) -> None:
@@ -175,7 +177,7 @@ def test_a_name_that_is_too_long_costs_its_own_image(call: Call, tmp_path: Path,
     result = call("infer", inputs, *ROWS, "--out", out)
 
     assert result.exit_code == 1
-    statuses = {name[:2]: row["status"] for name, row in rows_of(out).items()}
+    statuses = {name[:2]: row["status"] for name, row in read_index_rows(out).items()}
     assert statuses.pop("1n").startswith("failed")
     assert set(statuses.values()) == {"done"}
     assert len(statuses) == 4

@@ -18,7 +18,13 @@ import torch
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import InputError
 from roadtorch.run import workers
-from roadtorch.run.workers import MAX_AHEAD, MIN_ITEMS_PER_WORKER, Workers, processors, workers_for
+from roadtorch.run.workers import (
+    MAX_AHEAD,
+    MIN_ITEMS_PER_WORKER,
+    Workers,
+    count_processors,
+    make_workers,
+)
 from tests.command import ROWS, save_image
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are copies of a process")
@@ -137,7 +143,7 @@ def multiplied(number: int, factor: torch.Tensor) -> tuple[float, int]:
 
 
 def test_beside_several_threads_workers_are_started_anew_with_as_many() -> None:
-    threads = Threads.of_now()
+    threads = Threads.current()
     task = partial(multiplied, factor=torch.tensor(2.0))
     try:
         Threads(2, 1).set()
@@ -175,13 +181,13 @@ def test_a_users_file_is_no_module_of_workers_that_are_started_anew(
         (1, None, "cpu", 1),
         (3, 1, "cpu", 3),
         (None, 2 * MIN_ITEMS_PER_WORKER - 1, "cpu", 1),
-        (None, 10_000, "cpu", processors()),
-        (None, None, "cpu", processors()),
+        (None, 10_000, "cpu", count_processors()),
+        (None, None, "cpu", count_processors()),
         (None, None, "cuda", 1),
     ],
 )
 def test_how_many_workers(jobs: int | None, count: int | None, device: str, expected: int) -> None:
-    assert workers_for(jobs, count, device) == Workers(expected)
+    assert make_workers(jobs, count, device) == Workers(expected)
 
 
 @pytest.mark.parametrize(

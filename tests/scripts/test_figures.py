@@ -14,7 +14,7 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.curves import Curve, area
 from roadtorch.evaluation.metrics import auc, count_levels
-from roadtorch.evaluation.tally import Score, Tally
+from roadtorch.evaluation.tally import ImageCounts, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.testing.scenes import render_scene
@@ -45,7 +45,7 @@ def tally_of(**drives: tuple[list[float], list[bool]]) -> Tally:
         values, true = torch.tensor([likelihood]), torch.tensor([road])
         maps = true, torch.ones_like(true)
         levels, mask = metrics.count_levels(values, *maps), metrics.count_mask(values >= 0.5, *maps)
-        score = Score(levels, mask, count_boundary(values >= 0.5, *maps), None, None)
+        score = ImageCounts(levels, mask, count_boundary(values >= 0.5, *maps), None, None)
         tally.add(LabelledItem(drive, Path(drive), Path(drive), drive), score)
     return tally
 

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from roadtorch.detectors.detector import DetectorSettings, Entry
 from roadtorch.testing import ContractError, check_detector
-from roadtorch.testing.scenes import ROAD, SKY, VOID, render_scene
+from roadtorch.testing.scenes import ROAD, SCENE_SKY, VOID, render_scene
 
 ANSWERS: dict[str, Callable[[Tensor], dict[str, Tensor]]] = {
     "": lambda image: {"likelihood": image.mean(0)},
@@ -104,7 +104,7 @@ def test_every_scene_has_road_ahead_pavement_sky_and_walls(seed):
     scene = render_scene(seed, 120, 160)
 
     assert torch.equal(scene.road, scene.classes == ROAD)
-    assert torch.equal(scene.layout == 0, scene.classes == SKY)
+    assert torch.equal(scene.layout == 0, scene.classes == SCENE_SKY)
     assert torch.equal(scene.void, scene.classes == VOID)
     assert (scene.layout[scene.road] == 2).all()
     assert 0.12 < scene.road.float().mean() < 0.6

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from roadtorch.train.config import Training
-from roadtorch.train.run import Outcome, Request, train
+from roadtorch.train.run import Outcome, TrainingRequest, train
 from tests.train.runs import training_of, write_streets
 
 Trained = Callable[..., Outcome]
@@ -37,7 +37,7 @@ def trained(streets: Path, cache: Path, tmp_path_factory: pytest.TempPathFactory
 
     def run(kind: str, *changes: str, out: str = "", **more: Any) -> Outcome:
         folder = runs / out if out else tmp_path_factory.mktemp("run") / "run"
-        request = Request(str(streets), folder, prepared=cache / kind, quiet=True)
+        request = TrainingRequest(str(streets), folder, prepared=cache / kind, quiet=True)
         return train(training_of(kind, *changes), replace(request, **more))
 
     return run
@@ -46,15 +46,17 @@ def trained(streets: Path, cache: Path, tmp_path_factory: pytest.TempPathFactory
 @pytest.fixture(scope="session")
 def shared_run(
     streets: Path, cache: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Training, Request]:
+) -> tuple[Training, TrainingRequest]:
     training, out = training_of("patches"), tmp_path_factory.mktemp("finished") / "run"
-    request = Request(str(streets), out, prepared=cache / "patches", quiet=True)
+    request = TrainingRequest(str(streets), out, prepared=cache / "patches", quiet=True)
     train(training, request)
     return training, request
 
 
 @pytest.fixture
-def finished(shared_run: tuple[Training, Request], tmp_path: Path) -> tuple[Training, Request]:
+def finished(
+    shared_run: tuple[Training, TrainingRequest], tmp_path: Path
+) -> tuple[Training, TrainingRequest]:
     """Return a finished run on patches, a copy that a test may change, and its request."""
     training, request = shared_run
     out = shutil.copytree(request.out, tmp_path / "finished")

@@ -33,7 +33,7 @@ from roadtorch.train.augmentation import (
     wet_road,
 )
 from roadtorch.train.teachers import TARGET_PLANES, Targets
-from tests.draws import seeded
+from tests.draws import seeded_generator
 from tests.streets import scene
 
 STILL = GeometryAugmentation(scale=0, stretch=0, rotation=0, translation=0)
@@ -51,8 +51,8 @@ def sides(images: list[Tensor], expected: Tensor, atol: float = 1e-5) -> list[in
 
 
 def test_without_shift_a_frame_is_the_image_or_its_mirror_image() -> None:
-    maps = torch.rand(2, 9, 12, generator=seeded(1))
-    frames = sample_affine(6, (9, 12), STILL, seeded(2))
+    maps = torch.rand(2, 9, 12, generator=seeded_generator(1))
+    frames = sample_affine(6, (9, 12), STILL, seeded_generator(2))
     images = warp_affine(maps.expand(6, -1, -1, -1), frames, "border")
     assert set(sides(list(images), maps)) == {1, -1}
 
@@ -61,7 +61,7 @@ def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
     rows = torch.linspace(0, 1, 80)[None, None, :, None].expand(8, 1, 80, 60)
 
     frames = sample_affine(
-        8, (80, 60), GeometryAugmentation(crop_probability=1.0, max_crop=0.5), seeded(5)
+        8, (80, 60), GeometryAugmentation(crop_probability=1.0, max_crop=0.5), seeded_generator(5)
     )
     images = warp_affine(rows, frames, "border")
 
@@ -76,11 +76,13 @@ def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
 
 def test_light_changes_the_image_and_stays_in_range() -> None:
     images = torch.stack([scene(seed, 60, 80).image for seed in range(4)])
-    lit = jitter_light(images, LightAugmentation(), seeded(3))
+    lit = jitter_light(images, LightAugmentation(), seeded_generator(3))
     assert 0 <= lit.min() <= lit.max() <= 1
     assert ((lit - images).abs().mean((1, 2, 3)) > 0.01).all()
     none = LightAugmentation(gamma=0, gain=0, tint=0, saturation=0, noise=0)
-    torch.testing.assert_close(jitter_light(images, none, seeded(3)), images, atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        jitter_light(images, none, seeded_generator(3)), images, atol=1e-4, rtol=0
+    )
 
 
 def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
@@ -88,7 +90,7 @@ def test_at_night_the_road_ahead_is_lit_and_the_ego_car_is_dark() -> None:
     unlit[..., 70:, :] = 1
     settings = NightAugmentation(min_brightness=0.05, lamps=0)
 
-    nights = [darken_to_night(day, unlit, settings, seeded(seed)) for seed in range(12)]
+    nights = [darken_to_night(day, unlit, settings, seeded_generator(seed)) for seed in range(12)]
 
     for night in nights:
         assert night[..., 44:66, 24:36].amax() > 2 * night[..., :20, :].amax()
@@ -119,7 +121,7 @@ FIRST, LAST = slice(40, 46), slice(66, 72)  # rows of the ground, far and near
 def test_weather_changes_what_it_lies_on(weather, changed, unchanged) -> None:
     image, scene = street()
     by = [
-        (weather(image, scene, WeatherAugmentation(), seeded(seed)) - image).abs()
+        (weather(image, scene, WeatherAugmentation(), seeded_generator(seed)) - image).abs()
         for seed in range(8)
     ]
     change = torch.stack(by).mean(0)
@@ -134,7 +136,7 @@ def test_weather_changes_what_it_lies_on(weather, changed, unchanged) -> None:
 def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:
     black, unlit = torch.zeros(1, 3, 80, 60), torch.ones(1, 1, 80, 60)
     for seed in range(6):
-        night = darken_to_night(black, unlit, NightAugmentation(lamps=20), seeded(seed))
+        night = darken_to_night(black, unlit, NightAugmentation(lamps=20), seeded_generator(seed))
         assert night[..., :48, :].amax() > 0.3
         assert night[..., 60:, :].amax() < 0.05
 
@@ -144,7 +146,7 @@ def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
     road, ground = torch.zeros(2, 1, 1, 40, 60)
     road[..., 30:, :], ground[..., 20:30, :] = 1, 1
 
-    changed = retexture_road(image, road, ground, SurfaceAugmentation(), seeded(6))
+    changed = retexture_road(image, road, ground, SurfaceAugmentation(), seeded_generator(6))
 
     assert torch.equal(changed[..., :20, :], image[..., :20, :])
     on_road, on_ground = (
@@ -158,7 +160,7 @@ def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
 def test_a_shadow_darkens_a_band_of_the_lower_part_and_nothing_else() -> None:
     image, settings = torch.full((1, 3, 80, 60), 0.8), ShadowAugmentation(min_brightness=0.25)
 
-    images = [add_shadow(image, settings, seeded(seed)) for seed in range(20)]
+    images = [add_shadow(image, settings, seeded_generator(seed)) for seed in range(20)]
 
     for dark in images:
         assert torch.allclose(dark[..., :12, :], image[..., :12, :], atol=1e-3)
@@ -175,12 +177,12 @@ def car_of(height: int, width: int, rows: int) -> EgoCar:
     """Return a frame of noise whose lowest rows are the ego car."""
     ego = torch.zeros(1, 1, height, width)
     ego[..., height - rows :, :] = 1
-    return EgoCar(torch.rand(1, 3, height, width, generator=seeded(9)), ego)
+    return EgoCar(torch.rand(1, 3, height, width, generator=seeded_generator(9)), ego)
 
 
 def test_on_the_ego_car_there_is_no_road_no_layout_and_the_rest_stays() -> None:
-    image = torch.rand(1, 3, 8, 10, generator=seeded(1))
-    targets = torch.rand(1, sum(TARGET_PLANES), 8, 10, generator=seeded(2))
+    image = torch.rand(1, 3, 8, 10, generator=seeded_generator(1))
+    targets = torch.rand(1, sum(TARGET_PLANES), 8, 10, generator=seeded_generator(2))
     car = car_of(8, 10, 3)
 
     covered, planes = paste_ego_car(image, targets, car)
@@ -197,7 +199,9 @@ def test_on_the_ego_car_there_is_no_road_no_layout_and_the_rest_stays() -> None:
 
 def test_a_varied_car_covers_the_lower_edge_in_bounds_and_is_larger_or_brighter() -> None:
     settings = EgoCarAugmentation(growth=0.7, shrinkage=0.3, widening=0.25)
-    cars = [jitter_ego_car(car_of(80, 60, 20), settings, seeded(seed)) for seed in range(30)]
+    cars = [
+        jitter_ego_car(car_of(80, 60, 20), settings, seeded_generator(seed)) for seed in range(30)
+    ]
 
     for car in cars:
         assert (car.ego[0, 0, -1] == 1).all()
@@ -221,7 +225,7 @@ def write_frame(path: Path, level: int) -> Path:
 
 def test_each_recording_is_lent_as_often_however_many_frames_it_has(tmp_path: Path) -> None:
     frames = [write_frame(tmp_path / f"{level}.npz", level) for level in range(6)]
-    recordings, at = {"one": frames[:1], "five": frames[1:]}, seeded(4)
+    recordings, at = {"one": frames[:1], "five": frames[1:]}, seeded_generator(4)
 
     cars = [sample_ego_car(recordings, STILL_CAR, at) for _ in range(300)]
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from roadtorch.base.atomic import locked
+from roadtorch.base.atomic import lock_folder
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
 from roadtorch.train.config import Descent, PatchTraining, Training, build_training
-from roadtorch.train.run import Request, train
+from roadtorch.train.run import TrainingRequest, train
 from tests.command import Call
 from tests.train.runs import PATCHES, write_config, write_streets
 
@@ -40,7 +40,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
-    finished: tuple[Training, Request], streets: Path, tmp_path: Path
+    finished: tuple[Training, TrainingRequest], streets: Path, tmp_path: Path
 ) -> None:
     training, request = finished
     values = training.model_dump()
@@ -51,11 +51,11 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
     images = str(write_streets(tmp_path / "other", 2))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "log.csv").write_text("mine")
-    foreign = Request(str(streets), tmp_path / "mine")
+    foreign = TrainingRequest(str(streets), tmp_path / "mine")
     save_network(tmp_path / "network", PatchNetwork(), {})
     start = build_training({**values, "initial_weights": str(tmp_path / "network")})
-    new = Request(str(streets), tmp_path / "new")
-    rows: list[tuple[Training, Request, type[RoadtorchError], str]] = [
+    new = TrainingRequest(str(streets), tmp_path / "new")
+    rows: list[tuple[Training, TrainingRequest, type[RoadtorchError], str]] = [
         (whole, request, ConfigError, "holds a run with other settings"),
         (changed, request, ConfigError, "holds a run with other settings"),
         (training, replace(request, images=images), ConfigError, "holds a run with other images"),
@@ -67,7 +67,7 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
         with pytest.raises(error, match=message):
             train(run, refused)
         assert (contents(refused.out) if refused.out.exists() else None) == old
-    with locked(request.out), pytest.raises(InputError, match="another run is writing here"):
+    with lock_folder(request.out), pytest.raises(InputError, match="another run is writing here"):
         train(training, request)
 
 
@@ -81,7 +81,7 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
     ],
 )
 def test_checkpoints_that_cannot_be_used_are_refused(
-    state: object, message: str, finished: tuple[Training, Request]
+    state: object, message: str, finished: tuple[Training, TrainingRequest]
 ) -> None:
     training, request = finished
     path = request.out / "checkpoint.pt"

@@ -15,7 +15,7 @@ from roadtorch.run.memo import write_arrays
 from roadtorch.testing.scenes import write_image
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.teachers import teacher_agreement
-from tests.command import invoked
+from tests.command import invoke_command
 from tests.streets import scene
 from tests.train.runs import IMAGES, training_of, write_config
 
@@ -31,7 +31,7 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-run = partial(invoked, train_command)
+run = partial(invoke_command, train_command)
 
 
 def words(out: Path, images: Path, *more: object) -> list[object]:

@@ -9,17 +9,17 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from roadtorch.annotate.session import import_event
+from roadtorch.annotate.session import make_import_event
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import read_settings_file
 from roadtorch.cli.train import train_command
-from roadtorch.data.corrections import Correction, EventLog, LogHead, log_path
+from roadtorch.data.corrections import Correction, EventLog, LogHeader, log_path
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.layout.weights import corrected_images, load_network, people_behind
+from roadtorch.layout.weights import count_corrected_images, load_network, read_correction_runs
 from roadtorch.train.config import PatchTraining, Training, build_training
 from roadtorch.train.corrections import write_fusion_config
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, merge_corrections, oversample
-from roadtorch.train.run import FUSION_CONFIG, Outcome, Request, make_recipe, train
+from roadtorch.train.run import FUSION_CONFIG, Outcome, TrainingRequest, make_recipe, train
 from roadtorch.train.teachers import Targets
 from roadtorch.train.whole_images import corrected_targets, reweight_corrected
 from tests.train.conftest import Trained
@@ -153,11 +153,11 @@ def test_a_run_paces_its_steps_by_the_corrected_images(
 def test_weights_say_that_people_corrected_images(kind: str, runs: dict[str, Outcome]) -> None:
     weights = runs[kind].weights
     assert weights is not None
-    (summary,) = people_behind(weights)
+    (summary,) = read_correction_runs(weights)
     assert (summary["images"], summary["pixels"]) == (1, 3 * 60 * 80 // 4)
     assert "not label-free" in weights.with_suffix(".md").read_text()
-    assert corrected_images({"weights": {"file": str(weights)}}) == 1
-    assert corrected_images({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
+    assert count_corrected_images({"weights": {"file": str(weights)}}) == 1
+    assert count_corrected_images({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
     assert json.loads((weights.parent / "run.json").read_text())["corrections"] == summary
     config = weights.parent / FUSION_CONFIG
     assert config.exists() == (kind == "images")
@@ -173,13 +173,13 @@ def test_what_starts_there_is_not_label_free(trained: Trained, runs: dict[str, O
         "patches", f"initial_weights={first}", "stopping.epochs=1", out="second"
     ).weights
     assert second
-    assert people_behind(second) == people_behind(first) != []
+    assert read_correction_runs(second) == read_correction_runs(first) != []
 
 
 def test_the_command_reads_what_annotate_kept(streets: Path, cache: Path, tmp_path: Path) -> None:
     name, logs = "street_1.png", tmp_path / "corrections"
-    head = LogHead(image=f"elsewhere/{name}", height=60, width=80)
-    EventLog(log_path(logs, name), head).add(import_event(quarters(60, 80).astype(np.uint8)))
+    head = LogHeader(image=f"elsewhere/{name}", height=60, width=80)
+    EventLog(log_path(logs, name), head).add(make_import_event(quarters(60, 80).astype(np.uint8)))
     config = write_config(tmp_path / "train.toml", PATCHES)
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
     words += ["--corrections", logs, "--corrected-images", streets, "--prepared", cache / "patches"]
@@ -187,12 +187,12 @@ def test_the_command_reads_what_annotate_kept(streets: Path, cache: Path, tmp_pa
     result = CliRunner().invoke(train_command, [str(word) for word in words])
 
     assert result.exit_code == 0, result.output
-    (summary,) = people_behind(tmp_path / "run" / "weights.safetensors")
+    (summary,) = read_correction_runs(tmp_path / "run" / "weights.safetensors")
     assert summary["images"] == 1
 
 
 def test_other_corrections_are_refused(
-    finished: tuple[Training, Request], street: Correction, streets: Path, tmp_path: Path
+    finished: tuple[Training, TrainingRequest], street: Correction, streets: Path, tmp_path: Path
 ) -> None:
     training, request = finished
     for corrections, error, message in (

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflected
+from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflect_pad
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
 from roadtorch.train.patches import (
@@ -27,7 +27,7 @@ from roadtorch.train.patches import (
     squared_error,
 )
 from roadtorch.train.training_loop import Batch
-from tests.draws import seeded
+from tests.draws import seeded_generator
 from tests.reference import network as reference
 from tests.streets import scene
 
@@ -78,9 +78,9 @@ def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 
 
 
 def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> None:
-    pixels = torch.randn(3, 20, 24, generator=seeded(1))
+    pixels = torch.randn(3, 20, 24, generator=seeded_generator(1))
     centres = torch.tensor([[0, 0], [19, 23], [7, 12]])
-    framed = reflected(pixels, 32)
+    framed = reflect_pad(pixels, 32)
     expected = [framed[:, r : r + 32, c : c + 32] for r, c in centres.tolist()]
     patches = sample_patches(pixels, drawn(centres), 32)
     torch.testing.assert_close(patches, torch.stack(expected), atol=1e-4, rtol=0)
@@ -89,7 +89,7 @@ def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> N
 @settings(max_examples=15)
 @given(st.floats(0.6, 1.4), st.floats(-17, 17), st.integers(0, 17), st.integers(0, 22))
 def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, column: int) -> None:
-    pixels = torch.rand(3, 18, 23, generator=seeded(2))
+    pixels = torch.rand(3, 18, 23, generator=seeded_generator(2))
     turn = math.radians(degrees)
     centre = torch.tensor([[row, column]])
 
@@ -100,7 +100,7 @@ def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, co
 
 
 def test_variation_stays_within_its_bounds_and_fills_them() -> None:
-    draw = sample_variation(torch.zeros(4000, 2), PatchAugmentation(), seeded(0))
+    draw = sample_variation(torch.zeros(4000, 2), PatchAugmentation(), seeded_generator(0))
 
     for values, low, high in [
         (draw.scale, 0.6, 1.4),
@@ -112,7 +112,7 @@ def test_variation_stays_within_its_bounds_and_fills_them() -> None:
 
 
 def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
-    generator = seeded(5)
+    generator = seeded_generator(5)
     settings = PatchAugmentation(min_noise=0.8, max_noise=0.8)
     draw = sample_variation(torch.zeros(300, 2), settings, generator)
 
@@ -129,7 +129,7 @@ def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Write three prepared images with 7, 40 and 0 patches; the class is the row modulo 3."""
-    folder, generator = tmp_path_factory.mktemp("prepared"), seeded(9)
+    folder, generator = tmp_path_factory.mktemp("prepared"), seeded_generator(9)
     for number, count in enumerate((7, 40, 0)):
         image = torch.randint(256, (3, 30, 40), generator=generator).to(torch.uint8)
         centres = torch.randint(30, (count, 2), generator=generator).to(torch.int16)
@@ -166,7 +166,7 @@ def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
 
 def test_the_loss_is_the_sum_of_squares_to_one_hot() -> None:
     network = PatchNetwork(PatchNetworkSettings())
-    inputs = torch.randn(4, 3, 32, 32, generator=seeded(3))
+    inputs = torch.randn(4, 3, 32, 32, generator=seeded_generator(3))
     targets, weights = torch.tensor([0, 2, 1, 1]), torch.tensor([1.0, 2.0, 1.0, 0.5])
 
     loss = squared_error(network, Batch(inputs, targets, weights))

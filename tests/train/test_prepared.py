@@ -10,10 +10,10 @@ import torch
 
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.run.memo import Arrays, key_of, read_arrays, write_arrays
+from roadtorch.run.memo import Arrays, cache_key, read_arrays, write_arrays
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings
 from roadtorch.train.prepared import Preparation, PreparedImage, prepare
@@ -38,18 +38,18 @@ def images(tmp_path: Path) -> list[Item]:
 
 
 def key_with(settings: dict[str, int], image: Item) -> str:
-    return key_of(settings, image.path)
+    return cache_key(settings, image.path)
 
 
 def prepared(
     path: Path,
     images: list[Item],
     make: Callable[[torch.Tensor, str], Arrays],
-    stop: Stop | None = None,
+    stop: StopRequest | None = None,
     **settings: int,
 ) -> list[PreparedImage]:
     preparation = Preparation(path / "kept", partial(key_with, settings), make)
-    return prepare(images, preparation, stop or Stop(), quiet=True)
+    return prepare(images, preparation, stop or StopRequest(), quiet=True)
 
 
 def test_images_are_made_ready_once(tmp_path: Path, images: list[Item]) -> None:
@@ -131,7 +131,7 @@ def test_arrays_come_back_all_or_those_that_are_named(tmp_path: Path) -> None:
 
 NUMBERED = Recordings(separator="_", min_frames=8)
 FEW = Recordings(separator="_", min_frames=3)
-ALONE = (Stop(), True)
+ALONE = (StopRequest(), True)
 
 
 def overlap(a: torch.Tensor, b: torch.Tensor) -> float:
@@ -180,7 +180,7 @@ def test_the_ego_car_of_a_recording_is_found_cut_to_each_size_and_not_looked_for
     assert {name.partition("_")[0] for name in cars} == {"bonnet"}
     assert read_ego(cars.get("street_0"), image) is None
 
-    monkeypatch.setattr(recordings, "still_ego", lambda _: pytest.fail("looked again"))
+    monkeypatch.setattr(recordings, "detect_ego_car", lambda _: pytest.fail("looked again"))
     assert find_ego_cars(footage, tmp_path, NUMBERED, *ALONE) == cars
 
 
@@ -191,7 +191,7 @@ def test_the_ego_car_of_a_recording_is_found_cut_to_each_size_and_not_looked_for
 def examined(monkeypatch: pytest.MonkeyPatch) -> list[list[torch.Tensor]]:
     """Return the frames in which ego cars are looked for, without finding any."""
     calls: list[list[torch.Tensor]] = []
-    monkeypatch.setattr(recordings, "still_ego", calls.append)
+    monkeypatch.setattr(recordings, "detect_ego_car", calls.append)
     return calls
 
 
@@ -225,8 +225,8 @@ def test_nothing_is_looked_at_without_a_separator_or_after_a_request_to_stop(
     footage: list[Item], examined: list[list[torch.Tensor]], tmp_path: Path
 ) -> None:
     assert find_ego_cars(footage, tmp_path, Recordings(), *ALONE) == {}
-    stop = Stop()
-    stop.ask(15)
+    stop = StopRequest()
+    stop.request(15)
     find_ego_cars(footage, tmp_path, NUMBERED, stop, True)
     assert not examined
     assert not list(tmp_path.iterdir())

@@ -12,13 +12,13 @@ import torch
 from torch import nn
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
-from roadtorch.train.folder import RunFolder
-from roadtorch.train.run import Outcome, Request, make_recipe, train
+from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
+from roadtorch.train.run_folder import RunFolder
 from roadtorch.train.teachers import TARGET_PLANES
 from roadtorch.train.training_loop import (
     WARM_UP_STEPS,
@@ -29,7 +29,7 @@ from roadtorch.train.training_loop import (
 )
 from roadtorch.train.whole_images import image_loss
 from tests.command import Call
-from tests.draws import seeded
+from tests.draws import seeded_generator
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write_config
 
@@ -56,7 +56,9 @@ def whole(trained: Trained) -> dict[str, Path]:
 # --- whole runs ------------------------------------------------------------------------------
 
 
-def test_a_run_leaves_weights_a_log_a_curve_and_a_list(finished: tuple[Training, Request]) -> None:
+def test_a_run_leaves_weights_a_log_a_curve_and_a_list(
+    finished: tuple[Training, TrainingRequest],
+) -> None:
     training, request = finished
 
     outcome = train(training, request)  # there is nothing left to do
@@ -214,9 +216,9 @@ def stepped(precision: str) -> tuple[float, ImageNetwork]:
     descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})
     loss = partial(image_loss, training=ImageTraining())
     no_samples = (1, lambda *_: iter(()))
-    last = (TrainingProgress(), RunFolder(Path()), Stop())
-    targets = torch.rand(2, sum(TARGET_PLANES), 32, 40, generator=seeded(1))
-    batch = Batch(torch.randn(2, 3, 32, 40, generator=seeded(2)), targets, torch.ones(2))
+    last = (TrainingProgress(), RunFolder(Path()), StopRequest())
+    targets = torch.rand(2, sum(TARGET_PLANES), 32, 40, generator=seeded_generator(1))
+    batch = Batch(torch.randn(2, 3, 32, 40, generator=seeded_generator(2)), targets, torch.ones(2))
     return Loop(network, *no_samples, loss, descent, Stopping(), *last).step(batch), network
 
 

@@ -7,13 +7,13 @@ import torch
 from torch import nn
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
 from roadtorch.imaging.levels import otsu_threshold
-from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.image_network import OUTPUTS, ImageNetwork, ImageNetworkSettings
-from roadtorch.road.fusion import log_odds
+from roadtorch.layout.classes import NUM_CLASSES
+from roadtorch.layout.image_network import NUM_OUTPUTS, ImageNetwork, ImageNetworkSettings
+from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import ImageTraining, Rounds, Teacher, build_training
 from roadtorch.train.teachers import (
@@ -26,7 +26,7 @@ from roadtorch.train.teachers import (
     shows_ego_car,
     teacher_maps,
 )
-from tests.draws import seeded
+from tests.draws import seeded_generator
 from tests.streets import scene
 from tests.train.runs import bonnet
 
@@ -59,7 +59,7 @@ def test_the_threshold_becomes_one_half_and_the_ends_stay() -> None:
 
 def test_in_each_image_the_cut_that_parts_it_best_becomes_one_half() -> None:
     """Compare two cameras on the same road, one with lower likelihoods."""
-    odds = torch.randn(1, 1, 20, 30, generator=seeded(3)).repeat(2, 1, 1, 1)
+    odds = torch.randn(1, 1, 20, 30, generator=seeded_generator(3)).repeat(2, 1, 1, 1)
     odds[:, :, 10:] += 4
     odds[1] -= 3
     cameras = odds.sigmoid()
@@ -91,7 +91,7 @@ def test_only_certain_pixels_count() -> None:
     targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), None, settings, Rounds())
 
     assert weights(targets) == ([1, 0, 1], [1, 0, 1])
-    torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
+    torch.testing.assert_close(targets.layout, teacher[:, :NUM_CLASSES])
 
 
 def test_only_agreement_with_the_network_to_start_from_counts() -> None:
@@ -105,7 +105,7 @@ def test_only_agreement_with_the_network_to_start_from_counts() -> None:
     )
 
     assert weights(targets) == ([1, 0, 1], [1, 0, 0])
-    torch.testing.assert_close(targets.layout, (teacher + network[:, :4])[:, :CLASSES] / 2)
+    torch.testing.assert_close(targets.layout, (teacher + network[:, :4])[:, :NUM_CLASSES] / 2)
 
 
 def test_the_teacher_alone_can_give_the_targets() -> None:
@@ -113,8 +113,8 @@ def test_the_teacher_alone_can_give_the_targets() -> None:
 
     targets = make_targets(teacher, ego_of(0.5), network, EVEN, Rounds(combine="teacher"))
 
-    torch.testing.assert_close(targets.layout, teacher[:, :CLASSES])
-    torch.testing.assert_close(targets.road, teacher[:, CLASSES:])
+    torch.testing.assert_close(targets.layout, teacher[:, :NUM_CLASSES])
+    torch.testing.assert_close(targets.road, teacher[:, NUM_CLASSES:])
     assert targets.layout_weight.item() == 1
 
 
@@ -162,21 +162,21 @@ def test_the_teacher_gives_layout_and_road() -> None:
 
     maps = teacher_maps(image, teacher)
 
-    torch.testing.assert_close(maps[:CLASSES], teacher.detect(image).cues["layout"])
-    torch.testing.assert_close(maps[CLASSES], teacher.detect(image).likelihood)
+    torch.testing.assert_close(maps[:NUM_CLASSES], teacher.detect(image).cues["layout"])
+    torch.testing.assert_close(maps[NUM_CLASSES], teacher.detect(image).likelihood)
     with pytest.raises(ConfigError, match="prior:rows has no layout among its cues"):
         teacher_maps(image, load_detector("prior:rows"))
 
 
 def test_a_vote_with_the_mirror_image_has_no_side() -> None:
     network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8)).eval()
-    image = torch.rand(3, 32, 40, generator=seeded(6))
+    image = torch.rand(3, 32, 40, generator=seeded_generator(6))
 
     vote = network_maps(network, image)
 
     torch.testing.assert_close(vote, network_maps(network, image.flip(-1)).flip(-1))
-    assert vote.shape == (OUTPUTS, 32, 40)
-    torch.testing.assert_close(vote[:CLASSES].sum(0), torch.ones(32, 40))
+    assert vote.shape == (NUM_OUTPUTS, 32, 40)
+    torch.testing.assert_close(vote[:NUM_CLASSES].sum(0), torch.ones(32, 40))
 
 
 # --- prepared images --------------------------------------------------------------------
@@ -252,7 +252,7 @@ def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
         write_arrays(file, {"image": torch.zeros(3, 32, 40, dtype=torch.uint8)})
 
     def labelled() -> list[torch.Tensor]:
-        names = label_with_network(files, tmp_path / "labels", network, Stop(), quiet=True)
+        names = label_with_network(files, tmp_path / "labels", network, StopRequest(), quiet=True)
         return [read_arrays(name, "maps")["maps"] for name in names]
 
     first, again = labelled()

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadtorch.base.signals import Stop
+from roadtorch.base.signals import StopRequest
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import HeadWeights, ImageTraining, build_training
 from roadtorch.train.teachers import TARGET_PLANES, Targets
@@ -19,7 +19,7 @@ from roadtorch.train.whole_images import (
     sample_members,
     target_loss,
 )
-from tests.draws import seeded
+from tests.draws import seeded_generator
 
 SAME_LIGHT = {"gamma": 0.0, "gain": 0.0, "tint": 0.0, "saturation": 0.0, "noise": 0.0}
 SAME_FRAME = {"scale": 0.0, "stretch": 0.0, "rotation": 0.0, "translation": 0.0}
@@ -39,7 +39,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("prepared")
     paths = [folder / f"{number}.npz" for number in range(5)]
     for number, path in enumerate(paths):
-        maps = torch.randint(256, (4, 32, 40), generator=seeded(number)).to(torch.uint8)
+        maps = torch.randint(256, (4, 32, 40), generator=seeded_generator(number)).to(torch.uint8)
         image = torch.full((3, 32, 40), 40 * number, dtype=torch.uint8)
         ego = torch.full((32, 40), 128, dtype=torch.uint8)
         if number == 4:
@@ -103,7 +103,9 @@ def test_every_image_can_get_an_ego_car(files: list[Path]) -> None:
 def test_visits_are_fair_to_less_than_a_whole_one(values: list[float], seed: int) -> None:
     weights = torch.tensor(values)
 
-    visits = sample_members(weights, len(weights), seeded(seed)).bincount(minlength=len(weights))
+    visits = sample_members(weights, len(weights), seeded_generator(seed)).bincount(
+        minlength=len(weights)
+    )
 
     fair = weights.double() / weights.double().sum() * len(weights)
     assert visits.sum() == len(weights)
@@ -125,8 +127,8 @@ def test_recordings_follow_from_names(balance: float, weight: float, tmp_path: P
     recordings = {"separator": "_", "balance": balance}
     recipe = ImageRecipe(training_of(recordings=recordings, teacher={"detector": "labeller"}))
 
-    recipe.survey([], folder, Stop(), True)
-    samples = recipe.make_samples(TrainingInputs(files, {}, None, tmp_path), Stop(), True)
+    recipe.survey([], folder, StopRequest(), True)
+    samples = recipe.make_samples(TrainingInputs(files, {}, None, tmp_path), StopRequest(), True)
 
     assert samples.sampling_weights.tolist() == pytest.approx([weight, weight, weight, 1, 1])
     assert samples.ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
@@ -169,8 +171,8 @@ def test_targets_are_the_best_class_or_the_potentials(kind: str) -> None:
 
 def test_targets_are_averaged_to_the_size_of_the_scores() -> None:
     training = training_of(teacher={"targets": "soft"})
-    fine = torch.rand(2, 8, 6, 8, generator=seeded(0))
-    scores = torch.randn(2, 5, 3, 4, generator=seeded(1))
+    fine = torch.rand(2, 8, 6, 8, generator=seeded_generator(0))
+    scores = torch.randn(2, 5, 3, 4, generator=seeded_generator(1))
 
     loss = image_loss(torch.nn.Identity(), Batch(scores, fine, torch.ones(2)), training)
 

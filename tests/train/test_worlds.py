@@ -7,7 +7,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from roadtorch.camera.ground import Lens, distorted
+from roadtorch.camera.ground import Lens, distort_points
 from train.worlds.framing import measure_framing
 from train.worlds.lens import (
     SENSOR,
@@ -44,7 +44,7 @@ def test_a_sampled_fisheye_is_the_lens_that_is_written(seed: int) -> None:
     angles = np.linspace(0.05, np.radians(min(fisheye.view / 2, 85)), 7)
     radii = bend(angles, fisheye.coefficients)
 
-    pixels = distorted(lens, np.stack([np.tan(angles), np.zeros(7)], 1))
+    pixels = distort_points(lens, np.stack([np.tan(angles), np.zeros(7)], 1))
     assert pixels[:, 0] == pytest.approx(fisheye.centre_x + fisheye.focal_x * radii, abs=0.01)
     assert mount["view"] == pytest.approx(fisheye.view, abs=0.01)
 

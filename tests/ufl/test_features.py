@@ -6,9 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadtorch.ufl import features, maps, preprocess
+from roadtorch.ufl import feature_maps, features, preprocess
+from roadtorch.ufl.feature_maps import MapSettings
 from roadtorch.ufl.features import DictionarySettings
-from roadtorch.ufl.maps import MapSettings
 from tests.draws import random
 from tests.reference import ufl as reference
 
@@ -58,7 +58,7 @@ def test_the_seed_determines_initial_bases_of_noise_or_patches() -> None:
 
     def start(kind: str, random_seed: int) -> torch.Tensor:
         values = {"init": kind, "random_seed": random_seed, "bases": 1000}
-        return features.start_dictionary(points, DictionarySettings.model_validate(values))
+        return features.initial_dictionary(points, DictionarySettings.model_validate(values))
 
     for kind in ("noise", "patches"):
         assert torch.equal(start(kind, 3), start(kind, 3))
@@ -81,7 +81,7 @@ def test_responses_follow_equations_3_and_4(kind: str, seed: int, bases: int) ->
     points, dictionary = random(35, 4, seed=seed), random(bases, 4, seed=seed + 1)
     settings = MapSettings.model_validate({"encoder": kind})
 
-    responses = maps.make_encoder(points, dictionary, settings.encoder)(dictionary)
+    responses = feature_maps.make_encoder(points, dictionary, settings.encoder)(dictionary)
 
     expected = reference.responses(points.numpy(), dictionary.numpy(), kind)
     np.testing.assert_allclose(responses.numpy(), expected, atol=1e-6)
@@ -93,7 +93,7 @@ def test_the_best_maps_are_selected_best_first(kind: str, fraction: float, count
     points, dictionary = random(35, 4), random(41, 4, seed=1)
     settings = MapSettings.model_validate({"encoder": kind, "fraction": fraction})
 
-    selected = maps.select_maps(points, dictionary, SIZE, settings)
+    selected = feature_maps.select_maps(points, dictionary, SIZE, settings)
 
     responses = reference.responses(points.numpy(), dictionary.numpy(), kind)
     unit = responses / responses.max(axis=1, keepdims=True)
@@ -136,7 +136,7 @@ def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, reach: 
 def test_equalisation_is_invariant_to_brightness() -> None:
     image = 0.2 + 0.5 * random(3, 20, 24)
 
-    bright, dark = (preprocess.equalised(image * gain, preprocess.Smoothing()) for gain in (1, 0.1))
+    bright, dark = (preprocess.equalise(image * gain, preprocess.Smoothing()) for gain in (1, 0.1))
 
     np.testing.assert_allclose(bright, dark, rtol=1e-7)
 
@@ -145,7 +145,7 @@ def test_black_stays_black_where_the_program_divides_0_by_0() -> None:
     image = 0.3 + 0.3 * random(3, 32, 32)
     image[:, 5:25, 5:25] = 0
 
-    equalised = preprocess.equalised(image, preprocess.Smoothing())
+    equalised = preprocess.equalise(image, preprocess.Smoothing())
 
     assert equalised.isfinite().all()
     assert (equalised[:, 12:18, 12:18] == 0).all()
@@ -155,9 +155,9 @@ def test_black_stays_black_where_the_program_divides_0_by_0() -> None:
 def test_bicubic_keeps_flat_images_and_8_bits(size: tuple[int, int]) -> None:
     flat = torch.full((3, 20, 30), 77 / 255, dtype=torch.float64)
 
-    assert preprocess.bicubic(flat, (20, 30)) is flat
-    assert preprocess.bicubic(flat, size).unique().tolist() == [77 / 255]
-    levels = preprocess.bicubic(random(3, 20, 30), size) * 255
+    assert preprocess.resize_bicubic(flat, (20, 30)) is flat
+    assert preprocess.resize_bicubic(flat, size).unique().tolist() == [77 / 255]
+    levels = preprocess.resize_bicubic(random(3, 20, 30), size) * 255
     np.testing.assert_allclose(levels, levels.round(), atol=1e-9)
 
 
@@ -166,7 +166,7 @@ def test_bicubic_halves_with_the_stretched_cubic_kernel() -> None:
     taps = np.array([-3, -9, 29, 111, 111, 29, -9, -3]) / 256
     image = (random(1, 1, 16).expand(3, 16, 16) * 255).round() / 255
 
-    halved = preprocess.bicubic(image, (8, 8))
+    halved = preprocess.resize_bicubic(image, (8, 8))
 
     row = image[0, 0].numpy() * 255
     expected = np.floor(np.clip(row[3:11] @ taps, 0, 255) + 0.5)

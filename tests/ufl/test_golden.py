@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.image import read_image
-from roadtorch.ufl import features, hierarchy, maps, preprocess, road
+from roadtorch.ufl import feature_maps, features, hierarchy, preprocess, road
 
 pytestmark = pytest.mark.data
 GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "ufl"
@@ -58,7 +58,7 @@ def close(values: Tensor, stored: Tensor, atol: float = STORED) -> None:
 @cache
 def equalised(golden: Golden, dtype: torch.dtype = torch.float64) -> Tensor:
     """Equalise the image: the stored stage is rounded, and normalisation magnifies that."""
-    return preprocess.equalised(golden.image.to(dtype), preprocess.Smoothing())
+    return preprocess.equalise(golden.image.to(dtype), preprocess.Smoothing())
 
 
 @cache
@@ -69,18 +69,18 @@ def white(golden: Golden, dtype: torch.dtype = torch.float64) -> Tensor:
 
 @cache
 def found_tree(golden: Golden) -> hierarchy.RegionTree:
-    steps = hierarchy.thresholds(16, "included")
+    steps = hierarchy.region_thresholds(16, "included")
     return hierarchy.build_tree(hierarchy.threshold_regions(golden["mean_map"], steps), 50)
 
 
 @cache
-def selected(golden: Golden) -> maps.FeatureMaps:
+def selected(golden: Golden) -> feature_maps.FeatureMaps:
     dictionary = golden.patches("centroids_final")
-    return maps.select_maps(white(golden), dictionary, MAP, maps.MapSettings())
+    return feature_maps.select_maps(white(golden), dictionary, MAP, feature_maps.MapSettings())
 
 
 def test_from_the_image_to_white_patches(golden: Golden) -> None:
-    assert torch.equal(preprocess.bicubic(golden.full, (120, 160)).double(), golden.image)
+    assert torch.equal(preprocess.resize_bicubic(golden.full, (120, 160)).double(), golden.image)
     smooth = preprocess.blur(golden.image, 1.5, 3)
     close(smooth.permute(1, 2, 0), golden["blurred"], 1e-7)
     close(preprocess.brightness(smooth, 0.5, 2), golden["brightness"], 1e-7)
@@ -98,18 +98,18 @@ def test_from_the_image_to_white_patches(golden: Golden) -> None:
 
 
 def test_scores_order_selected_maps_and_their_mean(golden: Golden) -> None:
-    feature_maps, dictionary = selected(golden), golden.patches("centroids_final")
+    selection, dictionary = selected(golden), golden.patches("centroids_final")
 
     # A score is a sum of 17,825 terms up to 57.
-    close(feature_maps.scores, golden["scores_program"], 0.1)
-    weights = maps.row_weights(115, "from_one").repeat_interleave(155)
-    responses = maps.make_encoder(white(golden), dictionary)(dictionary)
-    close(maps.score_maps(responses, weights), golden["scores_text"], 2e-3)
-    assert torch.equal(feature_maps.order, golden["order0"])
-    assert torch.equal(feature_maps.order[: len(feature_maps.maps)], golden["selected0"])
-    close(feature_maps.maps.flatten(1).T[golden.rows], golden["selected_maps_rows"])
-    close(feature_maps.maps[0], golden["top_map"])
-    close(maps.mean_map(feature_maps.maps, "maximum"), golden["mean_map"])
+    close(selection.scores, golden["scores_program"], 0.1)
+    weights = feature_maps.row_weights(115, "from_one").repeat_interleave(155)
+    responses = feature_maps.make_encoder(white(golden), dictionary)(dictionary)
+    close(feature_maps.score_maps(responses, weights), golden["scores_text"], 2e-3)
+    assert torch.equal(selection.order, golden["order0"])
+    assert torch.equal(selection.order[: len(selection.maps)], golden["selected0"])
+    close(selection.maps.flatten(1).T[golden.rows], golden["selected_maps_rows"])
+    close(selection.maps[0], golden["top_map"])
+    close(feature_maps.mean_map(selection.maps, "maximum"), golden["mean_map"])
 
 
 def test_the_regions_of_every_level_and_their_nodes(golden: Golden) -> None:
@@ -143,7 +143,7 @@ def test_both_rounds_from_the_stored_mean_map(golden: Golden) -> None:
         chosen = tree.node[step.choice.selected]
         assert torch.equal(chosen, golden[f"selected_nodes_it{number}"])
         assert torch.equal(step.road, golden[f"mask_map_it{number}"])
-        wide = road.widened(step.road, 3)
+        wide = road.dilate(step.road, 3)
         assert torch.equal(wide, golden[f"mask_map_dilated_it{number}"])
         assert torch.equal(road.mask_to_image(wide, 6), golden[f"mask_full_it{number}"])
 
@@ -158,13 +158,13 @@ def test_from_image_and_stored_start_to_the_mask(golden: Golden, dtype: torch.dt
         if dtype == torch.float64:
             close(dictionary, bases)
             assert torch.equal(counts, sizes)
-    selection = maps.select_maps(patches, dictionary, MAP, maps.MapSettings())
-    mean = maps.mean_map(selection.maps, "maximum")
-    regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
+    selection = feature_maps.select_maps(patches, dictionary, MAP, feature_maps.MapSettings())
+    mean = feature_maps.mean_map(selection.maps, "maximum")
+    regions = hierarchy.threshold_regions(mean, hierarchy.region_thresholds(16, "included"))
     rounds = road.find_road(
         selection.maps, mean, hierarchy.build_tree(regions, 50), road.StabilitySettings()
     )
-    mask = road.mask_to_image(road.widened(rounds[-1].road, 3), 6)
+    mask = road.mask_to_image(road.dilate(rounds[-1].road, 3), 6)
 
     # In float32 one near tie among 17,825 patches sends K-means another way.
     least = 1.0 if dtype == torch.float64 else 0.96

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from roadtorch.ufl import hierarchy, road
 from roadtorch.ufl.road import StabilitySettings
-from tests.draws import random, seeded
+from tests.draws import random, seeded_generator
 from tests.reference import ufl as reference
 
 
@@ -61,7 +61,7 @@ def street() -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def run(maps: torch.Tensor, mean: torch.Tensor, **settings: object) -> list[road.Round]:
-    regions = hierarchy.threshold_regions(mean, hierarchy.thresholds(16, "included"))
+    regions = hierarchy.threshold_regions(mean, hierarchy.region_thresholds(16, "included"))
     tree = hierarchy.build_tree(regions, 10, "regions")
     return road.find_road(maps, mean, tree, StabilitySettings.model_validate(settings))
 
@@ -107,7 +107,7 @@ def test_maps_are_converted_to_the_size_of_the_image(side: int) -> None:
 # --- the tree ---------------------------------------------------------------------------
 
 
-STEPS = hierarchy.thresholds(6, "included")
+STEPS = hierarchy.region_thresholds(6, "included")
 
 
 def bumpy(seed: int) -> torch.Tensor:
@@ -117,7 +117,7 @@ def bumpy(seed: int) -> torch.Tensor:
 
 
 def stable(seed: int) -> torch.Tensor:
-    return torch.randn(9, 11, generator=seeded(seed), dtype=torch.float64)
+    return torch.randn(9, 11, generator=seeded_generator(seed), dtype=torch.float64)
 
 
 @settings(max_examples=25)

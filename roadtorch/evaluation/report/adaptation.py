@@ -15,10 +15,10 @@ from roadtorch.base.atomic import write_text
 from roadtorch.base.image import read_image, tint_mask, to_pixels
 from roadtorch.base.image_cache import image_cache
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.evaluation.disagreement import Disagreement, Disagreements, Taught
+from roadtorch.evaluation.disagreement import Disagreement, Disagreements, TeacherAgreement
 from roadtorch.evaluation.measure import UNDEFINED
-from roadtorch.evaluation.report.charts import COLOURS, DASHES, GREY, WIDTH, Series, svg_uri
-from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, captioned, jpeg_uri
+from roadtorch.evaluation.report.charts import COLOURS, DASHES, GREY, PANEL_WIDTH, Series, svg_uri
+from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, caption_tile, jpeg_uri
 from roadtorch.evaluation.report.table import (
     MINUS,
     Cell,
@@ -39,31 +39,31 @@ class Adaptation:
     whether to adopt it, and why; empty without a verdict.
     """
 
-    seen: Disagreements
+    comparison: Disagreements
     files: tuple[Path, Path]
-    shown: Sequence[Disagreement]
-    taught: Taught | None
-    rows: Sequence[Mapping[str, Any]]
+    examples: Sequence[Disagreement]
+    agreement: TeacherAgreement | None
+    epochs: Sequence[Mapping[str, Any]]
     verdict: str = ""
 
 
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
     """Write the page as one self-contained file."""
-    items = [image.item for image in adaptation.shown]
+    items = [image.item for image in adaptation.examples]
     caption = "blue: only before, orange: only after"
-    montages = draw_montages(adaptation.seen, items, caption)
-    is_part = len(items) < len(adaptation.seen.images)
-    loss_chart = svg_uri(WIDTH, 260, partial(draw_losses, rows=adaptation.rows))
-    differences = [image.difference for image in adaptation.seen.images]
+    montages = draw_montages(adaptation.comparison, items, caption)
+    is_part = len(items) < len(adaptation.comparison.images)
+    loss_chart = svg_uri(PANEL_WIDTH, 260, partial(draw_losses, rows=adaptation.epochs))
+    differences = [image.difference for image in adaptation.comparison.images]
     values = {
-        "comparison": adaptation.seen,
-        "agreement": adaptation.taught,
+        "comparison": adaptation.comparison,
+        "agreement": adaptation.agreement,
         "files": adaptation.files,
         "verdict": adaptation.verdict,
         "mean": statistics.fmean(differences),
         "median": statistics.median(differences),
         "maximum": max(differences),
-        "examples": list(zip(adaptation.shown, montages, strict=True)),
+        "examples": list(zip(adaptation.examples, montages, strict=True)),
         "half": len(items) - len(items) // 2 if is_part else len(items),
         "summary": summary_table(adaptation),
         "charts": [loss_chart, trust_chart(adaptation)],
@@ -83,7 +83,9 @@ def draw_montages(pair: Disagreements, items: Iterable[LabelledItem], caption: s
         tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
         tiles[caption] = difference_tile(pixels, *masks.values())
         height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
-        montage = np.concatenate([captioned(t, text, height) for text, t in tiles.items()], axis=1)
+        montage = np.concatenate(
+            [caption_tile(t, text, height) for text, t in tiles.items()], axis=1
+        )
         montages.append(jpeg_uri(montage))
     return montages
 
@@ -98,7 +100,7 @@ def difference_tile(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -
 
 def summary_table(adaptation: Adaptation) -> Table:
     """Return means before and after that need no labels: road, trust, agreement."""
-    images, rows = adaptation.seen.images, {}
+    images, rows = adaptation.comparison.images, {}
     road = [(image.first_road, image.second_road) for image in images]
     rows["fraction of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
     if trusts := [(image.first_trust, image.second_trust) for image in images if image.has_trust]:
@@ -107,8 +109,8 @@ def summary_table(adaptation: Adaptation) -> Table:
         fell = sum(second < first for first, second in trusts)
         change = Cell(format_signed(end - start), note=f"rose on {rose}, fell on {fell} images")
         rows["trust"] = (Cell(format_number(start)), Cell(format_number(end)), change)
-    if adaptation.taught is not None:
-        start, end = adaptation.taught.initial, adaptation.taught.final
+    if adaptation.agreement is not None:
+        start, end = adaptation.agreement.initial, adaptation.agreement.final
         rows["agreement with the teacher on road"] = _row(start.road, end.road)
         rows["agreement with the teacher on layout"] = _row(start.layout, end.layout)
     table = Table("mean over the images", list(rows))
@@ -145,7 +147,7 @@ def trust_chart(adaptation: Adaptation) -> str:
     """Return a chart of trust after over trust before, a mark an image; empty without trust."""
     pairs = [
         (image.first_trust, image.second_trust)
-        for image in adaptation.seen.images
+        for image in adaptation.comparison.images
         if image.has_trust
     ]
     if not pairs:
@@ -159,4 +161,4 @@ def trust_chart(adaptation: Adaptation) -> str:
         low = max(0.0, min(*start, *end) - 0.05)
         axes.set(xlabel="trust before", ylabel="trust after", xlim=(low, 1), ylim=(low, 1))
 
-    return svg_uri(WIDTH, 260, draw)
+    return svg_uri(PANEL_WIDTH, 260, draw)

@@ -30,7 +30,7 @@ MAX_BASELINES = 4
 
 MAX_LABEL_LENGTH = 34  # letters of a name in a chart
 
-WIDTH = 460  # points, of one panel
+PANEL_WIDTH = 460  # points, of one panel
 
 CHART_FPR_STEPS = 200  # intervals of the false positive rate, in the mean over groups
 
@@ -39,7 +39,7 @@ COLOURS = (
     *("#e69f00", "#56b4e9", "#000000", "#f0e442"),  # orange, sky blue, black, yellow
 )
 
-GREY, GRID, INK = "#7f7f7f", "#d9d9d9", "#1a1a1a"
+GREY, GRID_COLOUR, INK = "#7f7f7f", "#d9d9d9", "#1a1a1a"
 
 DASHES = ((), (7, 2), (2, 1.5), (7, 2, 1.5, 2), (4, 2), (9, 2, 4, 2), (12, 3), (5, 1.5, 1, 1.5))
 
@@ -61,7 +61,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.grid": True,
-    "grid.color": GRID,
+    "grid.color": GRID_COLOUR,
     "grid.linewidth": 0.7,
     "xtick.color": GREY,
     "ytick.color": GREY,
@@ -93,7 +93,7 @@ class Series:
 
 def choose_series(evaluation: Evaluation) -> list[Series]:
     """Return the detectors in charts, by rank: the eight best, the four best baselines."""
-    ranked, detectors = evaluation.ranked(), evaluation.detectors
+    ranked, detectors = evaluation.ranking(), evaluation.detectors
     best = [name for name in ranked if not detectors[name].is_baseline][:MAX_SERIES]
     baselines = [name for name in ranked if detectors[name].is_baseline][:MAX_BASELINES]
     series = [
@@ -111,15 +111,15 @@ def build_charts(evaluation: Evaluation) -> Mapping[str, str]:
     """Return the charts of an evaluation by title, as ``svg_uri`` gives them."""
     series = choose_series(evaluation)
     charts = {
-        "ROC": svg_uri(2 * WIDTH, 420, lambda figure: draw_roc(figure, series, evaluation)),
+        "ROC": svg_uri(2 * PANEL_WIDTH, 420, lambda figure: draw_roc(figure, series, evaluation)),
         "Reliability": svg_uri(
-            WIDTH, 420, lambda figure: draw_reliability(figure, series, evaluation)
+            PANEL_WIDTH, 420, lambda figure: draw_reliability(figure, series, evaluation)
         ),
     }
     if groups := evaluation.groups:
         height = 120 + 18 * len(groups)
         charts["F by group"] = svg_uri(
-            WIDTH, height, lambda figure: draw_groups(figure, series, evaluation)
+            PANEL_WIDTH, height, lambda figure: draw_groups(figure, series, evaluation)
         )
     return charts
 
@@ -127,7 +127,7 @@ def build_charts(evaluation: Evaluation) -> Mapping[str, str]:
 def group_counts(evaluation: Evaluation, name: str) -> list[RoadCounts]:
     """Return the pixels by level of each group that counts, of one detector."""
     roads = evaluation.tallies[name].road
-    return [roads[group] for group in evaluation.detectors[name].counting]
+    return [roads[group] for group in evaluation.detectors[name].counted_groups]
 
 
 def mean_roc(groups: Sequence[RoadCounts]) -> Curve:
@@ -144,7 +144,7 @@ def draw_roc(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -
     best = next((detector for detector in series if not detector.is_baseline), None)
     whole, corner = figure.subplots(1, 2)
     for axes in (whole, corner):
-        axes.plot([0, 1], [0, 1], color=GRID, linewidth=1)
+        axes.plot([0, 1], [0, 1], color=GRID_COLOUR, linewidth=1)
         for depth, detector in enumerate(series):
             counts = group_counts(evaluation, detector.name)
             _draw_curve(axes, mean_roc(counts), detector, depth)
@@ -160,7 +160,7 @@ def draw_roc(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -
 def draw_reliability(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -> None:
     """Draw the fraction of road by likelihood; below, the fraction of pixels."""
     upper, lower = figure.subplots(2, sharex=True, height_ratios=(3, 1))
-    upper.plot([0, 1], [0, 1], color=GRID, linewidth=1)
+    upper.plot([0, 1], [0, 1], color=GRID_COLOUR, linewidth=1)
     for depth, detector in enumerate(series):
         groups = [curves.reliability(part) for part in group_counts(evaluation, detector.name)]
         predicted, observed, fraction = (
@@ -181,7 +181,7 @@ def draw_groups(figure: Figure, series: Sequence[Series], evaluation: Evaluation
     first = F_MASK.get_defined(detectors[series[0].name].groups)
     groups = sorted(evaluation.groups, key=lambda group: first.get(group, 1.0))
     for depth, detector in enumerate(series):
-        values = [F_MASK.of(detectors[detector.name].group(group)) for group in groups]
+        values = [F_MASK.get(detectors[detector.name].group(group)) for group in groups]
         face = "none" if detector.is_baseline else detector.colour
         axes.plot(values, range(len(groups)), "o", color=detector.colour, mfc=face,
                   label=_label(detector.name), zorder=4 - depth / 100)  # fmt: skip

@@ -24,7 +24,9 @@ IMAGE_COLUMNS = (
 )
 
 
-def write(evaluation: Evaluation, out: Path, command: str = "", images: int = EXAMPLES) -> None:
+def write_report(
+    evaluation: Evaluation, out: Path, command: str = "", images: int = EXAMPLES
+) -> None:
     """Write all files of an evaluation; the folder has to exist.
 
     command: the command line, for the record. images: number of images in the montages of the best,
@@ -55,7 +57,7 @@ def image_rows(evaluation: Evaluation) -> Iterator[Mapping[str, str]]:
     """
     left_out = evaluation.left_out
     for name, tally in evaluation.tallies.items():
-        table, thresholds = tally.kept(), evaluation.detectors[name].thresholds
+        table, thresholds = tally.table(), evaluation.detectors[name].thresholds
         columns = {
             "auc": table.auc.tolist(),
             "maxf": table.max_f.tolist(),
@@ -93,7 +95,7 @@ def build_document(evaluation: Evaluation, command: str) -> dict[str, Any]:
         "void": "ignored",
         "command": command,
         "levels": dataset.levels,
-        "view": "the image" if dataset.view is None else dataset.view.name,
+        "view": "the image" if dataset.scoring_space is None else dataset.scoring_space.name,
         "left_out": evaluation.left_out,
         "failed": [
             {"image": failure.image, "reason": failure.reason} for failure in evaluation.failures

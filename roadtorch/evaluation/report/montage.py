@@ -9,15 +9,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.bounded import printable
+from roadtorch.base.bounded import to_printable
 from roadtorch.base.image import to_pixels, write_pixels
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.detectors.detection import Detection
-from roadtorch.evaluation.methods import Look
+from roadtorch.evaluation.methods import Predictor
 from roadtorch.evaluation.result import Evaluation, rank_images, select_examples
 from roadtorch.evaluation.scoring import LabelledImage
 from roadtorch.evaluation.tally import UNGROUPED
-from roadtorch.layout.classes import layout_colours
+from roadtorch.layout.classes import colour_layout
 
 MAX_DETECTORS = 8  # detectors with montages
 
@@ -39,7 +39,7 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
     the page, by detector and part.
     """
     detectors = evaluation.detectors
-    ranked = [name for name in evaluation.ranked() if not detectors[name].is_baseline]
+    ranked = [name for name in evaluation.ranking() if not detectors[name].is_baseline]
     montages: dict[str, dict[str, str]] = {}
     for name in ranked[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
@@ -56,7 +56,7 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
 
 def draw_montage(
     dataset: Dataset,
-    predictor: Look,
+    predictor: Predictor,
     chosen: Sequence[tuple[float, str]],
     thresholds: Mapping[str, float],
 ) -> np.ndarray:
@@ -73,7 +73,7 @@ def draw_montage(
 
 
 def draw_montage_row(
-    dataset: Dataset, predictor: Look, item: LabelledItem, threshold: float, value: float
+    dataset: Dataset, predictor: Predictor, item: LabelledItem, threshold: float, value: float
 ) -> np.ndarray:
     """Draw image, layout, uniformity, likelihood and decision of one item side by side.
 
@@ -88,11 +88,13 @@ def draw_montage_row(
     tiles = {
         f"{item.name}  F {value:.3f}": to_pixels(image),
         **cue_tiles(detection),
-        "likelihood": heat(detection.likelihood),
+        "likelihood": apply_colormap(detection.likelihood),
         "decision (blue), truth (line)": decision_tile(viewed, decided, truth),
     }
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
-    return np.concatenate([captioned(tile, text, height) for text, tile in tiles.items()], axis=1)
+    return np.concatenate(
+        [caption_tile(tile, text, height) for text, tile in tiles.items()], axis=1
+    )
 
 
 def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
@@ -100,15 +102,15 @@ def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
     tiles, cues = {}, detection.cues
     if "layout_labels" in cues or "layout" in cues:
         labels = cues["layout_labels"] if "layout_labels" in cues else cues["layout"].argmax(0)
-        tiles["layout"] = to_pixels(layout_colours(labels))
+        tiles["layout"] = to_pixels(colour_layout(labels))
     if "uniformity" in cues:
         uniformity = cues["uniformity"].to(torch.float32)
         low, high = uniformity.min(), uniformity.max()
-        tiles["uniformity"] = heat((uniformity - low) / (high - low).clamp(min=1e-9))
+        tiles["uniformity"] = apply_colormap((uniformity - low) / (high - low).clamp(min=1e-9))
     return tiles
 
 
-def heat(values: Tensor) -> np.ndarray:
+def apply_colormap(values: Tensor) -> np.ndarray:
     """Colour a map (H, W) in [0, 1] from dark blue to yellow, uint8 RGB (H, W, 3)."""
     levels = (values * 255).round().to(torch.uint8).contiguous().numpy()
     return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_CIVIDIS)[..., ::-1])
@@ -126,13 +128,13 @@ def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
     return cv2.drawContours(pixels, outlines, -1, VERMILLION, 2 * width)
 
 
-def captioned(tile: np.ndarray, text: str, height: int) -> np.ndarray:
+def caption_tile(tile: np.ndarray, text: str, height: int) -> np.ndarray:
     """Fit a tile into TILE_WIDTH × height under a caption, with black bars where it is narrower."""
     scale = min(TILE_WIDTH / tile.shape[1], height / tile.shape[0])
     size = (max(1, round(tile.shape[1] * scale)), max(1, round(tile.shape[0] * scale)))
     small = cv2.resize(tile, size, interpolation=cv2.INTER_AREA)
     canvas = np.zeros((CAPTION_HEIGHT + height, TILE_WIDTH, 3), np.uint8)
-    text = printable(text)  # OpenCV crashes on other names
+    text = to_printable(text)  # OpenCV crashes on other names
     cv2.putText(canvas, text, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE, 1, cv2.LINE_AA)
     offset = (TILE_WIDTH - size[0]) // 2
     canvas[CAPTION_HEIGHT : CAPTION_HEIGHT + size[1], offset : offset + size[0]] = small

@@ -66,7 +66,7 @@ class Table:
         """Add a column of a measure, the best value bold; nothing if no row has the measure."""
         parts = list(rows)
         if any(measure.key in scores for scores in parts):
-            values = [measure.of(scores) for scores in parts]
+            values = [measure.get(scores) for scores in parts]
             is_alone = sum(not math.isnan(value) for value in values) < 2
             best = measure.best(values) if is_ranked and not is_alone else None
             cells = (Cell(measure.format(value), value == best) for value in values)
@@ -113,7 +113,7 @@ def _aligned_columns(names: list[str], pairs: Sequence[tuple[str, list[Cell]]]) 
         columns.append([header, *(_to_ascii(cell.text) for cell in cells)])
         if any(cell.note for cell in cells):
             columns.append(["95 %", *(_to_ascii(cell.note) for cell in cells)])
-    return aligned(list(zip(*columns, strict=True)))
+    return align_columns(list(zip(*columns, strict=True)))
 
 
 def _to_ascii(text: str) -> str:
@@ -131,7 +131,7 @@ def shorten(name: str, length: int) -> str:
     return text if len(text) <= length else f"{text[: length - 10]}…{text[-9:]}"
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> str:
+def align_columns(rows: Sequence[Sequence[str]]) -> str:
     """Return rows of text in aligned columns: the first to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []

@@ -24,7 +24,7 @@ INTERVAL, BASELINE_HEADER = "95 %", "MaxF of baseline"
 PartKind = Literal["group", "condition"]
 
 
-def screen(evaluation: Evaluation) -> str:
+def format_tables(evaluation: Evaluation) -> str:
     """Return the tables of an evaluation as text, with the columns that fit ``SCREEN_WIDTH``."""
     texts = [table.text(SCREEN_WIDTH) for table in build_tables(evaluation, MAX_SCREEN_ROWS)]
     if more := len(evaluation.detectors) - len(shortlist(evaluation)):
@@ -38,7 +38,7 @@ def build_tables(evaluation: Evaluation, most: int | None = None) -> list[Table]
     most: rows of a table by group or condition; then groups that are columns have no rows.
     """
     listed = shortlist(evaluation)
-    ranked = [name for name in evaluation.ranked() if name in listed]
+    ranked = [name for name in evaluation.ranking() if name in listed]
     best = [name for name in ranked if not evaluation.detectors[name].is_baseline][:MAX_PART_TABLES]
     has_columns = len(evaluation.groups) <= MAX_GROUP_COLUMNS and not evaluation.left_out
     tables = [
@@ -59,7 +59,7 @@ def build_tables(evaluation: Evaluation, most: int | None = None) -> list[Table]
 def shortlist(evaluation: Evaluation) -> list[str]:
     """Return the baselines and the best other detectors by MaxF, in the order of the run."""
     detectors = evaluation.detectors
-    best = [name for name in evaluation.ranked() if not detectors[name].is_baseline][:MAX_LISTED]
+    best = [name for name in evaluation.ranking() if not detectors[name].is_baseline][:MAX_LISTED]
     return [name for name, scores in detectors.items() if scores.is_baseline or name in best]
 
 
@@ -190,7 +190,7 @@ def _groups(evaluation: Evaluation) -> PartScores:
 
 def _conditions(evaluation: Evaluation) -> PartScores:
     """Return the scores of each condition, by its name with the number of its groups."""
-    items, parts = evaluation.dataset.by_condition(), {}
+    items, parts = evaluation.dataset.items_by_condition(), {}
     for condition in evaluation.conditions:
         groups = len({item.group for item in items[condition]} - {None})
         of = f" ({groups} group{'' if groups == 1 else 's'})" if groups else ""

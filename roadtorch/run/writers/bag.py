@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roadtorch.base.atomic import make_folder, unwritable
+from roadtorch.base.atomic import make_folder, write_error
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 IMAGE_TYPE, LABEL_INFO_TYPE = "sensor_msgs/msg/Image", "vision_msgs/msg/LabelInfo"
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
-CLASS_NAMES: Mapping[int, str] = {0: "background", 1: "road"}
+MASK_CLASS_NAMES: Mapping[int, str] = {0: "background", 1: "road"}
 
 VISION_MESSAGES = {
     "vision_msgs/msg/VisionClass": "uint16 class_id\nstring class_name\n",
@@ -91,7 +91,9 @@ class BagWriter:
         stamp = item.nanoseconds
         if LABELS_TOPIC not in self._connections:
             kind = types["vision_msgs/msg/VisionClass"]
-            names = [kind(class_id=number, class_name=name) for number, name in CLASS_NAMES.items()]
+            names = [
+                kind(class_id=number, class_name=name) for number, name in MASK_CLASS_NAMES.items()
+            ]
             info = types[LABEL_INFO_TYPE](
                 _make_header(self.types, stamp, ""), names, self._threshold
             )
@@ -195,7 +197,7 @@ class BagWriter:
         return self._writer.add_connection(topic, kind, typestore=self.types, **options)
 
     def _write_error(self, error: OSError) -> InputError:
-        failure = unwritable(self.path, error)
+        failure = write_error(self.path, error)
         saved = f"; finished frames are in {self._folder}" if self._folder.exists() else ""
         return InputError(self.path, failure.problem + saved, failure.hint)
 
@@ -247,7 +249,7 @@ def _qos_profile(durability: str, depth: int) -> Any:
 
 
 def mask_and_confidence(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
-    """Return class numbers, see ``CLASS_NAMES``, and confidences 0…255, both uint8, (H, W).
+    """Return class numbers, see ``MASK_CLASS_NAMES``, and confidences 0…255, both uint8, (H, W).
 
     The confidence is the likelihood on the road and 1 minus the likelihood elsewhere, as in
     navigation2_tutorials, segmentation_node.py.

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roadtorch.base.atomic import atomic
-from roadtorch.data.polygons import coco_region, read_outlined_mask
+from roadtorch.base.atomic import atomic_write
+from roadtorch.data.polygons import coco_annotation, read_labelme_mask
 from roadtorch.run.folder import COCO_FILE
-from roadtorch.run.ledger import INDEX, has_result, read_index
+from roadtorch.run.ledger import INDEX_FILE, has_result, read_index
 
 LABELME_SUFFIX = ".labelme.json"
 """Suffix of the labelme annotation of an image."""
@@ -22,7 +22,7 @@ def write_coco(folder: Path) -> None:
     It is rebuilt from the files of the folder, so that it is complete after interrupted runs.
     Raises InputError when it cannot be written, DatasetError for an unreadable annotation.
     """
-    rows = read_index(folder / INDEX).values()
+    rows = read_index(folder / INDEX_FILE).values()
     saved = [row for row in rows if not row.failed and "polygons" in row.saved.split()]
     ready = {
         row.file: row
@@ -41,9 +41,12 @@ def write_coco(folder: Path) -> None:
     def mask_of(file: str) -> np.ndarray:
         """Fill the polygons of an image's annotation, bool (H, W)."""
         size = int(ready[file].height), int(ready[file].width)
-        return read_outlined_mask(folder / _annotation_name(folder, file), size)
+        return read_labelme_mask(folder / _annotation_name(folder, file), size)
 
-    with atomic(folder / COCO_FILE) as temporary, temporary.open("w", encoding="utf-8") as text:
+    with (
+        atomic_write(folder / COCO_FILE) as temporary,
+        temporary.open("w", encoding="utf-8") as text,
+    ):
         text.writelines(coco_text(images, mask_of))
 
 
@@ -81,6 +84,6 @@ def coco_text(images: Iterable[CocoImage], mask_of: Callable[[str], np.ndarray])
         if not mask.any():
             continue
         score = {} if image.trust is None else {"score": image.trust}
-        yield separator + json.dumps(coco_region(mask, number, number, 1) | score)
+        yield separator + json.dumps(coco_annotation(mask, number, number, 1) | score)
         separator = ",\n"
     yield "]}\n"

@@ -16,11 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.atomic import atomic, write_text
-from roadtorch.base.errors import RoadtorchError, fault
+from roadtorch.base.atomic import atomic_write, write_text
+from roadtorch.base.errors import RoadtorchError, to_input_error
 from roadtorch.base.image import tint_mask, to_pixels, write_jpeg, write_npy
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, Grid, GridSettings, ground_grid
-from roadtorch.camera.mounting import Placing
+from roadtorch.camera.mounting import CameraPlacement
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.run.ledger import DONE, DOUBTFUL
@@ -39,7 +39,7 @@ DOUBTFUL_SPREAD = 2.0
 
 FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 
-OCCUPIED_THRESHOLD, FREE_UP_TO = 0.65, 0.196
+OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
 
 def _draw_grid(grid: Grid) -> np.ndarray:
@@ -64,7 +64,7 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
     """
     stem = Path(stem)
     grey, image = _draw_grid(grid), stem.with_name(stem.name + ".grid.pgm")
-    with atomic(image) as temporary:
+    with atomic_write(image) as temporary:
         head = f"P5\n{grey.shape[1]} {grey.shape[0]}\n255\n"
         temporary.write_bytes(head.encode() + grey.tobytes())
     write_npy(stem.with_name(stem.name + ".grid.npy"), grid.cells)
@@ -76,19 +76,19 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
         f"origin: [{grid.origin[0]:g}, {grid.origin[1]:g}, 0]",
         "negate: 0",
         f"occupied_thresh: {OCCUPIED_THRESHOLD}",
-        f"free_thresh: {FREE_UP_TO}",
+        f"free_thresh: {FREE_THRESHOLD}",
         "",
     ]
     write_text(stem.with_name(stem.name + ".grid.yaml"), "\n".join(lines))
 
 
 @dataclass(frozen=True)
-class Grids:
+class GridWriter:
     """A writer of a ground grid for each image, and optionally into a bag.
 
     Args:
         folder: output folder.
-        placing: pose and lens of the camera.
+        placement: pose and lens of the camera.
         settings: of the grid.
         kinds: kinds of files, see ``GRID_SUFFIXES``.
         bag: also receives each grid; None for files only.
@@ -96,7 +96,7 @@ class Grids:
     """
 
     folder: Path
-    placing: Placing
+    placement: CameraPlacement
     settings: GridSettings
     kinds: Sequence[str]
     bag: BagWriter | None = None
@@ -116,7 +116,7 @@ class Grids:
         try:
             grid, doubt = self._write_files(item, detection)
         except RoadtorchError as error:
-            raise fault(item.origin, error) from None
+            raise to_input_error(item.origin, error) from None
         if self.bag is not None:
             cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
             self.bag.write_grid(cells, grid.resolution, (x, y), item.nanoseconds, self.frame_id)
@@ -136,7 +136,7 @@ class Grids:
         """Compute a grid and write its files; return it with a reason for doubt, or ""."""
         image = detection.image
         assert image is not None
-        camera, pitch = self.placing(image, detection.cues.get("layout"))
+        camera, pitch = self.placement(image, detection.cues.get("layout"))
         # Zeroed where the mask excludes likely road, but kept below the threshold, so that cells
         # between pixels interpolate it.
         likelihood, threshold = detection.likelihood, self.settings.threshold
@@ -151,7 +151,9 @@ class Grids:
             write_jpeg(stem.with_name(stem.name + GRID_SUFFIXES["image"]), drawing)
         return (
             grid,
-            f"pitch unsure by {pitch.spread:.1f} degrees" if pitch.spread > DOUBTFUL_SPREAD else "",
+            f"pitch unsure by {pitch.deviation:.1f} degrees"
+            if pitch.deviation > DOUBTFUL_SPREAD
+            else "",
         )
 
 

@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from roadtorch.base.atomic import atomic, digest_of
+from roadtorch.base.atomic import atomic_write, file_digest
 from roadtorch.base.image import write_map
-from roadtorch.camera.birds_eye import to_birds_eye
+from roadtorch.camera.birds_eye import warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration
-from roadtorch.data.kitti import result_name
+from roadtorch.data.kitti_road import result_name
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
 from roadtorch.run.ledger import DONE
 
-ARCHIVE = "submission.zip"
+SUBMISSION_FILE = "submission.zip"
 MAP_SUFFIX = ".png"
 WORLD_READABLE = 0o644 << 16  # zip's field for Unix permissions
 
 
-def images_to_submit(images: Path, calib: Path, out: Path) -> list[Item]:
+def find_submission_images(images: Path, calib: Path, out: Path) -> list[Item]:
     """Find the images of a KITTI road folder, named as the server expects their results.
 
     The digest of each covers its calibration file in ``calib``. Raises as ``find_images``, and
@@ -40,12 +40,12 @@ def images_to_submit(images: Path, calib: Path, out: Path) -> list[Item]:
 
 def _digest(*files: Path) -> str:
     """Return the SHA-256 of several files; empty where one cannot be read."""
-    digests = [digest_of(file) for file in files]
+    digests = [file_digest(file) for file in files]
     return hashlib.sha256("".join(digests).encode()).hexdigest() if all(digests) else ""
 
 
 @dataclass(frozen=True)
-class BirdsEyeMaps:
+class BirdsEyeWriter:
     """A writer of 8-bit maps, 800 rows by 400 columns, round(255 p); calib: calibration folder."""
 
     folder: Path
@@ -59,15 +59,15 @@ class BirdsEyeMaps:
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
         """Warp the likelihood of an image to bird's-eye view and write it."""
         calibration = read_calibration(self.calib / f"{item.path.stem}.txt")
-        birds_eye = to_birds_eye(detection.likelihood, calibration)
+        birds_eye = warp_to_birds_eye(detection.likelihood, calibration)
         write_map(self.folder / f"{item.name}{MAP_SUFFIX}", birds_eye)
         return {"trust": "", "status": DONE}
 
 
-def pack(items: Iterable[Item], folder: Path) -> Path:
+def pack_submission(items: Iterable[Item], folder: Path) -> Path:
     """Write the maps of all items to a reproducible zip archive, without folders."""
-    path = folder / ARCHIVE
-    with atomic(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+    path = folder / SUBMISSION_FILE
+    with atomic_write(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for item in items:
             entry = zipfile.ZipInfo(
                 f"{item.name}{MAP_SUFFIX}"

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.image import write_jpeg, write_labels
-from roadtorch.detectors.detector import Detection, checked_image
+from roadtorch.detectors.detector import Detection, validate_image
 from roadtorch.inputs.item import Item
-from roadtorch.layout.classes import HORIZONTAL, layout_colours
+from roadtorch.layout.classes import HORIZONTAL, colour_layout
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 
 LABEL_SUFFIXES = {"labels": ".png", "overlay": ".overlay.jpg"}
@@ -27,14 +27,14 @@ class Labelling:
     @torch.no_grad()
     def __call__(self, image: Tensor) -> Detection:
         """Label an image (3, H, W): labels are the cue ``layout_labels``, horizontal the mask."""
-        image = checked_image(image)
+        image = validate_image(image)
         labels = label_layout(image, self.settings).labels
         mask = labels == HORIZONTAL
         return Detection(mask.to(image.dtype), mask, {LABELS_CUE: labels}, image=image)
 
 
 @dataclass(frozen=True)
-class Labels:
+class LabelWriter:
     """A writer of label images and overlays; kinds: see ``LABEL_SUFFIXES``."""
 
     folder: Path
@@ -51,6 +51,6 @@ class Labels:
         assert image is not None
         write_labels(self.folder / f"{item.name}{LABEL_SUFFIXES['labels']}", labels)
         if "overlay" in self.kinds:
-            tinted = torch.lerp(image, layout_colours(labels), LAYOUT_OPACITY)
+            tinted = torch.lerp(image, colour_layout(labels), LAYOUT_OPACITY)
             write_jpeg(self.folder / f"{item.name}{LABEL_SUFFIXES['overlay']}", tinted)
         return {}

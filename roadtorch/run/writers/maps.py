@@ -9,18 +9,18 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.atomic import write_json
-from roadtorch.base.image import write_colours, write_map, write_mask, write_npy, write_overlay
+from roadtorch.base.image import write_map, write_mask, write_npy, write_overlay, write_rgb_png
 from roadtorch.base.version import __version__
-from roadtorch.data.maps import MASK
+from roadtorch.data.likelihood_maps import MASK_ENDING
 from roadtorch.data.polygons import labelme_document
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.item import Item
-from roadtorch.layout.classes import LAYOUT_COLOURS, layout_colours
+from roadtorch.layout.classes import LAYOUT_COLOURS, colour_layout
 from roadtorch.run.writers.coco import LABELME_SUFFIX
 
 MAP_SUFFIXES = {
     "likelihood": ".likelihood.png",
-    "mask": MASK,
+    "mask": MASK_ENDING,
     "overlay": ".overlay.jpg",
     "npy": ".likelihood.npy",
     "polygons": LABELME_SUFFIX,
@@ -34,7 +34,7 @@ GOLDEN_RATIO = 0.6180339887  # its multiples modulo 1 spread neighbouring labels
 
 
 @dataclass(frozen=True)
-class Maps:
+class MapWriter:
     """A writer of the files of an image.
 
     kinds: see ``MAP_SUFFIXES`` and ``CUE_SUFFIXES``. detector, threshold: for the JSON. depth: bits
@@ -73,7 +73,7 @@ class Maps:
             write_npy(path(MAP_SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items() if kinds & CUE_SUFFIXES.keys() else ():
             if "cues" in kinds:
-                write_colours(path(CUE_SUFFIXES["cues"].format(name)), cue_image(name, cue.cpu()))
+                write_rgb_png(path(CUE_SUFFIXES["cues"].format(name)), cue_image(name, cue.cpu()))
             if "npy" in kinds:
                 write_npy(path(CUE_SUFFIXES["npy"].format(name)), cue)
         if "polygons" in kinds:
@@ -107,7 +107,7 @@ def cue_image(name: str, cue: Tensor) -> Tensor:
     and blue, any other number is averaged; values are stretched to [0, 1], NaN and inf black.
     """
     if name == "layout_labels":
-        return layout_colours(cue)
+        return colour_layout(cue)
     is_label = not cue.is_floating_point() and cue.dtype != torch.bool
     if cue.ndim == 2 and is_label:  # each channel a different irrational stride
         strides = torch.tensor([GOLDEN_RATIO, GOLDEN_RATIO**2, GOLDEN_RATIO**3]).view(3, 1, 1)

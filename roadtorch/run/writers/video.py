@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from roadtorch.base.atomic import atomic, unwritable
+from roadtorch.base.atomic import atomic_write, write_error
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.video import import_av
@@ -64,7 +64,7 @@ class VideoWriter:
             frame.pts, frame.time_base = self._last, self._stream.time_base
             self._container.mux(self._stream.encode(frame))
         except OSError as error:
-            raise unwritable(self.path, error) from None
+            raise write_error(self.path, error) from None
         return {}
 
     def close(self) -> None:
@@ -83,7 +83,7 @@ class VideoWriter:
             self._av.video.reformatter.VideoReformatter()
         )  # reused: it caches its tables
         with ExitStack() as stack:
-            temporary = stack.enter_context(atomic(self.path))
+            temporary = stack.enter_context(atomic_write(self.path))
             self._container = self._av.open(str(temporary), "w", format="mp4")
             self._stream = self._encoder(pixels.shape[1], pixels.shape[0])
             self._open = stack.pop_all()

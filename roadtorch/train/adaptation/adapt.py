@@ -17,11 +17,11 @@ import torch
 from roadtorch.base.atomic import remove_leftovers, write_text
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import stop_on_signals
-from roadtorch.camera.footage import StillError, camera_of
+from roadtorch.camera.footage import StaticFootageError, estimate_camera
 from roadtorch.imaging.motion import flow_image
 from roadtorch.inputs.item import evenly_spaced
-from roadtorch.layout.classes import CLASSES
-from roadtorch.layout.image_network import ROAD
+from roadtorch.layout.classes import NUM_CLASSES
+from roadtorch.layout.image_network import ROAD_OUTPUT
 from roadtorch.layout.weights import (
     WholeImageNetwork,
     load_network,
@@ -29,9 +29,9 @@ from roadtorch.layout.weights import (
     save_network,
     weights_path,
 )
-from roadtorch.road.fusion import log_odds
-from roadtorch.road.steady import SteadySettings, smoothed
-from roadtorch.run.memo import keep, kept, read_arrays
+from roadtorch.road.bayes import log_odds
+from roadtorch.road.temporal_filter import TemporalFilterSettings, smooth_log_odds
+from roadtorch.run.memo import read_arrays, read_cached, write_cached
 from roadtorch.train.adaptation.frames import HALVES, SampledFrames, sample_frames
 from roadtorch.train.adaptation.verdict import (
     Verdict,
@@ -42,17 +42,17 @@ from roadtorch.train.adaptation.verdict import (
 )
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.corrections import format_card, inherited_corrections
-from roadtorch.train.folder import WEIGHTS, RunFolder
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import MAX_FRAMES
-from roadtorch.train.run import PREPARED, Outcome, Request, prepare_folder, train
+from roadtorch.train.run import PREPARED, Outcome, TrainingRequest, prepare_folder, train
+from roadtorch.train.run_folder import WEIGHTS, RunFolder
 from roadtorch.train.whole_images import ImageRecipe
 
 CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "looks"
 CALIBRATED = "calibrated.safetensors"
 """Weights of a half, with its bias calibrated to the teacher's."""
 
-LABEL_SMOOTHING = SteadySettings(flow_error=2.0, relative_flow_error=0.1, contrast=0.1)
+LABEL_SMOOTHING = TemporalFilterSettings(flow_error=2.0, relative_flow_error=0.1, contrast=0.1)
 """Stricter than for video: frames are far apart in time, flow that closes is often chance, and
 places look alike."""
 
@@ -99,13 +99,15 @@ def adapt(
         skipped = 0
         for number, half in enumerate(HALVES, 1):
             part = (number, len(HALVES))
-            request = Request(frames.glob(half), out / half, out / PREPARED, quiet, part=part)
+            request = TrainingRequest(
+                frames.glob(half), out / half, out / PREPARED, quiet, part=part
+            )
             outcome = train(training, request)
             if outcome.interrupted:
                 return result(outcome)
             skipped += outcome.skipped
         halves = _average(frames, out, training, quiet)
-        if isinstance(error, StillError):
+        if isinstance(error, StaticFootageError):
             reason = "the footage is static: both halves show the same"
             verdict = no_verdict(reason, frames.count)
         else:
@@ -140,22 +142,22 @@ def write_smoothed_labels(
     with stop_on_signals() as stop:
         recipe = ImageRecipe(training)
         items = prepare_folder(recipe, images, labels, stop, quiet)
-        if stop.asked:
+        if stop.requested:
             return stop.signal or SIGTERM
     files = {
         item.file: image for image, item in zip(images, items, strict=True) if item.file is not None
     }
     targets = {label: prepared / label.relative_to(labels) for label in files}
     keys = [recipe.key(image) for image in files.values()]
-    if all(kept(file, key) for file, key in zip(targets.values(), keys, strict=True)):
+    if all(read_cached(file, key) for file, key in zip(targets.values(), keys, strict=True)):
         return None
     greys = [flow_image(image.read(), LABEL_SMOOTHING.width) for image in files.values()]
-    roads = (from_uint8(read_arrays(label, "maps")["maps"][CLASSES]) for label in files)
-    smooth = smoothed(greys, [log_odds(road) for road in roads], LABEL_SMOOTHING)
+    roads = (from_uint8(read_arrays(label, "maps")["maps"][NUM_CLASSES]) for label in files)
+    smooth = smooth_log_odds(greys, [log_odds(road) for road in roads], LABEL_SMOOTHING)
     for (label, file), key, odds in zip(targets.items(), keys, smooth, strict=True):
         arrays = read_arrays(label)
-        arrays["maps"][CLASSES] = to_uint8(odds.sigmoid())
-        keep(file, key, arrays)
+        arrays["maps"][NUM_CLASSES] = to_uint8(odds.sigmoid())
+        write_cached(file, key, arrays)
     return None
 
 
@@ -192,7 +194,7 @@ def write_biased(learned: Path, file: Path, bias: float) -> None:
     with torch.no_grad():
         for layer in network.last_layers():
             assert layer.bias is not None
-            layer.bias[ROAD] += bias
+            layer.bias[ROAD_OUTPUT] += bias
     save_network(file, network, read_origin(learned))
 
 
@@ -200,7 +202,7 @@ def _write_camera(frames: SampledFrames, file: Path, where: str) -> InputError |
     """Write the camera file; return the reason where there is none."""
     sampled = evenly_spaced(frames.images(), MAX_FRAMES)
     try:
-        camera_of((image.read() for image in sampled), where).write(file)
+        estimate_camera((image.read() for image in sampled), where).write(file)
     except InputError as error:
         return error
     return None

@@ -19,11 +19,11 @@ from roadtorch.base.bounded import read_regular
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import write_jpeg
 from roadtorch.base.progress import Progress
-from roadtorch.imaging.resize import at_work
+from roadtorch.imaging.resize import resize_to_work
 from roadtorch.inputs.find import Inputs, find_inputs
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.run.memo import key_of
+from roadtorch.run.memo import cache_key
 from roadtorch.train.recordings import FRAME_SIZE
 
 HALVES = ("first", "second")
@@ -75,7 +75,7 @@ def sample_frames(
     """
     images, sources = find_inputs(inputs)
     digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
-    list_file, key = folder / FRAME_LIST, key_of(digests, limit)
+    list_file, key = folder / FRAME_LIST, cache_key(digests, limit)
     if not list_file.exists():
         if folder.exists() and any(folder.iterdir()):
             raise ConfigError(folder, "holds files of something else", "give another --out")
@@ -119,7 +119,7 @@ def _write_frames(inputs: Inputs, folder: Path, limit: int, quiet: bool) -> Samp
         has_times = has_times or seconds is not None
         if number // RUN_LENGTH % step:
             continue
-        write_jpeg(folder / f"{number:08d}.jpg", at_work(image, FRAME_SIZE))
+        write_jpeg(folder / f"{number:08d}.jpg", resize_to_work(image, FRAME_SIZE))
         numbers.append(number)
         if len(numbers) >= 2 * limit:
             step *= 2

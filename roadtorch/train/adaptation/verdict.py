@@ -22,7 +22,7 @@ from roadtorch.base.progress import Progress
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.evaluation.metrics import (
-    Decisions,
+    ConfusionCounts,
     RoadCounts,
     count_levels,
     count_mask,
@@ -30,8 +30,8 @@ from roadtorch.evaluation.metrics import (
     max_f,
 )
 from roadtorch.evaluation.result import Interval
-from roadtorch.evaluation.uncertainty import bootstrap_weights, interval
-from roadtorch.imaging.resize import resized, size_of
+from roadtorch.evaluation.uncertainty import bootstrap_weights, percentile_interval
+from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.adaptation.frames import RUN_LENGTH
@@ -52,7 +52,7 @@ VERDICT_SEED = 36
 
 
 class MaskCounts(NamedTuple):
-    """Fields of ``Decisions`` by frame, int64 (frames, 4), of three networks.
+    """Fields of ``ConfusionCounts`` by frame, int64 (frames, 4), of three networks.
 
     initial: initial network. adapted: network not trained on these frames. averaged: average of
     both halves' networks, one of which was.
@@ -108,7 +108,9 @@ def count_masks(
     counts: list[list[Tensor]] = [[] for _ in weights]
     for image, road, sure in _labelled_frames(images, prepared, training, "evaluating", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
-            mask = resized(detector.detect(image).mask.float()[None], size_of(road))[0] >= 0.5
+            mask = (
+                resize_maps(detector.detect(image).mask.float()[None], spatial_size(road))[0] >= 0.5
+            )
             rows.append(torch.stack(tuple(count_mask(mask, road, sure))))
     return MaskCounts(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
 
@@ -131,7 +133,7 @@ def fit_bias(
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
     for image, road, sure in _labelled_frames(images, prepared, training, "calibrating", quiet):
-        likelihood = resized(detector.detect(image).likelihood[None], size_of(road))[0]
+        likelihood = resize_maps(detector.detect(image).likelihood[None], spatial_size(road))[0]
         counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
     if not counts:
         return 0.0
@@ -158,8 +160,8 @@ def _labelled_frames(
 
 
 def _f_measure(counts: Tensor) -> Tensor:
-    """Return F, float64, of the fields of ``Decisions`` (…, 4)."""
-    return f_measure(Decisions(*counts.unbind(-1)))
+    """Return F, float64, of the fields of ``ConfusionCounts`` (…, 4)."""
+    return f_measure(ConfusionCounts(*counts.unbind(-1)))
 
 
 def no_verdict(reason: str, frames: int) -> Verdict:
@@ -178,7 +180,7 @@ def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
     weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
     initial, adapted, averaged = (float(_f_measure(sums.sum(0))) for sums in blocks)
     resampled = [_f_measure(weights @ sums.to(weights)) for sums in blocks]
-    change = interval(resampled[1] - resampled[0])
+    change = percentile_interval(resampled[1] - resampled[0])
     word = "cannot tell"
     if change.low > 0 and adapted - initial >= MIN_GAIN:
         word = "adopt"

@@ -1,4 +1,7 @@
-"""ros2 launch roadtorch_ros road.launch.py image:=/front/image_raw height:=1.2"""
+"""Launch the node on a camera.
+
+ros2 launch roadtorch_ros road.launch.py image:=/front/image_raw height:=1.2
+"""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
@@ -15,7 +18,7 @@ PARAMETERS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The node with its topics and the parameters that most robots set."""
+    """Return the node with its topics and the parameters that most robots set."""
     defaults = {**TOPICS, **{name: default for name, (default, _) in PARAMETERS.items()}}
     image = LaunchConfiguration("image")
     remapped = [(name, LaunchConfiguration(name)) for name in TOPICS]

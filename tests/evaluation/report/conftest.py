@@ -7,13 +7,13 @@ import pytest
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.result import Evaluation
-from tests.oracle import ORACLE, know_oracle, write_set
+from tests.oracle import ORACLE, register_oracle, write_set
 
 
 @pytest.fixture(scope="session")
 def oracle_run(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     """Evaluate on three groups and two conditions; one image fails."""
-    know_oracle()
+    register_oracle()
     root = write_set(tmp_path_factory.mktemp("set") / "camvid")
     (root / "train" / "0001TP_0.png").write_bytes(b"")
     dataset = open_dataset("camvid", root)

@@ -17,7 +17,7 @@ from roadtorch.evaluation.report.table import shorten
 from roadtorch.evaluation.result import Evaluation
 from tests.evaluation.conftest import count
 from tests.oracle import GROUPS, ORACLE
-from tests.reports import scored
+from tests.reports import make_scored_run
 
 
 def noisy(seed: int, gain: float, pixels: int = 4000) -> RoadCounts:
@@ -41,7 +41,7 @@ def test_the_eight_best_and_the_four_best_baselines_are_shown_by_rank() -> None:
     names = [f"d{i}" for i in range(12)] + [f"prior:{i}" for i in range(6)]
     scores = {name: 1 - i / 20 for i, name in enumerate(names)}
 
-    series = charts.choose_series(scored(dict(reversed(scores.items()))))
+    series = charts.choose_series(make_scored_run(dict(reversed(scores.items()))))
 
     assert [item.name for item in series] == names[:8] + names[12:16]
     assert len({(item.colour, item.dash) for item in series}) == 12
@@ -68,7 +68,7 @@ def test_lines_and_marks_show_the_scores(oracle_run: Evaluation) -> None:
     labels = [text.get_text() for text in groups.axes[0].get_yticklabels()]
     for name, values in marks.items():
         scores = oracle_run.detectors[str(name)].groups
-        assert np.array_equal(values, [F_MASK.of(scores[group]) for group in labels])
+        assert np.array_equal(values, [F_MASK.get(scores[group]) for group in labels])
 
 
 def test_names_are_text_and_long_ones_keep_both_ends() -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from roadtorch.evaluation.report.files import write
-from roadtorch.evaluation.report.montage import captioned
+from roadtorch.evaluation.report.files import write_report
+from roadtorch.evaluation.report.montage import caption_tile
 from roadtorch.evaluation.result import Evaluation, Failure
 from tests.oracle import ORACLE
-from tests.reports import changed
+from tests.reports import replace_scores
 
 GOLDEN = Path(__file__).with_name("report.html")
 HOSTILE = '"><script>alert(1)</script><img src="http://example.org/x.png">\udcff'
@@ -26,7 +26,7 @@ UNSETTLED = (
 
 def test_a_whole_page_is_as_it_was(oracle_run: Evaluation, tmp_path: Path) -> None:
     """Compare with the golden page; UPDATE_GOLDEN=1 writes it."""
-    write(oracle_run, tmp_path, "roadtorch evaluate camvid data", images=1)
+    write_report(oracle_run, tmp_path, "roadtorch evaluate camvid data", images=1)
 
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     for pattern, word in UNSETTLED:
@@ -53,13 +53,13 @@ def test_names_are_escaped_and_the_page_loads_nothing(
 ) -> None:
     scores = oracle_run.detectors[ORACLE]
     evaluation = replace(
-        changed(oracle_run, ORACLE, contender=replace(scores.contender, name=HOSTILE)),
+        replace_scores(oracle_run, ORACLE, contender=replace(scores.contender, name=HOSTILE)),
         dataset=replace(oracle_run.dataset, split=HOSTILE),
         comparison=replace(oracle_run.comparison, against=HOSTILE),
         failures=[Failure(HOSTILE, HOSTILE, HOSTILE)],
     )
 
-    write(evaluation, tmp_path, HOSTILE, images=0)
+    write_report(evaluation, tmp_path, HOSTILE, images=0)
 
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     tags = Tags(page).tags
@@ -75,6 +75,6 @@ def test_names_are_escaped_and_the_page_loads_nothing(
 
 
 def test_a_name_that_is_not_utf_8_can_be_a_caption() -> None:
-    tile = captioned(np.zeros((30, 40, 3), np.uint8), os.fsdecode(b"z\xff.jpg"), 30)
+    tile = caption_tile(np.zeros((30, 40, 3), np.uint8), os.fsdecode(b"z\xff.jpg"), 30)
 
     assert tile[:20].any()

@@ -9,9 +9,9 @@ import pytest
 
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.report.table import Cell, Table
-from roadtorch.evaluation.report.tables import MAX_LISTED, build_tables, screen, shortlist
+from roadtorch.evaluation.report.tables import MAX_LISTED, build_tables, format_tables, shortlist
 from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Interval
-from tests.reports import GROUPS, NAMES, changed, made_run, scored
+from tests.reports import GROUPS, NAMES, make_run, make_scored_run, replace_scores
 
 
 def texts(evaluation: Evaluation, most: int | None = 20) -> Mapping[str, str]:
@@ -41,9 +41,9 @@ def test_a_table_is_text_and_markdown() -> None:
 @pytest.mark.parametrize("groups", [3, 6, 30])
 @pytest.mark.parametrize("name", ["fusion", "oneclass:" + "x" * 60])
 def test_a_screen_has_100_columns_and_keeps_the_headline_and_its_interval(groups, name) -> None:
-    run = made_run([name, "prior:rows"], [f"camera{number}" for number in range(groups)])
+    run = make_run([name, "prior:rows"], [f"camera{number}" for number in range(groups)])
 
-    lines = screen(run).splitlines()
+    lines = format_tables(run).splitlines()
 
     assert max(map(len, lines)) <= 100
     header = re.sub(" {2,}", "  ", lines[0])
@@ -53,9 +53,9 @@ def test_a_screen_has_100_columns_and_keeps_the_headline_and_its_interval(groups
 
 def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
     worse = [f"oneclass:gaussian:{number}" for number in range(100)]
-    evaluation = made_run(["fusion", *worse, "prior:rows", "prior:mean"])
+    evaluation = make_run(["fusion", *worse, "prior:rows", "prior:mean"])
 
-    text = screen(evaluation)
+    text = format_tables(evaluation)
 
     listed = ["fusion", *worse[: MAX_LISTED - 1], "prior:rows", "prior:mean"]
     assert shortlist(evaluation) == listed
@@ -66,7 +66,7 @@ def test_of_a_grid_the_best_are_shown_beside_all_baselines() -> None:
 
 def test_of_many_groups_the_worst_are_shown_and_have_a_table_with_the_worst_on_top() -> None:
     cameras = [f"camera{number}" for number in range(30)]
-    many = made_run(["fusion", "prior:rows"], cameras)
+    many = make_run(["fusion", "prior:rows"], cameras)
     worst, level = (many.detectors[name].groups["camera0"] for name in many.detectors)
 
     header, row = texts(many)["detector"].splitlines()[:2]
@@ -80,16 +80,16 @@ def test_of_many_groups_the_worst_are_shown_and_have_a_table_with_the_worst_on_t
     assert by_group[1].split()[-1] == f"{level['maxf']:.3f}"
     assert [line.split()[0] for line in by_group[20:]] == ["camera19", "mean", "10"]
     assert [line.split()[0] for line in whole[1:]] == [*cameras, "mean"]
-    assert "fusion by group" not in texts(made_run(["fusion"]))
-    assert "fusion by group" in texts(made_run(["fusion"]), None)
+    assert "fusion by group" not in texts(make_run(["fusion"]))
+    assert "fusion by group" in texts(make_run(["fusion"]), None)
 
 
 def test_groups_that_are_left_out_are_listed_below_the_mean() -> None:
-    evaluation = made_run(["fusion"])
+    evaluation = make_run(["fusion"])
     groups = dict(evaluation.detectors["fusion"].groups)
     left_out = {GROUPS[0]: groups.pop(GROUPS[0])}
 
-    tables = texts(changed(evaluation, "fusion", groups=groups, left_out=left_out))
+    tables = texts(replace_scores(evaluation, "fusion", groups=groups, left_out=left_out))
 
     assert f"MaxF {GROUPS[0]}" not in tables["detector"]
     rows = tables["fusion by group"].splitlines()[1:]
@@ -97,7 +97,7 @@ def test_groups_that_are_left_out_are_listed_below_the_mean() -> None:
 
 
 def test_conditions_have_a_table_and_baselines_none() -> None:
-    evaluation = made_run(["fusion", "prior:rows"])
+    evaluation = make_run(["fusion", "prior:rows"])
     items = tuple(
         replace(item, conditions=("day", "night") if item.group == GROUPS[0] else ("day",))
         for item in evaluation.dataset.items
@@ -105,7 +105,7 @@ def test_conditions_have_a_table_and_baselines_none() -> None:
     evaluation = replace(evaluation, dataset=replace(evaluation.dataset, items=items))
     for name in evaluation.detectors:
         parts = {"day": {"f_mask": 0.8, "maxf": 0.9}, "night": {"f_mask": 0.3, "maxf": 0.5}}
-        evaluation = changed(evaluation, name, conditions=parts)
+        evaluation = replace_scores(evaluation, name, conditions=parts)
 
     tables = texts(evaluation)
 
@@ -117,20 +117,20 @@ def test_conditions_have_a_table_and_baselines_none() -> None:
 
 
 def test_only_detectors_with_trust_have_a_row_of_it() -> None:
-    run = made_run(["fusion", "cpf"])
+    run = make_run(["fusion", "cpf"])
     headline = run.detectors["cpf"].headline
     silent = {key: value for key, value in headline.items() if not key.startswith("trust/")}
 
-    lines = texts(changed(run, "cpf", headline=silent))["trust"].splitlines()
+    lines = texts(replace_scores(run, "cpf", headline=silent))["trust"].splitlines()
 
     assert [line.split()[0] for line in lines] == ["trust", "fusion"]
 
 
 def test_detectors_without_a_score_stand_last() -> None:
-    unscored = scored({"d": math.nan, "a": math.nan, "c": 0.1, "b": None})
+    unscored = make_scored_run({"d": math.nan, "a": math.nan, "c": 0.1, "b": None})
 
-    assert unscored.ranked() == ["c", "a", "b", "d"]
-    assert [line.split() for line in screen(unscored).splitlines()] == [
+    assert unscored.ranking() == ["c", "a", "b", "d"]
+    assert [line.split() for line in format_tables(unscored).splitlines()] == [
         *(["detector", "MaxF", "95", "%"], ["c", "0.100", "-"]),
         *([name, "-", "-"] for name in "abd"),
     ]
@@ -138,14 +138,14 @@ def test_detectors_without_a_score_stand_last() -> None:
 
 @pytest.mark.parametrize("key", [measure.key for measure in MEASURES])
 def test_a_measure_that_is_missing_or_undefined_somewhere_is_a_dash(key: str) -> None:
-    whole = made_run()
+    whole = make_run()
     scores = whole.detectors["fusion"]
     headline = {name: value for name, value in scores.headline.items() if name != key}
     groups = {**scores.groups, "0006R0": {}}
-    lacking = changed(whole, "fusion", headline=headline, groups=groups)
+    lacking = replace_scores(whole, "fusion", headline=headline, groups=groups)
     undefined = {name: {**part, key: math.nan} for name, part in scores.groups.items()}
     nothing = {"labeller": {"maxf": Difference(math.nan, Interval())}, "cpf:v2": {}}
-    run = changed(replace(whole, comparison=Comparison("fusion", nothing)), "labeller",
+    run = replace_scores(replace(whole, comparison=Comparison("fusion", nothing)), "labeller",
                   groups=undefined, intervals={})  # fmt: skip
 
     for evaluation in (lacking, run):

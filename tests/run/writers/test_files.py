@@ -16,7 +16,7 @@ from skimage.draw import polygon2mask
 
 from roadtorch.base.image import read_image
 from roadtorch.camera.ground_grid import Grid
-from roadtorch.data.polygons import coco_polygons, labelme_document, read_outlined_mask
+from roadtorch.data.polygons import coco_polygons, labelme_document, read_labelme_mask
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 from roadtorch.run.writers.coco import CocoImage, coco_text
 from roadtorch.run.writers.grid import write_grid
@@ -119,7 +119,7 @@ NESTED[0, 0] = NESTED[0, -2] = True
 def test_labelme_outlines_are_exact(mask: np.ndarray, folder: Path) -> None:
     (folder / "x.json").write_text(json.dumps(labelme_document(mask, "x.png")))
 
-    assert np.array_equal(read_outlined_mask(folder / "x.json", mask.shape), mask)
+    assert np.array_equal(read_labelme_mask(folder / "x.json", mask.shape), mask)
 
 
 def count_polygons(polygons: list[list[int]], shape: tuple[int, int]) -> np.ndarray:

@@ -10,7 +10,7 @@ from PIL import Image
 from roadtorch.base.image import read_image
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import Call, rows_of
+from tests.command import Call, read_index_rows
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160
@@ -44,7 +44,7 @@ def test_images_give_maps_and_archive(call: Call, kitti: Path, out: Path, tmp_pa
         f"roadtorch: 3 maps in {out}/submission.zip",
     ]
     assert sorted(path.name for path in out.glob("*.png")) == MAPS
-    assert [row["status"] for row in rows_of(out).values()] == ["done"] * 3
+    assert [row["status"] for row in read_index_rows(out).values()] == ["done"] * 3
     with zipfile.ZipFile(out / "submission.zip") as archive:
         assert archive.namelist() == MAPS
         for name in MAPS:
@@ -80,7 +80,7 @@ def test_broken_images_are_mended_by_a_second_run(call: Call, kitti: Path, out: 
     assert "calib/uu_000012.txt: cannot be read" in result.stderr
     assert result.stderr.splitlines()[-1].endswith("submission.zip not written: maps are missing")
     assert [path.name for path in out.iterdir() if path.suffix in (".png", ".zip")] == MAPS[1:2]
-    assert rows_of(out)["uu_road_000012.png"]["status"].startswith("failed: ")
+    assert read_index_rows(out)["uu_road_000012.png"]["status"].startswith("failed: ")
 
     image.write_bytes(whole)
     calibration.write_text(text)

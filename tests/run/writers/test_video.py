@@ -14,7 +14,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.run.writers.video import VideoWriter
 from roadtorch.testing.scenes import render_scene
-from tests.videos import pixels_of, stamps_of, street_pixels
+from tests.videos import read_frame_pixels, read_frame_times, street_pixels
 
 
 def frame(number: int, seconds: float | None = None) -> Item:
@@ -43,19 +43,19 @@ def write(
 def test_time_stamps_are_kept_from_the_first_frame_on(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mp4", [5.0, 5.04, 5.3, 7.0, 7.0 + 1001 / 30000])
 
-    assert stamps_of(path) == pytest.approx([0, 0.04, 0.3, 2.0, 2 + 1001 / 30000], abs=2e-5)
+    assert read_frame_times(path) == pytest.approx([0, 0.04, 0.3, 2.0, 2 + 1001 / 30000], abs=2e-5)
     assert [path.name for path in tmp_path.iterdir()] == ["x.mp4"]
     still = write(tmp_path / "x.mp4", [0, 0.1, 0.1, 0.05, 0.2])
-    assert len(stamps_of(still)) == 5  # time that stands still gives every frame
+    assert len(read_frame_times(still)) == 5  # time that stands still gives every frame
     without = write(tmp_path / "x.mp4", [None] * 3, rate=4)
-    assert stamps_of(without) == pytest.approx([0, 0.25, 0.5])
+    assert read_frame_times(without) == pytest.approx([0, 0.25, 0.5])
     write(tmp_path / "none.mp4", [])
     assert not (tmp_path / "none.mp4").exists()
 
 
 @pytest.mark.parametrize("size", [(47, 64), (48, 63), (47, 63)])
 def test_odd_sides_are_padded(size: tuple[int, int], tmp_path: Path) -> None:
-    frames = pixels_of(write(tmp_path / "x.mp4", [0, 0.1], size))
+    frames = read_frame_pixels(write(tmp_path / "x.mp4", [0, 0.1], size))
 
     assert frames[0].shape == (48, 64, 3)
     inside = frames[0][: size[0], : size[1]].astype(int)
@@ -69,7 +69,7 @@ def test_masks_stay_masks_and_other_sizes_become_the_first(tmp_path: Path) -> No
         writer.write(frame(0, 0.0), detection(mask))
         writer.write(frame(1, 0.1), detection(street_pixels(1, 96, 128)))
 
-    frames = pixels_of(tmp_path / "x.mp4")
+    frames = read_frame_pixels(tmp_path / "x.mp4")
     assert ((frames[0][..., 0] > 127) == (mask > 0)).mean() > 0.99
     assert [pixels.shape for pixels in frames] == [(48, 64, 3)] * 2
 

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from roadtorch import load_detector
 from roadtorch.base.image import write_jpeg
-from roadtorch.base.settings import config_file, merge, read_settings_file
-from roadtorch.evaluation.metrics import Decisions, f_measure
+from roadtorch.base.settings import find_config, merge, read_settings_file
+from roadtorch.evaluation.metrics import ConfusionCounts, f_measure
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.layout.classes import CLASSES
+from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.weights import weights_path
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.testing.scenes import render_scene
@@ -21,13 +21,13 @@ from roadtorch.train.adaptation.frames import sample_frames
 from roadtorch.train.adaptation.verdict import MaskCounts, count_masks, decide_verdict, fit_bias
 from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.prepared import from_uint8, image_file_name, to_uint8
-from tests.draws import seeded
+from tests.draws import seeded_generator
 
 SHIPPED = weights_path("backbone-free")
 
 
 def training_of(**changes: object) -> ImageTraining:
-    training = build_training(merge(read_settings_file(config_file("adapt")), changes))
+    training = build_training(merge(read_settings_file(find_config("adapt")), changes))
     assert isinstance(training, ImageTraining)
     return training
 
@@ -36,12 +36,14 @@ def training_of(**changes: object) -> ImageTraining:
 
 
 def roads(files: list[Path]) -> Tensor:
-    return torch.stack([from_uint8(read_arrays(file, "maps")["maps"][CLASSES]) for file in files])
+    return torch.stack(
+        [from_uint8(read_arrays(file, "maps")["maps"][NUM_CLASSES]) for file in files]
+    )
 
 
 def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None:
     (tmp_path / "drive").mkdir()
-    street, generator = render_scene(1, 120, 160).image, seeded(0)
+    street, generator = render_scene(1, 120, 160).image, seeded_generator(0)
     for number in range(4):
         noise = 0.05 * torch.randn(street.shape, generator=generator)
         write_jpeg(tmp_path / f"drive/{number}.jpg", (street + noise).clamp(0, 1))
@@ -91,7 +93,7 @@ def test_bias_undoes_shift(shift: float, streets: tuple[list[Item], Path], tmp_p
     assert bias == pytest.approx(-shift, abs=1)
     files = (shifted, corrected, corrected)
     judged = count_masks(images, files, prepared, training_of(), quiet=True)
-    shifted_f, corrected_f, _ = (float(f_measure(Decisions(*rows.sum(0)))) for rows in judged)
+    shifted_f, corrected_f, _ = (float(f_measure(ConfusionCounts(*rows.sum(0)))) for rows in judged)
     assert corrected_f > max(shifted_f, 0.97)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import open_image, without_warnings
+from roadtorch.base.decoding import open_image, suppress_warnings
 from roadtorch.base.errors import ConfigError, DatasetError
-from roadtorch.base.image import SUFFIXES
+from roadtorch.base.image import IMAGE_SUFFIXES
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.layout.classes import UNLABELLED
 
@@ -108,7 +108,7 @@ def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tup
         if first != path:
             raise DatasetError(path, f"has the name of {first.name}", "rename one of the images")
     if not by_label:
-        raise DatasetError(images, "holds no images", f"known endings: {' '.join(SUFFIXES)}")
+        raise DatasetError(images, "holds no images", f"known endings: {' '.join(IMAGE_SUFFIXES)}")
     require_labels(list(by_label))
     yield from ((image, label) for label, image in by_label.items())
 
@@ -123,7 +123,7 @@ def require_labels(paths: Sequence[Path]) -> None:
 
 def is_image_file(path: Path) -> bool:
     """Return whether a file has the extension of an image and is not hidden."""
-    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+    return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
 
 
 # --- reading ----------------------------------------------------------------------------
@@ -155,7 +155,7 @@ def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
 
 def _read_pixels(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> np.ndarray:
     try:
-        with open_image(read_regular(path)) as image, without_warnings():
+        with open_image(read_regular(path)) as image, suppress_warnings():
             if size not in (None, (image.height, image.width)):
                 hint = f"its image has {size[1]} by {size[0]}"
                 raise DatasetError(path, f"has {image.width} by {image.height} pixels", hint)

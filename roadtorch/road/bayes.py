@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.imaging.levels import otsu_threshold
-from roadtorch.imaging.segments import Bandwidths, Segments, class_log_density, likeness
+from roadtorch.imaging.segments import Bandwidths, Segments, class_log_density, segment_affinity
 
 LIKELIHOOD_EPS = 1e-4
 """Distance from 0 and 1 to which likelihoods are clamped: no single cue can veto the others."""
@@ -71,7 +71,7 @@ class RoadRules(NamedTuple):
     rounds: int = 4
 
 
-RULES = RoadRules()
+ROAD_RULES = RoadRules()
 
 
 def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
@@ -107,7 +107,7 @@ def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> T
 
 
 def road_position_prior(
-    row: Tensor, column: Tensor, position: RoadPosition = RULES.position
+    row: Tensor, column: Tensor, position: RoadPosition = ROAD_RULES.position
 ) -> Tensor:
     """Return the prior p(road) at rows and columns in [0, 1]: a soft triangle ahead (ours)."""
     half = position.narrow + position.spread * (row - position.apex).clamp_min(0)
@@ -117,7 +117,9 @@ def road_position_prior(
 def seed_log_odds(segments: Segments, ground: Tensor) -> Tensor:
     """Return the log odds (n,) of road of segments, by position and layout's ground (n,) alone."""
     prior = road_position_prior(segments.row, segments.column)
-    return fused_log_odds([ground, prior], [RULES.exponents.layout, RULES.position.weight])
+    return fused_log_odds(
+        [ground, prior], [ROAD_RULES.exponents.layout, ROAD_RULES.position.weight]
+    )
 
 
 def segment_road(
@@ -126,7 +128,7 @@ def segment_road(
     distance: Tensor,
     texture: Tensor,
     further: Tensor | float = 0.0,
-    rules: RoadRules = RULES,
+    rules: RoadRules = ROAD_RULES,
 ) -> Tensor:
     """Compute p(road) of each segment (n,) from its likelihoods (n,) by several cues.
 
@@ -147,7 +149,7 @@ def segment_road(
         )
     )
     neighbours = exponents.neighbours * neighbour_mean(segments)
-    similarity = likeness(segments, rules.bandwidths)
+    similarity = segment_affinity(segments, rules.bandwidths)
     score = fixed
     for _ in range(rules.rounds):
         belief = score.sigmoid()

@@ -25,14 +25,14 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.motion import FAST, dense_flow, flow_image, forward_backward_error, warp
-from roadtorch.imaging.resize import resized, size_of
-from roadtorch.road.fusion import log_odds
+from roadtorch.imaging.motion import FAST_FLOW, dense_flow, flow_image, forward_backward_error, warp
+from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.road.bayes import log_odds
 
 BLUR_SIDE = 5  # pixels at the flow's size over which differences of the image are averaged
 
 
-class SteadySettings(Settings):
+class TemporalFilterSettings(Settings):
     """Settings of temporal smoothing."""
 
     memory: float = Field(
@@ -82,10 +82,10 @@ class EgoHistory(NamedTuple):
         return self.fraction >= 0.5
 
 
-class Steady:
+class TemporalFilter:
     """Temporal filter of the likelihoods of one source, called frame by frame in order."""
 
-    def __init__(self, settings: SteadySettings) -> None:
+    def __init__(self, settings: TemporalFilterSettings) -> None:
         self.settings = settings
         self._state: FilterState | None = None
         self._ego: EgoHistory | None = None
@@ -124,7 +124,11 @@ def update_ego(history: EgoHistory | None, hidden: Tensor, max_frames: float) ->
 
 
 def update_state(
-    past: FilterState | None, grey: Tensor, odds: Tensor, hidden: Tensor, settings: SteadySettings
+    past: FilterState | None,
+    grey: Tensor,
+    odds: Tensor,
+    hidden: Tensor,
+    settings: TemporalFilterSettings,
 ) -> FilterState:
     """Update the state of the filter by a frame.
 
@@ -136,7 +140,7 @@ def update_state(
     initial = FilterState(grey, odds, fresh)
     if past is None or past.odds.shape != odds.shape or past.grey.shape != grey.shape:
         return initial
-    flow = dense_flow(grey, past.grey, FAST)
+    flow = dense_flow(grey, past.grey, FAST_FLOW)
     confidence = flow_confidence(past.grey, grey, flow, settings)
     if confidence.mean() < settings.min_confidence:
         return initial
@@ -150,8 +154,8 @@ def update_state(
     return FilterState(grey, smooth, weight + fresh)
 
 
-def smoothed(
-    greys: Sequence[Tensor], odds: Sequence[Tensor], settings: SteadySettings
+def smooth_log_odds(
+    greys: Sequence[Tensor], odds: Sequence[Tensor], settings: TemporalFilterSettings
 ) -> list[Tensor]:
     """Smooth the log odds (H, W) of frames, uint8 (h, w), by the frames before and after each.
 
@@ -169,7 +173,7 @@ def smoothed(
 
 
 def _filter_states(
-    greys: Sequence[Tensor], odds: Sequence[Tensor], settings: SteadySettings
+    greys: Sequence[Tensor], odds: Sequence[Tensor], settings: TemporalFilterSettings
 ) -> list[FilterState]:
     """Return the filter's state after each frame, its ``frames`` at the size of the odds."""
     state, states = None, list[FilterState]()
@@ -177,12 +181,14 @@ def _filter_states(
         state = update_state(
             state, grey, frame, torch.zeros_like(frame, dtype=torch.bool), settings
         )
-        states.append(state._replace(frames=resized(state.frames[None], size_of(frame))[0]))
+        states.append(
+            state._replace(frames=resize_maps(state.frames[None], spatial_size(frame))[0])
+        )
     return states
 
 
 def flow_confidence(
-    previous: Tensor, grey: Tensor, flow: Tensor, settings: SteadySettings
+    previous: Tensor, grey: Tensor, flow: Tensor, settings: TemporalFilterSettings
 ) -> Tensor:
     """Compute the confidence, float32 (h, w) in [0, 1], in a flow from a frame to the previous one.
 
@@ -192,7 +198,7 @@ def flow_confidence(
     """
     motion = torch.hypot(flow[..., 0], flow[..., 1])
     tolerance = settings.flow_error + settings.relative_flow_error * motion
-    error = forward_backward_error(flow, dense_flow(previous, grey, FAST)) / tolerance
+    error = forward_backward_error(flow, dense_flow(previous, grey, FAST_FLOW)) / tolerance
     change = grey.to(torch.float32) - warp(previous.to(torch.float32), flow)
     change = np.abs((change - change.median()).numpy()) / 255
     blurred = torch.from_numpy(cv2.blur(change, (BLUR_SIDE, BLUR_SIDE))) / settings.contrast

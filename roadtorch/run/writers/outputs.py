@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roadtorch.base.errors import RoadtorchError, fault
-from roadtorch.camera.calibration import lens_of_info
-from roadtorch.camera.mounting import Pitch, Placing, median_pitch
+from roadtorch.base.errors import RoadtorchError, to_input_error
+from roadtorch.camera.calibration import lens_from_camera_info
+from roadtorch.camera.mounting import CameraPlacement, Pitch, median_pitch
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.bags import camera_info, image_topic, is_bag
 from roadtorch.inputs.item import Source
@@ -18,11 +18,11 @@ from roadtorch.run.loop import Inference, detect_frames
 from roadtorch.run.plan import Output, Writer, Writers
 from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
-from roadtorch.run.writers.grid import Grids
-from roadtorch.run.writers.maps import CUE_SUFFIXES, MAP_SUFFIXES, Maps
+from roadtorch.run.writers.grid import GridWriter
+from roadtorch.run.writers.maps import CUE_SUFFIXES, MAP_SUFFIXES, MapWriter
 from roadtorch.run.writers.video import VideoWriter
 
-OF_IMAGES, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
+DEFAULT_IMAGE_KINDS, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
     ("likelihood", "mask", "overlay"),
     ("overlay",),
     ("overlay", "bag"),
@@ -88,7 +88,7 @@ class MapOutput:
     one. viewer: a further writer of the frames.
     """
 
-    maps: Maps
+    maps: MapWriter
     kinds: tuple[str, ...] | None
     topic: str | None = None
     viewer: Writer | None = None
@@ -109,7 +109,7 @@ class MapOutput:
         return Output(kinds, [*streams.values()], frame_suffixes, open_writers, cues)
 
     @contextmanager
-    def _open(self, source: Source, maps: Maps, suffixes: dict[str, str]) -> Iterator[Writers]:
+    def _open(self, source: Source, maps: MapWriter, suffixes: dict[str, str]) -> Iterator[Writers]:
         """Open the writers; videos and bags are finished however the block ends."""
         stem, overlay = maps.folder / source.name, CachedOverlay()
         draws: dict[str, Callable[[Detection], np.ndarray]] = {"overlay": overlay}
@@ -136,7 +136,7 @@ class GridOutput:
     grids: writer of single images. infer: detector and camera. topic: image topic in bags.
     """
 
-    grids: Grids
+    grids: GridWriter
     infer: Inference
     topic: str | None = None
 
@@ -151,41 +151,41 @@ class GridOutput:
     @contextmanager
     def _open(self, source: Source, suffixes: list[str]) -> Iterator[Writers]:
         """Fix the pitch of the source, and open the writers; the bag is finished in any case."""
-        placing, bag = self.grids.placing, None
-        if placing.lacks_lens:
+        placement, bag = self.grids.placement, None
+        if placement.needs_lens:
             info = camera_info(source.origin, self.topic)
             matrix, distortion = info.matrix.ravel().tolist(), info.distortion.tolist()
             size, model = (info.width, info.height), info.model
-            lens = lens_of_info(source.origin, size, matrix, distortion, model)
-            placing = placing.through(lens)
-        if placing.asks_images:
-            placing = fix_pitch(placing, self.infer, source)
+            lens = lens_from_camera_info(source.origin, size, matrix, distortion, model)
+            placement = placement.with_lens(lens)
+        if placement.needs_layout:
+            placement = fix_pitch(placement, self.infer, source)
         if suffixes:
             stem = self.grids.folder / source.name
             path, threshold = stem.with_name(stem.name + suffixes[0]), self.grids.settings.threshold
             bag = BagWriter(path, self.grids.frame_id, threshold)
-        with closing(replace(self.grids, placing=placing, bag=bag)) as grids:
+        with closing(replace(self.grids, placement=placement, bag=bag)) as grids:
             yield Writers(grids)
 
 
-def fix_pitch(placing: Placing, infer: Inference, source: Source) -> Placing:
+def fix_pitch(placement: CameraPlacement, infer: Inference, source: Source) -> CameraPlacement:
     """Set one pitch for a whole source: the median of the estimates of some frames.
 
     Raises InputError where no frame yields an estimate.
     """
     pitches: list[Pitch] = []
     error: RoadtorchError | None = None
-    with closing(detect_frames(source.sampled(MEDIAN_FRAMES), infer, Workers())) as frames:
+    with closing(detect_frames(source.subsample(MEDIAN_FRAMES), infer, Workers())) as frames:
         for frame in frames:
             try:
                 detection = frame.detection()
                 image, layout = detection.image, detection.cues.get("layout")
                 assert image is not None
-                pitches.append(placing(image, layout)[1])
+                pitches.append(placement(image, layout)[1])
             except RoadtorchError as raised:
                 error = raised
     if pitches:
-        return replace(placing, pitch=median_pitch(pitches))
+        return replace(placement, pitch=median_pitch(pitches))
     if error is None:
-        return placing
-    raise fault(source.origin, error)
+        return placement
+    raise to_input_error(source.origin, error)

@@ -10,7 +10,7 @@ from pathlib import Path
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
-from roadtorch.data.labels import (
+from roadtorch.data.label_images import (
     NumberLabels,
     decode_labels,
     is_image_file,
@@ -71,7 +71,7 @@ def open_folder(root: Path, split: str) -> Dataset:
         raise DatasetError(root, message, "check the folder's layout")
     dataset = Dataset("folder", root, split, items, FolderLabels())
     table = root / CONDITIONS_FILE
-    return with_conditions(dataset, table) if table.is_file() else dataset
+    return add_conditions(dataset, table) if table.is_file() else dataset
 
 
 def _find_items(folder: Path, group: str | None) -> Iterator[LabelledItem]:
@@ -94,7 +94,7 @@ _ItemKey = tuple[str, str]
 """Group of an image ("" in a set without groups) and its file name."""
 
 
-def with_conditions(dataset: Dataset, path: Path) -> Dataset:
+def add_conditions(dataset: Dataset, path: Path) -> Dataset:
     """Return the data set with the conditions that a table lists for its images.
 
     Raises DatasetError naming the table, and the line where there is one, for a file that cannot be

@@ -12,14 +12,14 @@ from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings, read_settings_file
-from roadtorch.detectors.detector import DetectorSettings, decide
+from roadtorch.detectors.detector import DetectorSettings, decide_mask
 
 MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
 TOLERANCE = 1 / 255
 """Largest difference between a map of 8 bits and the same map in another format."""
 
-CONFIG, MASK = "config.toml", ".mask.png"
+INFER_CONFIG, MASK_ENDING = "config.toml", ".mask.png"
 """Settings that ``infer`` writes beside its maps, and the file name's end of its masks."""
 
 DECISION_KEYS = ("threshold", "isolated", "seed_area")
@@ -49,28 +49,28 @@ def read_map(path: Path) -> Tensor:
         return torch.from_numpy(values.astype(np.float32))
 
 
-def is_of_infer(folder: Path) -> bool:
+def is_infer_folder(folder: Path) -> bool:
     """Return whether a folder holds results of ``infer``, which writes its settings there too."""
-    return (folder / CONFIG).is_file()
+    return (folder / INFER_CONFIG).is_file()
 
 
-def deciding_settings(folder: Path) -> DetectorSettings:
+def read_decision_settings(folder: Path) -> DetectorSettings:
     """Read the settings by which a folder's likelihoods become masks; 0.5 without config.toml.
 
     Raises InputError or ConfigError naming the file when it cannot be used.
     """
-    if not is_of_infer(folder):
+    if not is_infer_folder(folder):
         return DetectorSettings()
-    values = read_settings_file(folder / CONFIG)
+    values = read_settings_file(folder / INFER_CONFIG)
     try:
         settings = {key: values[key] for key in DECISION_KEYS if key in values}
         return build_settings(DetectorSettings, settings)
     except ConfigError as error:
         message = f"{error.where}: {error.problem}"
-        raise ConfigError(folder / CONFIG, message, error.hint) from None
+        raise ConfigError(folder / INFER_CONFIG, message, error.hint) from None
 
 
-def map_mask(
+def read_or_decide_mask(
     folder: Path, names: Sequence[str], likelihood: Tensor, settings: DetectorSettings
 ) -> Tensor:
     """Return the mask bool (H, W) that ``infer`` wrote beside a map, or else one by the settings.
@@ -78,7 +78,7 @@ def map_mask(
     ``infer`` may have used more than the likelihood: the ego car and the seed area. Raises
     InputError for a mask that cannot be read or has another size.
     """
-    paths = [folder / f"{name}{MASK}" for name in names] if is_of_infer(folder) else []
+    paths = [folder / f"{name}{MASK_ENDING}" for name in names] if is_infer_folder(folder) else []
     for path in paths:
         if path.is_file():
             mask = read_map(path) >= 0.5
@@ -86,10 +86,10 @@ def map_mask(
                 hint = "make mask and likelihood in one run"
                 raise InputError(path, "differs in size from its likelihood", hint)
             return mask
-    return decide(likelihood, settings)
+    return decide_mask(likelihood, settings)
 
 
-def map_likelihood(
+def read_likelihood_map(
     folder: Path, names: Sequence[str], sizes: Collection[tuple[int, int]]
 ) -> Tensor:
     """Read the map of one image, float32 (H, W) in [0, 1], of one of the allowed sizes.

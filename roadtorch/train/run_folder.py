@@ -13,28 +13,28 @@ from typing import Any
 import torch
 
 from roadtorch.base.atomic import (
-    atomic,
+    atomic_write,
     csv_text,
-    digest_of,
-    locked,
+    file_digest,
+    lock_folder,
     make_folder,
     remove_leftovers,
     write_text,
 )
-from roadtorch.base.bounded import read_regular, regular_size
-from roadtorch.base.decoding import without_warnings
+from roadtorch.base.bounded import read_regular, regular_file_size
+from roadtorch.base.decoding import suppress_warnings
 from roadtorch.base.errors import ConfigError, InputError, WeightsError
 from roadtorch.base.version import __version__
 from roadtorch.inputs.item import Item
-from roadtorch.run.memo import file_digests, key_of
+from roadtorch.run.memo import cache_key, file_digests
 from roadtorch.train.prepared import PreparedImage, image_file_name
 
-FORMAT = 2
+CHECKPOINT_FORMAT = 2
 """Format of checkpoints; raised when older code could not resume from them."""
 
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
-IMAGES, WEIGHTS, PAGE = "images.csv", "weights.safetensors", "adaptation.html"
-RUN_FILES = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, PAGE)
+IMAGES, WEIGHTS, ADAPTATION_PAGE = "images.csv", "weights.safetensors", "adaptation.html"
+RUN_FILES = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, ADAPTATION_PAGE)
 INITIAL_LABELS = "labels-1"
 """Folder of the labels by the network that a run starts from."""
 
@@ -53,16 +53,16 @@ def make_record(
     corrections: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """Return the content of run.json: settings, images and corrections, with a key of each."""
-    files = [(image_file_name(image), digest_of(image.path)) for image in images]
+    files = [(image_file_name(image), file_digest(image.path)) for image in images]
     return {
         "roadtorch": __version__,
         "config": config,
         "count": len(images),
         "corrections": corrections,
         "keys": {
-            "settings": key_of(config, file_digests(config)),
-            "images": key_of(files),
-            "corrections": key_of(corrections),
+            "settings": cache_key(config, file_digests(config)),
+            "images": cache_key(files),
+            "corrections": cache_key(corrections),
         },
     }
 
@@ -77,7 +77,7 @@ class RunFolder:
     def lock(self) -> Iterator[None]:
         """Create the folder and lock it; InputError if another run holds the lock."""
         make_folder(self.path, OTHER_OUT)
-        with locked(self.path, f"wait for it, or {OTHER_OUT}"):
+        with lock_folder(self.path, f"wait for it, or {OTHER_OUT}"):
             yield
 
     def check(self, record: Mapping[str, Any]) -> None:
@@ -124,8 +124,8 @@ class RunFolder:
     def write_checkpoint(self, state: Mapping[str, Any]) -> None:
         """Write the state of a run atomically."""
         data = io.BytesIO()  # torch would raise an error of its own for a full disk
-        torch.save({"format": FORMAT, **state}, data)
-        with atomic(self.path / CHECKPOINT) as temporary:
+        torch.save({"format": CHECKPOINT_FORMAT, **state}, data)
+        with atomic_write(self.path / CHECKPOINT) as temporary:
             temporary.write_bytes(data.getvalue())
 
     def read_checkpoint(self) -> dict[str, Any] | None:
@@ -137,14 +137,14 @@ class RunFolder:
         if not path.exists():
             return None
         try:
-            regular_size(path)
-            with without_warnings():  # about damaged files
+            regular_file_size(path)
+            with suppress_warnings():  # about damaged files
                 state = torch.load(path, weights_only=True)
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
             raise WeightsError(path, *BAD_CHECKPOINT) from None
-        if number != FORMAT:
-            message = f"has the format {number}; this roadtorch reads {FORMAT}"
+        if number != CHECKPOINT_FORMAT:
+            message = f"has the format {number}; this roadtorch reads {CHECKPOINT_FORMAT}"
             raise WeightsError(path, message, "use the roadtorch that made it")
         return state
 
@@ -175,5 +175,5 @@ class RunFolder:
 
         figure = Figure(figsize=(6, 4), layout="constrained")
         draw_losses(figure, rows)
-        with atomic(self.path / CURVE) as temporary:
+        with atomic_write(self.path / CURVE) as temporary:
             figure.savefig(temporary, format="png", dpi=120)

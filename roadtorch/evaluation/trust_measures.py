@@ -18,15 +18,15 @@ from torch import Tensor
 from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.measure import Measure, TableName
 from roadtorch.evaluation.metrics import f_measure
-from roadtorch.evaluation.tally import ImageTable, Part
+from roadtorch.evaluation.tally import ImageTable, PooledCounts
 
-BAD = 0.6  # F below which a mask is a failure; ours: such masks look wrong at first sight
+FAILURE_F = 0.6  # F below which a mask is a failure; ours: such masks look wrong at first sight
 
 MIN_GROUP_IMAGES = 4  # images that a group needs for a correlation; ours
 
 
 @dataclass(frozen=True)
-class Trusted:
+class TrustSamples:
     """Images with a trust and an F of the mask, float64 (n,) each, and the group of each image."""
 
     trust: Tensor
@@ -34,14 +34,14 @@ class Trusted:
     groups: Sequence[str]
 
 
-def trust_samples(images: ImageTable | None) -> Trusted | None:
+def trust_samples(images: ImageTable | None) -> TrustSamples | None:
     """Return the images that have a trust and an F of the mask; None where no image has a trust."""
     if images is None or images.trust.isnan().all():
         return None
     f = f_measure(images.mask)
     defined = ~(images.trust.isnan() | f.isnan())
     groups = [images.groups[int(i)] for i in defined.nonzero()]
-    return Trusted(images.trust[defined], f[defined], groups)
+    return TrustSamples(images.trust[defined], f[defined], groups)
 
 
 def rank_correlation(first: Tensor, second: Tensor) -> float:
@@ -59,7 +59,7 @@ def average_ranks(values: Tensor) -> Tensor:
     return (last - (counts - 1) / 2)[indices]
 
 
-def correlation_within(samples: Trusted) -> float:
+def mean_group_correlation(samples: TrustSamples) -> float:
     """Return the mean of the groups' rank correlations; NaN without a group that has one."""
     correlations = []
     for group in sorted(set(samples.groups)):
@@ -69,7 +69,7 @@ def correlation_within(samples: Trusted) -> float:
     return float(torch.tensor(correlations, dtype=torch.float64).nanmean())
 
 
-def failure_auc(trust: Tensor, f: Tensor, bad: float = BAD) -> float:
+def failure_auc(trust: Tensor, f: Tensor, bad: float = FAILURE_F) -> float:
     """Compute the area under the ROC of detecting "F < bad" by low trust; equal trusts count half.
 
     It is the fraction of pairs (bad image, good image) in which the bad one has the lower trust.
@@ -108,13 +108,13 @@ def _measure(
     key: str,
     name: str,
     meaning: str,
-    function: Callable[[Trusted], float],
+    function: Callable[[TrustSamples], float],
     better: Literal["higher", "lower"] | None = "higher",
     tables: tuple[TableName, ...] = ("trust",),
 ) -> Measure:
     """Return a measure over the images that have a trust; it does not apply where none has."""
 
-    def formula(part: Part) -> float | None:
+    def formula(part: PooledCounts) -> float | None:
         samples = trust_samples(part.images)
         return None if samples is None else function(samples)
 
@@ -134,13 +134,13 @@ TRUST_MEASURES = (
         "rank_correlation_within",
         "within groups",
         f"Mean of the rank correlations of groups with {MIN_GROUP_IMAGES} images or more.",
-        correlation_within,
+        mean_group_correlation,
     ),
     _measure(
         "auc",
-        f"AUC for F < {BAD:g}",
-        f"Fraction of pairs (an image with F < {BAD:g}, another one) in which the first has the "
-        "lower trust.",
+        f"AUC for F < {FAILURE_F:g}",
+        f"Fraction of pairs (an image with F < {FAILURE_F:g}, another one) in which the first "
+        "has the lower trust.",
         lambda samples: failure_auc(samples.trust, samples.f),
     ),
     _measure(

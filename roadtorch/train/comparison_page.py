@@ -2,22 +2,22 @@
 
 from dataclasses import replace
 
-from roadtorch.data.dataset import every_kth
+from roadtorch.data.dataset import subsample_dataset
 from roadtorch.evaluation.disagreement import (
-    Taught,
-    disagreements,
-    most_and_spread,
-    unlabelled_set,
+    TeacherAgreement,
+    compare_masks,
+    select_changed,
+    unlabelled_dataset,
 )
-from roadtorch.evaluation.methods import reference
+from roadtorch.evaluation.methods import parse_reference
 from roadtorch.evaluation.report.adaptation import Adaptation, write_adaptation
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_path
 from roadtorch.train.config import ImageTraining, Training
-from roadtorch.train.folder import PAGE, RunFolder
 from roadtorch.train.prepared import image_file_name
-from roadtorch.train.run import FUSION_CONFIG, PREPARED, Outcome, Request
+from roadtorch.train.run import FUSION_CONFIG, PREPARED, Outcome, TrainingRequest
+from roadtorch.train.run_folder import ADAPTATION_PAGE, RunFolder
 from roadtorch.train.teachers import teacher_agreement
 
 MAX_COMPARED, MAX_SHOWN = 60, 10
@@ -27,7 +27,7 @@ most."""
 
 def write_page(
     training: Training,
-    request: Request,
+    request: TrainingRequest,
     outcome: Outcome,
     verdict: str = "",
     command: str = "",
@@ -40,12 +40,12 @@ def write_page(
         return False
     weights, calibrated = outcome.weights, outcome.weights.with_name(FUSION_CONFIG)
     start = weights_path(training.initial_weights)
-    initial = reference(str(start), {})
-    trained = reference(str(calibrated if calibrated.exists() else weights), {})
+    initial = parse_reference(str(start), {})
+    trained = parse_reference(str(calibrated if calibrated.exists() else weights), {})
     methods = (replace(initial, name="before"), replace(trained, name="after"))
     images = find_images([request.images], request.out)
-    dataset = every_kth(unlabelled_set(images), MAX_COMPARED)
-    comparison = disagreements(dataset, methods, quiet=request.quiet, desc="before and after")
+    dataset = subsample_dataset(unlabelled_dataset(images), MAX_COMPARED)
+    comparison = compare_masks(dataset, methods, quiet=request.quiet, desc="before and after")
     if not comparison.images:
         return False
     taught = None
@@ -59,14 +59,14 @@ def write_page(
             for network in map(load_network, (start, weights))
             if isinstance(network, WholeImageNetwork)
         ]
-        taught = Taught(training.teacher.detector, *agreements)
+        taught = TeacherAgreement(training.teacher.detector, *agreements)
     change = Adaptation(
-        seen=comparison,
+        comparison=comparison,
         files=(start, weights),
-        shown=most_and_spread(comparison.images, MAX_SHOWN),
-        taught=taught,
-        rows=RunFolder(request.out).read_log(),
+        examples=select_changed(comparison.images, MAX_SHOWN),
+        agreement=taught,
+        epochs=RunFolder(request.out).read_log(),
         verdict=verdict,
     )
-    write_adaptation(request.out / PAGE, change, command)
+    write_adaptation(request.out / ADAPTATION_PAGE, change, command)
     return True

@@ -7,8 +7,13 @@ import torch
 from torch import Tensor
 
 from roadtorch.imaging.motion import flow_image
-from roadtorch.road.fusion import log_odds
-from roadtorch.road.steady import Steady, SteadySettings, flow_confidence, smoothed
+from roadtorch.road.bayes import log_odds
+from roadtorch.road.temporal_filter import (
+    TemporalFilter,
+    TemporalFilterSettings,
+    flow_confidence,
+    smooth_log_odds,
+)
 from roadtorch.testing.scenes import render_scene
 
 STREET = render_scene(1, 120, 160, noise=0.0).image
@@ -18,8 +23,8 @@ EGO[-40:] = True
 ROAD = torch.full((120, 160), 0.9)
 
 
-def make_filter(memory: float = 6.0) -> Steady:
-    return Steady(SteadySettings(memory=memory))
+def make_filter(memory: float = 6.0) -> TemporalFilter:
+    return TemporalFilter(TemporalFilterSettings(memory=memory))
 
 
 def noisy(frames: int) -> Tensor:
@@ -28,7 +33,9 @@ def noisy(frames: int) -> Tensor:
 
 
 def smooth_all(
-    likelihoods: Iterable[Tensor], temporal_filter: Steady | None = None, image: Tensor = STREET
+    likelihoods: Iterable[Tensor],
+    temporal_filter: TemporalFilter | None = None,
+    image: Tensor = STREET,
 ) -> list[Tensor]:
     """Return the smoothed likelihoods of a still image."""
     temporal_filter = make_filter() if temporal_filter is None else temporal_filter
@@ -92,11 +99,11 @@ def test_what_looks_different_is_not_believed_and_a_change_of_light_is_no_differ
     covered, still = grey.clone(), torch.zeros(*grey.shape, 2)
     covered[60:100, 60:100] = 255 - covered[60:100, 60:100]
 
-    belief = flow_confidence(grey, covered, still, SteadySettings())
+    belief = flow_confidence(grey, covered, still, TemporalFilterSettings())
 
     assert belief[66:94, 66:94].mean() < 0.2
     assert belief[:40].mean() > 0.8
-    assert flow_confidence(grey, grey + 20, still, SteadySettings()).mean() > 0.95
+    assert flow_confidence(grey, grey + 20, still, TemporalFilterSettings()).mean() > 0.95
 
 
 # --- the ego car ------------------------------------------------------------------------------
@@ -140,7 +147,7 @@ def test_smoothed_frames_are_means_up_to_a_cut(images: list[Tensor], of: list[ra
     odds = [log_odds(likelihood) for likelihood in noisy(4)]
     greys = [flow_image(image, 160) for image in images]
 
-    smooth = smoothed(greys, odds, SteadySettings(memory=20.0))
+    smooth = smooth_log_odds(greys, odds, TemporalFilterSettings(memory=20.0))
 
     for frame, alike in {0: of[0], 3: of[-1]}.items():
         mean = torch.stack([odds[number] for number in alike]).mean(0)

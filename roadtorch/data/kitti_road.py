@@ -13,10 +13,10 @@ from typing import ClassVar
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, DatasetError
-from roadtorch.camera.birds_eye import to_birds_eye
+from roadtorch.camera.birds_eye import warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.data.labels import ColourLabels, NumberLabels, is_image_file, require_labels
+from roadtorch.data.label_images import ColourLabels, NumberLabels, is_image_file, require_labels
 
 KITTI_NAME = "kitti-road"
 KITTI_SPLITS = ("road", "lane")  # the whole road, or only the ego lane (category um)
@@ -47,7 +47,7 @@ def split_name(name: str) -> tuple[str, str]:
     return parts[1], parts[2]
 
 
-def base_folder(root: Path, part: str) -> Path:
+def find_kitti_folder(root: Path, part: str) -> Path:
     """Return the folder that holds image_2: ROOT itself or ROOT/part (training or testing).
 
     Raises DatasetError when neither does.
@@ -69,7 +69,7 @@ def open_kitti_road(root: Path, split: str) -> Dataset:
     categories. Scored in image space, with the benchmark's 256 levels. Raises DatasetError for a
     missing folder or label file.
     """
-    folder, items = base_folder(root, "training"), []
+    folder, items = find_kitti_folder(root, "training"), []
     for image in filter(is_image_file, sorted((folder / "image_2").iterdir())):
         category, _ = split_name(image.stem)
         if split == "road" or category in LANE_CATEGORIES:
@@ -92,10 +92,10 @@ class BirdsEyeView:
         Raises DatasetError naming a calibration file that is missing or broken.
         """
         # Not cached: reading takes a third of a millisecond, and is never out of date.
-        return to_birds_eye(values, read_calibration(self.calib / f"{item.name}.txt"))
+        return warp_to_birds_eye(values, read_calibration(self.calib / f"{item.name}.txt"))
 
 
-def birds_eye(dataset: Dataset) -> Dataset:
+def use_birds_eye_view(dataset: Dataset) -> Dataset:
     """Return the data set scored in bird's-eye view, as the benchmark does, by ROOT/calib/NAME.txt.
 
     Invisible cells are void. Raises ConfigError for a set other than KITTI's, DatasetError when
@@ -104,10 +104,15 @@ def birds_eye(dataset: Dataset) -> Dataset:
     if dataset.name != KITTI_NAME:
         hint = f"only {KITTI_NAME} has calibration files"
         raise ConfigError(dataset.name, "has no bird's-eye view", hint)
-    return replace(dataset, view=BirdsEyeView(calib_folder(base_folder(dataset.root, "training"))))
+    return replace(
+        dataset,
+        scoring_space=BirdsEyeView(
+            find_calibration_folder(find_kitti_folder(dataset.root, "training"))
+        ),
+    )
 
 
-def calib_folder(folder: Path) -> Path:
+def find_calibration_folder(folder: Path) -> Path:
     """Return the folder of calibration files beside image_2; DatasetError when there is none."""
     if not (folder / "calib").is_dir():
         hint = "bird's-eye view needs calibration files"

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import count_levels, count_mask, f_measure, max_f
-from roadtorch.imaging.segments import likeness, measure_segments
+from roadtorch.imaging.segments import measure_segments, segment_affinity
 from roadtorch.imaging.slic import slic
-from roadtorch.road.fusion import (
+from roadtorch.road.bayes import (
     MAX_APPEARANCE,
     PRIORS,
     Exponents,
@@ -130,7 +130,7 @@ def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
         fixed += weight * torch.tensor([reference.log_odds(value) for value in cue.tolist()])
     scores = reference.learned_scores(
         fixed.tolist(),
-        likeness(segments, chosen.bandwidths).tolist(),
+        segment_affinity(segments, chosen.bandwidths).tolist(),
         segments.size.tolist(),
         reference.neighbours(
             [(first, second) for first, second in segments.pairs.T.tolist()], len(road)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from roadtorch.base.settings import Settings
 from roadtorch.ufl.features import DictionarySettings, learn_dictionary, whiten_patches
-from roadtorch.ufl.preprocess import Smoothing, equalised
+from roadtorch.ufl.preprocess import Smoothing, equalise
 
 BASIS_BLOCK = 16
 """Bases whose maps are in memory at a time; maps that are not selected are discarded."""
@@ -133,11 +133,11 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
 class LearnedFeatures:
     """Features learned from one image.
 
-    ``even`` is the equalised image (3, H, W), ``patches`` are white (n, d), ``dictionary`` has the
-    bases (K, d), ``size`` the rows and columns of the selected maps.
+    ``equalised`` is the equalised image (3, H, W), ``patches`` are white (n, d), ``dictionary``
+    has the bases (K, d), ``size`` the rows and columns of the selected maps.
     """
 
-    even: Tensor
+    equalised: Tensor
     patches: Tensor
     dictionary: Tensor
     maps: FeatureMaps
@@ -155,7 +155,7 @@ def learn_features(
         dictionary: settings of the dictionary.
         maps: settings of the feature maps.
     """
-    even = equalised(image, smoothing)
+    even = equalise(image, smoothing)
     patches = whiten_patches(even, dictionary)
     bases = learn_dictionary(patches, dictionary)
     size = (image.shape[1] - dictionary.side + 1, image.shape[2] - dictionary.side + 1)
