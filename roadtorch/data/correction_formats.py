@@ -50,9 +50,10 @@ def _require_unique_stems(names: Iterable[str]) -> None:
 
 
 def write_png(corrections: Sequence[Correction], folder: Path) -> None:
-    """Write FOLDER/labels/NAME.png, numbers of ``LABELS``, and FOLDER/road and /layout as sets use.
+    """Write FOLDER/labels/NAME.png, and FOLDER/road and FOLDER/layout as data sets have them.
 
-    In road 0 is not road, 1 road, 255 void or untouched; in layout 255 is unknown.
+    Labels are indices in ``LABEL_NAMES``. In road 0 is not road, 1 road, 255 void or untouched; in
+    layout 255 is unknown.
     """
     _require_unique_stems(correction.name for correction in corrections)
     for correction in corrections:
@@ -79,7 +80,7 @@ def read_png(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
 
 
 def read_label_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Read numbers of ``LABELS``, uint8 (H, W); DatasetError for other numbers or another size."""
+    """Read indices in ``LABEL_NAMES``, uint8 (H, W); DatasetError for others or another size."""
     labels = read_labels(path, size)
     if not np.isin(labels, range(len(LABEL_NAMES))).all():
         message = f"has other values than 0 to {len(LABEL_NAMES) - 1}"
@@ -163,7 +164,7 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
     path: a folder with coco.json, or a file of any name. Later regions cover earlier ones.
     Raises DatasetError for any other file, one without an image of ``sizes``, two entries for one
     image, an image of another size, a region that does not fit its image, and a category that is
-    not one of ``LABELS``.
+    not one of ``LABEL_NAMES``.
     """
     path = path / _COCO_FILE if path.is_dir() else path
     with read_document(path, "export it again as COCO") as data:

@@ -212,7 +212,7 @@ class Correction:
     Attributes:
         image: its file.
         name: path relative to the folder of images, with extension.
-        labels: numbers of ``LABELS``, uint8, shape (H, W).
+        labels: indices in ``LABEL_NAMES``, uint8, shape (H, W).
         confirmed: true if the rest was confirmed as shown, so that road is known in all pixels.
         seconds: working time.
         clicks: number of strokes, including undone ones.

@@ -37,7 +37,7 @@ class LabelledItem:
 
     Attributes:
         group: the camera, drive or city, if known.
-        extra: further files of its truth or view, such as a calibration.
+        extra: further files of its ground truth or scoring space, such as a calibration.
         conditions: words such as "night" or "rain".
     """
 
@@ -77,7 +77,7 @@ class Dataset:
     Attributes:
         reader: reads the ground truth of an item.
         levels: number of levels to which scoring rounds likelihoods (KITTI's program: 256).
-        view: maps results into the space of the scores; None for the image itself.
+        scoring_space: maps results into the space of the scores; None for the image itself.
         left_out: groups that are scored, but enter no mean and choose no threshold.
     """
 

@@ -104,12 +104,8 @@ def use_birds_eye_view(dataset: Dataset) -> Dataset:
     if dataset.name != KITTI_NAME:
         hint = f"only {KITTI_NAME} has calibration files"
         raise ConfigError(dataset.name, "has no bird's-eye view", hint)
-    return replace(
-        dataset,
-        scoring_space=BirdsEyeView(
-            find_calibration_folder(find_kitti_folder(dataset.root, "training"))
-        ),
-    )
+    folder = find_calibration_folder(find_kitti_folder(dataset.root, "training"))
+    return replace(dataset, scoring_space=BirdsEyeView(folder))
 
 
 def find_calibration_folder(folder: Path) -> Path:
