@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tomli_w
 import torch
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import Field, model_validator
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -45,26 +45,13 @@ _Components = Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(
 class EgoTemplate(Settings):
     """Gradient template of the ego car at some points; empty without an ego car."""
 
-    # The other names of keys are those of the first release.
     min_similarity: float = Field(
-        default=MIN_SIMILARITY,
-        ge=-1,
-        le=1,
-        validation_alias=AliasChoices("min_similarity", "least"),
-        description="least cosine similarity of its images",
+        default=MIN_SIMILARITY, ge=-1, le=1, description="least cosine similarity of its images"
     )
     rows: _Fractions = Field(default=(), description="rows of points, fractions of the height")
     columns: _Fractions = Field(default=(), description="their columns, fractions of the width")
-    gradient_x: _Components = Field(
-        default=(),
-        validation_alias=AliasChoices("gradient_x", "across"),
-        description="mean gradients to the right",
-    )
-    gradient_y: _Components = Field(
-        default=(),
-        validation_alias=AliasChoices("gradient_y", "down"),
-        description="mean gradients downwards",
-    )
+    gradient_x: _Components = Field(default=(), description="mean gradients to the right")
+    gradient_y: _Components = Field(default=(), description="mean gradients downwards")
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "EgoTemplate":
@@ -146,11 +133,7 @@ class Camera(Settings):
         default=None, ge=0, lt=180, description="direction of equal log chromaticity in degrees"
     )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
-    template: EgoTemplate = Field(
-        default=EgoTemplate(),
-        validation_alias=AliasChoices("template", "look"),
-        description="gradients of the ego car",
-    )
+    template: EgoTemplate = Field(default=EgoTemplate(), description="gradients of the ego car")
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Camera":

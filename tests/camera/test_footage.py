@@ -50,15 +50,6 @@ def test_horizon_and_seed_row_come_back_from_a_file(camera: Camera, tmp_path: Pa
     assert Camera.read(tmp_path / "camera.toml") == camera
 
 
-def test_a_file_of_the_first_release_is_read(camera: Camera, tmp_path: Path) -> None:
-    path = tmp_path / "camera.toml"
-    camera.write(path)
-    text = path.read_text().replace("[template]", "[look]").replace("min_similarity", "least")
-    path.write_text(text.replace("gradient_x", "across").replace("gradient_y", "down"))
-
-    assert Camera.read(path) == camera
-
-
 def test_its_own_images_pass_at_any_size_and_others_are_refused(camera: Camera) -> None:
     for image in (*drive(), resize_maps(drive()[3], (240, 320)).clamp(0, 1)):
         camera.check(image)
