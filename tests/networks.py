@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from roadtorch.layout.image_network import EGO, ImageNetwork, ImageNetworkSettings
+from roadtorch.layout.image_network import EGO_OUTPUT, ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, save_network
 
 CRISP = 40.0
@@ -39,11 +39,11 @@ def write_ego_network(path: Path, bottom: float) -> Path:
     weights = dict(network.named_parameters())
     weights["first.0.weight"][0, 4, 1, 1] = 1  # the second plane of the place: how far down
     weights["to_half.0.weight"][0, 0, 1, 1] = 1
-    weights["heads.weight"][EGO, 0] = 1
-    depth = network(torch.zeros(1, 3, 48, 64))[0, EGO, :, 0]
+    weights["heads.weight"][EGO_OUTPUT, 0] = 1
+    depth = network(torch.zeros(1, 3, 48, 64))[0, EGO_OUTPUT, :, 0]
     first = round((1 - bottom) * len(depth))
     begins = torch.cat([depth, depth[-1:] + 1])[first - 1 : first + 1].mean()
-    weights["heads.weight"][EGO, 0] = CRISP
-    weights["heads.bias"][EGO] = -CRISP * begins
+    weights["heads.weight"][EGO_OUTPUT, 0] = CRISP
+    weights["heads.bias"][EGO_OUTPUT] = -CRISP * begins
     save_network(path, network, {})
     return path

@@ -25,7 +25,7 @@ DILATIONS = (1, 2, 4, 8, 1)
 GROUP_SIZE = 8
 """Channels in a group of the group normalisation; widths are multiples of it."""
 
-ROAD_OUTPUT, EGO = NUM_CLASSES, NUM_CLASSES + 1
+ROAD_OUTPUT, EGO_OUTPUT = NUM_CLASSES, NUM_CLASSES + 1
 """Channels of the outputs after the classes of the layout."""
 
 NUM_OUTPUTS = NUM_CLASSES + 2

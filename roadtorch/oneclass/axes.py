@@ -19,7 +19,7 @@ from roadtorch.imaging.color import PLANES
 Hue = Literal["unrolled", "linear"]
 """Reading of hue: distance along the circle from the samples' mean, or a plain number.
 
-``unroll_hue`` is exact within half a turn; ``linear`` is cut at red, as P3's column H suggests.
+``unrolled`` is exact within half a turn; ``linear`` is cut at red, as P3's column H suggests.
 """
 
 MIN_MEAN_LENGTH = 1e-6

@@ -131,7 +131,7 @@ class RobustSettings(GaussianSettings):
     )
 
 
-def reweighted(
+def reweighted_moments(
     samples: Tensor, axes: Axes, settings: GaussianSettings, power: float
 ) -> tuple[Tensor, Tensor]:
     """Return mean and covariance with weights w = min(1, (c/D)^power), c² = χ²_d(1-rejected).
@@ -163,7 +163,7 @@ def reweighted(
 def fit_robust(road: RoadSamples, settings: RobustSettings) -> DistanceModel:
     """Fit mean and covariance to the reweighted samples."""
     power = 1.5 if settings.method == "reweighted" else 1.0
-    return gaussian(*reweighted(road.samples, road.axes, settings, power), settings)
+    return gaussian(*reweighted_moments(road.samples, road.axes, settings, power), settings)
 
 
 GAUSSIANS = (

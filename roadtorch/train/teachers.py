@@ -19,7 +19,7 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import EGO, ROAD_OUTPUT, scores_to_potentials
+from roadtorch.layout.image_network import EGO_OUTPUT, ROAD_OUTPUT, scores_to_potentials
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.road.bayes import centred_odds, log_odds
@@ -81,7 +81,11 @@ def make_targets(
         weight = 1.0 if rounds.combine == "teacher" else 0.5
         layout = torch.lerp(network_layout, layout, weight)
         road = torch.lerp(network_road, road, weight)
-    guess = torch.zeros_like(ego) if network is None else (network[:, EGO:] >= EGO_CERTAIN).to(ego)
+    guess = (
+        torch.zeros_like(ego)
+        if network is None
+        else (network[:, EGO_OUTPUT:] >= EGO_CERTAIN).to(ego)
+    )
     ego = torch.where((ego - 0.5).abs() < EGO_KNOWN, guess, ego)
     best = layout.topk(2, dim=1).values
     sure = (best[:, :1] - best[:, 1:] >= settings.margin).to(road)

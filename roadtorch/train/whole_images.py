@@ -18,7 +18,7 @@ from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
 from roadtorch.layout.image_network import (
-    EGO,
+    EGO_OUTPUT,
     ROAD_OUTPUT,
     ImageNetwork,
     ImageNetworkSettings,
@@ -232,7 +232,7 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 
     layout = -(targets.layout * scores[:, :NUM_CLASSES].log_softmax(1)).sum(1, keepdim=True)
     road = binary(scores[:, ROAD_OUTPUT : ROAD_OUTPUT + 1], targets.road) * targets.road_weight
-    ego = binary(scores[:, EGO:], targets.ego) * targets.ego_weight
+    ego = binary(scores[:, EGO_OUTPUT:], targets.ego) * targets.ego_weight
     loss = layout * targets.layout_weight + weights.road * road + weights.ego * ego
     return loss.mean((1, 2, 3)).sum()
 

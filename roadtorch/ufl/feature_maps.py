@@ -133,7 +133,7 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
 class LearnedFeatures:
     """Features learned from one image.
 
-    ``equalised`` is the equalised image (3, H, W), ``patches`` are white (n, d), ``dictionary``
+    ``equalised`` is the image (3, H, W), ``patches`` are white (n, d), ``dictionary``
     has the bases (K, d), ``size`` the rows and columns of the selected maps.
     """
 
@@ -155,11 +155,11 @@ def learn_features(
         dictionary: settings of the dictionary.
         maps: settings of the feature maps.
     """
-    even = equalise(image, smoothing)
-    patches = whiten_patches(even, dictionary)
+    equalised = equalise(image, smoothing)
+    patches = whiten_patches(equalised, dictionary)
     bases = learn_dictionary(patches, dictionary)
     size = (image.shape[1] - dictionary.side + 1, image.shape[2] - dictionary.side + 1)
-    return LearnedFeatures(even, patches, bases, select_maps(patches, bases, size, maps), size)
+    return LearnedFeatures(equalised, patches, bases, select_maps(patches, bases, size, maps), size)
 
 
 def dictionary_image(

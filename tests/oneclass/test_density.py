@@ -14,7 +14,7 @@ from roadtorch.oneclass.density import (
     RobustSettings,
     chi_quantile,
     moments,
-    reweighted,
+    reweighted_moments,
 )
 from roadtorch.oneclass.histogram import HistogramSettings, add_noisy_copy
 from roadtorch.oneclass.mixture import (
@@ -57,7 +57,10 @@ def test_a_tenth_of_outliers_moves_the_robust_mean_five_times_less(dimensions: i
     spoilt[:9] = 0.9 + 0.02 * random(9, dimensions)  # white paint
 
     robust, plain = (
-        [reweighted(rows, axes, RobustSettings(), power=1.5)[0] for rows in (clean, spoilt)],
+        [
+            reweighted_moments(rows, axes, RobustSettings(), power=1.5)[0]
+            for rows in (clean, spoilt)
+        ],
         [moments(rows)[0] for rows in (clean, spoilt)],
     )
 
@@ -80,7 +83,7 @@ def test_weights_are_those_of_the_docstring_at_the_end() -> None:
     samples, axes = correlated(2), PLANES[2]
     settings = RobustSettings(ridge=0.0)
 
-    mean, covariance = reweighted(samples, axes, settings, power=1)
+    mean, covariance = reweighted_moments(samples, axes, settings, power=1)
 
     distance = ((samples - mean) @ torch.linalg.inv(covariance) * (samples - mean)).sum(1).sqrt()
     weights = ((-2 * math.log(0.025)) ** 0.5 / distance).clamp_max(1)
