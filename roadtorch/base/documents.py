@@ -55,9 +55,8 @@ def read_document(path: Path, hint: str) -> Iterator[bytes]:
     except RoadtorchError:
         raise
     except pydantic.ValidationError as error:
-        raise DatasetError(
-            path, f"cannot be read: {describe_validation_error(error)}", hint
-        ) from None
+        problem = f"cannot be read: {describe_validation_error(error)}"
+        raise DatasetError(path, problem, hint) from None
     except MemoryError:
         raise DatasetError(path, "does not fit in memory", hint) from None
     except (OSError, ValueError, LookupError, ArithmeticError, RecursionError) as error:

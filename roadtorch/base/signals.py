@@ -17,14 +17,14 @@ class SigtermInterrupt(KeyboardInterrupt):
 
 
 def sigterm_handler(*_: object) -> NoReturn:
-    """Raise Terminated, in a process that has nothing to save first."""
+    """Raise SigtermInterrupt, in a process that has nothing to save first."""
     raise SigtermInterrupt
 
 
 class StopRequest:
     """A request to stop by a signal.
 
-    at_once: raise when the request comes, as while waiting for a live source.
+    raises_at_once: raise when the request comes, as while waiting for a live source.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class StopRequest:
         return self.signal is not None
 
     def raise_if_requested(self) -> None:
-        """Raise KeyboardInterrupt or Terminated if a stop was requested."""
+        """Raise KeyboardInterrupt or SigtermInterrupt if a stop was requested."""
         if self.signal == signal.SIGTERM:
             raise SigtermInterrupt
         if self.requested:
@@ -53,7 +53,7 @@ class StopRequest:
 
 @contextmanager
 def raise_on_sigterm() -> Iterator[None]:
-    """Raise Terminated on SIGTERM inside the block, unless SIGTERM is handled or ignored."""
+    """Raise SigtermInterrupt on SIGTERM inside the block, unless SIGTERM is handled or ignored."""
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield
@@ -98,7 +98,7 @@ def record_signals() -> Iterator[StopRequest]:
 
 @contextmanager
 def prefer_interruption() -> Iterator[None]:
-    """Raise KeyboardInterrupt or Terminated for a signal, whatever exception it led to.
+    """Raise KeyboardInterrupt or SigtermInterrupt for a signal, whatever exception it led to.
 
     Libraries in C or Rust turn a KeyboardInterrupt inside them into errors of their own.
     """

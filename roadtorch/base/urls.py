@@ -50,9 +50,8 @@ def open_url(url: str) -> Iterator[Any]:
         credentials = base64.b64encode(unquote(user[1]).encode()).decode()
         headers["Authorization"] = f"Basic {credentials}"
     try:
-        with closing(
-            urlopen(Request(address, headers=headers), timeout=RESPONSE_TIMEOUT)
-        ) as response:
+        request = Request(address, headers=headers)
+        with closing(urlopen(request, timeout=RESPONSE_TIMEOUT)) as response:
             yield response
     except HTTPError as error:
         error.close()
@@ -60,12 +59,9 @@ def open_url(url: str) -> Iterator[Any]:
         raise InputError(address, problem, "check the address") from None
     except (OSError, HTTPException, ValueError) as error:
         cause = getattr(error, "reason", error)
-        is_late = isinstance(cause, TimeoutError)
-        text = (
-            f"{RESPONSE_TIMEOUT:g} seconds without a response"
-            if is_late
-            else str(cause) or "no response"
-        )
+        text = str(cause) or "no response"
+        if isinstance(cause, TimeoutError):
+            text = f"{RESPONSE_TIMEOUT:g} seconds without a response"
         raise InputError(address, f"cannot be fetched: {text}", "check the address") from None
 
 

@@ -110,9 +110,8 @@ class CommandGroup(click.Group):
         except Exception as error:
             _print_traceback(ctx)
             if is_out_of_memory(error):
-                raise click.ClickException(
-                    str(to_input_error(ctx.invoked_subcommand, error))
-                ) from None
+                error = to_input_error(ctx.invoked_subcommand, error)
+                raise click.ClickException(str(error)) from None
             problem = f"a bug in roadtorch: {type(error).__name__}: {error}"
             raise click.ClickException(
                 f"{ctx.invoked_subcommand}: {problem} (report it with --debug)"
@@ -130,9 +129,8 @@ class CommandGroup(click.Group):
             name = next((word for word in args if not word.startswith("-")), "")
             click.echo(f"roadtorch: {INTERRUPT_MESSAGES.get(name, 'interrupted')}", err=True)
             cause = error.__cause__ or error  # click makes an Abort of KeyboardInterrupt
-            code = (
-                ExitCode.TERMINATED if isinstance(cause, SigtermInterrupt) else ExitCode.INTERRUPTED
-            )
+            is_sigterm = isinstance(cause, SigtermInterrupt)
+            code = ExitCode.TERMINATED if is_sigterm else ExitCode.INTERRUPTED
         except click.exceptions.NoArgsIsHelpError as error:
             error.show()
             code = ExitCode.WRONG_USAGE
