@@ -16,7 +16,7 @@ from roadtorch.base.errors import InputError
 WEB_SCHEMES = ("http", "https")
 
 RESPONSE_TIMEOUT = 10.0
-"""Seconds that a web server may be silent; ours: the same as ``Patience``."""
+"""Seconds that a web server may be silent; ours: as long as for a live stream."""
 
 READ_SIZE = 2**20  # bytes
 
