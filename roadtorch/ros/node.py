@@ -96,9 +96,8 @@ def spin(arguments: Sequence[str], stop: StopRequest) -> None:
     finally:
         executor.shutdown(timeout_sec=STOP_TIMEOUT)
         rclpy.try_shutdown()
-        if (
-            thread.is_alive()
-        ):  # a thread that Python ends inside rclpy's C++ code aborts the process
+        # A thread that Python ends inside rclpy's C++ code aborts the process.
+        if thread.is_alive():
             thread.join(STOP_TIMEOUT)
 
 
@@ -145,10 +144,8 @@ class Inbox:
     def take(self) -> Any:
         """Wait for a message and return it; None after ``POLL_PERIOD``."""
         with self._changed:
-            if (
-                not self._changed.wait_for(lambda: self._newest, POLL_PERIOD)
-                or self._newest is None
-            ):
+            self._changed.wait_for(lambda: self._newest, POLL_PERIOD)
+            if self._newest is None:
                 return None
             (message, self.arrival), self._newest = self._newest, None
             self.header = message.header
