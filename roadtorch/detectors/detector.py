@@ -331,7 +331,7 @@ class Detector(nn.Module):
     def _find(self, image: Tensor) -> Evidence:
         """Run ``_analyse`` in float32, autocast or not; ConfigError inside ``torch.compile``."""
         if torch.compiler.is_compiling():
-            hint = "compile its network: detector.analysis.network = torch.compile(…)"
+            hint = "compile its backbone: detector.analysis.network.backbone = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", hint)
         image = validate_image(image).to(self.device)
         with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):

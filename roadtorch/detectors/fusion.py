@@ -24,6 +24,7 @@ from roadtorch.imaging.resize import WorkingSize, round_to_pixels, side_length
 from roadtorch.imaging.segments import Segments, measure_segments, paint_segments, segment_mean
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, NetworkWeight, opinion_pool
+from roadtorch.layout.image_network import RoadFusion
 from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
@@ -33,6 +34,7 @@ from roadtorch.layout.weights import (
     load_configured_network,
     load_image_network,
 )
+from roadtorch.road.appearance import fuse_appearance
 from roadtorch.road.bayes import (
     PRIORS,
     ROAD_RULES,
@@ -89,8 +91,19 @@ class SecondNetwork(Settings):
     )
 
 
+class AppearanceSettings(Settings):
+    """Fusion of the network's road with the appearance learned in the image."""
+
+    weight: float = Field(
+        default=1.0,
+        ge=0,
+        le=10,
+        description="weight of the appearance's log odds per mean doubt of the network; 0: none",
+    )
+
+
 class FusionSettings(WorkingSettings):
-    """Settings of a network's road, refined at the edges of the image."""
+    """Settings of a network's road, fused with its appearance and refined at edges."""
 
     threshold: Threshold = 0.5
     working: WorkingSize = WorkingSize(pixels=256 * 192)
@@ -104,6 +117,7 @@ class FusionSettings(WorkingSettings):
         "averaged",
     )
     second: SecondNetwork = SecondNetwork()
+    appearance: AppearanceSettings = AppearanceSettings()
     calibration: RoadCalibration = RoadCalibration()
     trust: TrustSettings = TrustSettings()
 
@@ -192,11 +206,11 @@ def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mappin
 
 
 class Fusion(nn.Module):
-    """Road of one or two networks, calibrated.
+    """Road of one or two networks, fused with its appearance in the image, calibrated.
 
-    P2 fuses a network's layout with cues of the image. With a network of 192x256 pixels, texture,
-    distance from the seed area, position and appearance no longer gain enough for their time
-    (docs/how/layout_texture.md); ``fusion:scratch`` and ``fusion:untrained`` use them.
+    P2's off-line and on-line parts: the network's road, and a classifier learned in the image.
+    P2's texture, distance from the seed area and position gain too little beside them for their
+    time (docs/how/layout_texture.md); ``fusion:scratch`` and ``fusion:untrained`` use them.
     """
 
     def __init__(self, settings: FusionSettings) -> None:
@@ -211,30 +225,32 @@ class Fusion(nn.Module):
         """Compute the cues of an image (3, H, W) in [0, 1]; in an exported graph, of a batch."""
         maps = self.predict(image)
         ego = find_ego_car(maps["ego"])
-        layout, road = maps["layout"], maps["road"]
+        layout, road, fused = (maps[name] for name in ("layout", "road", "fused_road"))
         if any_pixel(ego):
-            stack = torch.cat([layout, road[..., None, :, :]], -3)
-            layout, road = extrapolate_over_ego(stack, ego).split([NUM_CLASSES, 1], -3)
-            road = road.squeeze(-3)
-        odds = log_odds(road)
+            stack = torch.cat([layout, torch.stack([road, fused], -3)], -3)
+            layout, roads = extrapolate_over_ego(stack, ego).split([NUM_CLASSES, 2], -3)
+            road, fused = roads.unbind(-3)
+        odds = log_odds(fused)
         return {
             "likelihood": calibrated_likelihood(odds, self.settings.calibration),
             "layout": layout,
             "layout_labels": decide_layout(layout.movedim(-3, -1)),
             "learned_road": road,
+            "appearance": maps["appearance"],
             "seed_area": find_seed_area(odds, self.settings.seed_area.fraction),
             "ego": ego,
         }
 
     def predict(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Compute the networks' ``layout``, ``road`` and ``ego`` of an image (3, H, W)."""
-        maps = average_views(self.network, image, self.settings.crops)
+        """Compute the networks' ``cues`` of an image (3, H, W), averaged over views."""
+        fuse = partial(fuse_appearance, weight=self.settings.appearance.weight)
+        maps = average_views(self.network, image, self.settings.crops, fuse)
         if self.second is None:
             return maps
-        second = average_views(self.second, image, self.settings.crops)
+        second = average_views(self.second, image, self.settings.crops, fuse)
         weight = self.settings.second.weight
-        mean = {name: torch.lerp(maps[name], second[name], weight) for name in ("layout", "road")}
-        return {**maps, **mean}
+        mean = {name: torch.lerp(maps[name], second[name], weight) for name in maps}
+        return {**mean, "ego": maps["ego"]}
 
     def judge(self, mask: Tensor, cues: Mapping[str, Tensor]) -> Judgement:
         """Predict the trust in a mask, bool (H, W); ``likelihood`` is one of the cues."""
@@ -243,15 +259,15 @@ class Fusion(nn.Module):
 
 
 def average_views(
-    network: WholeImageNetwork, image: Tensor, crops: Sequence[float]
+    network: WholeImageNetwork, image: Tensor, crops: Sequence[float], fuse: RoadFusion
 ) -> Mapping[str, Tensor]:
     """Average a network's maps of an image (…, 3, H, W) and of its lower crops (multi-view)."""
-    total, height = network.cues(image), image.shape[-2]
+    total, height = network.cues(image, fuse), image.shape[-2]
     views = image.new_ones(height, 1)
     for crop in crops:
         rows = round_to_pixels(side_length(height) * (1 - crop), 1)
         lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
-        padding, maps = (0, 0, height - rows, 0), network.cues(lower)
+        padding, maps = (0, 0, height - rows, 0), network.cues(lower, fuse)
         total = {name: total[name] + functional.pad(maps[name], padding) for name in total}
         views = views + functional.pad(views.new_ones(rows, 1), padding)
     return {name: maps / views for name, maps in total.items()} if crops else total

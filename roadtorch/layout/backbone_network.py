@@ -17,7 +17,12 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import spatial_size
-from roadtorch.layout.image_network import NUM_OUTPUTS, compute_cues, coordinate_planes
+from roadtorch.layout.image_network import (
+    NUM_OUTPUTS,
+    RoadFusion,
+    compute_cues,
+    coordinate_planes,
+)
 from roadtorch.layout.patch_network import Normalisation
 
 
@@ -206,10 +211,17 @@ class BackboneNetwork(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """Return scores (B, 5, H/4, W/4) of images (B, 3, H, W) in [0, 1], averaged over heads."""
+        return self.encode(images)[0]
+
+    def encode(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the scores of ``forward`` and the backbone's features (B, 24, H/4, W/4)."""
         features = self.backbone(images)
-        return torch.stack([head(features) for head in self.heads]).mean(0)
+        return torch.stack([head(features) for head in self.heads]).mean(0), features[0]
 
     @torch.no_grad()
-    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1]."""
-        return compute_cues(self, image, self.settings)
+    def cues(self, image: Tensor, fuse: RoadFusion | None = None) -> Mapping[str, Tensor]:
+        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
+
+        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well.
+        """
+        return compute_cues(self, image, self.settings, fuse)

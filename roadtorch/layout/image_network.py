@@ -6,7 +6,7 @@ and a decoder from 1/8 to 1/2 of the size with added skip connections (after Lin
 Pyramid Networks", 2017). Its outputs are sky, vertical, horizontal, road and ego car.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, cast
 
 import torch
@@ -27,6 +27,13 @@ GROUP_SIZE = 8
 
 ROAD_OUTPUT, EGO_OUTPUT = NUM_CLASSES, NUM_CLASSES + 1
 """Channels of the outputs after the classes of the layout."""
+
+ROAD_CUES = ("road", "ego", "fused_road", "appearance")
+"""Cues after the layout; the last two only where the road is fused."""
+
+RoadFusion = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""Log odds of road (B, h, w), features (B, C, h, w) and images (B, 3, H, W) → log odds of the fused
+road and of the appearance alone (B, 2, h, w)."""
 
 NUM_OUTPUTS = NUM_CLASSES + 2
 
@@ -85,31 +92,48 @@ class ImageNetwork(nn.Module):
 
         H and W must be multiples of 8. ``scores_to_potentials`` turns scores into potentials.
         """
+        return self.encode(pixels)[0]
+
+    def encode(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the scores of ``forward`` and features (B, C, H/2, W/2) of the second stage."""
         half = self.first(torch.cat([pixels, coordinate_planes(pixels)], 1))
         quarter = self.second(half)
+        features = _upsample(quarter)
         deep = self.middle(self.third(quarter))
         quarter = self.to_quarter(quarter + _upsample(self.narrowed_quarter(deep)))
         half = self.to_half(half + _upsample(self.narrowed_half(quarter)))
-        return self.heads(half)
+        return self.heads(half), features
 
     @torch.no_grad()
-    def cues(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1]."""
-        return compute_cues(self, image, self.settings)
+    def cues(self, image: Tensor, fuse: RoadFusion | None = None) -> Mapping[str, Tensor]:
+        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
+
+        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well.
+        """
+        return compute_cues(self, image, self.settings, fuse)
 
 
-def compute_cues(network: nn.Module, image: Tensor, settings: Any) -> Mapping[str, Tensor]:
+def compute_cues(
+    network: Any, image: Tensor, settings: Any, fuse: RoadFusion | None
+) -> Mapping[str, Tensor]:
     """Return the ``cues`` of an image by a network with a working size.
 
     settings: its height, width and normalisation. Takes a batch (N, 3, H, W) in an exported graph.
     """
     small = resize_maps(image, (settings.height, settings.width)).clamp(0, 1)
     pixels = normalise(small, settings.normalisation).pixels
-    batch = pixels if pixels.ndim == 4 else pixels[None]
-    potentials = scores_to_potentials(network(batch.to(next(network.parameters()))).to(image))
-    potentials = resize_maps(potentials if pixels.ndim == 4 else potentials[0], spatial_size(image))
-    layout, road, ego = potentials.clamp(0, 1).split([NUM_CLASSES, 1, 1], -3)
-    return {"layout": layout, "road": road.squeeze(-3), "ego": ego.squeeze(-3)}
+    is_batch = pixels.ndim == 4
+    images, pixels = (small, pixels) if is_batch else (small[None], pixels[None])
+    scores, features = (
+        maps.to(image) for maps in network.encode(pixels.to(next(network.parameters())))
+    )
+    potentials = scores_to_potentials(scores)
+    if fuse is not None:
+        road = fuse(scores[:, ROAD_OUTPUT], features, images)
+        potentials = torch.cat([potentials, road.sigmoid()], 1)
+    potentials = resize_maps(potentials if is_batch else potentials[0], spatial_size(image))
+    layout, planes = potentials.clamp(0, 1).tensor_split((NUM_CLASSES,), -3)
+    return {"layout": layout, **dict(zip(ROAD_CUES, planes.unbind(-3), strict=False))}
 
 
 def scale_size(height: int, width: int, scale: float) -> tuple[int, int]:

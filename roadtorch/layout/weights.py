@@ -29,9 +29,6 @@ FORMAT_VERSION = 1
 HEADER_KEY = "roadtorch"
 """The only key of the metadata: safetensors writes several keys in no fixed order."""
 
-OLD_WORDS = re.compile(r'"(brightened )?picture(s)?(, backbone)?"')  # 1.0.0's
-"""Words in the headers of earlier weight files."""
-
 MAX_MISMATCH_LENGTH = 200  # characters quoted of torch's message about a mismatch
 
 SHIPPED = Path(__file__).parents[1] / "weights"
@@ -199,8 +196,7 @@ def _read(path: Path) -> tuple[_Header, dict[str, Tensor]]:
         raise WeightsError(path, "is not a file", "pass a .safetensors file")
     try:
         with safe_open(path, "pt") as file:
-            text = (file.metadata() or {}).get(HEADER_KEY, "")
-            header = _Header.model_validate_json(OLD_WORDS.sub(r'"\1image\2\3"', text))
+            header = _Header.model_validate_json((file.metadata() or {}).get(HEADER_KEY, ""))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except ValidationError:
         raise WeightsError(path, "has no roadtorch header", "use weights of roadtorch") from None

@@ -15,6 +15,7 @@ from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import DEFAULT_WEIGHTS, load_network, shipped_weights
+from roadtorch.road.appearance import fuse_appearance
 from roadtorch.road.bayes import ROAD_RULES, Exponents, log_odds, prior_rows, segment_road
 from tests.streets import saturated_street
 
@@ -70,25 +71,31 @@ def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> 
     np.testing.assert_allclose(fine.likelihood, odds.sigmoid(), atol=2e-4, rtol=0.0)
 
 
-@pytest.mark.parametrize("crops", [(), (0.25,)])
-def test_the_likelihood_is_the_mean_of_the_looks_of_the_network_calibrated(crops: tuple) -> None:
+@pytest.mark.parametrize(("crops", "weight"), [((), 0.0), ((), 1.0), ((0.25,), 1.0)])
+def test_the_likelihood_is_the_calibrated_mean_of_views_fused_with_their_appearance(
+    crops: tuple[float, ...], weight: float
+) -> None:
     usual = {"centre": 0.5, "temperature": 2.0}
     plain = {"calibration": usual, "outlines": "smooth", "working": {"pixels": 96 * 128}}
     image, network = street(), load_network(shipped_weights(DEFAULT_WEIGHTS))
     assert isinstance(network, BackboneNetwork)
 
-    detection = load_detector("fusion", crops=crops, **plain).detect(image)
+    appearance = {"weight": weight}
+    detection = load_detector("fusion", crops=crops, appearance=appearance, **plain).detect(image)
 
-    mean = network.cues(image)["road"].clone()
+    fuse = partial(fuse_appearance, weight=weight)
+    mean = network.cues(image, fuse)["fused_road"].clone()
     for _ in crops:
         upper = image.shape[-2] // 4
-        mean[upper:] = (mean[upper:] + network.cues(image[:, upper:])["road"]) / 2
+        mean[upper:] = (mean[upper:] + network.cues(image[:, upper:], fuse)["fused_road"]) / 2
     expected = calibrated_likelihood(log_odds(mean), RoadCalibration(**usual))
     free = ~detection.cues["ego"]
     np.testing.assert_allclose(detection.likelihood[free], expected[free], atol=2e-3, rtol=0.0)
+    if not weight:
+        assert torch.equal(mean, network.cues(image)["road"])
 
 
-def test_a_second_network_has_its_share_of_the_mean() -> None:
+def test_a_second_network_has_its_weight_in_the_mean() -> None:
     image = street()
     plain = {"outlines": "smooth", "working": {"pixels": 96 * 128}}
 
@@ -100,7 +107,7 @@ def test_a_second_network_has_its_share_of_the_mean() -> None:
     pair = load_detector("fusion", second=second, **plain).detect(image).cues
 
     assert torch.equal(pair["ego"], alone["ego"])
-    for name in ("layout", "learned_road"):
+    for name in ("layout", "learned_road", "appearance"):
         expected = 0.75 * alone[name] + 0.25 * second_alone[name]
         free = ~(alone["ego"] | second_alone["ego"])
         np.testing.assert_allclose(pair[name][..., free], expected[..., free], atol=1e-4, rtol=0.0)

@@ -21,7 +21,6 @@ from roadtorch.layout.weights import (
     load_image_network,
     load_network,
     read_card,
-    read_correction_runs,
     read_origin,
     read_terms,
     resize_network,
@@ -162,20 +161,6 @@ def change_header(path: Path, tensors: dict[str, torch.Tensor], **changes: objec
     size = int.from_bytes(data[:8], "little")
     header = json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["roadtorch"])
     save_file(tensors, path, {"roadtorch": json.dumps({**header, **changes})})
-
-
-def test_earlier_files_with_the_word_picture_are_read(weights: Path) -> None:
-    network = ImageNetwork(
-        ImageNetworkSettings.model_validate({"normalisation": {"kind": "image"}})
-    )
-    save_network(weights, network, {"corrections": [{"images": 3, "pixels": 9}]})
-    settings = {**network.settings.model_dump(), "normalisation": {"kind": "picture"}}
-    origin = {"corrections": [{"pictures": 3, "pixels": 9}]}
-    changes = {"kind": "pictures", "settings": settings, "origin": origin}
-    change_header(weights, network.state_dict(), **changes)
-
-    assert load_network(weights).settings == network.settings
-    assert read_correction_runs(weights) == [{"images": 3, "pixels": 9}]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

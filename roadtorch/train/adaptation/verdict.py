@@ -128,7 +128,8 @@ def fit_bias(
     one that `fusion` is calibrated for: one number for the whole footage corrects that without
     labels. 0 if no frame can tell.
     """
-    detector = load_detector("fusion", weights={"file": str(file)})
+    network_alone = {"weight": 0.0}  # its appearance in the image would follow a shift in part
+    detector = load_detector("fusion", weights={"file": str(file)}, appearance=network_alone)
     settings = detector.settings
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []

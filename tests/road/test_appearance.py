@@ -1,0 +1,131 @@
+"""The road's appearance in one image: a discriminant, and its fusion with the network."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from roadtorch.road.appearance import (
+    MAX_WEIGHT,
+    RELATIVE_RIDGE,
+    appearance_log_odds,
+    appearance_planes,
+    average_log_odds,
+    fuse_appearance,
+    invert,
+)
+from tests.reference import appearance as reference
+
+
+def sample_pixels(seed: int = 0, pixels: int = 400) -> tuple[Tensor, Tensor, Tensor]:
+    """Features (4, N) of two classes, bool (N,) which is road, log odds (N,) that often err."""
+    generator = torch.Generator().manual_seed(seed)
+    is_road = torch.rand(pixels, generator=generator) < 0.4
+    features = torch.randn(4, pixels, generator=generator)
+    features[1] += 3 * is_road
+    features[3] = 0.5 * features[1] + 100 * features[3] + 7
+    log_odds = 3 * (2.0 * is_road - 1) + 3 * torch.randn(pixels, generator=generator)
+    return features, is_road, log_odds
+
+
+@given(seed=st.integers(0, 50), weight=st.floats(0, 3))
+def test_discriminant_and_fusion_equal_the_reference(seed: int, weight: float) -> None:
+    features, _, log_odds = sample_pixels(seed, pixels=120)
+    inputs, odds = features.double().numpy(), log_odds.double().numpy()
+    expected = reference.discriminant(inputs, odds, RELATIVE_RIDGE)
+
+    appearance = appearance_log_odds(features, log_odds)
+    fused = average_log_odds(log_odds, appearance, weight)
+
+    np.testing.assert_allclose(appearance, expected, atol=2e-3)
+    mean = reference.average(odds, expected, weight, MAX_WEIGHT)
+    np.testing.assert_allclose(fused, mean, atol=2e-3)
+
+
+def test_appearance_corrects_pixels_that_the_network_gets_wrong() -> None:
+    features, is_road, log_odds = sample_pixels()
+
+    fused = average_log_odds(log_odds, appearance_log_odds(features, log_odds), 10.0)
+
+    errors, remaining = ((odds > 0) != is_road for odds in (log_odds, fused))
+    assert remaining.sum() < 0.5 * errors.sum()
+
+
+def test_units_of_features_do_not_matter() -> None:
+    features, _, log_odds = sample_pixels()
+    scales = torch.tensor([0.01, 1, 100, -3])[:, None]
+
+    scaled = appearance_log_odds(scales * features + 5, log_odds)
+
+    torch.testing.assert_close(scaled, appearance_log_odds(features, log_odds), atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_image_of_one_class_keeps_the_networks_log_odds(sign: int) -> None:
+    features, _, log_odds = sample_pixels()
+    log_odds = sign * (log_odds.abs() + 1)
+
+    assert torch.equal(appearance_log_odds(features, log_odds), log_odds)
+
+
+def test_weight_zero_keeps_the_networks_log_odds() -> None:
+    features, _, log_odds = sample_pixels()
+
+    fused = average_log_odds(log_odds, appearance_log_odds(features, log_odds), 0.0)
+
+    assert torch.equal(fused, log_odds)
+
+
+def test_the_surer_the_network_the_less_the_appearance_counts() -> None:
+    features, _, log_odds = sample_pixels()
+    changes = []
+    for factor in (1.0, 4.0):
+        odds = factor * log_odds
+        fused = average_log_odds(odds, appearance_log_odds(features, odds), 1.0)
+        changes.append(((fused - odds) / odds.std()).abs().mean())
+
+    assert changes[1] < 0.5 * changes[0]
+
+
+def test_a_batch_is_its_images() -> None:
+    generator = torch.Generator().manual_seed(1)
+    scores = 3 * torch.randn(2, 6, 8, generator=generator)
+    features = torch.randn(2, 5, 6, 8, generator=generator)
+    images = torch.rand(2, 3, 24, 32, generator=generator)
+
+    batch = fuse_appearance(scores, features, images, 1.0)
+
+    for number in range(2):
+        part = slice(number, number + 1)
+        single = fuse_appearance(scores[part], features[part], images[part], 1.0)
+        torch.testing.assert_close(batch[part], single, atol=1e-4, rtol=0)
+
+
+@given(seed=st.integers(0, 50))
+def test_the_inverse_is_that_of_linear_algebra(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    factor = torch.randn(12, 12, generator=generator)
+    matrix = factor @ factor.mT + 0.3 * torch.eye(12)
+
+    torch.testing.assert_close(invert(matrix), matrix.inverse(), atol=2e-3, rtol=2e-3)
+
+
+def test_a_flat_image_has_finite_log_odds() -> None:
+    grey = torch.full((1, 3, 24, 32), 0.5)
+    scores = torch.linspace(-4, 4, 48).view(1, 6, 8)
+
+    fused = fuse_appearance(scores, torch.zeros(1, 5, 6, 8), grey, 1.0)
+
+    assert fused.isfinite().all()
+
+
+def test_shadow_changes_brightness_and_neither_chromaticity_nor_ratio() -> None:
+    colour = torch.tensor([0.6, 0.5, 0.4])[:, None, None]
+
+    lit, shaded = appearance_planes(colour), appearance_planes(colour / 2)
+
+    torch.testing.assert_close(lit[:3], shaded[:3], atol=1e-3, rtol=0)
+    assert abs(lit[5] - shaded[5]) < 0.03
+    assert lit[3] == pytest.approx(2 * float(shaded[3]), abs=1e-3)
