@@ -8,6 +8,7 @@ append it here or pass it to `evaluate`.
 import math
 import statistics
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import torch
@@ -278,11 +279,7 @@ LAYOUT_MEASURES = (
         metrics.layout_accuracy,
         tables=("layout",),
     ),
-    *(
-        _confusion_measure(truth, decided)
-        for truth in range(NUM_CLASSES)
-        for decided in range(NUM_CLASSES)
-    ),
+    *(_confusion_measure(*pair) for pair in product(range(NUM_CLASSES), repeat=2)),
     _layout_measure(
         "void_as_vertical/mean",
         "mean, void vertical",

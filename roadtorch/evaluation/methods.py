@@ -60,7 +60,7 @@ class Contender:
     """One method of an evaluation.
 
     prepare: loads it and returns its predictor for a set. settings: all but the threshold, as JSON.
-    threshold: the default one; chosen: the one that an earlier run chose. is_baseline: whether it
+    threshold: the default one; earlier_threshold: chosen by an earlier run. is_baseline: whether it
     ignores the image. detector: name in the catalogue; empty for likelihood maps and prior:mean.
     """
 
@@ -223,9 +223,8 @@ def _read_maps(
     if item.image.is_relative_to(dataset.root):
         names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
     likelihood = likelihood_maps.read_likelihood_map(folder, names, sizes)
-    return Detection(
-        likelihood, likelihood_maps.read_or_decide_mask(folder, names, likelihood, decision), {}
-    )
+    mask = likelihood_maps.read_or_decide_mask(folder, names, likelihood, decision)
+    return Detection(likelihood, mask, {})
 
 
 # --- the baseline prior:mean: the mean road mask of other groups --------------------------

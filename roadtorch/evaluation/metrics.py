@@ -248,10 +248,9 @@ def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
     fourth row is void, the fourth column unlabelled.
     """
     rows, columns = (part.to(torch.int64).clamp(max=NUM_CLASSES) for part in (truth, labels))
-    pairs = (rows * (NUM_CLASSES + 1) + columns).flatten()
-    return torch.bincount(pairs, minlength=(NUM_CLASSES + 1) ** 2).reshape(
-        NUM_CLASSES + 1, NUM_CLASSES + 1
-    )
+    size = NUM_CLASSES + 1
+    pairs = (rows * size + columns).flatten()
+    return torch.bincount(pairs, minlength=size**2).reshape(size, size)
 
 
 # The functions below ignore void and unlabelled pixels and take any leading dimensions.

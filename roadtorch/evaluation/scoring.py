@@ -28,40 +28,39 @@ class LabelledImage:
     image: Tensor
     truth: Truth
 
-    def to_view(self, values: Tensor) -> Tensor:
-        """Warp a map (..., H, W) of the image's size to the view in which the set is scored."""
-        view = self.dataset.scoring_space
+    def warp(self, values: Tensor) -> Tensor:
+        """Warp a map (..., H, W) of the image's size to the space in which the set is scored."""
+        space = self.dataset.scoring_space
         in_image = values.shape[-2:] == self.image.shape[-2:]
-        return view(self.item, values) if view is not None and in_image else values
+        return space(self.item, values) if space is not None and in_image else values
 
-    def truth_in_view(self) -> Truth:
-        """Return the truth in the view in which the set is scored."""
-        layout = None if self.truth.layout is None else self.to_view(self.truth.layout)
-        return Truth(self.to_view(self.truth.road), self.to_view(self.truth.valid), layout)
+    def scoring_truth(self) -> Truth:
+        """Return the truth in the space in which the set is scored."""
+        layout = None if self.truth.layout is None else self.warp(self.truth.layout)
+        return Truth(self.warp(self.truth.road), self.warp(self.truth.valid), layout)
 
 
 def count_image(
     predictor: Predictor, scene: LabelledImage, truth: Truth, shared: ImageCache
 ) -> ImageCounts:
-    """Run one detector on one image and count; truth: in the view of the set."""
+    """Run one detector on one image and count; truth: in the scoring space."""
     saved_before, start = shared.saved_seconds, time.perf_counter()
     detection = predictor(scene.image, scene.item)
     # Parts that were cached for other detectors count as this detector's work, too.
     seconds = time.perf_counter() - start + shared.saved_seconds - saved_before
-    mask, layout = scene.to_view(detection.mask), detection.cues.get("layout")
+    mask, layout = scene.warp(detection.mask), detection.cues.get("layout")
     labels = {
         "layout": None if layout is None else layout.argmax(0),
         "labels": detection.cues.get("layout_labels"),
     }
     confusions = {
-        kind: count_layout(scene.to_view(values), truth.layout)
+        kind: count_layout(scene.warp(values), truth.layout)
         for kind, values in labels.items()
         if values is not None and truth.layout is not None
     }
+    likelihood = scene.warp(detection.likelihood)
     return ImageCounts(
-        count_levels(
-            scene.to_view(detection.likelihood), truth.road, truth.valid, scene.dataset.levels
-        ),
+        count_levels(likelihood, truth.road, truth.valid, scene.dataset.levels),
         count_mask(mask, truth.road, truth.valid),
         count_boundary(mask, truth.road, truth.valid),
         confusions.get("layout"),
@@ -87,7 +86,7 @@ class ScoringTask:
         name = ""
         try:
             scene = LabelledImage(self.dataset, item, *self.dataset.read(item))
-            truth, counts = scene.truth_in_view(), {}
+            truth, counts = scene.scoring_truth(), {}
             with image_cache() as shared:
                 for name, predictor in self.predictors.items():
                     counts[name] = count_image(predictor, scene, truth, shared)

@@ -250,7 +250,7 @@ class ExportGraph(nn.Module):
         return tuple(maps[name] for name in self.outputs)
 
 
-def write_onnx(module: ExportGraph, notes: Mapping[str, str], path: Path) -> None:
+def write_onnx(module: ExportGraph, metadata: Mapping[str, str], path: Path) -> None:
     """Write a graph with its metadata; needs onnx and onnxscript.
 
     The same module and metadata give the same bytes on every machine.
@@ -268,7 +268,7 @@ def write_onnx(module: ExportGraph, notes: Mapping[str, str], path: Path) -> Non
         )
     assert program is not None
     program.model.producer_name, program.model.producer_version = "roadtorch", __version__
-    program.model.metadata_props.update(notes)
+    program.model.metadata_props.update(metadata)
     for node in program.model.graph.all_nodes():
         node.metadata_props.clear()  # paths of source files on this machine
     program.save(str(path))
@@ -331,18 +331,17 @@ def export_detector(detector: Detector, out: Path) -> ExportResult:
         raise ConfigError("export", problem, "pip install 'roadtorch[onnx]'")
     part = exportable_part(detector)
     make_folder(out.parent)
-    notes = describe_export(detector, part)
+    metadata = describe_export(detector, part)
     with TemporaryDirectory(prefix="roadtorch.") as folder:
         path = Path(folder) / out.name
-        write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), notes, path)
+        write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), metadata, path)
         run = open_onnx(path, torch.get_num_threads())
         parity = measure_parity(run, part.compute, render_batches())
         if not parity.max_difference <= MAX_DIFFERENCE:
             difference = f"{parity.max_difference:.2g} in {parity.location}"
             problem = f"would differ by {difference}, more than {MAX_DIFFERENCE:g}"
-            raise InputError(
-                out, problem, "nothing was written; try other versions of its packages"
-            )
+            hint = "nothing was written; try other versions of its packages"
+            raise InputError(out, problem, hint)
         with atomic_write(out) as temporary:
             shutil.copyfile(path, temporary)
-    return ExportResult((out,), notes, parity)
+    return ExportResult((out,), metadata, parity)

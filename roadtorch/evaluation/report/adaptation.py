@@ -34,9 +34,9 @@ from roadtorch.evaluation.report.table import (
 class Adaptation:
     """Changes by an adaptation.
 
-    seen: masks before and after; files: the two weight files. shown: images on the page. taught:
-    None for networks without a teacher's maps. rows: round, epoch and loss of each epoch. verdict:
-    whether to adopt it, and why; empty without a verdict.
+    comparison: masks before and after; files: the two weight files. examples: images on the page.
+    agreement: None for networks without a teacher's maps. epochs: rows of round, epoch and loss.
+    verdict: whether to adopt it, and why; empty without a verdict.
     """
 
     comparison: Disagreements
@@ -83,10 +83,8 @@ def draw_montages(pair: Disagreements, items: Iterable[LabelledItem], caption: s
         tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
         tiles[caption] = difference_tile(pixels, *masks.values())
         height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
-        montage = np.concatenate(
-            [caption_tile(t, text, height) for text, t in tiles.items()], axis=1
-        )
-        montages.append(jpeg_uri(montage))
+        row = [caption_tile(tile, text, height) for text, tile in tiles.items()]
+        montages.append(jpeg_uri(np.concatenate(row, axis=1)))
     return montages
 
 

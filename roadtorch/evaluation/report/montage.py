@@ -83,7 +83,7 @@ def draw_montage_row(
     viewed, detection = image, predictor(image, item)
     if detection.likelihood.shape != truth.road.shape:
         scene = LabelledImage(dataset, item, image, truth)
-        viewed, truth = scene.to_view(image), scene.truth_in_view()
+        viewed, truth = scene.warp(image), scene.scoring_truth()
     decided = detection.likelihood >= threshold
     tiles = {
         f"{item.name}  F {value:.3f}": to_pixels(image),
@@ -92,9 +92,8 @@ def draw_montage_row(
         "decision (blue), truth (line)": decision_tile(viewed, decided, truth),
     }
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
-    return np.concatenate(
-        [caption_tile(tile, text, height) for text, tile in tiles.items()], axis=1
-    )
+    row = [caption_tile(tile, text, height) for text, tile in tiles.items()]
+    return np.concatenate(row, axis=1)
 
 
 def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:

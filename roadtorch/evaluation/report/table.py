@@ -146,6 +146,7 @@ def align_columns(rows: Sequence[Sequence[str]]) -> str:
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("roadtorch.evaluation.report", "."),
     autoescape=True,
+    undefined=jinja2.StrictUndefined,
     trim_blocks=True,
     lstrip_blocks=True,
 )

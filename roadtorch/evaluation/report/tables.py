@@ -32,10 +32,10 @@ def format_tables(evaluation: Evaluation) -> str:
     return "\n\n".join(texts)
 
 
-def build_tables(evaluation: Evaluation, most: int | None = None) -> list[Table]:
+def build_tables(evaluation: Evaluation, limit: int | None = None) -> list[Table]:
     """Return the tables: road, then groups, conditions, trust, layout and differences, if any.
 
-    most: rows of a table by group or condition; then groups that are columns have no rows.
+    limit: rows of tables by group or condition; then groups that are columns have no rows.
     """
     listed = shortlist(evaluation)
     ranked = [name for name in evaluation.ranking() if name in listed]
@@ -44,10 +44,10 @@ def build_tables(evaluation: Evaluation, most: int | None = None) -> list[Table]
     tables = [
         score_table(evaluation, ranked),
         *(
-            part_table(evaluation, name, kind, most)
+            part_table(evaluation, name, kind, limit)
             for kind in get_args(PartKind)
             for name in best
-            if most is None or kind == "condition" or not has_columns
+            if limit is None or kind == "condition" or not has_columns
         ),
         trust_table(evaluation, ranked),
         layout_table(evaluation, listed),
@@ -151,15 +151,17 @@ def _difference_cell(change: Difference | None) -> Cell:
 # --- groups and conditions of one detector ----------------------------------------------
 
 
-def part_table(evaluation: Evaluation, name: str, kind: PartKind, most: int | None = None) -> Table:
+def part_table(
+    evaluation: Evaluation, name: str, kind: PartKind, limit: int | None = None
+) -> Table:
     """Return one detector's groups or conditions by F of its mask, the lowest first.
 
     Below the groups are their mean and those left out; conditions are followed by the number of
-    their groups. The last column is the best baseline's MaxF. most: maximum number of rows.
+    their groups. The last column is the best baseline's MaxF. limit: maximum number of rows.
     """
     parts = _groups(evaluation) if kind == "group" else _conditions(evaluation)
     defined = F_MASK.get_defined({label: scores[name] for label, scores in parts.items()})
-    worst_first = sorted(parts, key=lambda label: defined.get(label, math.inf))[:most]
+    worst_first = sorted(parts, key=lambda label: defined.get(label, math.inf))[:limit]
     rows = {label: parts[label] for label in worst_first}
     if kind == "group" and rows:
         rows["mean"] = evaluation.headlines

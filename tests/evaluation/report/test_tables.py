@@ -14,9 +14,9 @@ from roadtorch.evaluation.result import Comparison, Difference, Evaluation, Inte
 from tests.reports import GROUPS, NAMES, make_run, make_scored_run, replace_scores
 
 
-def texts(evaluation: Evaluation, most: int | None = 20) -> Mapping[str, str]:
+def texts(evaluation: Evaluation, limit: int | None = 20) -> Mapping[str, str]:
     """Return the tables as text by their title."""
-    return {table.title: table.text() for table in build_tables(evaluation, most)}
+    return {table.title: table.text() for table in build_tables(evaluation, limit)}
 
 
 def test_a_table_is_text_and_markdown() -> None:
@@ -70,7 +70,7 @@ def test_of_many_groups_the_worst_are_shown_and_have_a_table_with_the_worst_on_t
     worst, level = (many.detectors[name].groups["camera0"] for name in many.detectors)
 
     header, row = texts(many)["detector"].splitlines()[:2]
-    by_group, whole = (texts(many, most)["fusion by group"].splitlines() for most in (20, None))
+    by_group, whole = (texts(many, limit)["fusion by group"].splitlines() for limit in (20, None))
 
     assert "MaxF camera5" not in header
     assert "worst F of mask  worst MaxF" in re.sub(" {2,}", "  ", header)
