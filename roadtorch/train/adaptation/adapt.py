@@ -132,7 +132,7 @@ def write_smoothed_labels(
 
     The teacher's labels vary from frame to frame, and ten frames show a place ten times, from
     near and from far. The log odds of road are therefore carried back and forth by optical flow
-    (``road.steady``) and averaged. Frames that are not consecutive keep their labels.
+    (``road.temporal_filter``) and averaged. Frames that are not consecutive keep their labels.
 
     labels: folder of the teacher's labels. Files in either folder for the same frames and
     settings are reused. Returns the signal that interrupted it. Memory is linear in the frames,
