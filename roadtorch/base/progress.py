@@ -13,7 +13,7 @@ class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
     """A bar of tqdm on stderr if that is a terminal, otherwise a line every half minute.
 
     A line has the fraction done and the time left, if the total is known. quiet: neither bar nor
-    lines. unit: in the singular. Everything else is tqdm's, such as ``Progress.write``.
+    lines. unit: in the singular; empty to print no counts. The rest is tqdm's, such as ``write``.
     """
 
     def __init__(
@@ -22,9 +22,10 @@ class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
         self._lines = not sys.stderr.isatty()
         if self._lines:
             total = options.get("total") or (len(items) if hasattr(items, "__len__") else None)  # type: ignore[arg-type]
-            title = f"{options['desc']}: " if "desc" in options else ""
-            fraction = "{percentage:.0f} % ({n_fmt} of {total_fmt} %ss), {remaining} left"
-            line = (fraction if total else "{n_fmt} %ss in {elapsed}").replace("%s", unit)
+            counts = f" ({{n_fmt}} of {{total_fmt}} {unit}s)" if unit else ""
+            fraction = f"{{percentage:.0f}} %{counts}, {{remaining}} left"
+            line = fraction if total else f"{{n_fmt}} {unit}s in {{elapsed}}"
+            title = ("{desc}: " if unit else "{desc}, ") if "desc" in options else ""
             options |= {"bar_format": f"roadtorch: {title}{line}", "leave": False, "miniters": 1}
             options |= {"mininterval": LINE_INTERVAL, "delay": LINE_INTERVAL}
         super().__init__(items, unit=unit, disable=quiet, file=sys.stderr, **options)

@@ -195,6 +195,7 @@ class Loop:
             start = time.perf_counter()
             self._train_chunk()
             progress.seconds += time.perf_counter() - start
+            bar.set_description_str(self._title, refresh=False)
             bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
             bar.update()
             if time.monotonic() - saved > SAVE_INTERVAL:
@@ -212,14 +213,15 @@ class Loop:
             desc=self._title,
             total=parts * whole,
             initial=(part - 1) * whole + done,
-            unit="chunk",
+            unit="",
             quiet=self.quiet,
         )
 
     @property
     def _title(self) -> str:
         part, parts = self.part
-        return f"half {part} of {parts}" if parts > 1 else "training"
+        half = f"half {part} of {parts}, " if parts > 1 else ""
+        return f"{half}epoch {self.progress.epoch + 1} of {self.stopping.epochs}"
 
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
