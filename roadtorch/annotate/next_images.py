@@ -20,17 +20,13 @@ from roadtorch.imaging.resize import resize_maps
 from roadtorch.imaging.segments import paint_segments
 from roadtorch.layout.classes import NUM_CLASSES
 
-FEATURE_GRID = (4, 5)
-"""Rows and columns of the grid of cells over which features are averaged."""
-
-BATCH_IMAGES = 20
-"""Number of images in a batch; the remaining ones are sorted by trust."""
+FEATURE_GRID = (4, 5)  # rows and columns of the grid of cells over which features are averaged
+BATCH_IMAGES = 20  # number of images in a batch; the remaining ones are sorted by trust
 
 SCENE_DISTANCE = 0.5
 """Fraction of the median feature distance above which two images are different scenes."""
 
-DISTANCE_SAMPLE = 1000
-"""Largest number of images for the median distance."""
+DISTANCE_SAMPLE = 1000  # largest number of images for the median distance
 
 DISTANCE_CHUNK = 256
 """Number of corrected images whose distances to all images are in memory at a time."""
@@ -67,10 +63,7 @@ def random_images(candidates: Candidates, corrected: Collection[int], count: int
 
 
 def least_trust_first(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
-    """Return the least trusted images of new scenes, then other images by trust.
-
-    Images of unknown trust come last.
-    """
+    """Return the least trusted images of new scenes, then others by trust, unknown trust last."""
     order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
     uncorrected = [index for index in order if index not in corrected]
     return new_scenes_first(uncorrected, candidates.features, corrected, count)
@@ -109,10 +102,7 @@ def median_distance(features: Tensor) -> float:
     return float(torch.cdist(sample, sample)[first, second].median())
 
 
-ORDER_RULES: Mapping[str, OrderRule] = {
-    "least-trust": least_trust_first,
-    "random": random_images,
-}
+ORDER_RULES: Mapping[str, OrderRule] = {"least-trust": least_trust_first, "random": random_images}
 
 
 # --- in the page ------------------------------------------------------------------------

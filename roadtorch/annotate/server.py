@@ -46,11 +46,8 @@ from roadtorch.data.events import parse_event
 from roadtorch.imaging.resize import WorkingSize, resize_maps, spatial_size, working_size
 
 HOST = "127.0.0.1"  # the only interface to listen on
-
 FIRST_PORT = 8765
-
 ADDRESS_FILE = ".session.json"
-
 MEDIA_TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
 
 PAGE_FILES = {
@@ -65,7 +62,6 @@ PAGE_IMAGE_SIZE = WorkingSize(pixels=1600 * 1200)
 THUMBNAIL_SIZE = WorkingSize(pixels=112 * 84)
 
 MAX_BODY = 2 * 2**20  # bytes of one event; ours: a long stroke has about ten thousand
-
 MAX_DRAINED = 64 * 2**20  # bytes read of a body that is too long, so that the error arrives
 
 TRAIN_COMMAND = (
@@ -75,7 +71,6 @@ TRAIN_COMMAND = (
 """Command that trains on the corrections, shown once all images are confirmed."""
 
 MAX_DECODING = 2  # images decoded at a time: each takes about ten times its bytes
-
 CLIENT_TIMEOUT = 20.0  # seconds for a client to send a request or to read a response
 
 RESPONSE_HEADERS = {
@@ -200,10 +195,8 @@ def make_app(session: Session, token: str, port: int) -> Starlette:
         Route("/api/state", page.state),
         Route("/api/event", page.event, methods=["POST"]),
     ]
-    handlers: dict[Any, Any] = {
-        kind: partial(_handle_error, status) for kind, status in ERROR_STATUSES.items()
-    }
-    handlers[OSError] = _handle_disk_error
+    handlers: dict[Any, Any] = {OSError: _handle_disk_error}
+    handlers |= {kind: partial(_handle_error, status) for kind, status in ERROR_STATUSES.items()}
     access = Middleware(AccessMiddleware, token=token, port=port)
     return Starlette(routes=routes, middleware=[access], exception_handlers=handlers)
 
@@ -286,7 +279,6 @@ def encode_image(
 
 encode_thumbnail = lru_cache(maxsize=2000)(partial(encode_image, size=THUMBNAIL_SIZE, quality=80))
 """``encode_image`` for thumbnails, cached."""
-
 
 ERROR_STATUSES = {RoadtorchError: 400, UnwritableError: 507}
 """HTTP status by type of error; the page retries events after 500 and above, drops others."""
@@ -378,18 +370,14 @@ class PageServer:
 
 
 def make_page_server(session: Session, port: int | None = None) -> PageServer:
-    """Create the server of a session: bind its port and keep its address for a restart.
-
-    Raises ConfigError for a port that is taken.
-    """
+    """Create the server of a session and keep its address; ConfigError for a port that is taken."""
     last = read_address(session.out)
     listening = bind_socket(port, last.port if last else None)
     token = last.token if last else secrets.token_urlsafe(24)
     address = Address(port=listening.getsockname()[1], token=token)
     write_address(session.out, address)
-    app = make_app(session, token, address.port)
     config = uvicorn.Config(
-        app,
+        make_app(session, token, address.port),
         http=SlowClientProtocol,
         log_level="error",
         access_log=False,

@@ -49,7 +49,6 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.images import find_images
 
 MAX_LOGS = 8  # in memory, with their labels
-
 LISTING_SECONDS = 2.0  # for which a listing of the folder is cached
 
 # --- images and logs --------------------------------------------------------------------
@@ -95,10 +94,7 @@ class ImageFolder:
 
 
 def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:
-    """Open or create the log of an image of (height, width).
-
-    Raises DatasetError for a log that cannot be read or does not fit its image.
-    """
+    """Open or create the log of an image of (height, width); DatasetError if it does not fit."""
     path = log_path(out, name)
     log = read_log(path) if path.exists() else None
     if log is None:
@@ -113,11 +109,7 @@ def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -
 
 @dataclass
 class Session:
-    """The state behind the page.
-
-    images: their folder. views: cache of the detector's views. out: folder of the logs. order: in
-    which images are offered.
-    """
+    """The state behind the page; views: cache of the detector's views. out: folder of the logs."""
 
     images: ImageFolder
     views: ViewStore
@@ -200,8 +192,7 @@ class Session:
             log = open_log(self.images, self.out, name, view.size)
         if log.size != view.size:
             message = f"was corrected at {log.header.width} by {log.header.height} pixels"
-            hint = f"its size has changed; move {log.path.name} away"
-            raise InputError(name, message, hint)
+            raise InputError(name, message, f"its size has changed; move {log.path.name} away")
         self._logs[name] = log
         if len(self._logs) > MAX_LOGS:
             del self._logs[next(iter(self._logs))]
@@ -218,9 +209,8 @@ class Session:
             chosen = np.isin(view.labels.numpy(), event.segments)
             changes["runs"] = encode_runs(resize_labels(chosen, view.size))
         if isinstance(event, Confirm):
-            changes["runs"] = encode_runs(
-                corrected_road(self._log_odds(log, view), log.labels, view.size)
-            )
+            odds = self._log_odds(log, view)
+            changes["runs"] = encode_runs(corrected_road(odds, log.labels, view.size))
         return event.model_copy(update=changes)
 
     def _log_odds(self, log: EventLog, view: ImageView) -> Any:
@@ -257,18 +247,14 @@ def compute_views(session: Session, stop: threading.Event) -> None:
             if name in session.trusts or name in failed:
                 continue
             try:
-                path = session.images.path(name)
-                session.order.add(name, path, session.view(name))
+                session.order.add(name, session.images.path(name), session.view(name))
             except (InputError, OSError):
                 failed.add(name)
         stop.wait(2)
 
 
 def open_session(
-    folder: Path,
-    out: Path,
-    detector: Detector,
-    order: ImageOrder | None = None,
+    folder: Path, out: Path, detector: Detector, order: ImageOrder | None = None
 ) -> Session:
     """Open a session on a folder; DatasetError where a log in ``out`` cannot be read.
 
@@ -301,8 +287,6 @@ def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
 
 def make_import_event(labels: np.ndarray, number: int = 0) -> Import:
     """Return the event that imports labels, uint8 (H, W); number: of earlier events, for its id."""
-    runs = {
-        LABEL_NAMES[label]: encode_runs(labels == label) for label in np.unique(labels).tolist()
-    }
+    runs = {LABEL_NAMES[label]: encode_runs(labels == label) for label in np.unique(labels)}
     identity = hashlib.sha256(f"{number} {runs}".encode()).hexdigest()[:32]
     return Import(kind="brought", id=identity, time=round(time.time(), 3), labels=runs)

@@ -29,9 +29,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 
 FRAME_TIMEOUT = 5.0  # seconds that a request waits for a newer frame
-
 RATE_FRAMES = 30  # frames over which the rate is measured
-
 PAGE_TIMEOUT = 2.0  # seconds for open requests when the page closes
 
 

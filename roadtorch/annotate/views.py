@@ -46,9 +46,7 @@ from roadtorch.run.memo import cache_key, read_cached, write_cached
 EXCLUDED_LOG_ODDS = 0.05
 """Magnitude of the negative log odds of pixels above the threshold that the mask excludes."""
 
-VIEWS_FOLDER = ".machine"
-"""Name of the folder of views in the folder of corrections."""
-
+VIEWS_FOLDER = ".machine"  # name of the folder of views in the folder of corrections
 MAX_VIEWS = 12  # in memory; each takes a few megabytes
 
 
@@ -65,21 +63,15 @@ class AnnotationSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class ImageView:
-    """The detector's result on one image, at the page's working size (h, w).
+    """The detector's result on one image, at the page's working size (h, w)."""
 
-    size: (H, W) of the image. odds: log odds of road, float32 (h, w), 0 at the threshold. labels:
-    n superpixels, int64 (h, w). segment_odds: mean log odds of each superpixel, (n,). graph: of the
-    superpixels. layout: log odds of the classes of each superpixel, (n, 3), or (n, 0) where the
-    detector has no layout. trust: predicted F-score of the mask, 0 to 1, if any.
-    """
-
-    size: tuple[int, int]
-    odds: Tensor
-    labels: Tensor
-    segment_odds: Tensor
-    graph: SegmentGraph
-    layout: Tensor
-    trust: float | None
+    size: tuple[int, int]  # (H, W) of the image
+    odds: Tensor  # log odds of road, float32 (h, w), 0 at the threshold
+    labels: Tensor  # n superpixels, int64 (h, w)
+    segment_odds: Tensor  # mean log odds of each superpixel, (n,)
+    graph: SegmentGraph  # of the superpixels
+    layout: Tensor  # log odds of the classes of each superpixel, (n, 3), or (n, 0) without a layout
+    trust: float | None  # predicted F-score of the mask, 0 to 1
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -110,10 +102,7 @@ def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings
 
 
 def corrected_log_odds(view: ImageView, evidence: Tensor, settings: PropagationSettings) -> Tensor:
-    """Return the log odds of road (h, w), with evidence (n,) propagated to other superpixels.
-
-    evidence: 1 road, -1 not road, 0 unlabelled, of each superpixel.
-    """
+    """Return the log odds of road (h, w), with evidence of 1, 0 or -1 (n,) propagated."""
     shift = propagate(view.segment_odds, evidence, view.graph, settings)
     return view.odds + shift[view.labels]
 

@@ -65,8 +65,7 @@ def make_folder(path: Path, hint: str = "give another folder") -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        problem = f"cannot be created: {error.strerror}"
-        raise UnwritableError(path, problem, hint) from None
+        raise UnwritableError(path, f"cannot be created: {error.strerror}", hint) from None
 
 
 @contextmanager
@@ -190,12 +189,8 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_json(path: str | os.PathLike[str], document: object) -> None:
-    """Write JSON, indented by two; the same document gives the same bytes.
-
-    Raises ValueError for numbers that are not finite, which JSON does not have.
-    """
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    write_text(path, text + "\n")
+    """Write JSON, indented by two, the same bytes each time; ValueError for NaN and infinity."""
+    write_text(path, json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:

@@ -84,10 +84,7 @@ def check_pixels(width: int, height: int) -> None:
 
 
 def max_megapixels() -> float:
-    """Return the limit of an image: MAX_MEGAPIXELS, or the environment's MEGAPIXELS_VARIABLE.
-
-    Raises ValueError if the variable is not a number above 0.
-    """
+    """Return MEGAPIXELS_VARIABLE, or MAX_MEGAPIXELS if it is not set; ValueError if not above 0."""
     text = os.environ.get(MEGAPIXELS_VARIABLE, str(MAX_MEGAPIXELS))
     try:
         limit = float(text)

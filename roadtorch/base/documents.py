@@ -15,9 +15,7 @@ from roadtorch.base.errors import DatasetError, RoadtorchError, truncate_middle
 # claims to hold; JSON goes from its bytes straight into the model.
 
 MAX_DOCUMENT_BYTES = 2**28  # ours: a COCO file of a thousand images has as many
-
 MAX_SIDE = 2**20  # pixels, as of an image that is read
-
 MAX_INPUT_LENGTH = 60  # characters of a wrong value that an error repeats
 
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]

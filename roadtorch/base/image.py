@@ -15,12 +15,7 @@ from torch import Tensor
 
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import (
-    MEGAPIXELS_VARIABLE,
-    TooLargeError,
-    decode_pixels,
-    pillow_pixels,
-)
+from roadtorch.base.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode_pixels, pillow_pixels
 from roadtorch.base.errors import (
     ConfigError,
     InputError,
@@ -36,7 +31,6 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # 
 
 # Okabe and Ito, "Color Universal Design" (2008): distinct for every kind of colour vision.
 SKY_BLUE = (86, 180, 233)
-
 ORANGE = (230, 159, 0)
 
 TINT = 0.5  # opacity of the tint inside the mask; ours: the road's texture stays visible
@@ -46,7 +40,6 @@ TINT_TABLE = cv2.addWeighted(_LEVELS, 1 - TINT, np.full_like(_LEVELS, SKY_BLUE),
 """Lookup table from the level of a channel to that inside the mask: uint8 (256, 1, 3)."""
 
 OUTLINE_WIDTH = 1 / 240  # fraction of the shorter side; ours
-
 MIN_FONT_SIZE = 14  # pixels; ours: legible in an image of 320
 
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
@@ -101,12 +94,7 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
 
 
 def decode_image(data: bytes, origin: object) -> Tensor:
-    """Decode the bytes of an image file as ``read_image`` does.
-
-    Args:
-        data: content of the file.
-        origin: name of the image in errors.
-    """
+    """Decode the bytes of an image file as ``read_image`` does; ``origin`` names it in errors."""
     if not data:
         raise InputError(origin, "is empty", "replace the file")
     with report_decoding_errors(origin):
@@ -311,9 +299,8 @@ def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
     data = io.BytesIO()
     np.save(data, values.detach().cpu().numpy(), allow_pickle=False)
     with atomic_write(path) as temporary:
-        temporary.write_bytes(
-            data.getvalue()
-        )  # with getbuffer() a full disk crashes CPython 3.12.1
+        # With getbuffer() a full disk crashes CPython 3.12.1.
+        temporary.write_bytes(data.getvalue())
 
 
 def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -324,8 +311,7 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
     # A replicated border keeps the outline off the image border.
     wide = cv2.erode(inside, brush, iterations=2 * width, borderType=cv2.BORDER_REPLICATE)
     thin = cv2.erode(inside, brush, iterations=width, borderType=cv2.BORDER_REPLICATE)
-    tinted = cv2.LUT(pixels, TINT_TABLE)
-    result = cv2.copyTo(tinted, inside, pixels.copy())
+    result = cv2.copyTo(cv2.LUT(pixels, TINT_TABLE), inside, pixels.copy())
     flat = result.reshape(-1, 3)
     flat[np.flatnonzero(inside > wide)] = 0
     flat[np.flatnonzero(inside > thin)] = ORANGE

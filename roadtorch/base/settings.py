@@ -102,9 +102,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
         key, equals, text = item.partition("=")
         names = key.strip().split(".")
         if not equals or not all(names):
-            raise ConfigError(
-                item, "is not a setting", "write key=value, for example texture.bins=64"
-            )
+            hint = "write key=value, for example texture.bins=64"
+            raise ConfigError(item, "is not a setting", hint)
         branch = tree
         for name in names[:-1]:
             branch = branch.setdefault(name, {})
@@ -144,8 +143,7 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     try:
         return _resolve_files(path, tomllib.loads(read_regular(path).decode()))
     except OSError as error:
-        problem = f"cannot be read: {error.strerror}"
-        raise InputError(path, problem, "give a TOML file") from None
+        raise InputError(path, f"cannot be read: {error.strerror}", "give a TOML file") from None
     except UnicodeDecodeError:
         raise InputError(path, "is not UTF-8 text", "give a TOML file") from None
     except (ValueError, RecursionError) as error:

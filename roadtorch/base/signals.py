@@ -22,14 +22,11 @@ def sigterm_handler(*_: object) -> NoReturn:
 
 
 class StopRequest:
-    """A request to stop by a signal.
-
-    raises_at_once: raise when the request comes, as while waiting for a live source.
-    """
+    """A request to stop by a signal."""
 
     def __init__(self) -> None:
         self.signal: signal.Signals | None = None
-        self.raises_at_once = False
+        self.raises_at_once = False  # when a request comes, as while waiting for a live source
 
     @property
     def requested(self) -> bool:

@@ -15,9 +15,7 @@ from roadtorch.base.errors import InputError
 
 WEB_SCHEMES = ("http", "https")
 
-RESPONSE_TIMEOUT = 10.0
-"""Seconds that a web server may be silent; ours: as long as for a live stream."""
-
+RESPONSE_TIMEOUT = 10.0  # seconds that a web server may be silent; ours: as for a live stream
 READ_SIZE = 2**20  # bytes
 
 
@@ -40,10 +38,7 @@ def slug(url: str) -> str:
 
 @contextmanager
 def open_url(url: str) -> Iterator[Any]:
-    """Yield the response to a GET request, after redirections: its headers, and its body to read.
-
-    Raises InputError if there is none, or it comes late or with an error status.
-    """
+    """Yield the response to a GET request, after redirections; InputError if there is none."""
     address = strip_password(url)
     headers = {"User-Agent": "roadtorch"}
     if (user := re.match(r"\w+://([^/@]*)@", url)) is not None:  # basic access, RFC 7617
@@ -66,10 +61,7 @@ def open_url(url: str) -> Iterator[Any]:
 
 
 def read_url(url: str) -> bytes:
-    """Fetch the body of a response, at most 1 GiB.
-
-    Raises InputError as ``open_url`` does, for a larger or truncated body, and for other schemes.
-    """
+    """Fetch the body of a response; InputError if there is none, or it has more than 1 GiB."""
     if url_scheme(url) not in WEB_SCHEMES:
         raise InputError(url, "is no web address", "give http:// or https://, or a file")
     data = bytearray()

@@ -19,7 +19,6 @@ from roadtorch.camera.calibration import Calibration, road_homography
 BEV_ROWS, BEV_COLUMNS = 800, 400
 
 CELL_SIZE = 0.05  # metres
-
 LEFT_EDGE, FAR_EDGE = -10.0, 46.0  # metres; the right edge is at 10, the near one at 6
 
 _Pair = tuple[Tensor, Tensor]

@@ -54,14 +54,11 @@ MAX_ROAD_LINE_FRACTION = 0.45
 
 
 class FootageStatistics(NamedTuple):
-    """Statistics of frames of one camera, at the reduced size (h, w).
-
-    lines: (2, h, w), strength of edges that aim at the vanishing point, and of all.
-    """
+    """Statistics of frames of one camera, at the reduced size (h, w)."""
 
     gradients: GradientStatistics
     point: VanishingPoint
-    lines: Tensor
+    lines: Tensor  # (2, h, w), strength of edges that aim at the vanishing point, and of all
 
 
 def detect_ego_car(frames: Sequence[Tensor]) -> Tensor | None:
@@ -80,13 +77,11 @@ def detect_ego_car(frames: Sequence[Tensor]) -> Tensor | None:
     if len(frames) < 2:
         raise InputError("footage", f"is {len(frames)} frame(s)", "give 10 or more of one camera")
     size = small_size(frames)
-    rows = _find_ego_rows(
-        _footage_statistics([sobel_gradient(small_grey(frame, size)) for frame in frames])
-    )
+    gradients = [sobel_gradient(small_grey(frame, size)) for frame in frames]
+    rows = _find_ego_rows(_footage_statistics(gradients))
     if rows is None:
         return None
-    below = torch.arange(size[0])[:, None] >= rows
-    return resize_to_image(below, spatial_size(frames[0]))
+    return resize_to_image(torch.arange(size[0])[:, None] >= rows, spatial_size(frames[0]))
 
 
 def _footage_statistics(gradients: Sequence[Tensor]) -> FootageStatistics:
@@ -135,8 +130,7 @@ def _edge_evidence(gradients: GradientStatistics, point: VanishingPoint) -> Tens
     """Return the evidence of static edges that are no lines of the road: (h, w) in [0, 1]."""
     direction = gradients.direction
     evidence = gradients.coherence * line_deviation(direction, point) * direction[1].abs()
-    height = len(evidence)
-    evidence[: round(max(MIN_EGO_ROW, point.row + MIN_BELOW_HORIZON) * height)] = 0
+    evidence[: round(max(MIN_EGO_ROW, point.row + MIN_BELOW_HORIZON) * len(evidence))] = 0
     return F.max_pool2d(evidence[None, None], (3, 1), 1, (1, 0))[0, 0]
 
 
@@ -167,7 +161,6 @@ def _best_path(evidence: Tensor) -> tuple[Tensor, float]:
 
 MIN_CAMERA_FRAMES = 5  # frames; fewer have edges in common by chance
 OUTLINE_COLUMNS = 64  # columns of the outline in a camera's file
-
 MAX_STATIC_FRACTION = 0.85  # above, nothing moves; straight motorways reach .7
 
 # Similarity to the ego car of some frames that four of five other frames of the camera reach, and
@@ -209,10 +202,8 @@ def estimate_camera(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         problem = f"is of several cameras: {low_width}×{low_height} and {width}×{height} pixels"
         raise InputError(where, problem, "give the footage of one")
     size = small_size(greys)
-    gradients = [
-        sobel_gradient(F.interpolate(grey[None, None], size, mode="bilinear")[0, 0])
-        for grey in greys
-    ]
+    resized = (F.interpolate(grey[None, None], size, mode="bilinear")[0, 0] for grey in greys)
+    gradients = [sobel_gradient(grey) for grey in resized]
     footage = _footage_statistics(gradients)
     if footage.gradients.static_fraction >= MAX_STATIC_FRACTION:
         raise StaticFootageError(where, "is static: nothing moves", "give footage of a drive")
@@ -264,13 +255,9 @@ def _lacks_ego_car(point: VanishingPoint, first: list[Tensor], second: list[Tens
     if rows is None:
         return False
     # Cross-validated: each template is compared with frames that it was not built from.
-    odd, even = first[::2], first[1::2]
-    odd_template, even_template = (
-        build_ego_template(gradient_statistics(part), rows) for part in (odd, even)
-    )
-    in_first = torch.cat(
-        [template_similarities(odd_template, even), template_similarities(even_template, odd)]
-    )
+    halves = first[::2], first[1::2]
+    templates = [build_ego_template(gradient_statistics(half), rows) for half in halves]
+    in_first = torch.cat([*map(template_similarities, templates, halves[::-1])])
     in_second = template_similarities(build_ego_template(statistics, rows), second)
     is_certain = float(in_first.quantile(0.2)) >= MIN_OWN_SIMILARITY
     return is_certain and float(in_second.quantile(0.8)) <= MAX_FOREIGN_SIMILARITY

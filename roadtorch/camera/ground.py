@@ -135,8 +135,7 @@ def camera_pose(
         ("--roll", roll, -MAX_ROLL, MAX_ROLL, "degrees"),
     ):
         if not low <= value <= high:
-            hint = f"give {low:g} to {high:g} {unit}"
-            raise ConfigError(option, f"{value:g} was given", hint)
+            raise ConfigError(option, f"{value:g} was given", f"give {low:g} to {high:g} {unit}")
     sine, cosine = math.sin(math.radians(pitch)), math.cos(math.radians(pitch))
     right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
     turn, level = math.sin(math.radians(roll)), math.cos(math.radians(roll))

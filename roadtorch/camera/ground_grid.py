@@ -99,9 +99,8 @@ def ground_grid(
     lens, size = camera.lens, settings.resolution
     if tuple(road.shape) != (lens.height, lens.width):
         problem = f"is {road.shape[1]}×{road.shape[0]} pixels, the lens {lens.width}×{lens.height}"
-        raise InputError(
-            "road", problem, "give a map of the lens's size, or lens.at(width, height)"
-        )
+        hint = "give a map of the lens's size, or lens.at(width, height)"
+        raise InputError("road", problem, hint)
     rays = sample_rays(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
     likelihood = _sample_bilinear(road.float(), rays)
     visible = rays.inside
@@ -166,8 +165,7 @@ def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
         raise InputError("grid", problem, "give a coarser resolution or a shorter range")
     direction = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], 1)
     foot = np.array([*camera.pose.position[:2], 0.0])
-    points = (foot + distance[:, None, None] * direction).reshape(-1, 3)
-    pixels, inside = camera.project(points)
+    pixels, inside = camera.project((foot + distance[:, None, None] * direction).reshape(-1, 3))
     pixels, inside = pixels.reshape(-1, count, 2), inside.reshape(-1, count)
     spacing = np.linalg.norm(np.diff(pixels, axis=0, append=pixels[-1:]), axis=2)
     inside &= spacing * SAMPLES_ALONG * settings.max_cells_per_pixel >= 1

@@ -31,20 +31,16 @@ from roadtorch.camera.ground import (
 
 @dataclass(frozen=True)
 class Mounting:
-    """Options about the camera, with exactly one of ``fov``, ``camera_info`` and ``calibration``.
+    """Options about the camera, exactly one of ``fov``, ``camera_info`` and ``calibration``."""
 
-    height: metres. pitch, roll: degrees. mount: x, y on the robot, metres. fov: horizontal field of
-    view, degrees. camera: file of ``roadtorch camera``, for its horizon.
-    """
-
-    height: float | None = None
-    pitch: float | None = None
-    roll: float = 0.0
-    mount: tuple[float, float] = (0.0, 0.0)
-    fov: float | None = None
+    height: float | None = None  # metres
+    pitch: float | None = None  # degrees
+    roll: float = 0.0  # degrees
+    mount: tuple[float, float] = (0.0, 0.0)  # x, y on the robot, metres
+    fov: float | None = None  # horizontal field of view, degrees
     camera_info: Path | None = None
     calibration: Path | None = None
-    camera: Path | None = None
+    camera: Path | None = None  # file of ``roadtorch camera``, for its horizon
 
     def pose(self, pitch: float) -> Pose:
         """Return the pose at a pitch in degrees; ConfigError beyond the limits."""
@@ -64,18 +60,13 @@ class Pitch(NamedTuple):
 
 @dataclass(frozen=True)
 class CameraPlacement:
-    """Estimator of the camera over the ground for each image.
-
-    calibration: KITTI's, which determines all but ``mount``. lens: None if ``fov`` or each bag
-    determines it. horizon: of the camera's file, fraction of the height. pitch: None if the horizon
-    or each image's layout determines it.
-    """
+    """Estimator of the camera over the ground for each image."""
 
     mounting: Mounting
-    calibration: Calibration | None = None
-    lens: Lens | None = None
-    horizon: float | None = None
-    pitch: Pitch | None = None
+    calibration: Calibration | None = None  # KITTI's, which determines all but ``mount``
+    lens: Lens | None = None  # None if ``fov`` or each bag determines it
+    horizon: float | None = None  # of the camera's file, fraction of the height
+    pitch: Pitch | None = None  # None if the horizon or each image's layout determines it
 
     @property
     def needs_lens(self) -> bool:
@@ -133,10 +124,7 @@ class CameraPlacement:
 
 
 def build_placement(mounting: Mounting, of_bags: bool) -> CameraPlacement:
-    """Return the estimator for all inputs; of_bags: whether all are bags, which have lenses.
-
-    Raises ConfigError for missing, contradictory or invalid options, and the errors of the readers.
-    """
+    """Return the estimator for all inputs (of_bags: all are bags); ConfigError for bad options."""
     lenses = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
     lenses["--calibration"] = mounting.calibration
     options = [name for name, value in lenses.items() if value is not None]

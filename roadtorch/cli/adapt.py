@@ -4,13 +4,7 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import (
-    FOOTAGE_ARGUMENT,
-    PATH,
-    QUIET_OPTION,
-    SETTING_OPTION,
-    command_line,
-)
+from roadtorch.cli.options import FOOTAGE_ARGUMENT, PATH, QUIET_OPTION, SETTING_OPTION, command_line
 
 ADAPT_CONFIG = "adapt"
 
@@ -81,8 +75,7 @@ def adapt_command(
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
     request = TrainingRequest(frames.glob(), out, prepared=adaptation.prepared, quiet=quiet)
-    command = command_line(context)
-    is_written = write_page(training, request, outcome, verdict, command)
+    is_written = write_page(training, request, outcome, verdict, command_line(context))
     files = [outcome.weights, adaptation.camera, out / ADAPTATION_PAGE if is_written else None]
     lines = [*frames.skipped, *adaptation.missing]
     if not quiet:

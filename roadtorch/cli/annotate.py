@@ -88,9 +88,7 @@ def annotate_command(
         count = len(find_images([folder], out))
         detector, _ = choice.load()
         context.with_resource(lock_output(out))
-        server = make_page_server(
-            open_session(folder, out, detector, order=ImageOrder(order)), port
-        )
+        server = make_page_server(open_session(folder, out, detector, ImageOrder(order)), port)
         click.echo(f"{count} images; corrections are saved in {out}")
         click.echo(f"Open {server.address.url}  (press Ctrl-C to stop)")
         server.run()

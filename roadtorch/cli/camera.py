@@ -63,7 +63,6 @@ def _check_outputs(out: Path, check_file: Path, inputs: set[Path]) -> None:
         try:
             Camera.read(out)
         except RoadtorchError:
-            problem = "exists and is no camera file"
-            raise ConfigError(out, problem, "give another --out") from None
+            raise ConfigError(out, "exists and is no camera file", "give another --out") from None
     elif check_file.exists():
         raise ConfigError(check_file, "exists and is not ours", "give another --out")

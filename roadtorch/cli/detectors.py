@@ -78,10 +78,7 @@ def detector_rows(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, 
 
 
 def wrap_columns(rows: list[tuple[str, ...]]) -> Iterator[str]:
-    """Yield rows as lines of LINE_WIDTH with aligned columns; long cells are wrapped.
-
-    The first column, names, is as wide as they are; the last one fills the line.
-    """
+    """Yield rows as lines of LINE_WIDTH with aligned columns; all cells but names are wrapped."""
     wrapped = [[row[0:1], *(_wrap(cell, INNER_COLUMN_WIDTH) for cell in row[1:-1])] for row in rows]
     widths = [max(map(len, chain(*column))) for column in zip(*wrapped, strict=True)]
     last_width = LINE_WIDTH - sum(widths) - len(COLUMN_GAP) * len(widths)

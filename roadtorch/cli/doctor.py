@@ -19,9 +19,7 @@ from roadtorch.base.compute import peak_memory_mib
 from roadtorch.base.version import __version__
 
 DEVELOPER_EXTRAS = ("docs", "test")  # not reported as missing
-
 VIDEO_CODECS = ("h264", "hevc", "vp9", "av1", "mpeg4", "mjpeg")  # of cameras and archives
-
 STREET_HEIGHT, STREET_WIDTH = 360, 480  # of the self-test, as in the README's table of times
 ROUNDS = 9  # timed runs of the self-test
 MIN_F = 0.85
@@ -31,14 +29,11 @@ REINSTALL_HINT = "install roadtorch again"
 
 
 class Check(NamedTuple):
-    """One part of an installation: a line of the report.
-
-    state: missing parts are optional, broken ones are not. details: version, figures or problem.
-    """
+    """One part of an installation: a line of the report."""
 
     name: str
-    state: Literal["ok", "missing", "broken"]
-    details: str
+    state: Literal["ok", "missing", "broken"]  # missing parts are optional, broken ones are not
+    details: str  # version, figures or problem
     hint: str = ""
 
 
@@ -146,10 +141,8 @@ def check_self_test() -> list[Check]:
         repeat = detector.detect(scene.image)
         times.append(1000 * (perf_counter() - start))
         is_deterministic &= torch.equal(first.likelihood, repeat.likelihood)
-    f, ms = (
-        float(f_measure(count_mask(first.mask, scene.road, ~scene.void))),
-        statistics.median(times),
-    )
+    f = float(f_measure(count_mask(first.mask, scene.road, ~scene.void)))
+    ms = statistics.median(times)
     details = f"F {f:.3f}, {ms:.0f} ms at {STREET_WIDTH}×{STREET_HEIGHT} (median of {ROUNDS}), "
     details += f"{peak_memory_mib():.0f} MiB at most"
     fault = "" if is_deterministic else "; not deterministic: two results for one image"

@@ -9,12 +9,7 @@ from roadtorch.cli.options import PATH, SETTING_OPTION, suggest_detectors
 
 @click.command()
 @click.argument("name", shell_complete=suggest_detectors)
-@click.option(
-    "--out",
-    type=PATH,
-    required=True,
-    help="File NAME.onnx; for web and hub, a folder.",
-)
+@click.option("--out", type=PATH, required=True, help="File NAME.onnx; for web and hub, a folder.")
 @click.option(
     "--format",
     "kind",

@@ -113,9 +113,8 @@ class CommandGroup(click.Group):
                 error = to_input_error(ctx.invoked_subcommand, error)
                 raise click.ClickException(str(error)) from None
             problem = f"a bug in roadtorch: {type(error).__name__}: {error}"
-            raise click.ClickException(
-                f"{ctx.invoked_subcommand}: {problem} (report it with --debug)"
-            ) from None
+            message = f"{ctx.invoked_subcommand}: {problem} (report it with --debug)"
+            raise click.ClickException(message) from None
 
     def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
         """Run with these arguments, or those of the process, and exit with the exit code."""

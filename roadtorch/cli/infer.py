@@ -73,9 +73,7 @@ def open_viewer() -> "Viewer":
 )
 @selection_options
 @click.option(
-    "--steady/--no-steady",
-    default=True,
-    help="Smooth the likelihood of footage over time.",
+    "--steady/--no-steady", default=True, help="Smooth the likelihood of footage over time."
 )
 @click.option("--view", is_flag=True, help="Show footage live on a local page.")
 @CAMERA_OPTION
@@ -137,8 +135,7 @@ def infer_command(
     bits = 16 if depth == "16" else 8
     maps = MapWriter(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(open_viewer()) if view else None
-    output = MapOutput(maps, save, selection.topic, viewer)
-    todo = plan_run(selected, out, maps.suffixes, output)
+    todo = plan_run(selected, out, maps.suffixes, MapOutput(maps, save, selection.topic, viewer))
     footage_options = {**asdict(selection), "steady": steady}
     key = cache_key(detector, depth)
     method, footage_method = Method(key, kinds), Method(cache_key(key, footage_options), ())

@@ -48,6 +48,5 @@ def label_command(
     todo = plan_run(Inputs(find_images(inputs, out), []), out, labels.suffixes)
     effective = config_text("labeller", settings)
     run = context.with_resource(open_run(out, effective, todo.count, options))
-    method = Method(cache_key(settings), tuple(labels.kinds))
-    task = Task(Labelling(settings), labels, method)
+    task = Task(Labelling(settings), labels, Method(cache_key(settings), tuple(labels.kinds)))
     context.exit(run.process_images(todo.images, task))

@@ -54,10 +54,7 @@ class DetectorOptions:
     def load(
         self, camera_file: Path | None = None, threshold: float | None = None
     ) -> "tuple[Detector, Camera | None]":
-        """Return the detector, with settings for the camera of a file, and that camera.
-
-        Raises as ``name_and_values``, ``Camera.read`` and ``load_detector`` do.
-        """
+        """Return the detector, with settings for the camera of a file, and that camera."""
         from roadtorch.camera.camera import Camera
         from roadtorch.detectors.catalogue import load_detector
 

@@ -12,6 +12,7 @@ mapping is used:
 import re
 from collections.abc import Iterator
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 
 from roadtorch.base.errors import DatasetError
@@ -114,14 +115,12 @@ def _map_by_class() -> NumberLabels:
 
 def _map_literally(void: tuple[str, ...]) -> NumberLabels:
     """Map the colours as P2 writes (ECCV 2012, §6.1): only ``Road`` is road."""
-    layout = [
-        UNLABELLED if name in void else LITERAL_LAYOUT.get(name, VERTICAL) for name in NAMES32
-    ]
+    layout = LITERAL_LAYOUT | dict.fromkeys(void, UNLABELLED)
     return NumberLabels(
         road=(NAMES32.index("Road"),),
         void=tuple(map(NAMES32.index, void)),
         values=tuple(range(len(NAMES32))),
-        layout=tuple(layout),
+        layout=tuple(layout.get(name, VERTICAL) for name in NAMES32),
     )
 
 
@@ -143,10 +142,7 @@ SPLITS32 = {"all": ("train", "val", "test"), **CAMVID_SPLITS}
 
 
 def segnet_split(name: str) -> str:
-    """Return the split of SegNet's division (367, 101, 233 frames) that a frame's name belongs to.
-
-    Raises DatasetError for a name that is not one of CamVid's.
-    """
+    """Return SegNet's split (367, 101, 233 frames) by a frame's name; DatasetError for others."""
     parts = re.fullmatch(r"(0001TP|0006R0|0016E5|Seq05VD)_f?(\d+)", name)
     if parts is None:
         hint = "name frames like 0016E5_07959"
@@ -164,9 +160,8 @@ def open_camvid32(root: Path, split: str, name: str = "camvid32") -> Dataset:
     ROOT/train_labels and so on are read too. The frames' names decide on the split, not their
     folders. name: a key of ``CLASS_MAPPINGS``.
     """
-    items = tuple(
-        item for item in _find_items32(root) if segnet_split(item.name) in SPLITS32[split]
-    )
+    frames = _find_items32(root)
+    items = tuple(frame for frame in frames if segnet_split(frame.name) in SPLITS32[split])
     labels = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), CLASS_MAPPINGS[name])
     return Dataset(name, root, split, items, labels)
 
@@ -184,9 +179,7 @@ def _find_items32(root: Path) -> Iterator[LabelledItem]:
     nested = {images.parent for images, _ in present}
     for images, labels in present:
         if images not in nested:
-            yield from (
-                _make_item(image, label) for image, label in pair_files(images, labels, "_L.png")
-            )
+            yield from starmap(_make_item, pair_files(images, labels, "_L.png"))
 
 
 CAMVID_FORMATS = {

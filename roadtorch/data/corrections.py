@@ -51,10 +51,7 @@ TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 
 class LogHeader(Settings):
-    """First line of a log.
-
-    image: path of the image relative to the folder of all logs. height, width: in pixels.
-    """
+    """First line of a log; image: path relative to the folder of all logs."""
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
     image: Annotated[str, Field(pattern=r"^[^\x00]+$")]
@@ -69,10 +66,7 @@ class LogHeader(Settings):
 
 @dataclass(eq=False)
 class EventLog:
-    """Log of the corrections of one image, for one thread at a time.
-
-    head: the first line of the file, written with the first event.
-    """
+    """Log of the corrections of one image, for one thread at a time; head: its first line."""
 
     path: Path
     header: LogHeader
@@ -260,17 +254,9 @@ def read_corrections(folder: Path, images: Path | None = None) -> list[Correctio
     for log in logs:
         name = log.path.relative_to(folder).as_posix().removesuffix(LOG_SUFFIX)
         logged = Path(os.path.normpath(folder / log.header.image))
-        corrections.append(
-            Correction(
-                images / name if images else logged,
-                name,
-                log.labels,
-                log.confirmed,
-                log.seconds,
-                count_clicks(log.events),
-                log.path,
-            )
-        )
+        image, clicks = images / name if images else logged, count_clicks(log.events)
+        entry = Correction(image, name, log.labels, log.confirmed, log.seconds, clicks, log.path)
+        corrections.append(entry)
     corrections.sort(key=lambda correction: correction.name)
     return [correction for correction in corrections if (correction.labels > 0).any()]
 
@@ -282,8 +268,7 @@ def read_image_size(path: Path) -> tuple[int, int]:
             transposed = image.getexif().get(ExifTag.Orientation) in TRANSPOSED
             return (image.width, image.height) if transposed else (image.height, image.width)
     except Exception as error:
-        message = f"cannot be opened: {reason(error)}"
-        raise DatasetError(path, message, "replace the file") from None
+        raise DatasetError(path, f"cannot be opened: {reason(error)}", "replace the file") from None
 
 
 # --- as a labelled set ------------------------------------------------------------------

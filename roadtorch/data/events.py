@@ -38,8 +38,7 @@ _LAYERS = {
     "not_road_horizontal": (NOT_ROAD, HORIZONTAL),
 }
 
-LABEL_NAMES = tuple(_LAYERS)
-"""Names of the labels; a label's number is its index."""
+LABEL_NAMES = tuple(_LAYERS)  # names of the labels; a label's number is its index
 
 STROKE_LABELS = LABEL_NAMES[1:7]
 """Labels of strokes; the last of ``LABEL_NAMES`` (a pavement, a verge) takes two strokes."""
@@ -89,15 +88,11 @@ _LabelName = Annotated[str, Field(pattern=f"^({'|'.join(LABEL_NAMES)})$")]
 
 
 class Event(Settings):
-    """One line of a log.
+    """One line of a log."""
 
-    id: created in the browser; a repeated id is the same event, sent again. time: seconds since
-    1970. seconds: working time.
-    """
-
-    id: _EventId
-    time: float = Field(default=0.0, ge=0)
-    seconds: float = Field(default=0.0, ge=0, le=MAX_SECONDS)
+    id: _EventId  # created in the browser; a repeated id is the same event, sent again
+    time: float = Field(default=0.0, ge=0)  # seconds since 1970
+    seconds: float = Field(default=0.0, ge=0, le=MAX_SECONDS)  # working time
 
 
 class SuperpixelStroke(Event):

@@ -48,10 +48,7 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def find_kitti_folder(root: Path, part: str) -> Path:
-    """Return the folder that holds image_2: ROOT itself or ROOT/part (training or testing).
-
-    Raises DatasetError when neither does.
-    """
+    """Return the folder that holds image_2: ROOT or ROOT/part; DatasetError without one."""
     for folder in (root, root / part):
         if (folder / "image_2").is_dir():
             return folder

@@ -89,9 +89,7 @@ def _find_items(folder: Path, group: str | None) -> Iterator[LabelledItem]:
 # columns are ignored; images that it does not list have no condition.
 
 CONDITIONS_FILE = "pictures.csv"  # in the folder of a set
-
-_ItemKey = tuple[str, str]
-"""Group of an image ("" in a set without groups) and its file name."""
+_ItemKey = tuple[str, str]  # group of an image ("" in a set without groups) and its file name
 
 
 def add_conditions(dataset: Dataset, path: Path) -> Dataset:

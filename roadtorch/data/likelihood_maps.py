@@ -16,8 +16,7 @@ from roadtorch.detectors.detector import DetectorSettings, decide_mask
 
 MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
-TOLERANCE = 1 / 255
-"""Largest difference between a map of 8 bits and the same map in another format."""
+TOLERANCE = 1 / 255  # largest difference between a map of 8 bits and the same map in another format
 
 INFER_CONFIG, MASK_ENDING = "config.toml", ".mask.png"
 """Settings that ``infer`` writes beside its maps, and the file name's end of its masks."""
@@ -55,10 +54,7 @@ def is_infer_folder(folder: Path) -> bool:
 
 
 def read_decision_settings(folder: Path) -> DetectorSettings:
-    """Read the settings by which a folder's likelihoods become masks; 0.5 without config.toml.
-
-    Raises InputError or ConfigError naming the file when it cannot be used.
-    """
+    """Read the settings by which a folder's likelihoods become masks; 0.5 without config.toml."""
     if not is_infer_folder(folder):
         return DetectorSettings()
     values = read_settings_file(folder / INFER_CONFIG)

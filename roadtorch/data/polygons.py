@@ -64,10 +64,7 @@ def trace_outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
 
 
 def labelme_document(mask: np.ndarray, file: str) -> dict[str, Any]:
-    """Return the outlines of a mask bool (H, W) in labelme's format.
-
-    file: name of the image, which belongs beside the document.
-    """
+    """Return the outlines of a mask bool (H, W) in labelme's format, for the image beside it."""
     height, width = mask.shape
     shapes = [
         {
@@ -104,10 +101,7 @@ class _Document(ForeignDocument):
 
 
 def read_labelme_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Read the mask bool (H, W) of a ``labelme_document``.
-
-    Raises DatasetError for any other file, and for an image of another size.
-    """
+    """Read the mask bool (H, W) of a ``labelme_document``; DatasetError for any other file."""
     mask = np.zeros(size, np.uint8)
     with read_document(path, "remove it and infer the image again") as data:
         document = _Document.model_validate_json(data)

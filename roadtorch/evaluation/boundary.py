@@ -73,10 +73,7 @@ def true_boundary(road: Tensor, valid: Tensor) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bounding_slices(pixels: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns of the True pixels (H, W), widened by a margin.
-
-    Pixels outside are farther than the margin from every True pixel.
-    """
+    """Return the rows and columns of the True pixels (H, W), widened by a margin."""
     spans = []
     for axis in (1, 0):
         indices = np.flatnonzero(pixels.any(axis))
@@ -89,8 +86,7 @@ def _distance_transform(pixels: np.ndarray) -> np.ndarray:
     """Return each pixel's distance to the nearest True, float32 (H, W); infinite without any."""
     if not pixels.any():
         return np.full(pixels.shape, np.inf, np.float32)
-    away = (~pixels).view(np.uint8)
-    return cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return cv2.distanceTransform((~pixels).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
 
 
 def boundary_f(counts: Tensor) -> Tensor:

@@ -20,17 +20,13 @@ from roadtorch.run.workers import WORKER_CRASH, make_workers
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Masks of two detectors on one image.
-
-    difference: fraction of the pixels on which they differ. first_road, second_road: fraction of
-    road of each. first_trust, second_trust: NaN where the detector gives none.
-    """
+    """Masks of two detectors on one image."""
 
     item: LabelledItem
-    difference: float
-    first_road: float
+    difference: float  # fraction of the pixels on which they differ
+    first_road: float  # fraction of the pixels
     second_road: float
-    first_trust: float = math.nan
+    first_trust: float = math.nan  # NaN where the detector gives none
     second_trust: float = math.nan
 
     @property
@@ -80,10 +76,7 @@ class CompareTask:
             return Failure(item.name, None, str(error))
         parts = (first.mask & ~second.mask, second.mask & ~first.mask, first.mask, second.mask)
         only_first, only_second, *roads = (float(part.double().mean()) for part in parts)
-        trusts = (
-            math.nan if detection.trust is None else detection.trust
-            for detection in (first, second)
-        )
+        trusts = (math.nan if side.trust is None else side.trust for side in (first, second))
         return Disagreement(item, only_first + only_second, *roads, *trusts)
 
 
@@ -94,10 +87,7 @@ def compare_masks(
     quiet: bool = False,
     **progress: str,
 ) -> Disagreements:
-    """Compare the masks of two methods on every image, each at its own threshold.
-
-    jobs: processes, None for as many as help. progress: further options of ``Progress``.
-    """
+    """Compare the masks of two methods on every image, each at its own threshold."""
     task = CompareTask([contender.prepare(dataset) for contender in methods])
     items = dataset.items
     results = make_workers(jobs, len(items)).map(task, items, _crash_failure)
@@ -120,14 +110,11 @@ def _crash_failure(item: LabelledItem) -> Failure:
 
 
 class Agreement(NamedTuple):
-    """Fractions of the pixels, where the teacher is confident, on which a network agrees with it.
+    """Fractions of the pixels of a confident teacher on which a network agrees with it."""
 
-    layout: on the class; road: on road or not. images: number of images compared.
-    """
-
-    layout: float
-    road: float
-    images: int
+    layout: float  # on the class
+    road: float  # on road or not
+    images: int  # number of images compared
 
 
 class TeacherAgreement(NamedTuple):

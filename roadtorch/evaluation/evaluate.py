@@ -64,11 +64,10 @@ def evaluate(
         DatasetError: when no image could be scored.
         UnscorableError: when no label has any road.
     """
-    entries = collect_contenders(
-        dataset, detectors, settings or {}, camera, mean_from, with_baselines
-    )
+    settings = settings or {}
+    entries = collect_contenders(dataset, detectors, settings, camera, mean_from, with_baselines)
     if against is not None and against not in {entry.name for entry in entries}:
-        entries.append(parse_reference(against, settings or {}, camera))
+        entries.append(parse_reference(against, settings, camera))
         against = entries[-1].name
     if threshold_from is not None:
         entries = apply_thresholds(entries, threshold_from)

@@ -79,11 +79,7 @@ IOU = Measure(
 )
 
 F = Measure(
-    "f",
-    "F",
-    "F at the chosen threshold.",
-    _at_chosen_threshold(metrics.f_measure),
-    interval=True,
+    "f", "F", "F at the chosen threshold.", _at_chosen_threshold(metrics.f_measure), interval=True
 )
 
 F_MASK = Measure(

@@ -23,12 +23,7 @@ from roadtorch.base.settings import (
 from roadtorch.camera.camera import Camera
 from roadtorch.data import likelihood_maps
 from roadtorch.data.dataset import Dataset, LabelledItem
-from roadtorch.detectors.catalogue import (
-    detector_entry,
-    is_pattern,
-    list_detectors,
-    load_detector,
-)
+from roadtorch.detectors.catalogue import detector_entry, is_pattern, list_detectors, load_detector
 from roadtorch.detectors.detector import Detection, Detector, DetectorSettings
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.backbone_network import BackboneNetwork
@@ -37,9 +32,7 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import load_network
 
 BASELINES = ("prior:rows", "prior:triangle")  # always scored; prior:mean where it can be computed
-
 MEAN_PRIOR = "prior:mean"  # not in the catalogue, as it needs the set
-
 MEAN_THRESHOLD = 0.5  # the pixel is road in at least half of the images
 
 DETECTOR_BY_NETWORK = {
@@ -57,20 +50,15 @@ MAX_NAME_LENGTH = 60  # letters of a name from a file in a message
 
 @dataclass(frozen=True)
 class Contender:
-    """One method of an evaluation.
-
-    prepare: loads it and returns its predictor for a set. settings: all but the threshold, as JSON.
-    threshold: the default one; earlier_threshold: chosen by an earlier run. is_baseline: whether it
-    ignores the image. detector: name in the catalogue; empty for likelihood maps and prior:mean.
-    """
+    """One method of an evaluation."""
 
     name: str
-    prepare: Callable[[Dataset], Predictor] = field(repr=False)
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    threshold: float = 0.5
-    is_baseline: bool = False
-    earlier_threshold: float | None = None
-    detector: str = ""
+    prepare: Callable[[Dataset], Predictor] = field(repr=False)  # loads it for a set
+    settings: Mapping[str, Any] = field(default_factory=dict)  # all but the threshold, as JSON
+    threshold: float = 0.5  # the default one
+    is_baseline: bool = False  # whether it ignores the image
+    earlier_threshold: float | None = None  # that an earlier run chose
+    detector: str = ""  # name in the catalogue; empty for likelihood maps and prior:mean
 
 
 def collect_contenders(
@@ -193,10 +181,7 @@ def _detect(detector: Detector, image: Tensor, _: LabelledItem) -> Detection:
 
 
 def contender_from_maps(name: str, folder: Path) -> Contender:
-    """Return likelihood maps in a folder as ``maps:NAME``, thresholded as its config.toml says.
-
-    Raises ConfigError or InputError for a config.toml that cannot be used.
-    """
+    """Return likelihood maps in a folder as ``maps:NAME``, thresholded as its config.toml says."""
     decision = likelihood_maps.read_decision_settings(folder)
     settings: dict[str, Any] = {"folder": str(folder)}
     if likelihood_maps.is_infer_folder(folder):
@@ -307,8 +292,7 @@ def apply_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender
     try:
         earlier = _EarlierRun.model_validate_json(read_regular(path)).detectors
     except OSError as error:
-        message = f"cannot be read: {reason(error)}"
-        raise InputError(path, message, "give a metrics.json") from None
+        raise InputError(path, f"cannot be read: {reason(error)}", "give a metrics.json") from None
     except ValidationError:
         raise InputError(path, "is not a metrics.json", "give one that evaluate wrote") from None
     chosen: list[Contender] = []
@@ -316,9 +300,8 @@ def apply_thresholds(entries: Sequence[Contender], path: Path) -> list[Contender
         scores = earlier.get(entry.name)
         if scores is None or scores.maxf_threshold is None:
             names = sorted(name for name in earlier if earlier[name].maxf_threshold is not None)
-            message = f"has no threshold for {entry.name}"
             listed = ", ".join(name[:MAX_NAME_LENGTH] for name in names[:10])
-            raise ConfigError(path, message, f"it has {listed}")
+            raise ConfigError(path, f"has no threshold for {entry.name}", f"it has {listed}")
         if scores.settings != entry.settings:
             message = f"chose the threshold of {entry.name} with other settings"
             raise ConfigError(path, message, "run both with the same --set")

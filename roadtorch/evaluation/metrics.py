@@ -102,11 +102,8 @@ def count_levels(
         InputError: when the sizes differ or a likelihood is not in [0, 1].
     """
     if likelihood.shape != road.shape:
-        raise InputError(
-            "likelihood",
-            f"has the shape {tuple(likelihood.shape)}, the truth {tuple(road.shape)}",
-            "return a map of the image's size",
-        )
+        problem = f"has the shape {tuple(likelihood.shape)}, the truth {tuple(road.shape)}"
+        raise InputError("likelihood", problem, "return a map of the image's size")
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
     if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
         problem = f"has values from {low:g} to {high:g}"
@@ -142,12 +139,8 @@ def confusion_at(counts: RoadCounts, threshold: float) -> ConfusionCounts:
     """Return the counts of the mask "likelihood ≥ threshold", at the resolution of the levels."""
     level = threshold_level(threshold, counts.levels)
     road, background = counts.road.sum(-1), counts.background.sum(-1)
-    true_positive, false_positive = (
-        part[..., level:].sum(-1) for part in (counts.road, counts.background)
-    )
-    return ConfusionCounts(
-        true_positive, false_positive, road - true_positive, background - false_positive
-    )
+    hit, false = (part[..., level:].sum(-1) for part in (counts.road, counts.background))
+    return ConfusionCounts(hit, false, road - hit, background - false)
 
 
 # --- formulas; 0/0 is NaN, never 0 or 1 ---------------------------------------------------
@@ -248,9 +241,9 @@ def count_layout(labels: Tensor, truth: Tensor) -> Tensor:
     fourth row is void, the fourth column unlabelled.
     """
     rows, columns = (part.to(torch.int64).clamp(max=NUM_CLASSES) for part in (truth, labels))
-    size = NUM_CLASSES + 1
-    pairs = (rows * size + columns).flatten()
-    return torch.bincount(pairs, minlength=size**2).reshape(size, size)
+    side = NUM_CLASSES + 1
+    pairs = (rows * side + columns).flatten()
+    return torch.bincount(pairs, minlength=side**2).reshape(side, side)
 
 
 # The functions below ignore void and unlabelled pixels and take any leading dimensions.

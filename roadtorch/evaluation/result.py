@@ -165,10 +165,7 @@ class Evaluation:
 
 
 def shared_threshold(groups: Mapping[str, RoadCounts]) -> float:
-    """Return the threshold with the highest F, averaged over groups; the lowest of equals.
-
-    NaN when no group has road.
-    """
+    """Return the lowest threshold with the highest F, averaged over groups; NaN without road."""
     curves = [metrics.f_curve(counts) for counts in groups.values() if counts.road.sum() > 0]
     return float(metrics.best_threshold(torch.stack(curves).mean(0))[1]) if curves else math.nan
 
@@ -220,14 +217,12 @@ def summarise(
     are pooled across groups.
     """
     source, thresholds, best = choose_thresholds(contender, tally.road, left_out)
-    counting = {
-        group: threshold for group, threshold in thresholds.items() if group not in left_out
-    }
+    counting = {group: value for group, value in thresholds.items() if group not in left_out}
     group_counts = {
         group: replace(pool_groups(tally, {group: threshold}), threshold=threshold)
         for group, threshold in thresholds.items()
     }
-    items_by_condition = {
+    by_condition = {
         name: pool_images(images, thresholds)
         for name, items in (conditions or {}).items()
         if (images := tally.select({item.name for item in items})).names
@@ -243,9 +238,7 @@ def summarise(
         groups=groups,
         pooled=pooled,
         left_out={group: values for group, values in scores.items() if group not in counting},
-        conditions={
-            name: compute_scores(part, measures) for name, part in items_by_condition.items()
-        },
+        conditions={name: compute_scores(part, measures) for name, part in by_condition.items()},
         thresholds=thresholds,
         threshold_from=source,
         best_threshold=best,
@@ -327,10 +320,7 @@ def mean_defined(values: Sequence[float]) -> float:
 
 
 def image_f(images: ImageTable, thresholds: Mapping[str, float]) -> Tensor:
-    """Compute F of each image at its group's threshold, from its 8-bit map, float64 (n,).
-
-    NaN without road or threshold.
-    """
+    """Compute F of images at their groups' thresholds, from 8-bit maps: float64 (n,), or NaN."""
     f = torch.full((len(images.names),), math.nan, dtype=torch.float64)
     for group, threshold in thresholds.items():
         if not math.isnan(threshold):

@@ -102,8 +102,7 @@ def score_dataset(
     dataset: Dataset, contenders: Sequence[Contender], jobs: int | None = 1
 ) -> Generator[ImageResult]:
     """Yield a result for every item, in order; jobs: processes, None for as many as help."""
-    predictors = {entry.name: entry.prepare(dataset) for entry in contenders}
-    task = ScoringTask(dataset, predictors)
+    task = ScoringTask(dataset, {entry.name: entry.prepare(dataset) for entry in contenders})
     return make_workers(jobs, len(dataset.items)).map(task, dataset.items, _crash_result)
 
 

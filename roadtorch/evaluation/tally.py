@@ -137,23 +137,17 @@ class Tally:
 
 @dataclass(frozen=True)
 class PooledCounts:
-    """Pooled counts of some images, or of bootstrap replicates of them: then shape (replicates, …).
-
-    at_threshold: counts at the threshold of each group; None where there is none.
-    image_auc: mean of the AUCs of single images, float64 (…).
-    Replicates lack the fields after it: labels, a confusion like ``layout``, of labels that may
-    abstain; threshold, where all groups share one; the single images.
-    """
+    """Pooled counts of images, or of bootstrap replicates of them: then shape (replicates, …)."""
 
     road: RoadCounts
     mask: ConfusionCounts
     boundary: Tensor
     layout: Tensor | None
-    at_threshold: ConfusionCounts | None
-    image_auc: Tensor
-    labels: Tensor | None = None
-    threshold: float | None = None
-    images: ImageTable | None = None
+    at_threshold: ConfusionCounts | None  # at the threshold of each group; None where there is none
+    image_auc: Tensor  # mean of the AUCs of single images, float64 (…)
+    labels: Tensor | None = None  # confusion of labels that may abstain; replicates lack it
+    threshold: float | None = None  # where all groups share one; replicates lack it
+    images: ImageTable | None = None  # replicates lack them
 
     @cached_property
     def max_f(self) -> tuple[Tensor, Tensor]:

@@ -21,7 +21,6 @@ from roadtorch.evaluation.metrics import f_measure
 from roadtorch.evaluation.tally import ImageTable, PooledCounts
 
 FAILURE_F = 0.6  # F below which a mask is a failure; ours: such masks look wrong at first sight
-
 MIN_GROUP_IMAGES = 4  # images that a group needs for a correlation; ours
 
 
@@ -48,8 +47,7 @@ def rank_correlation(first: Tensor, second: Tensor) -> float:
     """Compute Spearman's rank correlation of two (n,); NaN where either is constant."""
     ranks = torch.stack([average_ranks(first), average_ranks(second)])
     centred = ranks - ranks.mean(1, keepdim=True)
-    lengths = centred.norm(dim=1)
-    return float((centred[0] * centred[1]).sum() / lengths.prod())
+    return float((centred[0] * centred[1]).sum() / centred.norm(dim=1).prod())
 
 
 def average_ranks(values: Tensor) -> Tensor:

@@ -18,19 +18,14 @@ THRESHOLD_DIGITS = 3  # of a threshold in a config
 
 @dataclass(frozen=True)
 class ThresholdChoice:
-    """A chosen threshold and its scores.
-
-    settings: with the chosen threshold. at_default, chosen: F and IoU at the previous threshold and
-    at the chosen one, on the images that chose it; held_out: F and IoU of each group at the
-    threshold of the others, empty without groups.
-    """
+    """A chosen threshold and its scores."""
 
     contender: Contender
-    settings: DetectorSettings
+    settings: DetectorSettings  # with the chosen threshold
     images: float
-    at_default: Scores
-    chosen: Scores
-    held_out: Scores
+    at_default: Scores  # F and IoU at the previous threshold, on the images that chose
+    chosen: Scores  # F and IoU at the chosen threshold, on the same images
+    held_out: Scores  # F and IoU of each group at the threshold of the others; empty without groups
 
 
 def tune_thresholds(evaluation: Evaluation) -> list[ThresholdChoice]:
@@ -43,26 +38,21 @@ def tune_thresholds(evaluation: Evaluation) -> list[ThresholdChoice]:
 
 
 def tune_threshold(evaluation: Evaluation, name: str) -> ThresholdChoice:
-    """Choose the threshold with the highest F, averaged over groups, to three digits.
-
-    Raises DatasetError when no image shows road.
-    """
+    """Choose the threshold of the highest F averaged over groups; DatasetError without road."""
     scores, tally = evaluation.detectors[name], evaluation.tallies[name]
     contender = scores.contender
     if math.isnan(scores.best_threshold):
         raise DatasetError(evaluation.dataset.root, "shows no road", "give images with road")
     best = {"threshold": round(scores.best_threshold, THRESHOLD_DIGITS)}
     tuned = detector_entry(contender.detector).make_settings({**contender.settings, **best})
-    at_default, chosen = (
+    default, chosen = (
         summarise(
             replace(contender, earlier_threshold=threshold), tally, (F, IOU), evaluation.left_out
         ).headline
         for threshold in (contender.threshold, tuned.threshold)
     )
     held_out = scores.headline if len(scores.groups) > 1 else {}
-    return ThresholdChoice(
-        contender, tuned, scores.headline["images"], at_default, chosen, held_out
-    )
+    return ThresholdChoice(contender, tuned, scores.headline["images"], default, chosen, held_out)
 
 
 def choice_table(choices: Sequence[ThresholdChoice]) -> Table:

@@ -21,7 +21,6 @@ from roadtorch.evaluation.result import Comparison, DetectorScores, Difference, 
 from roadtorch.evaluation.tally import ImageTable, PooledCounts, Tally
 
 REPLICATES = 1000
-
 BOOTSTRAP_SEED = 11
 
 
@@ -128,11 +127,7 @@ def compare_detectors(
     measures: Sequence[Measure] = MEASURES,
 ) -> Comparison:
     """Return the difference of each detector to ``against``, in the measures that both have."""
-    shared = [
-        measure
-        for measure in measures
-        if "compared" in measure.tables and measure.key in replicates[against]
-    ]
+    shared = [m for m in measures if "compared" in m.tables and m.key in replicates[against]]
     reference = detectors[against].headline
     return Comparison(
         against,

@@ -156,15 +156,12 @@ def camera_info(origin: str, topic: str | None = None) -> CameraInfo:
 def _choose_topic(origin: str, reader: "AnyReader", topic: str | None) -> str:
     """Return the name of the image topic; ConfigError or InputError that lists the topics."""
     kinds = {link.topic: link.msgtype for link in reader.connections}
-    images = sorted(
-        name for name, kind in kinds.items() if kind in (RAW_IMAGE_TYPE, COMPRESSED_TYPE)
-    )
+    images = sorted(name for name in kinds if kinds[name] in (RAW_IMAGE_TYPE, COMPRESSED_TYPE))
     images = [name for name in images if not name.endswith("/compressedDepth")]
     if not images:
         topics = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
-        raise InputError(
-            origin, "has no images", f"there is {topics}" if topics else "the bag is empty"
-        )
+        hint = f"there is {topics}" if topics else "the bag is empty"
+        raise InputError(origin, "has no images", hint)
     hint = f"give one of {', '.join(images)}"
     if topic is None and len(images) > 1:
         raise ConfigError(origin, f"has {len(images)} topics with images", f"--topic: {hint}")
@@ -195,13 +192,9 @@ def _bag_frames(origin: str, topic: str) -> Generator[Item]:
             read = partial(_raise_unreadable, frame_origin, message.damage)
             if message.content is not None:
                 read = partial(decode_message, message.content, frame_origin)
+            name, seconds = f"{_source_name(origin)}/{number:06d}", (message.stamp - first) / 1e9
             yield Item(
-                f"{_source_name(origin)}/{number:06d}",
-                frame_origin,
-                read,
-                number=number,
-                seconds=(message.stamp - first) / 1e9,
-                stamp=message.stamp,
+                name, frame_origin, read, number=number, seconds=seconds, stamp=message.stamp
             )
 
 

@@ -111,10 +111,7 @@ def is_footage_name(name: str) -> bool:
 
 
 def expand_lists(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
-    """Yield the inputs with ``-`` and ``@list.txt`` replaced by their non-empty lines.
-
-    Write ``./-`` for a file called ``-``.
-    """
+    """Yield the inputs, ``-`` (not ``./-``) and ``@list.txt`` replaced by their non-empty lines."""
     for argument in inputs:
         lines: Iterable[str] = names
         if argument.startswith("@"):

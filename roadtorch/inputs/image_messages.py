@@ -81,6 +81,5 @@ def _read_rows(message: Any, channels: int, bits: int) -> np.ndarray:
     whole[: len(data)] = data
     samples = np.ascontiguousarray(whole.reshape(message.height, step)[:, :row])
     if bits == 16:
-        order = ">u2" if message.is_bigendian else "<u2"
-        samples = samples.view(order).astype(np.uint16)
+        samples = samples.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
     return samples.reshape(message.height, message.width, channels)

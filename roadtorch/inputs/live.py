@@ -20,8 +20,7 @@ from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.video import ffmpeg_reason, first_video_stream, import_av, upright_image
 
 Connection = Callable[[], Generator[Callable[[], Tensor]]]
-"""Opens a connection and yields functions that read an image; raises InputError when it fails or
-ends."""
+"""Opens a connection and yields functions that read an image; InputError when it is over."""
 
 NewestFrame = tuple[int, float, int, Callable[[], Tensor]]
 """Frame number, clock in seconds, time stamp in nanoseconds, and the function that reads it."""
@@ -95,14 +94,12 @@ def newest_frames(
                 raise frame
             number, clock, stamp, read = frame
             first = clock if first is None else first
-            yield Item(
+            label, where, seconds = (
                 f"{name}/{number:06d}",
                 f"{origin}: frame {number}",
-                read,
-                number=number,
-                seconds=clock - first,
-                stamp=stamp,
+                clock - first,
             )
+            yield Item(label, where, read, number=number, seconds=seconds, stamp=stamp)
     finally:
         stop.set()
         reader.join(GRACE_PERIOD)

@@ -28,12 +28,10 @@ VIDEO_SUFFIXES = (
 """Suffixes that folders are searched for; FFmpeg reads further ones, if named."""
 
 VIDEO_RESULTS = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # our results, never inputs
-
 ANSWER_TIMEOUT = 10.0  # seconds until a URL has to answer
 
 END_TOLERANCE = 0.5
-"""Tolerated gap in seconds between the last frame and the declared duration; cameras that record
-sound leave as much."""
+"""Tolerated seconds from the last frame to the declared end; cameras with sound leave as much."""
 
 
 def is_video_name(name: str) -> bool:
@@ -71,8 +69,7 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
                 yield frame
         if not count:
             begin = f" from {selection.start:g} s on" if selection.start else ""
-            problem = f"has no frame{begin}"
-            raise InputError(path, problem, "give another video, --start or --end")
+            raise InputError(path, f"has no frame{begin}", "give another video, --start or --end")
 
     return Source(
         name=name,
@@ -105,8 +102,7 @@ def open_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]
 
 def first_video_stream(path: Path | str, container: "InputContainer") -> "VideoStream":
     """Return the first video stream that is no cover image; InputError if there is none."""
-    av = import_av()
-    cover = av.stream.Disposition.attached_pic
+    cover = import_av().stream.Disposition.attached_pic
     videos = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not videos:
         problem = "has audio but no video" if container.streams.audio else "has no video"
@@ -183,8 +179,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
                 end = max(end, seconds + (duration or clock.step))
                 origin = f"{path}: frame {number}"
                 read = partial(_damaged, origin) if image.is_corrupt else partial(decode, image)
-                frame = f"{name}/{number:06d}"
-                yield Item(frame, origin, read, number=number, seconds=seconds)
+                yield Item(f"{name}/{number:06d}", origin, read, number=number, seconds=seconds)
                 number += 1
         except import_av().FFmpegError as error:
             problem = f"ends after {end:.1f} seconds: {ffmpeg_reason(error)}"
@@ -214,8 +209,7 @@ def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
         for index, packet in enumerate(container.demux(stream)):
             if packet.pts is None:
                 continue
-            seconds = clock.seconds(packet.pts)
-            if packet.is_keyframe and seconds > start:
+            if packet.is_keyframe and clock.seconds(packet.pts) > start:
                 break
             if packet.is_keyframe:
                 entry, leading = SeekPoint(index, index, packet.pts), 0

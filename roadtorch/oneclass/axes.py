@@ -22,8 +22,7 @@ Hue = Literal["unrolled", "linear"]
 ``unrolled`` is exact within half a turn; ``linear`` is cut at red, as P3's column H suggests.
 """
 
-MIN_MEAN_LENGTH = 1e-6
-"""Length of the mean vector below which hues have no mean, and 0 is used."""
+MIN_MEAN_LENGTH = 1e-6  # length of the mean vector below which hues have no mean, and 0 is used
 
 
 @dataclass(frozen=True)

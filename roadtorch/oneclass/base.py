@@ -33,11 +33,8 @@ from roadtorch.oneclass.axes import Axes, Hue, arrange_planes, arranged_axes, me
 CHUNK_FLOATS = 700_000
 """Floats of the largest tensor while pixels are scored: 2.8 MB, which fits the CPU's cache."""
 
-PROBES = 16
-"""Number of samples around which the distance of one quantum is measured."""
-
-ROUNDING = 1e-3
-"""Fraction of one quantum's distance below which a threshold is due to rounding."""
+PROBES = 16  # number of samples around which the distance of one quantum is measured
+ROUNDING = 1e-3  # fraction of one quantum's distance below which a threshold is due to rounding
 
 
 class ClassifierSettings(Settings):
@@ -232,8 +229,7 @@ def _threshold(model: DistanceModel, samples: Tensor, axes: Axes, rejected: floa
     has_boundary = model.threshold is not None or model.training is not None
     # In one call: for few samples a call costs more than the computation.
     pixels = near if has_boundary else torch.cat([samples, near], 1)
-    distances = model.chunked_distance(pixels).numpy()
-    training, steps = np.split(distances, [-near.shape[1]])
+    training, steps = np.split(model.chunked_distance(pixels).numpy(), [-near.shape[1]])
     threshold = model.threshold
     if threshold is None:
         training = training if model.training is None else model.training.numpy()

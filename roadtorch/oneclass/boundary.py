@@ -19,8 +19,7 @@ from roadtorch.oneclass.neighbours import distinct_samples, squared_distances
 
 Width = Annotated[float, Field(ge=1e-6, le=1e6)]
 
-VIOLATION = 1e-7
-"""Fraction of the kernel's range by which the smallest ball may violate optimality."""
+VIOLATION = 1e-7  # fraction of the kernel's range by which the smallest ball may violate optimality
 
 
 class SvddSettings(ClassifierSettings):
@@ -32,8 +31,7 @@ class SvddSettings(ClassifierSettings):
         "distance between samples",
     )
     threshold: Literal["radius", "quantile"] = Field(
-        default="radius",
-        description="threshold: the ball's radius, or the rejected fraction",
+        default="radius", description="threshold: the ball's radius, or the rejected fraction"
     )
 
 
@@ -126,8 +124,7 @@ def fit_svdd(road: RoadSamples, settings: SvddSettings) -> DistanceModel:
     return DistanceModel(distance, max(len(points), 4), threshold=radius)
 
 
-PixelFunction = Callable[[Tensor], Tensor]
-"""Function of planes (d, n) with values (n,)."""
+PixelFunction = Callable[[Tensor], Tensor]  # function of planes (d, n) with values (n,)
 
 
 def excess_over_minimum(
@@ -234,8 +231,7 @@ class LinearSettings(ClassifierSettings):
         "the distance (the paper's text)",
     )
     threshold: Literal["margin", "quantile"] = Field(
-        default="margin",
-        description="threshold: ρ of the linear program, or the rejected fraction",
+        default="margin", description="threshold: ρ of the linear program, or the rejected fraction"
     )
 
 

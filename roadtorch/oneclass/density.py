@@ -13,8 +13,7 @@ from torch import Tensor
 from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
 
-MAX_REWEIGHTINGS = 50
-"""Most rounds of reweighting."""
+MAX_REWEIGHTINGS = 50  # most rounds of reweighting
 
 MEAN_TOLERANCE = 1e-5
 """Change of the mean, in spans of a plane, at which reweighting ends: 1/400 of a level."""

@@ -14,11 +14,8 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
 
-MAX_BINS = 1 << 25
-"""Most bins of a joint histogram: 134 MB."""
-
-COPY_NOISE = 30 / 256
-"""Standard deviation of the noise, in spans of the plane (P3, section V)."""
+MAX_BINS = 1 << 25  # most bins of a joint histogram: 134 MB
+COPY_NOISE = 30 / 256  # standard deviation of the noise, in spans of the plane (P3, section V)
 
 
 Bins = Annotated[int, Field(ge=2, le=4096, description="bins per plane over its range")]
@@ -87,8 +84,7 @@ def add_noisy_copy(
 
 def bin_indices(planes: Tensor, low: Tensor, scale: Tensor, bins: int) -> Tensor:
     """Return the bins of planes (d, n), int32 in 0…bins-1; ``scale`` (d,) is bins per unit."""
-    index = (planes - low[:, None]).mul_(scale[:, None])
-    return index.clamp_(0, bins - 1).to(torch.int32)
+    return (planes - low[:, None]).mul_(scale[:, None]).clamp_(0, bins - 1).to(torch.int32)
 
 
 def fit_histogram(road: RoadSamples, settings: HistogramSettings) -> DistanceModel:

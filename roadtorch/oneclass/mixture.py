@@ -14,23 +14,15 @@ from torch import Tensor
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
 from roadtorch.oneclass.density import variance_floor, whitening_matrix
 
-MAX_EM_ROUNDS = 100
-"""Most rounds of expectation maximisation."""
+MAX_EM_ROUNDS = 100  # most rounds of expectation maximisation
 
 LIKELIHOOD_TOLERANCE = 1e-3
 """Change of the mean log-likelihood at which it ends: scikit-learn's, not dd_tools's."""
 
-TRIAL_EM_ROUNDS = 10
-"""Rounds of each start before the best continues."""
-
-MIN_EXPONENT = -1e37
-"""Lower bound of exponents: the difference of two infinities is undefined."""
-
-WIDENING = 0.01
-"""Fraction of the samples' mean variance added to each component's (dd_tools)."""
-
-MIN_WEIGHT = 1e-300
-"""Stands for a weight of 0 in logarithms."""
+TRIAL_EM_ROUNDS = 10  # rounds of each start before the best continues
+MIN_EXPONENT = -1e37  # lower bound of exponents: the difference of two infinities is undefined
+WIDENING = 0.01  # fraction of the samples' mean variance added to each component's (dd_tools)
+MIN_WEIGHT = 1e-300  # stands for a weight of 0 in logarithms
 
 
 Components = Annotated[int, Field(ge=1, le=64, description="number of Gaussians")]
@@ -86,8 +78,7 @@ def log_densities(features: Tensor, mixtures: Mixtures) -> Tensor:
     volume = mixtures.whitening.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     constant = mixtures.log_weights + volume - dimensions / 2 * math.log(2 * math.pi)
     constant = constant - (slope * mixtures.means).sum(-1) / 2
-    factors = torch.cat([constant[..., None], slope, inverse.flatten(-2) / -2], -1)
-    return factors @ features.T
+    return torch.cat([constant[..., None], slope, inverse.flatten(-2) / -2], -1) @ features.T
 
 
 def _m_step(features: Tensor, memberships: Tensor, widening: Tensor) -> Mixtures:

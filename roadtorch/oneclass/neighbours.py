@@ -14,8 +14,7 @@ from torch import Tensor
 from roadtorch.base.errors import InputError
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
 
-MAX_DISTINCT = 4096
-"""Most distinct samples for a square matrix: 134 MB in double precision."""
+MAX_DISTINCT = 4096  # most distinct samples for a square matrix: 134 MB in double precision
 
 
 def squared_distances(planes: Tensor, points: Tensor) -> Tensor:

@@ -15,11 +15,8 @@ from roadtorch.oneclass.density import column_norms, moments, variance_floor
 from roadtorch.oneclass.mixture import k_means_plus_plus
 from roadtorch.oneclass.neighbours import MAX_DISTINCT, distinct_samples, squared_distances
 
-MAX_ROUNDS = 100
-"""Most rounds of moving centres."""
-
-INERTIA_TOLERANCE = 1e-5
-"""Relative change of the inertia at which k-means ends (dd_tools)."""
+MAX_ROUNDS = 100  # most rounds of moving centres
+INERTIA_TOLERANCE = 1e-5  # relative change of the inertia at which k-means ends (dd_tools)
 
 
 class ComponentSettings(ClassifierSettings):
@@ -99,8 +96,7 @@ def k_means(samples: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     centres, inertia = start, samples.new_full((len(start),), torch.inf)
     numbers = torch.arange(start.shape[1])[:, None]
     for _ in range(MAX_ROUNDS):
-        squared = (samples.T - centres[..., None]).square_().sum(2)
-        least, nearest = squared.min(1)
+        least, nearest = (samples.T - centres[..., None]).square_().sum(2).min(1)
         previous, inertia = inertia, least.sum(1)
         if bool((previous - inertia <= INERTIA_TOLERANCE * inertia).all()):
             break
@@ -144,8 +140,7 @@ def k_centres(distances: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     centres = start
     for _ in range(MAX_ROUNDS):
         nearest = distances[centres].argmin(1)
-        together = nearest[:, None, :] == nearest[:, :, None]
-        farthest = torch.where(together, distances, 0).amax(2)
+        farthest = torch.where(nearest[:, None, :] == nearest[:, :, None], distances, 0).amax(2)
         cells = torch.arange(centres.shape[1])[:, None] == nearest[:, None, :]
         best = torch.where(cells, farthest[:, None, :], torch.inf).min(2)
         moved = torch.where(best.values.isfinite(), best.indices, centres)

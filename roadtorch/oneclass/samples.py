@@ -20,14 +20,9 @@ from roadtorch.imaging.slic import slic
 from roadtorch.oneclass.axes import circular_mean, unroll_hue
 from roadtorch.road.seed_area import REFERENCE_SIZE, SeedArea, seed_area
 
-MIN_SEED_SIDE = 8
-"""Least side of the seed area in pixels, where the image is large enough."""
-
-GRID_SHAPE = 15 / 6
-"""Columns over rows of the grid that replaces superpixels: 6×15 for 90."""
-
-LEVEL_TOLERANCE = 1e-3
-"""Distance to a whole level of 255 below which values count as 8-bit."""
+MIN_SEED_SIDE = 8  # least side of the seed area in pixels, where the image is large enough
+GRID_SHAPE = 15 / 6  # columns over rows of the grid that replaces superpixels: 6×15 for 90
+LEVEL_TOLERANCE = 1e-3  # distance to a whole level of 255 below which values count as 8-bit
 
 
 class WideSeedArea(SeedArea):
@@ -50,8 +45,7 @@ class WideSeedArea(SeedArea):
     )
 
 
-P3_SEED_AREA = WideSeedArea()
-"""Seed area of P3."""
+P3_SEED_AREA = WideSeedArea()  # seed area of P3
 
 
 def sample_area(shape: Sequence[int], seed: SeedArea = P3_SEED_AREA) -> tuple[slice, slice]:
@@ -183,6 +177,5 @@ def road_samples(
         seed: settings of the seed area.
     """
     if settings.reduction == "none":
-        planes = [area_values(image, name, seed).flatten() for name in names]
-        return torch.stack(planes, 1)
+        return torch.stack([area_values(image, name, seed).flatten() for name in names], 1)
     return torch.stack([segment_medians(image, name, settings, seed) for name in names], 1)

@@ -78,10 +78,7 @@ class NodeParameters(Settings):
 
 
 def spin(arguments: Sequence[str], stop: StopRequest) -> None:
-    """Run the node with the given ROS arguments until a stop is requested.
-
-    Raises ConfigError where rclpy is missing, and for invalid parameters.
-    """
+    """Run the node with ROS arguments until a stop is requested; ConfigError without rclpy."""
     rclpy = import_ros("rclpy")
     no_handlers = import_ros("rclpy.signals").SignalHandlerOptions.NO  # ``stop`` handles signals
     rclpy.init(args=[NODE_NAME, *arguments], signal_handler_options=no_handlers)
@@ -121,16 +118,12 @@ def declare_parameters(node: Any) -> NodeParameters:
 
 
 class Inbox:
-    """A queue of one image message, the newest; ``put`` is called by the executor's thread.
-
-    dropped: number of messages replaced before they were taken. header: std_msgs/Header of the last
-    message taken. arrival: time of its arrival, ``time.monotonic``.
-    """
+    """A queue of one image message, the newest; ``put`` is called by the executor's thread."""
 
     def __init__(self) -> None:
-        self.dropped = 0
-        self.header: Any = None
-        self.arrival = 0.0
+        self.dropped = 0  # messages replaced before they were taken
+        self.header: Any = None  # std_msgs/Header of the last message taken
+        self.arrival = 0.0  # time of its arrival, ``time.monotonic``
         self._newest: tuple[Any, float] | None = None
         self._changed = Condition()
 
@@ -175,9 +168,8 @@ class RoadNode:
         settings = parse_assignments(parameters.settings)
         self.detector = load_detector(parameters.detector, camera=camera, **settings)
         self.infer = Inference(self.detector, camera)
-        self.temporal_filter = (
-            TemporalFilter(TemporalFilterSettings()) if parameters.smoothing else None
-        )
+        smoothing = TemporalFilter(TemporalFilterSettings())
+        self.temporal_filter = smoothing if parameters.smoothing else None
         self.node, self.parameters, self.inbox = node, parameters, Inbox()
         self.times, self.failures, self.last_warning = deque[float](maxlen=30), 0, ""
         self.last_detection: Detection | None = None
@@ -204,9 +196,8 @@ class RoadNode:
         self.node.get_logger().info(f"{self.detector.name} subscribes to {topic}")
         self.node.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         source = self.inbox.source(topic, stop)
-        with closing(
-            detect_frames(source, self.infer, Workers(), self.temporal_filter, stop=stop)
-        ) as frames:
+        results = detect_frames(source, self.infer, Workers(), self.temporal_filter, stop=stop)
+        with closing(results) as frames:
             for frame in frames:
                 if isinstance(frame.outcome, RoadtorchError):
                     self.failures += 1
@@ -305,10 +296,9 @@ class RoadNode:
         if silence > STALE_AFTER:
             warning = f"no image on {self.node.resolve_topic_name('image')}"
         rate = (len(times) - 1) / max(times[-1] - times[0], 1e-9) if len(times) > 1 else 0.0
+        trust = detection.trust if detection else None
         values = {
-            "trust": ""
-            if detection is None or detection.trust is None
-            else f"{detection.trust:.2f}",
+            "trust": "" if trust is None else f"{trust:.2f}",
             "doubt": detection.doubt if detection else "",
             "rate": f"{rate if silence <= STALE_AFTER else 0.0:.1f} Hz",
             "age": f"{1000 * self.latency:.0f} ms",

@@ -18,18 +18,14 @@ COCO_FILE, RUN_FILE = "coco.json", "run.json"
 
 @contextmanager
 def lock_output(out: Path) -> Iterator[None]:
-    """Create and lock an output folder, and remove half-written files of killed runs.
-
-    Raises InputError when it cannot be written, or another run holds the lock.
-    """
+    """Create, clean and lock an output folder; InputError if it is locked or cannot be written."""
     if re.match(r"[A-Za-z0-9+.-]{2,}:/", str(out)):
         raise InputError(out, "is an address", "give a local folder, then copy or sync it")
     make_folder(out, OUT_HINT)
     try:
         tempfile.TemporaryFile(dir=out).close()
     except OSError as error:
-        problem = f"cannot be written: {error.strerror}"
-        raise InputError(out, problem, OUT_HINT) from None
+        raise InputError(out, f"cannot be written: {error.strerror}", OUT_HINT) from None
     with lock_folder(out, "wait for it, or give another --out"):
         remove_leftovers([out])
         yield

@@ -26,27 +26,20 @@ BAG_METADATA_FILE = "metadata.yaml"
 
 @dataclass(frozen=True, slots=True)
 class IndexRow:
-    """A row of index.csv, all values as text.
-
-    ms: milliseconds from reading to the last file written. trust: predicted F-score of the mask,
-    0 to 1, empty where the detector has none. saved: kinds of results written, separated by
-    spaces. method: see ``Method``. sha256: of the image file. seconds: time stamp of a frame,
-    relative to the start of its source. cues: names of cues, separated by slashes, which no file
-    name can contain.
-    """
+    """A row of index.csv, all values as text."""
 
     file: str
     width: str = ""
     height: str = ""
-    ms: str = ""
+    ms: str = ""  # milliseconds from reading to the last file written
     road_share: str = ""
-    trust: str = ""
+    trust: str = ""  # predicted F-score of the mask, 0 to 1; empty where the detector has none
     status: str = DONE
-    saved: str = ""
-    method: str = ""
-    sha256: str = ""
-    seconds: str = ""
-    cues: str = ""
+    saved: str = ""  # kinds of results written, separated by spaces
+    method: str = ""  # see ``Method``
+    sha256: str = ""  # of the image file
+    seconds: str = ""  # time stamp of a frame, relative to the start of its source
+    cues: str = ""  # names of cues, separated by slashes, which no file name can contain
 
     @property
     def failed(self) -> bool:
@@ -69,13 +62,10 @@ def failed_row(name: str, error: object) -> IndexRow:
 
 @dataclass(frozen=True)
 class Method:
-    """Everything but the image that results depend on: two runs of one method give the same bytes.
+    """All but the image that results depend on: two runs of one method give the same bytes."""
 
-    key: hash of it, see ``roadtorch.run.memo.cache_key``. kinds: kinds of results that are written.
-    """
-
-    key: str
-    kinds: tuple[str, ...]
+    key: str  # hash of it, see ``roadtorch.run.memo.cache_key``
+    kinds: tuple[str, ...]  # of results that are written
 
     def mark(self, row: IndexRow) -> IndexRow:
         """Return a row marked as made with this method; a failed row is returned unchanged."""
@@ -89,10 +79,7 @@ class Method:
 
 
 def read_index(path: Path) -> dict[str, IndexRow]:
-    """Read the last row of each file in an index.csv; empty where the index does not exist.
-
-    Raises InputError for a file of that name that is not an index.
-    """
+    """Read the last row of each file in an index.csv, if any; InputError if it is no index."""
     if not path.exists():
         return {}
     try:
@@ -130,10 +117,7 @@ class Ledger:
         self.rows = read_index(path)
 
     def is_done(self, item: Item | Source, method: Method, suffixes: Sequence[str]) -> bool:
-        """Return whether an item has all its files, made with this method from its current bytes.
-
-        ``{}`` in a suffix stands for the name of each cue in the item's row.
-        """
+        """Return whether an item has all files, made with this method from its current bytes."""
         row = self.rows.get(item.row_name)
         if row is None or not method.covers(row) or item.digest is None:
             return False
@@ -147,10 +131,7 @@ class Ledger:
         return all(has_result(self.path.parent, item.name + end) for end in ends)
 
     def add(self, row: IndexRow) -> None:
-        """Append a row, and keep the kinds saved earlier by the same method from the same bytes.
-
-        Raises InputError when it cannot be written.
-        """
+        """Append a row, keeping earlier kinds of its method and bytes; InputError if unwritable."""
         earlier = self.rows.get(row.file)
         if earlier and (earlier.method, earlier.sha256) == (row.method, row.sha256):
             kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
@@ -159,9 +140,8 @@ class Ledger:
         text = csv_text(INDEX_COLUMNS, [asdict(row)])
         try:
             with self.path.open("ab", buffering=0) as file:
-                file.write(
-                    to_printable(text if not file.tell() else text.partition("\n")[2]).encode()
-                )
+                text = text.partition("\n")[2] if file.tell() else text
+                file.write(to_printable(text).encode())
         except OSError as error:
             failure = write_error(self.path, error)
             failure.exit_code = ExitCode.SOME_FAILED  # earlier results are kept
@@ -174,16 +154,12 @@ class Ledger:
             del self.rows[file]
 
 
-FRAME_NUMBER = r"\d{6,}"
-"""Pattern of a frame's number, which follows ``NAME/`` of its source."""
+FRAME_NUMBER = r"\d{6,}"  # pattern of a frame's number, which follows ``NAME/`` of its source
 
 
 @contextmanager
 def open_ledger(path: Path) -> Iterator[Ledger]:
-    """Open the ledger of an index.csv, and write it sorted when the block ends, even by an error.
-
-    Raises InputError for a file that is not an index, or cannot be written.
-    """
+    """Open the ledger of an index.csv, and sort the file at the end; InputError if unusable."""
     ledger = Ledger(path)
     write_index(path, ledger.rows.values())
     try:

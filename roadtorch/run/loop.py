@@ -132,9 +132,8 @@ def write_row(
         )
         return method.mark(replace(row, **changes))
     except Exception as error:  # one image that breaks a detector must not end a long run
-        return replace(
-            failed_row(item.row_name, to_input_error(item.origin, error)), seconds=seconds
-        )
+        row = failed_row(item.row_name, to_input_error(item.origin, error))
+        return replace(row, seconds=seconds)
 
 
 def elapsed_ms(start: float, ms: float = 0.0) -> str:
@@ -151,10 +150,7 @@ def crashed_row(item: Item) -> IndexRow:
 
 
 class FrameResult(NamedTuple):
-    """A frame with its detection, or with the error that prevented one.
-
-    ms: milliseconds from reading to the end of detection.
-    """
+    """A frame with its detection or error; ms: from reading to the end of detection."""
 
     item: Item
     outcome: Detection | RoadtorchError
@@ -261,13 +257,7 @@ def _conclude(
 def until_stopped(
     values: Iterable[Value], stop: StopRequest, live: bool = False
 ) -> Iterator[Value]:
-    """Yield values until a stop is requested.
-
-    Args:
-        values: to yield.
-        stop: the request.
-        live: whether the values are those of a live source, for which a stop does not wait.
-    """
+    """Yield values until a stop is requested; do not block on a live source."""
     values = iter(values)
     while not stop.requested:
         stop.raises_at_once = live

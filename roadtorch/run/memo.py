@@ -19,8 +19,7 @@ from roadtorch.layout.weights import hash_tensors, weights_path
 
 Arrays = dict[str, Tensor]
 
-KEY_NAME = "key"
-"""Name of the array that holds the cache key."""
+KEY_NAME = "key"  # name of the array that holds the cache key
 
 MAX_CACHED_FILES = 1000
 """Number of files kept in memory, about 0.2 MB each: reading and unpacking a file takes a quarter
@@ -63,10 +62,7 @@ def file_digests(settings: object) -> dict[str, str]:
 
 
 def read_cached(path: Path, key: str | None, *names: str) -> Arrays | None:
-    """Read cached tensors, all or those named; None where they are missing or damaged.
-
-    key: the key they were written with by ``write_cached``; None accepts any.
-    """
+    """Read cached tensors, all or those named; None if missing, damaged or of another key."""
     try:
         arrays = read_arrays(path, *names, *((KEY_NAME,) if names else ()))
     except (InputError, KeyError):

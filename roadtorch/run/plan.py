@@ -21,19 +21,14 @@ from roadtorch.run.workers import Workers, count_processors, make_workers
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run.
+    """Options of a run."""
 
-    jobs: number of processes, or of actors on Ray; None for an automatic number. overwrite: redo
-    finished results. quiet: no progress on stderr. engine: ``local``, ``ray`` for a Ray cluster on
-    this machine, or the address of one. threads: per image. device: torch device.
-    """
-
-    jobs: int | None = None
-    overwrite: bool = False
-    quiet: bool = False
-    engine: str = "local"
-    threads: int = 1
-    device: str = "cpu"
+    jobs: int | None = None  # processes, or actors on Ray; None for an automatic number
+    overwrite: bool = False  # redo finished results
+    quiet: bool = False  # no progress on stderr
+    engine: str = "local"  # ``local``, ``ray`` for Ray on this machine, or the address of a cluster
+    threads: int = 1  # per image
+    device: str = "cpu"  # of torch
 
     @contextmanager
     def workers(self, count: int | None) -> Iterator[Workers]:
@@ -49,29 +44,20 @@ class RunOptions:
 
 
 class Writers(NamedTuple):
-    """The writers of one source.
+    """The writers of one source."""
 
-    files: writes files of each frame; an error fails that frame. streams: write files of the whole
-    source, such as videos; an error ends the source.
-    """
-
-    files: FileWriter
-    streams: Sequence[Writer] = ()
+    files: FileWriter  # of each frame; an error fails that frame
+    streams: Sequence[Writer] = ()  # of the whole source, such as videos; an error ends the source
 
 
 class Output(NamedTuple):
-    """The outputs of a command for one source.
+    """The outputs of a command for one source."""
 
-    kinds: kinds of results, as in index.csv. suffixes: of files of the whole source.
-    frame_suffixes: of files of each frame. open: opens the writers, and closes them after the
-    block. cues: whether the writers need full-size cues.
-    """
-
-    kinds: tuple[str, ...]
-    suffixes: Sequence[str]
-    frame_suffixes: Sequence[str]
-    open: Callable[[], AbstractContextManager[Writers]]
-    cues: bool = False
+    kinds: tuple[str, ...]  # of results, as in index.csv
+    suffixes: Sequence[str]  # of files of the whole source
+    frame_suffixes: Sequence[str]  # of files of each frame
+    open: Callable[[], AbstractContextManager[Writers]]  # closes the writers after the block
+    cues: bool = False  # whether the writers need full-size cues
 
 
 class Plan(NamedTuple):
@@ -104,9 +90,8 @@ def plan_run(
     a source. Raises ConfigError where two inputs would write the same file, or one would overwrite
     an input image.
     """
-    owners: dict[str, str] = dict.fromkeys(
-        (INDEX_FILE, INFER_CONFIG, COCO_FILE, RUN_FILE), "the run itself"
-    )
+    run_files = INDEX_FILE, INFER_CONFIG, COCO_FILE, RUN_FILE
+    owners: dict[str, str] = dict.fromkeys(run_files, "the run itself")
     sources = [(source, output(source)) for source in inputs.sources] if output else []
     numbered: dict[str, str] = {}
     # Path.resolve raises for a link to itself.
@@ -117,10 +102,8 @@ def plan_run(
         """Claim a result's name as index.csv spells it: distinct file names may coincide there."""
         owner = owner or owners.get(to_printable(name))
         if owner is not None:
-            problem = f"both would write {out}/{name}"
-            raise ConfigError(
-                f"{owner} and {origin}", problem, "rename one, or use two --out folders"
-            )
+            problem, hint = f"both would write {out}/{name}", "rename one, or use two --out folders"
+            raise ConfigError(f"{owner} and {origin}", problem, hint)
         if os.path.realpath(out / name) in images:
             raise ConfigError(out / name, "is one of the input images", OUT_HINT)
         owners[to_printable(name)] = origin

@@ -30,11 +30,7 @@ def record_run(
     options: Mapping[str, object],
     command: str,
 ) -> Iterator[None]:
-    """Write run.json when the block, which is the run, ends in any way.
-
-    files: names of the run's images in index.csv. options: further options to record. command: the
-    command line as typed.
-    """
+    """Write run.json when the block ends in any way; files: names of the images in index.csv."""
     started, status = _now(), ExitCode.SOME_FAILED
     try:
         yield

@@ -42,8 +42,7 @@ from roadtorch.run.loop import (
 from roadtorch.run.plan import Output, Plan, RunOptions, Writers
 from roadtorch.run.workers import Workers
 
-LEAST_TRUSTED = 5
-"""Number of least trusted images that are listed at the end of a run."""
+LEAST_TRUSTED = 5  # number of least trusted images that are listed at the end of a run
 
 
 @dataclass(frozen=True)
@@ -56,11 +55,7 @@ class Run:
     options: RunOptions
 
     def process(self, plan: Plan, task: Task, footage_method: Method, steady: bool = True) -> int:
-        """Process all images and sources of a plan, and return the exit code.
-
-        footage_method: of the sources, instead of the task's. steady: whether to smooth
-        over time.
-        """
+        """Process images by a task, sources with a footage method; return the exit code."""
         failed = self.process_images(plan.images, task)
         return max(failed, self.process_sources(plan, replace(task, method=footage_method), steady))
 
@@ -73,19 +68,17 @@ class Run:
         """
         if not items:
             return 0
-        rows, suffixes, redo = self.ledger.rows, task.writer.suffixes, self.options.overwrite
+        ledger, suffixes, redo = self.ledger, task.writer.suffixes, self.options.overwrite
         self._remove_leftovers(items)
-        todo = [
-            item for item in items if redo or not self.ledger.is_done(item, task.method, suffixes)
-        ]
-        outdated = [] if redo else [item for item in todo if item.row_name in rows]
-        again = sum(self.ledger.has_files(item, suffixes) for item in outdated)
+        todo = [item for item in items if redo or not ledger.is_done(item, task.method, suffixes)]
+        outdated = [] if redo else [item for item in todo if item.row_name in ledger.rows]
+        again = sum(ledger.has_files(item, suffixes) for item in outdated)
         with stop_on_signals() as stop:
             results = self.workers.map(task, until_stopped(todo, stop), crashed_row)
             tried = list(self._record(results, "image", total=len(todo)))
             self._remove_leftovers(items)  # of workers that died
         stop.raise_if_requested()
-        failed = sum(rows[item.row_name].failed for item in todo)
+        failed = sum(ledger.rows[item.row_name].failed for item in todo)
         if not self.options.quiet or failed:
             done = f"{len(todo) - failed} done" + (f" ({again} redone)" if again else "")
             counts = {"skipped (done before)": len(items) - len(todo), FAILED: failed}
@@ -162,16 +155,12 @@ class Run:
         stop: StopRequest,
     ) -> Iterator[IndexRow]:
         """Detect and write the frames of a source in order, and yield their rows."""
-        temporal_filter, infer = (
-            TemporalFilter(TemporalFilterSettings()) if steady else None,
-            task.infer,
-        )
-        assert isinstance(infer, Inference)
-        results = detect_frames(source, infer, self.workers, temporal_filter, cues, stop)
+        temporal_filter = TemporalFilter(TemporalFilterSettings()) if steady else None
+        assert isinstance(task.infer, Inference)
+        results = detect_frames(source, task.infer, self.workers, temporal_filter, cues, stop)
         with closing(results) as frames:
             for frame in frames:
-                files, method = writers.files, task.method
-                row = write_row(frame.item, frame.detection, files, method, frame.ms)
+                row = write_row(frame.item, frame.detection, writers.files, task.method, frame.ms)
                 start = perf_counter()
                 if not isinstance(frame.outcome, RoadtorchError):
                     for writer in writers.streams:
@@ -181,12 +170,8 @@ class Run:
     # --- output on the terminal ---------------------------------------------------------
 
     def _record(self, rows: Any, unit: str, total: int | None) -> Iterator[IndexRow]:
-        """Add rows to the index as they arrive, show progress, and print failures.
-
-        Closing this generator closes ``rows``.
-        """
-        quiet = self.options.quiet
-        with closing(rows), Progress(rows, total=total, unit=unit, quiet=quiet) as bar:
+        """Add rows to the index as they arrive, show progress and print failures."""
+        with closing(rows), Progress(rows, total=total, unit=unit, quiet=self.options.quiet) as bar:
             for row in bar:
                 if row.failed:
                     bar.write(f"roadtorch: {row.status}", file=sys.stderr)
@@ -243,10 +228,7 @@ def least_trusted_lines(rows: Iterable[IndexRow]) -> list[str]:
 
 @dataclass
 class _Count:
-    """Counts over the frames of one source.
-
-    ms: milliseconds of all done frames. last_row: of the last one. least_trusted: rows.
-    """
+    """Counts over the frames of one source; ms, last_row and least_trusted are of the done ones."""
 
     done: int = 0
     failed: int = 0

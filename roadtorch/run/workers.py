@@ -38,8 +38,7 @@ MIN_ITEMS_PER_WORKER = 4
 MAX_AHEAD = 2
 """Most items a worker may finish ahead of the next result; ours: images take unequal times."""
 
-SHUTDOWN_TIMEOUT = 10.0
-"""Seconds that a worker gets to finish its item, before it is killed."""
+SHUTDOWN_TIMEOUT = 10.0  # seconds that a worker gets to finish its item, before it is killed
 
 WORKER_CRASH = ("its worker process died", "run it again, with --jobs 1 if memory is short")
 """Problem and hint of an item whose worker process died."""
@@ -163,10 +162,7 @@ def configure_threads(threads: int, device: str = "cpu") -> None:
 
 
 def pickle_value(value: object) -> bytes:
-    """Pickle a value for another process, to be read by ``pickle.loads``.
-
-    Tensors are pickled as NumPy arrays, in a third of the time of torch's own format.
-    """
+    """Pickle a value for ``pickle.loads``; tensors as NumPy arrays, in a third of torch's time."""
     data = io.BytesIO()
     pickler = pickle.Pickler(data, pickle.HIGHEST_PROTOCOL)
     pickler.dispatch_table = copyreg.dispatch_table | {torch.Tensor: _reduce_tensor}
@@ -183,8 +179,7 @@ def _reduce_tensor(tensor: Tensor) -> Any:
 
 # --- processes of this machine --------------------------------------------------------------
 
-_task: Callable[[Any], Any] | None = None
-"""Task of this process, where it is a worker."""
+_task: Callable[[Any], Any] | None = None  # task of this process, where it is a worker
 
 
 class _ProcessPool:

@@ -19,8 +19,7 @@ from roadtorch.ufl.preprocess import Smoothing, equalise
 BASIS_BLOCK = 16
 """Bases whose maps are in memory at a time; maps that are not selected are discarded."""
 
-MIN_MAXIMUM = 0.01
-"""Least maximum of a map; smaller ones are rounding. Real maps reach 1 and more."""
+MIN_MAXIMUM = 0.01  # least maximum of a map; smaller ones are rounding; real maps reach 1 and more
 
 RowWeights = Literal["centred", "from_one"]
 

@@ -16,8 +16,7 @@ from roadtorch.base.settings import Settings
 PATCH_BLOCK = 2048
 """Patches compared with all bases at a time: the products stay in the CPU's cache."""
 
-INITIAL_NOISE = 0.1
-"""Standard deviation of the initial bases of K-means."""
+INITIAL_NOISE = 0.1  # standard deviation of the initial bases of K-means
 
 
 class DictionarySettings(Settings):

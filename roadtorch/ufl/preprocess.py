@@ -15,8 +15,7 @@ GREY_WEIGHTS = (0.298936021, 0.587043074, 0.114020904)
 MIN_BRIGHTNESS = 1e-6
 """Least brightness, of 1: eq. 2 is undefined at 0. Below the resolution of 8 bits."""
 
-MAX_LEVEL = 255
-"""Largest level of the 8-bit images that the authors' program reads."""
+MAX_LEVEL = 255  # largest level of the 8-bit images that the authors' program reads
 
 
 class WorkingShape(Settings):
@@ -87,8 +86,7 @@ def _cubic_weights(length: int, size: int) -> Tensor:
     scale = size / length
     shrink = min(scale, 1.0)
     centre = (torch.arange(size, dtype=torch.float64) + 0.5) / scale - 0.5
-    taps = torch.arange(int(4 / shrink) + 3)
-    index = (centre - 2 / shrink).floor()[:, None] + taps
+    index = (centre - 2 / shrink).floor()[:, None] + torch.arange(int(4 / shrink) + 3)
     x = shrink * (index - centre[:, None]).abs()  # Keys' kernel, a = -0.5
     far = -0.5 * x**3 + 2.5 * x**2 - 4 * x + 2
     weight = torch.where(x <= 1, 1.5 * x**3 - 2.5 * x**2 + 1, torch.where(x <= 2, far, 0))

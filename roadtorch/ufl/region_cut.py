@@ -16,8 +16,7 @@ from roadtorch.base.settings import Settings
 from roadtorch.imaging.segments import segment_histogram
 from roadtorch.road.texture import similarity
 
-CAPACITY = 1000
-"""Integer capacity units per pixel: the maximum flow is computed in integers."""
+CAPACITY = 1000  # integer capacity units per pixel: the maximum flow is computed in integers
 
 
 class PeakSettings(Settings):
@@ -73,8 +72,7 @@ def cluster_pixels(features: Tensor, settings: PeakSettings) -> Tensor:
     sample: the pairwise distances of 17,825 pixels take gigabytes.
     """
     pixels = features.flatten(1).T
-    step = max(1, len(pixels) // settings.samples)
-    sample = pixels[::step]
+    sample = pixels[:: max(1, len(pixels) // settings.samples)]
     peaks = sample[density_peaks(sample, settings.clusters, settings.neighbours)]
     return torch.cdist(pixels, peaks).argmin(1).view(features.shape[1:])
 

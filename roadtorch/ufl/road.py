@@ -24,14 +24,9 @@ from roadtorch.ufl.hierarchy import (
 
 Centring = Literal["road", "none", "basis"]
 
-SHARPNESS = 2.0
-"""Factor of a pixel's stability in the sigmoid of its likelihood."""
-
-MASK_THRESHOLD = 0.5
-"""Threshold at which a likelihood is exactly the mask."""
-
-MIN_WIDTH = 0.03
-"""Least width of the triangle ahead, in map widths; its apex would divide by 0."""
+SHARPNESS = 2.0  # factor of a pixel's stability in the sigmoid of its likelihood
+MASK_THRESHOLD = 0.5  # threshold at which a likelihood is exactly the mask
+MIN_WIDTH = 0.03  # least width of the triangle ahead, in map widths; its apex would divide by 0
 
 
 class StabilitySettings(Settings):
@@ -114,8 +109,7 @@ def road_basis(samples: Tensor, centring: Centring, fraction: float) -> tuple[Te
     mean = samples.mean(0)
     offset = mean if centring == "road" else torch.zeros_like(mean)
     centred = (samples if centring == "none" else samples - mean).double()
-    scatter = centred.T @ centred / max(1, len(samples) - 1)
-    values, vectors = torch.linalg.eigh(scatter)
+    values, vectors = torch.linalg.eigh(centred.T @ centred / max(1, len(samples) - 1))
     variance = values.clamp_min(0).flip(0).cumsum(0)
     if variance[-1] <= 0:
         return offset, samples.new_zeros(samples.shape[1], 0)
@@ -216,8 +210,7 @@ def mask_to_image(mask: Tensor, side: int) -> Tensor:
     A patch stands for its middle pixel, or its four middle pixels where the side is even; the
     border is repeated.
     """
-    pooled = F.max_pool2d(_pad_border(mask.float(), side), 2 - side % 2, 1)
-    return pooled[0] > 0
+    return F.max_pool2d(_pad_border(mask.float(), side), 2 - side % 2, 1)[0] > 0
 
 
 def map_to_image(values: Tensor, side: int) -> Tensor:

@@ -22,14 +22,12 @@ from roadtorch.base.settings import Settings
 ENVELOPE_WAVES = 2.2
 """c of Kong et al., waves in the envelope; 2.2 is a spatial bandwidth of 1.7 octaves."""
 
-PADDING = 24
-"""Pixels of reflection padding, so that opposite edges do not affect each other."""
+PADDING = 24  # pixels of reflection padding, so that opposite edges do not affect each other
 
 FIRST_RESPONSE, LAST_RESPONSE = 4, 15
 """Range of the responses, by falling size, whose mean is compared with the greatest."""
 
-MIN_POWER = 1e-6
-"""Least squared response, of grey from 0 to 1; below it there is only rounding."""
+MIN_POWER = 1e-6  # least squared response, of grey from 0 to 1; below it there is only rounding
 
 
 class GaborBank(Settings):
@@ -103,8 +101,7 @@ def dominant_orientation(responses: Tensor) -> tuple[Tensor, Tensor]:
 
 # --- the vote ---------------------------------------------------------------------------
 
-VOTE_CHUNK = 8
-"""Candidate points whose votes are counted at a time."""
+VOTE_CHUNK = 8  # candidate points whose votes are counted at a time
 
 
 class VotingSettings(Settings):
@@ -188,20 +185,14 @@ def vote_vanishing_point(
 
 # --- the borders ------------------------------------------------------------------------
 
-RAY_STEP = 5
-"""Degrees between neighbouring rays."""
-
-MIN_ANGLE = 20
-"""Least angle in degrees between a ray and the horizon, and between the two borders."""
+RAY_STEP = 5  # degrees between neighbouring rays
+MIN_ANGLE = 20  # least angle in degrees between a ray and the horizon, and between the two borders
 
 RAY_ANGLES = torch.arange(MIN_ANGLE, 180 - MIN_ANGLE + 1, RAY_STEP)
 """Angles of the 29 candidate rays, in degrees."""
 
-POINT_STEP = 4
-"""Pixels between the points of the first border that may replace the vanishing point."""
-
-BEST_RAYS = 8
-"""Number of rays whose summed OCRs move the vanishing point."""
+POINT_STEP = 4  # pixels between the points of the first border that may replace the vanishing point
+BEST_RAYS = 8  # number of rays whose summed OCRs move the vanishing point
 
 
 class BorderSettings(Settings):

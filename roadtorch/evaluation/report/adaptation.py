@@ -32,26 +32,20 @@ from roadtorch.evaluation.report.table import (
 
 @dataclass(frozen=True)
 class Adaptation:
-    """Changes by an adaptation.
+    """Changes by an adaptation."""
 
-    comparison: masks before and after; files: the two weight files. examples: images on the page.
-    agreement: None for networks without a teacher's maps. epochs: rows of round, epoch and loss.
-    verdict: whether to adopt it, and why; empty without a verdict.
-    """
-
-    comparison: Disagreements
-    files: tuple[Path, Path]
-    examples: Sequence[Disagreement]
-    agreement: TeacherAgreement | None
-    epochs: Sequence[Mapping[str, Any]]
-    verdict: str = ""
+    comparison: Disagreements  # masks before and after
+    files: tuple[Path, Path]  # the two weight files
+    examples: Sequence[Disagreement]  # images on the page
+    agreement: TeacherAgreement | None  # None for networks without a teacher's maps
+    epochs: Sequence[Mapping[str, Any]]  # round, epoch and loss of each
+    verdict: str = ""  # whether to adopt it, and why; empty without a verdict
 
 
 def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
     """Write the page as one self-contained file."""
     items = [image.item for image in adaptation.examples]
-    caption = "blue: only before, orange: only after"
-    montages = draw_montages(adaptation.comparison, items, caption)
+    montages = draw_montages(adaptation.comparison, items, "blue: only before, orange: only after")
     is_part = len(items) < len(adaptation.comparison.images)
     loss_chart = svg_uri(PANEL_WIDTH, 260, partial(draw_losses, rows=adaptation.epochs))
     differences = [image.difference for image in adaptation.comparison.images]
@@ -83,8 +77,8 @@ def draw_montages(pair: Disagreements, items: Iterable[LabelledItem], caption: s
         tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
         tiles[caption] = difference_tile(pixels, *masks.values())
         height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
-        row = [caption_tile(tile, text, height) for text, tile in tiles.items()]
-        montages.append(jpeg_uri(np.concatenate(row, axis=1)))
+        montage = np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()])
+        montages.append(jpeg_uri(montage))
     return montages
 
 
@@ -143,11 +137,8 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def trust_chart(adaptation: Adaptation) -> str:
     """Return a chart of trust after over trust before, a mark an image; empty without trust."""
-    pairs = [
-        (image.first_trust, image.second_trust)
-        for image in adaptation.comparison.images
-        if image.has_trust
-    ]
+    images = adaptation.comparison.images
+    pairs = [(image.first_trust, image.second_trust) for image in images if image.has_trust]
     if not pairs:
         return ""
 

@@ -25,13 +25,9 @@ from roadtorch.evaluation.report.table import shorten
 from roadtorch.evaluation.result import Evaluation
 
 MAX_SERIES = 8  # detectors in a chart, best first
-
 MAX_BASELINES = 4
-
 MAX_LABEL_LENGTH = 34  # letters of a name in a chart
-
 PANEL_WIDTH = 460  # points, of one panel
-
 CHART_FPR_STEPS = 200  # intervals of the false positive rate, in the mean over groups
 
 COLOURS = (
@@ -42,7 +38,6 @@ COLOURS = (
 GREY, GRID_COLOUR, INK = "#7f7f7f", "#d9d9d9", "#1a1a1a"
 
 DASHES = ((), (7, 2), (2, 1.5), (7, 2, 1.5, 2), (4, 2), (9, 2, 4, 2), (12, 3), (5, 1.5, 1, 1.5))
-
 BASELINE_DASHES = ((3, 3), (1, 3), (6, 3, 1, 3), (9, 4))
 
 STYLE: dict[Any, Any] = {
@@ -96,10 +91,7 @@ def choose_series(evaluation: Evaluation) -> list[Series]:
     ranked, detectors = evaluation.ranking(), evaluation.detectors
     best = [name for name in ranked if not detectors[name].is_baseline][:MAX_SERIES]
     baselines = [name for name in ranked if detectors[name].is_baseline][:MAX_BASELINES]
-    series = [
-        Series(name, colour, dash)
-        for name, colour, dash in zip(best, COLOURS, DASHES, strict=False)
-    ]
+    series = [Series(*style) for style in zip(best, COLOURS, DASHES, strict=False)]
     series += [
         Series(name, GREY, dash, is_baseline=True)
         for name, dash in zip(baselines, BASELINE_DASHES, strict=False)
@@ -137,10 +129,7 @@ def mean_roc(groups: Sequence[RoadCounts]) -> Curve:
 
 
 def draw_roc(figure: Figure, series: Sequence[Series], evaluation: Evaluation) -> None:
-    """Draw the mean ROC curves over groups, and on the right the corner of few false positives.
-
-    Thin lines are the groups of the best detector.
-    """
+    """Draw mean ROC curves, thin ones of the best detector's groups, and their low-FPR corner."""
     best = next((detector for detector in series if not detector.is_baseline), None)
     whole, corner = figure.subplots(1, 2)
     for axes in (whole, corner):

@@ -36,14 +36,13 @@ def write_report(
     write_text(out / "images.csv", csv_text(IMAGE_COLUMNS, image_rows(evaluation)))
     tables = build_tables(evaluation)
     write_text(out / "tables.md", "\n".join(table.to_markdown() for table in tables))
-    montages = write_montages(out, evaluation, images) if images else {}
     parts = (values.headline for values in evaluation.detectors.values())
     keys = set(chain.from_iterable(parts))
     values = {
         "evaluation": evaluation,
         "tables": tables,
         "charts": build_charts(evaluation),
-        "montages": montages,
+        "montages": write_montages(out, evaluation, images) if images else {},
         "measures": [m for m in evaluation.measures if m.tables and m.key in keys],
     }
     write_text(out / "report.html", render_page("report.html", command, values))

@@ -20,15 +20,10 @@ from roadtorch.evaluation.tally import UNGROUPED
 from roadtorch.layout.classes import colour_layout
 
 MAX_DETECTORS = 8  # detectors with montages
-
 TILE_WIDTH = 320  # pixels
-
 CAPTION_HEIGHT = 18  # pixels
-
 MAX_PAGE_WIDTH = 1200  # pixels on the page; ours: the width at which it is displayed
-
 JPEG_QUALITY = 80  # on pages; ours: no artefact is visible at that size
-
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
 
 
@@ -75,10 +70,7 @@ def draw_montage(
 def draw_montage_row(
     dataset: Dataset, predictor: Predictor, item: LabelledItem, threshold: float, value: float
 ) -> np.ndarray:
-    """Draw image, layout, uniformity, likelihood and decision of one item side by side.
-
-    A map that was made for another view, such as KITTI's bird's-eye view, is shown in that view.
-    """
+    """Draw image, layout, uniformity, likelihood and decision side by side, in the scored view."""
     image, truth = dataset.read(item)
     viewed, detection = image, predictor(image, item)
     if detection.likelihood.shape != truth.road.shape:
@@ -92,8 +84,7 @@ def draw_montage_row(
         "decision (blue), truth (line)": decision_tile(viewed, decided, truth),
     }
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
-    row = [caption_tile(tile, text, height) for text, tile in tiles.items()]
-    return np.concatenate(row, axis=1)
+    return np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()])
 
 
 def cue_tiles(detection: Detection) -> dict[str, np.ndarray]:
@@ -120,9 +111,8 @@ def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
     tint = torch.tensor(BLUE)[:, None, None] / 255
     tinted = torch.where(decided, 0.45 * image + 0.55 * tint, image) * truth.valid
     pixels = to_pixels(tinted)
-    outlines, _ = cv2.findContours(
-        truth.road.numpy().astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
-    )
+    road = truth.road.numpy().astype(np.uint8)
+    outlines, _ = cv2.findContours(road, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     width = max(1, round(pixels.shape[1] / TILE_WIDTH))
     return cv2.drawContours(pixels, outlines, -1, VERMILLION, 2 * width)
 

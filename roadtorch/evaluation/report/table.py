@@ -154,10 +154,7 @@ TEMPLATES.filters |= {"number": format_number, "percent": format_percent}
 
 
 def render_page(template: str, command: str, values: Mapping[str, Any]) -> str:
-    """Return a self-contained page from a template of this package.
-
-    All values are escaped. command: the command line that made the page.
-    """
+    """Return a self-contained page from a template of this package, all values escaped."""
     text = TEMPLATES.get_template(template).render(**values, version=__version__, command=command)
     # A file name may hold bytes that are no text.
     return text.encode("utf-8", "backslashreplace").decode()

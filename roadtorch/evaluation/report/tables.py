@@ -10,13 +10,9 @@ from roadtorch.evaluation.report.table import Cell, Table, format_number, format
 from roadtorch.evaluation.result import Difference, Evaluation
 
 SCREEN_WIDTH = 100  # letters in a line of the screen
-
 MAX_LISTED = 40  # detectors beside the baselines; a grid has 310
-
 MAX_GROUP_COLUMNS = 6  # groups with a column of their own
-
 MAX_PART_TABLES = 3  # best detectors with a table by group and one by condition
-
 MAX_SCREEN_ROWS = 20  # rows of such a table on the screen
 
 INTERVAL, BASELINE_HEADER = "95 %", "MaxF of baseline"
@@ -182,8 +178,7 @@ def best_baseline_maxf(evaluation: Evaluation, parts: Mapping[str, Scores]) -> f
     return max(MAXF.get_defined({name: parts[name] for name in names}).values(), default=math.nan)
 
 
-PartScores = Mapping[str, Mapping[str, Scores]]
-"""Scores of all detectors, by group or condition."""
+PartScores = Mapping[str, Mapping[str, Scores]]  # scores of all detectors, by group or condition
 
 
 def _groups(evaluation: Evaluation) -> PartScores:

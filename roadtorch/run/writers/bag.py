@@ -40,8 +40,7 @@ MASK_TOPIC, CONFIDENCE_TOPIC = "/segmentation/mask", "/segmentation/confidence"
 OVERLAY_TOPIC, LABELS_TOPIC = "/segmentation/overlay", "/segmentation/label_info"
 GRID_TOPIC = "/segmentation/grid"
 
-BAG_VERSION = 8
-"""Version of the ROS 2 metadata: the newest whose QoS profiles Humble reads too."""
+BAG_VERSION = 8  # version of the ROS 2 metadata: the newest whose QoS profiles Humble reads too
 
 
 class BagWriter:
@@ -91,12 +90,9 @@ class BagWriter:
         stamp = item.nanoseconds
         if LABELS_TOPIC not in self._connections:
             kind = types["vision_msgs/msg/VisionClass"]
-            names = [
-                kind(class_id=number, class_name=name) for number, name in MASK_CLASS_NAMES.items()
-            ]
-            info = types[LABEL_INFO_TYPE](
-                _make_header(self.types, stamp, ""), names, self._threshold
-            )
+            names = [kind(class_id=n, class_name=name) for n, name in MASK_CLASS_NAMES.items()]
+            header = _make_header(self.types, stamp, "")
+            info = types[LABEL_INFO_TYPE](header, names, self._threshold)
             self._add(LABELS_TOPIC, LABEL_INFO_TYPE, stamp, info)
         mask, confidence = mask_and_confidence(detection)
         images = {MASK_TOPIC: mask, CONFIDENCE_TOPIC: confidence}
@@ -122,24 +118,12 @@ class BagWriter:
         stamp: int,
         frame_id: str,
     ) -> None:
-        """Write an occupancy grid.
-
-        Args:
-            grid: int8 cells, shape (H, W), see ``occupancy_message``.
-            resolution: metres per cell.
-            origin: (x, y) of the corner of cell (0, 0), metres.
-            stamp: time stamp, nanoseconds.
-            frame_id: frame of the grid.
-        """
+        """Write an occupancy grid; see ``occupancy_message``."""
         message = occupancy_message(self.types, grid, resolution, origin, stamp, frame_id)
         self._add(GRID_TOPIC, GRID_TYPE, stamp, message)
 
     def close(self) -> None:
-        """Finish the bag and rename it to its path; without a message there is none.
-
-        Raises:
-            InputError: when it cannot be written; the unfinished folder is kept.
-        """
+        """Finish and rename a bag with messages; on InputError its unfinished folder stays."""
         if self._writer is None:
             return
         writer, self._writer = self._writer, None
@@ -192,8 +176,7 @@ class BagWriter:
             options: dict[str, Any] = {"callerid": "/roadtorch", "latching": int(is_latched)}
         else:
             durability, depth = ("TRANSIENT_LOCAL", 1) if is_latched else ("VOLATILE", 10)
-            profile = _qos_profile(durability, depth)
-            options = {"offered_qos_profiles": [profile]}
+            options = {"offered_qos_profiles": [_qos_profile(durability, depth)]}
         return self._writer.add_connection(topic, kind, typestore=self.types, **options)
 
     def _write_error(self, error: OSError) -> InputError:
@@ -211,35 +194,23 @@ def _is_own_bag(path: Path) -> bool:
             names = {link.topic for link in reader.connections}
     except Exception:  # not a bag
         return False
-    return bool(names) and names <= {
-        MASK_TOPIC,
-        CONFIDENCE_TOPIC,
-        OVERLAY_TOPIC,
-        LABELS_TOPIC,
-        GRID_TOPIC,
-    }
+    own_topics = {MASK_TOPIC, CONFIDENCE_TOPIC, OVERLAY_TOPIC, LABELS_TOPIC, GRID_TOPIC}
+    return bool(names) and names <= own_topics
 
 
 def _qos_profile(durability: str, depth: int) -> Any:
     """Return a reliable QoS profile (DDS) with a history of ``depth`` messages."""
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+    from rosbags import interfaces
 
-    forever = QosTime(9223372036, 854775807)  # rosbag2's value for no limit
-    return Qos(
-        history=QosHistory.KEEP_LAST,
+    forever = interfaces.QosTime(9223372036, 854775807)  # rosbag2's value for no limit
+    return interfaces.Qos(
+        history=interfaces.QosHistory.KEEP_LAST,
         depth=depth,
-        reliability=QosReliability.RELIABLE,
-        durability=QosDurability[durability],
+        reliability=interfaces.QosReliability.RELIABLE,
+        durability=interfaces.QosDurability[durability],
         deadline=forever,
         lifespan=forever,
-        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness=interfaces.QosLiveliness.AUTOMATIC,
         liveliness_lease_duration=forever,
         avoid_ros_namespace_conventions=False,
     )
@@ -260,11 +231,7 @@ def mask_and_confidence(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
 
 
 def load_message_types(generation: int) -> "Typestore":
-    """Load the message types of ROS 1 (Noetic) or ROS 2 (Humble and later), with vision_msgs.
-
-    Args:
-        generation: 1 or 2.
-    """
+    """Load the message types of ROS 1 (Noetic) or 2 (Humble and later), with vision_msgs."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     types = get_typestore(Stores.ROS1_NOETIC if generation == 1 else Stores.ROS2_HUMBLE)

@@ -12,8 +12,7 @@ from roadtorch.data.polygons import coco_annotation, read_labelme_mask
 from roadtorch.run.folder import COCO_FILE
 from roadtorch.run.ledger import INDEX_FILE, has_result, read_index
 
-LABELME_SUFFIX = ".labelme.json"
-"""Suffix of the labelme annotation of an image."""
+LABELME_SUFFIX = ".labelme.json"  # suffix of the labelme annotation of an image
 
 
 def write_coco(folder: Path) -> None:
@@ -31,9 +30,7 @@ def write_coco(folder: Path) -> None:
     }
     images = [
         CocoImage(
-            row.file,
-            (int(row.width), int(row.height)),
-            float(row.trust) if row.trust else None,
+            row.file, (int(row.width), int(row.height)), float(row.trust) if row.trust else None
         )
         for row in ready.values()
     ]
@@ -43,10 +40,7 @@ def write_coco(folder: Path) -> None:
         size = int(ready[file].height), int(ready[file].width)
         return read_labelme_mask(folder / _annotation_name(folder, file), size)
 
-    with (
-        atomic_write(folder / COCO_FILE) as temporary,
-        temporary.open("w", encoding="utf-8") as text,
-    ):
+    with atomic_write(folder / COCO_FILE) as path, path.open("w", encoding="utf-8") as text:
         text.writelines(coco_text(images, mask_of))
 
 

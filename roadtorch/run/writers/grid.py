@@ -34,8 +34,7 @@ GRID_SUFFIXES = {
     "image": ".grid.jpg",
 }
 
-DOUBTFUL_SPREAD = 2.0
-"""Standard deviation of a pitch, in degrees, above which a grid is doubtful."""
+DOUBTFUL_SPREAD = 2.0  # standard deviation of a pitch, in degrees, above which a grid is doubtful
 
 FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 
@@ -121,11 +120,8 @@ class GridWriter:
             cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
             self.bag.write_grid(cells, grid.resolution, (x, y), item.nanoseconds, self.frame_id)
         doubts = ", ".join(filter(None, (detection.doubt, doubt)))
-        fraction = float((grid.cells == FREE).double().mean())
-        return {
-            "road_share": f"{fraction:.4f}",
-            "status": f"{DOUBTFUL}: {doubts}" if doubts else DONE,
-        }
+        free = float((grid.cells == FREE).double().mean())
+        return {"road_share": f"{free:.4f}", "status": f"{DOUBTFUL}: {doubts}" if doubts else DONE}
 
     def close(self) -> None:
         """Close the bag."""
@@ -149,12 +145,8 @@ class GridWriter:
         if "image" in self.kinds:
             drawing = _draw_beside(image, detection.mask, grid)
             write_jpeg(stem.with_name(stem.name + GRID_SUFFIXES["image"]), drawing)
-        return (
-            grid,
-            f"pitch unsure by {pitch.deviation:.1f} degrees"
-            if pitch.deviation > DOUBTFUL_SPREAD
-            else "",
-        )
+        doubt = f"pitch unsure by {pitch.deviation:.1f} degrees"
+        return grid, doubt if pitch.deviation > DOUBTFUL_SPREAD else ""
 
 
 def _draw_beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:

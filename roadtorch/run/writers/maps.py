@@ -35,17 +35,13 @@ GOLDEN_RATIO = 0.6180339887  # its multiples modulo 1 spread neighbouring labels
 
 @dataclass(frozen=True)
 class MapWriter:
-    """A writer of the files of an image.
-
-    kinds: see ``MAP_SUFFIXES`` and ``CUE_SUFFIXES``. detector, threshold: for the JSON. depth: bits
-    of likelihood maps.
-    """
+    """A writer of the files of an image."""
 
     folder: Path
-    kinds: frozenset[str]
-    detector: str
+    kinds: frozenset[str]  # see ``MAP_SUFFIXES`` and ``CUE_SUFFIXES``
+    detector: str  # for the JSON, as is the threshold
     threshold: float
-    depth: Literal[8, 16] = 8
+    depth: Literal[8, 16] = 8  # bits of likelihood maps
 
     @property
     def suffixes(self) -> Sequence[str]:

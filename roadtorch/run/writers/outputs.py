@@ -29,8 +29,7 @@ DEFAULT_IMAGE_KINDS, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
 )
 """Kinds of results without ``--save``, for images, footage and bags."""
 
-CAMERA_FRAME = "camera"
-"""frame_id in bags written from footage, which has none."""
+CAMERA_FRAME = "camera"  # frame_id in bags written from footage, which has none
 
 MEDIAN_FRAMES = 9
 """Number of frames whose median is the pitch of a source; ours: robust to a few wrong ones."""
@@ -81,17 +80,13 @@ def bag_suffix(source: Source, suffix: str) -> str:
 
 @dataclass(frozen=True)
 class MapOutput:
-    """The outputs of ``infer`` for a source: videos, bags, and files of each frame.
+    """The outputs of ``infer`` for a source: videos, bags, and files of each frame."""
 
-    maps: writer of single images. kinds: of ``--save``, None for the defaults; ``overlay`` of a
-    source is a video, ``overlay-frames`` are images. topic: image topic in bags, None for the only
-    one. viewer: a further writer of the frames.
-    """
-
-    maps: MapWriter
+    maps: MapWriter  # writer of single images
+    # Of ``--save``, None for the defaults; ``overlay`` is a video, ``overlay-frames`` are images.
     kinds: tuple[str, ...] | None
-    topic: str | None = None
-    viewer: Writer | None = None
+    topic: str | None = None  # image topic in bags, None for the only one
+    viewer: Writer | None = None  # a further writer of the frames
 
     def __call__(self, source: Source) -> Output:
         """Return the outputs for a source."""
@@ -131,10 +126,7 @@ class MapOutput:
 
 @dataclass(frozen=True)
 class GridOutput:
-    """The outputs of ``grid`` for a source: a grid for each frame, and a bag for a bag.
-
-    grids: writer of single images. infer: detector and camera. topic: image topic in bags.
-    """
+    """The outputs of ``grid`` for a source: a grid for each frame, and a bag for a bag."""
 
     grids: GridWriter
     infer: Inference
@@ -145,8 +137,7 @@ class GridOutput:
         kinds, suffixes = tuple(self.grids.kinds), list[str]()
         if is_from_bag(source):
             kinds, suffixes = (*kinds, "bag"), [bag_suffix(source, ".grid")]
-        open_writers = partial(self._open, source, suffixes)
-        return Output(kinds, suffixes, self.grids.suffixes, open_writers)
+        return Output(kinds, suffixes, self.grids.suffixes, partial(self._open, source, suffixes))
 
     @contextmanager
     def _open(self, source: Source, suffixes: list[str]) -> Iterator[Writers]:
@@ -169,10 +160,7 @@ class GridOutput:
 
 
 def fix_pitch(placement: CameraPlacement, infer: Inference, source: Source) -> CameraPlacement:
-    """Set one pitch for a whole source: the median of the estimates of some frames.
-
-    Raises InputError where no frame yields an estimate.
-    """
+    """Set one pitch for a source, the median of some frames' estimates; InputError without any."""
     pitches: list[Pitch] = []
     error: RoadtorchError | None = None
     with closing(detect_frames(source.subsample(MEDIAN_FRAMES), infer, Workers())) as frames:

@@ -79,9 +79,8 @@ class VideoWriter:
 
     def _open_stream(self, pixels: np.ndarray, seconds: float) -> None:
         self._av = import_av()
-        self._reformatter = (
-            self._av.video.reformatter.VideoReformatter()
-        )  # reused: it caches its tables
+        # Reused: it caches its tables.
+        self._reformatter = self._av.video.reformatter.VideoReformatter()
         with ExitStack() as stack:
             temporary = stack.enter_context(atomic_write(self.path))
             self._container = self._av.open(str(temporary), "w", format="mp4")
