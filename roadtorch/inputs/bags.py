@@ -188,14 +188,12 @@ def _bag_frames(origin: str, topic: str) -> Generator[Item]:
         first = None
         for number, message in enumerate(_read_messages(origin, bag, topic)):
             first = message.stamp if first is None else first
-            frame_origin = f"{origin}:{topic}#{number}"
-            read = partial(_raise_unreadable, frame_origin, message.damage)
+            where = f"{origin}:{topic}#{number}"
+            read = partial(_raise_unreadable, where, message.damage)
             if message.content is not None:
-                read = partial(decode_message, message.content, frame_origin)
+                read = partial(decode_message, message.content, where)
             name, seconds = f"{_source_name(origin)}/{number:06d}", (message.stamp - first) / 1e9
-            yield Item(
-                name, frame_origin, read, number=number, seconds=seconds, stamp=message.stamp
-            )
+            yield Item(name, where, read, number=number, seconds=seconds, stamp=message.stamp)
 
 
 def _raise_unreadable(origin: str, damage: str) -> Tensor:

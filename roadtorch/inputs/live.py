@@ -94,12 +94,8 @@ def newest_frames(
                 raise frame
             number, clock, stamp, read = frame
             first = clock if first is None else first
-            label, where, seconds = (
-                f"{name}/{number:06d}",
-                f"{origin}: frame {number}",
-                clock - first,
-            )
-            yield Item(label, where, read, number=number, seconds=seconds, stamp=stamp)
+            label, where = f"{name}/{number:06d}", f"{origin}: frame {number}"
+            yield Item(label, where, read, number=number, seconds=clock - first, stamp=stamp)
     finally:
         stop.set()
         reader.join(GRACE_PERIOD)

@@ -209,7 +209,8 @@ def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
         for index, packet in enumerate(container.demux(stream)):
             if packet.pts is None:
                 continue
-            if packet.is_keyframe and clock.seconds(packet.pts) > start:
+            seconds = clock.seconds(packet.pts)
+            if packet.is_keyframe and seconds > start:
                 break
             if packet.is_keyframe:
                 entry, leading = SeekPoint(index, index, packet.pts), 0

@@ -168,8 +168,8 @@ class RoadNode:
         settings = parse_assignments(parameters.settings)
         self.detector = load_detector(parameters.detector, camera=camera, **settings)
         self.infer = Inference(self.detector, camera)
-        smoothing = TemporalFilter(TemporalFilterSettings())
-        self.temporal_filter = smoothing if parameters.smoothing else None
+        temporal_filter = TemporalFilter(TemporalFilterSettings())
+        self.temporal_filter = temporal_filter if parameters.smoothing else None
         self.node, self.parameters, self.inbox = node, parameters, Inbox()
         self.times, self.failures, self.last_warning = deque[float](maxlen=30), 0, ""
         self.last_detection: Detection | None = None
