@@ -134,11 +134,9 @@ def _segment_votes(
     """Return 1 or -1, (n,), by majority of masks (h, w), 0 where too few pixels are labelled."""
     index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
     size = np.bincount(index, minlength=count)
-    in_favour, against = (
-        np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no)
-    )
-    is_labelled = in_favour + against >= settings.min_labelled * size
-    return torch.from_numpy(np.where(is_labelled, np.where(in_favour >= against, 1.0, -1.0), 0.0))
+    votes, against = (np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no))
+    is_labelled = votes + against >= settings.min_labelled * size
+    return torch.from_numpy(np.where(is_labelled, np.where(votes >= against, 1.0, -1.0), 0.0))
 
 
 def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -132,9 +132,8 @@ def vanishing_point(gradients: Sequence[Tensor]) -> VanishingPoint:
     and right of it: a long line aims at all points along it, but lines of the other side cross it
     in one.
     """
-    rows, columns = torch.meshgrid(
-        torch.tensor(CANDIDATE_ROWS), torch.tensor(CANDIDATE_COLUMNS), indexing="ij"
-    )
+    axes = torch.tensor(CANDIDATE_ROWS), torch.tensor(CANDIDATE_COLUMNS)
+    rows, columns = torch.meshgrid(*axes, indexing="ij")
     votes = voters = torch.zeros(2, rows.numel())
     for gradient in gradients:
         new_votes, new_voters = _cast_votes(gradient, rows.reshape(-1), columns.reshape(-1))

@@ -200,6 +200,5 @@ def read_frames(positions: Sequence[FramePosition]) -> Iterator[Tensor]:
             continue
         last = max(number for number in numbers if number is not None)
         with closing(video_frames(path, path.stem)) as frames:
-            yield from (
-                frame.read() for frame in islice(frames, last + 1) if frame.number in numbers
-            )
+            candidates = islice(frames, last + 1)
+            yield from (frame.read() for frame in candidates if frame.number in numbers)

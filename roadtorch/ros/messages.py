@@ -21,9 +21,8 @@ def import_ros(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise ConfigError(
-            "ros", f"{name.partition('.')[0]} is not installed", INSTALL_HINT
-        ) from None
+        problem = f"{name.partition('.')[0]} is not installed"
+        raise ConfigError("ros", problem, INSTALL_HINT) from None
 
 
 def image_message(header: Any, pixels: np.ndarray) -> Any:
@@ -52,9 +51,8 @@ def grid_message(header: Any, grid: Grid, frame_id: str) -> Any:
 def label_info_message(threshold: float) -> Any:
     """Return a vision_msgs/LabelInfo with the names of the mask's classes."""
     kinds = import_ros("vision_msgs.msg")
-    classes = [
-        kinds.VisionClass(class_id=n, class_name=name) for n, name in MASK_CLASS_NAMES.items()
-    ]
+    names = MASK_CLASS_NAMES.items()
+    classes = [kinds.VisionClass(class_id=number, class_name=name) for number, name in names]
     return kinds.LabelInfo(class_map=classes, threshold=float(threshold))
 
 

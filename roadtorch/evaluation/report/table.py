@@ -41,17 +41,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of cells under headers; title: the header of the names of the rows.
+    """Columns of cells under headers."""
 
-    baselines: names of rows that ignore the image. omitted: number of rows that only metrics.json
-    has. required: headers of columns that every screen shows, however narrow.
-    """
-
-    title: str
+    title: str  # header of the names of the rows
     names: Sequence[str]
-    baselines: Collection[str] = ()
-    omitted: int = 0
-    required: Collection[str] = ()
+    baselines: Collection[str] = ()  # names of rows that ignore the image
+    omitted: int = 0  # number of rows that only metrics.json has
+    required: Collection[str] = ()  # headers of columns that every screen shows, however narrow
     headers: list[str] = field(default_factory=list)
     columns: list[list[Cell]] = field(default_factory=list)
 
