@@ -195,7 +195,7 @@ class Loop:
             start = time.perf_counter()
             self._train_chunk()
             progress.seconds += time.perf_counter() - start
-            bar.set_description_str(self._title, refresh=False)
+            bar.set_description_str(self._title(progress.epoch + 1), refresh=False)
             bar.set_postfix(loss=f"{progress.loss / max(1, progress.count):.4f}", refresh=False)
             bar.update()
             if time.monotonic() - saved > SAVE_INTERVAL:
@@ -210,18 +210,17 @@ class Loop:
         whole = self.stopping.epochs * self.chunks
         done = self.progress.epoch * self.chunks + self.progress.chunk
         return Progress(
-            desc=self._title,
+            desc=self._title(self.progress.epoch + 1),
             total=parts * whole,
             initial=(part - 1) * whole + done,
             unit="",
             quiet=self.quiet,
         )
 
-    @property
-    def _title(self) -> str:
+    def _title(self, epoch: int) -> str:
         part, parts = self.part
         half = f"half {part} of {parts}, " if parts > 1 else ""
-        return f"{half}epoch {self.progress.epoch + 1} of {self.stopping.epochs}"
+        return f"{half}epoch {epoch} of {self.stopping.epochs}"
 
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
@@ -269,7 +268,7 @@ class Loop:
         if not self.quiet:
             change = f" ({-fall:+.4f})" if math.isfinite(fall) else ""
             text = (
-                f"roadtorch: {self._title}, epoch {row['epoch']} of {self.stopping.epochs}: "
+                f"roadtorch: {self._title(row['epoch'])}: "
                 f"loss {row['loss']:.4f}{change}, {row['samples']} samples in "
                 f"{row['seconds']:.0f} s"
             )
