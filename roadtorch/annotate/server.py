@@ -219,11 +219,11 @@ class SessionApi:
     def images(self, request: Request) -> Response:
         """Return the list of images; 204 where it has not changed since ``stamp``."""
         listing = self._session.listing()
-        learn = TRAIN_COMMAND.format(images=self._session.images.root, out=self._session.out)
+        command = TRAIN_COMMAND.format(images=self._session.images.root, out=self._session.out)
         stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
-        return JSONResponse({"stamp": stamp, "images": listing, "learn": learn})
+        return JSONResponse({"stamp": stamp, "images": listing, "learn": command})
 
     async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
         """Return an image as JPEG; ``encode`` takes its path and modification time."""
@@ -354,7 +354,7 @@ class PageServer:
     _listening: socket.socket
 
     def run(self) -> None:
-        """Serve until stopped, and compute the views of all images in the background."""
+        """Serve until stopped; run detector and superpixels on all images in the background."""
         stop = threading.Event()
         computing = threading.Thread(target=compute_views, args=(self.session, stop), daemon=True)
         computing.start()

@@ -43,8 +43,8 @@ def trace_outlines(mask: np.ndarray) -> list[tuple[int, np.ndarray]]:
     """Return the outlines that, filled in order, reproduce a mask bool (H, W) exactly.
 
     Each is 1 (road) or 0 (a hole in it), and a closed polygon int (N, 2), N ≥ 3, through centres of
-    border pixels, as (x, y). Regions come first, then their holes, then the islands in these: each
-    polygon covers at least its region; the next ones remove the surplus. Borders are followed as by
+    border pixels, as (x, y). A polygon covers its region and the holes in it; later
+    ones overwrite holes with 0, and islands in these with 1. Borders are followed as by
     Suzuki and Abe, "Topological structural analysis of digitized binary images" (1985). Polygons of
     one or two pixels repeat their last corner.
     """

@@ -168,24 +168,26 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
         InputError: if the video cannot be opened and, after the last frame, if FFmpeg cannot read
             on or it ends more than ``END_TOLERANCE`` before the declared duration.
     """
-    entry = _find_seek_point(path, start) if start > 0 else SeekPoint()
+    seek = _find_seek_point(path, start) if start > 0 else SeekPoint()
     with open_video(path) as (container, stream):
-        clock, number, end = StreamClock(stream), entry.number, 0.0
+        clock, number, end = StreamClock(stream), seek.number, 0.0
         decode = partial(upright_image, import_av().video.reformatter.VideoReformatter())
         try:
-            for image in _decode_frames(container, stream, entry):
+            for image in _decode_frames(container, stream, seek):
                 seconds = clock.seconds(image.pts)
                 duration = float(image.duration or 0) * float(image.time_base or 0)
                 end = max(end, seconds + (duration or clock.step))
                 origin = f"{path}: frame {number}"
-                read = partial(_damaged, origin) if image.is_corrupt else partial(decode, image)
+                read = (
+                    partial(_raise_damaged, origin) if image.is_corrupt else partial(decode, image)
+                )
                 yield Item(f"{name}/{number:06d}", origin, read, number=number, seconds=seconds)
                 number += 1
         except import_av().FFmpegError as error:
             problem = f"ends after {end:.1f} seconds: {ffmpeg_reason(error)}"
             raise InputError(path, problem, "copy it again, or repair it") from None
         length = declared_duration(container, stream)
-    if number > entry.number and end + END_TOLERANCE < length:
+    if number > seek.number and end + END_TOLERANCE < length:
         problem = f"ends after {end:.1f} of {length:.1f} seconds"
         raise InputError(path, problem, "the rest was used; copy it again, or repair it")
 
@@ -197,13 +199,13 @@ def declared_duration(container: "InputContainer", stream: "VideoStream") -> flo
     return (container.duration or 0) / 1e6  # in microseconds
 
 
-def _damaged(origin: str) -> Tensor:
+def _raise_damaged(origin: str) -> Tensor:
     raise InputError(origin, "is damaged", "copy the video again, or repair it")
 
 
 def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
     """Find the last key frame at or before ``start`` seconds without decoding."""
-    entry, leading = SeekPoint(), 0
+    seek, leading = SeekPoint(), 0
     with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
         clock = StreamClock(stream)
         for index, packet in enumerate(container.demux(stream)):
@@ -213,20 +215,20 @@ def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
             if packet.is_keyframe and seconds > start:
                 break
             if packet.is_keyframe:
-                entry, leading = SeekPoint(index, index, packet.pts), 0
-            elif entry.pts is not None and packet.pts < entry.pts:
+                seek, leading = SeekPoint(index, index, packet.pts), 0
+            elif seek.pts is not None and packet.pts < seek.pts:
                 leading += 1
-    return entry._replace(number=entry.number + leading)
+    return seek._replace(number=seek.number + leading)
 
 
 def _decode_frames(
-    container: "InputContainer", stream: "VideoStream", entry: SeekPoint
+    container: "InputContainer", stream: "VideoStream", seek: SeekPoint
 ) -> "Iterator[VideoFrame]":
-    """Yield the frames from an entry point on, then raise FFmpegError if one cannot be decoded.
+    """Yield the frames from a seek point on, then raise FFmpegError if one cannot be decoded.
 
     Frames shown before the key frame are dropped, as they depend on earlier ones.
     """
-    av, first = import_av(), entry.pts or 0
+    av, first = import_av(), seek.pts or 0
     errors: list[Exception] = []
 
     def decoded(decode: Callable[[], "list[VideoFrame]"]) -> "list[VideoFrame]":
@@ -237,7 +239,7 @@ def _decode_frames(
             return []
 
     try:
-        for packet in islice(container.demux(stream), entry.packets, None):
+        for packet in islice(container.demux(stream), seek.packets, None):
             yield from decoded(packet.decode)
     except av.FFmpegError as error:
         errors.insert(0, error)

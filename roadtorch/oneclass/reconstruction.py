@@ -36,7 +36,7 @@ class ComponentSettings(ClassifierSettings):
 
 
 def count_components(variances: Tensor, fraction: float) -> int:
-    """Count the largest variances (d,) that have a fraction of their sum; 0 if all are 0."""
+    """Return the least n such that the first n of sorted variances (d,) reach the fraction."""
     total = float(variances.sum())
     if total <= 0:
         return 0
@@ -51,7 +51,7 @@ def fit_components(road: RoadSamples, settings: ComponentSettings) -> DistanceMo
     """
     mean, covariance = moments(road.samples)
     variances, directions = torch.linalg.eigh(covariance)
-    # Rounding a constant plane to float32 is no variance.
+    # Variance that is only the float32 rounding of a constant plane is set to 0.
     variances = torch.where(variances > 1e-6 * variance_floor(road.axes).min(), variances, 0)
     order = variances.argsort(descending=True, stable=True)
     count = count_components(variances[order], settings.variance)
@@ -134,8 +134,8 @@ def k_centres(distances: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     """Return centres among samples, int64 (R, k), from R starts, and radii (R,).
 
     ``distances`` are (m, m). Each sample is assigned to the nearest centre; in each cell the sample
-    with the least largest distance becomes the centre; until none changes (dd_tools). P3's
-    objective min max min, with the maximum over the samples and equal balls.
+    with the least largest distance becomes the centre; until none changes (dd_tools). This lowers
+    the largest distance of a sample to its nearest centre (P3's min max min).
     """
     centres = start
     for _ in range(MAX_ROUNDS):

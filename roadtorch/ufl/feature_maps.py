@@ -33,14 +33,14 @@ class MapSettings(Settings):
     )
     row_weights: RowWeights = Field(
         default="centred",
-        description="eq. 5, row - H/2: centred on the middle row (program), or rows from 1 (text)",
+        description="eq. 5, row - H/2: from the middle row (program), or rows from 1 (paper)",
     )
     fraction: float = Field(
         default=0.2, gt=0, le=1, description="fraction of the maps that is selected, the best ones"
     )
     scale: Literal["maximum", "none"] = Field(
         default="maximum",
-        description="divisor of the mean map: its maximum (program), or none (text)",
+        description="divisor of the mean map: its maximum (the authors' program), or none",
     )
 
 
@@ -62,7 +62,7 @@ def make_encoder(
     """Return the function that encodes patches: bases (k, d) → responses (k, n) ≥ 0.
 
     A response is how much nearer than average a patch (n, d) is to a base: than all patches are to
-    the base (eq. 4, ``base``), or than the patch is to the dictionary's (eq. 3, ``patch``).
+    the base (eq. 4, ``base``), or than this patch is to all bases (eq. 3, ``patch``).
     """
     squares = patches.square().sum(1, keepdim=True)
     points = torch.cat([patches, squares, torch.ones_like(squares)], 1)

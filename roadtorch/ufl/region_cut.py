@@ -101,7 +101,7 @@ def cut_road(
 
     Calling a region non-road costs its area times the similarity of its bag of words to the seed's;
     calling it road, its area times the similarity to the top row's; separating two neighbours,
-    their border length times their similarity.
+    ``border_cost`` times their border length times their similarity in [0, 1].
 
     Args:
         regions: number of each pixel's region, int64 (H, W).
@@ -118,8 +118,8 @@ def cut_road(
         for area in (seed, top)
     )
     pairs, length = shared_borders(regions)
-    parting = settings.border_cost * length * similarity(bags[pairs[:, 0]], bags[pairs[:, 1]])
-    return source_side(like_road, like_background, pairs, parting)[regions]
+    costs = settings.border_cost * length * similarity(bags[pairs[:, 0]], bags[pairs[:, 1]])
+    return source_side(like_road, like_background, pairs, costs)[regions]
 
 
 def source_side(source: Tensor, sink: Tensor, pairs: Tensor, between: Tensor) -> Tensor:
