@@ -89,7 +89,9 @@ def test_footage_is_smoothed_as_the_command_does(steady: bool, call: Call, tmp_p
         assert len(likelihoods) == len(written) == 12
         assert mean_change(likelihoods) == pytest.approx(mean_change(written), rel=1e-5)
         for streamed, stored in zip(likelihoods, written, strict=True):
-            assert (streamed - stored).abs().max() < 1.5  # rounded from float32, or from float64
+            difference = (streamed - stored).abs()
+            assert difference.max() < 1.5  # a level where float32 and float64 round apart
+            assert difference.mean() < 1e-3
     unsmoothed = mean_change([frame.likelihood for frame in GREY.stream(path, steady=False)])
     assert (255 * unsmoothed > 1.2 * mean_change(written)) == steady
 
