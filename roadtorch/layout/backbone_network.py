@@ -17,12 +17,7 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import spatial_size
-from roadtorch.layout.image_network import (
-    NUM_OUTPUTS,
-    RoadFusion,
-    compute_cues,
-    coordinate_planes,
-)
+from roadtorch.layout.image_network import NUM_OUTPUTS, RoadFusion, compute_cues, coordinate_planes
 from roadtorch.layout.patch_network import Normalisation
 
 
@@ -79,7 +74,7 @@ class BackboneNetworkSettings(Settings):
 
 
 class Conv2dSame(nn.Conv2d):
-    """A convolution with bias, padded as in TensorFlow: at stride 2, one pixel more at the end."""
+    """A convolution with bias, padded as in TensorFlow: at stride 2, more after than before."""
 
     def __init__(
         self, inputs: int, outputs: int, kernel: int, stride: int, groups: int = 1
@@ -89,8 +84,8 @@ class Conv2dSame(nn.Conv2d):
     def forward(self, maps: Tensor) -> Tensor:
         """Convolve maps (B, C, H, W); H and W must be multiples of the stride.
 
-        On CPUs a matrix product is faster than torch's 1×1 convolution, and a kernel with an added
-        row and column of zeros is faster than padded maps, which are copies.
+        On CPUs a matrix product is faster than a 1×1 convolution, and padding the kernel is faster
+        than padding the maps.
         """
         kernel, exporting = self.kernel_size[0], torch.compiler.is_exporting()
         if kernel == 1 and not self.training and not exporting:
@@ -198,7 +193,7 @@ class BackboneNetwork(nn.Module):
         self.heads = nn.ModuleList(Head(wide, narrow) for _ in range(self.settings.heads))
 
     def train(self, mode: bool = True) -> "BackboneNetwork":
-        """Set the training mode; batch statistics stay fixed (small batches), dropout off."""
+        """Set the training mode, but keep batch statistics fixed and dropout off."""
         super().train(mode)
         for head in self.heads:
             head.get_submodule("levels").eval()

@@ -29,21 +29,16 @@ MIN_POTENTIAL = 1e-4
 """Lower bound of potentials in a pool, so that no prediction alone vetoes a class."""
 
 NetworkWeight = Annotated[
-    float,
-    Field(ge=0, le=1, description="weight of the network against the machine labels"),
+    float, Field(ge=0, le=1, description="weight of the network against the machine labels")
 ]
 """Setting: the ``weight`` of ``opinion_pool``, where the second prediction is a network's."""
 
 
 def opinion_pool(first: Tensor, second: Tensor, weight: float) -> Tensor:
-    """Return the logarithmic opinion pool of two predictions (3, …); it sums to 1 over the classes.
+    """Pool two potentials (3, …) in [0, 1] by a weighted geometric mean, of sum 1 over the classes.
 
-    Source: Genest and Zidek, "Combining Probability Distributions", Statistical Science 1986.
-
-    Args:
-        first: potentials in [0, 1], shape (3, …).
-        second: potentials in [0, 1], shape (3, …).
-        weight: weight of the second prediction, from 0 (first alone) to 1 (second alone).
+    weight: of the second, 0 to 1. Logarithmic opinion pool: Genest and Zidek, "Combining
+    Probability Distributions", Statistical Science 1986.
     """
     logs = [potentials.clamp_min(MIN_POTENTIAL).log() for potentials in (first, second)]
     return ((1 - weight) * logs[0] + weight * logs[1]).softmax(0)

@@ -61,10 +61,7 @@ class ImageNetworkSettings(Settings):
 
 
 class ImageNetwork(nn.Module):
-    """Layout, road and ego car of whole images.
-
-    Normalised within each image, so that gradients do not depend on how images are batched.
-    """
+    """Layout, road and ego car of whole images, with group normalisation: batches do not matter."""
 
     kind: ClassVar[str] = "images"
     title: ClassVar[str] = "a whole-image network"
@@ -116,17 +113,16 @@ class ImageNetwork(nn.Module):
 def compute_cues(
     network: Any, image: Tensor, settings: Any, fuse: RoadFusion | None
 ) -> Mapping[str, Tensor]:
-    """Return the ``cues`` of an image by a network with a working size.
+    """Return a network's ``cues`` of an image (3, H, W), in an exported graph of a batch.
 
-    settings: its height, width and normalisation. Takes a batch (N, 3, H, W) in an exported graph.
+    settings: height, width and normalisation of the network's input.
     """
     small = resize_maps(image, (settings.height, settings.width)).clamp(0, 1)
     pixels = normalise(small, settings.normalisation).pixels
     is_batch = pixels.ndim == 4
     images, pixels = (small, pixels) if is_batch else (small[None], pixels[None])
-    scores, features = (
-        maps.to(image) for maps in network.encode(pixels.to(next(network.parameters())))
-    )
+    encoded = network.encode(pixels.to(next(network.parameters())))
+    scores, features = (maps.to(image) for maps in encoded)
     potentials = scores_to_potentials(scores)
     if fuse is not None:
         road = fuse(scores[:, ROAD_OUTPUT], features, images)
@@ -140,17 +136,12 @@ def scale_size(height: int, width: int, scale: float) -> tuple[int, int]:
     """Scale a working size to multiples of ``SIZE_STEP``; at scale 1 it is unchanged."""
     if scale == 1:
         return height, width
-    rows, columns = (
-        max(1, round(scale * side / SIZE_STEP)) * SIZE_STEP for side in (height, width)
-    )
-    return rows, columns
+    rows, columns = (max(1, round(scale * side / SIZE_STEP)) for side in (height, width))
+    return rows * SIZE_STEP, columns * SIZE_STEP
 
 
 class ConvBlock(nn.Sequential):
-    """A 3×3 convolution, group normalisation and ReLU.
-
-    In one call: on maps this small, a call for each module would be a fifth of the time.
-    """
+    """A 3×3 convolution, group normalisation and ReLU, without the time of a call for each."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
         super().__init__(
@@ -183,7 +174,7 @@ def _upsample(maps: Tensor) -> Tensor:
 
 
 def coordinate_planes(pixels: Tensor) -> Tensor:
-    """Return |x| and y in [-1, 1], shape (B, 2, H, W); |x|, as a mirrored street is a street."""
+    """Return 2|x| - 1 and y, for x and y in [-1, 1] across and down: shape (B, 2, H, W)."""
     batch, _, height, width = pixels.shape
     rows, columns = (
         torch.linspace(1 / side - 1, 1 - 1 / side, side, dtype=pixels.dtype, device=pixels.device)

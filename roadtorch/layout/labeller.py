@@ -31,7 +31,7 @@ from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY, UNLABELLED, VERTICAL
 
 UNSCALED_ROWS = 32
-"""Rows of two chains whose product float64 holds; each factor is at least 1e-4."""
+"""Rows after which products are rescaled, as factors down to 1e-4 would underflow float64."""
 
 MAX_SKY_BLUE = 0.1
 """Strongest blue of a sky: -b of CIELAB over 100."""
@@ -155,16 +155,9 @@ def label_layout(
     working: WorkingSize | None = None,
     superpixels: Superpixels | None = None,
 ) -> LayoutLabels:
-    """Label an image as sky (0), vertical (1), horizontal (2), or unlabelled (255).
+    """Label an image (3, H, W) in [0, 1]: 0 sky, 1 vertical, 2 horizontal, 255 unlabelled.
 
-    Args:
-        image: sRGB in [0, 1], shape (3, H, W).
-        settings: settings of the labeller; None for the defaults.
-        working: size at which the image is processed; None for the default.
-        superpixels: settings of the superpixels; None for the defaults.
-
-    Returns:
-        Potentials and labels at the size of the image.
+    It is processed at the ``working`` size, and the result has the size of the image.
     """
     settings, superpixels = settings or LabellerSettings(), superpixels or Superpixels()
     small = resize_to_work(image, working or WorkingSize())
@@ -219,10 +212,7 @@ def position_prior(row: Tensor, column: Tensor, prior: PositionPrior) -> Tensor:
 
 
 def sky_evidence(segments: Segments, sky: SkyAppearance) -> Tensor:
-    """Return the evidence for sky of n segments, log weights (n,); 0 is neutral. Ours.
-
-    Without it, clouds and the pale sky near the horizon resemble walls as much as the blue sky.
-    """
+    """Return log weights (n,) of sky: positive for bright, smooth or blue segments. Ours."""
     light = ((segments.color[0] - sky.level) / sky.softness).clamp(-1, 1)
     even = (1 - segments.gradient / sky.gradient).clamp(-1, 1)
     blue = (-segments.color[2] / MAX_SKY_BLUE).clamp(-1, 1)
@@ -264,8 +254,7 @@ def _transitions(change: float, breach: float) -> np.ndarray:
 def _chain_posterior(evidence: np.ndarray, transitions: np.ndarray) -> np.ndarray:
     """Return posteriors (R, C, 3) of chains down the columns of evidence (R, C, 3), > 0.
 
-    The forward and backward passes run at once, side by side. Float64 holds ``UNSCALED_ROWS`` rows
-    of products. In NumPy, which is three times as fast as torch for matrices this small.
+    Forward and backward pass run side by side, in NumPy: three times as fast as torch here.
     """
     states = np.concatenate([evidence, evidence[::-1]], 2)
     for row in range(1, len(states)):
@@ -281,7 +270,7 @@ def _chain_posterior(evidence: np.ndarray, transitions: np.ndarray) -> np.ndarra
 
 def decide_layout(potentials: Tensor, margin: float = MIN_MARGIN) -> Tensor:
     """Return labels (…) of the largest potentials (…, 3); 255 below the margin."""
-    # Compared plane by plane: argmax over three takes ten times as long.
+    # Plane by plane: argmax over three classes takes ten times as long.
     sky, vertical, horizontal = potentials.unbind(-1)
     higher, lower = torch.maximum(sky, vertical), torch.minimum(sky, vertical)
     best = torch.maximum(higher, horizontal)

@@ -32,8 +32,7 @@ class Topology(Settings):
         default=32, description="side of the patch, pixels; Álvarez 2012, Fig. 3, compares these"
     )
     input: Literal["colour", "grey"] = Field(
-        default="colour",
-        description="input planes: RGB, or luma alone (Álvarez 2012, section 6.1)",
+        default="colour", description="input planes: RGB, or luma alone (Álvarez 2012, section 6.1)"
     )
     k1: int = Field(
         default=4, ge=1, le=64, description="kernels of the first layer; Álvarez 2012: 4 or 6"
@@ -96,7 +95,7 @@ class Topology(Settings):
 # --- normalisation -----------------------------------------------------------------------
 
 FIXED_MEAN, FIXED_GAIN = 0.5, 4.0
-"""Levels in [0, 1] become values from -2 to 2, near the unit variance that suits tanh."""
+"""Levels in [0, 1] become values in [-2, 2], near the unit variance that suits tanh."""
 
 MIN_DEVIATION = 0.02
 """Least standard deviation that an image is divided by, so that flat images stay flat."""
@@ -122,14 +121,9 @@ class NormalisedImage(NamedTuple):
 
 
 def normalise(image: Tensor, normalisation: Normalisation) -> NormalisedImage:
-    """Normalise an image for a network. Ours; P2 says "RGB pixel values".
+    """Normalise an image (3, H, W) in [0, 1]. Ours; P2 says "RGB pixel values".
 
-    Args:
-        image: sRGB in [0, 1], shape (3, H, W); in an exported graph a batch (N, 3, H, W).
-        normalisation: kind of normalisation.
-
-    Returns:
-        Normalised pixels and their gain, NaN in an exported graph.
+    Takes a batch in an exported graph, where the gain is NaN.
     """
     if normalisation.kind == "none":
         return NormalisedImage(image, 1.0)
@@ -236,19 +230,15 @@ def connection_table(k1: int, k2: int, connections: int) -> Tensor:
 
 
 def reflect_pad(pixels: Tensor, patch: int) -> Tensor:
-    """Pad pixels (…, H, W) by reflection so that each has its patch.
-
-    P/2 pixels before and P/2 - 1 after; reflected repeatedly where the image is smaller.
-    """
+    """Pad pixels (…, H, W) by P/2 before and P/2 - 1 after, reflected as often as necessary."""
     for axis in (-2, -1):
         length = pixels.shape[axis]
         index = torch.arange(-(patch // 2), length + patch - patch // 2 - 1, device=pixels.device)
         last = torch.full_like(index, length - 1)  # a tensor, as is the length in an exported graph
         period = (2 * last).clamp_min(1)
         index = index.remainder(period)
-        pixels = pixels.index_select(
-            axis, torch.minimum(torch.minimum(index, period - index), last)
-        )
+        index = torch.minimum(torch.minimum(index, period - index), last)
+        pixels = pixels.index_select(axis, index)
     return pixels
 
 

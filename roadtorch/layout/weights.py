@@ -52,15 +52,9 @@ LayoutNetwork = PatchNetwork | WholeImageNetwork
 def save_network(
     path: str | os.PathLike[str], network: LayoutNetwork, origin: Mapping[str, Any]
 ) -> None:
-    """Write a network with its settings and origin; equal input gives equal bytes.
+    """Write a network with its settings and origin (as JSON); equal input gives equal bytes.
 
-    Args:
-        path: file to write.
-        network: network to save.
-        origin: where the weights come from: anything that JSON can hold.
-
-    Raises:
-        InputError: when the file cannot be written.
+    Raises InputError if the file cannot be written.
     """
     tensors = {
         name: value.to(_storage_dtype(network, value)).contiguous()
@@ -87,9 +81,8 @@ def _storage_dtype(network: nn.Module, values: Tensor) -> torch.dtype:
 def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
     """Load the network of a weight file, in evaluation mode.
 
-    Raises:
-        WeightsError: for a file that is missing, damaged, foreign or of a newer format, or whose
-            tensors do not fit its settings or are not finite.
+    Raises WeightsError for a file that is missing, damaged, foreign or of a newer format, or whose
+    tensors do not fit its settings or are not finite.
     """
     header, tensors = _read(Path(path))
     network_class, settings_class = NETWORKS[header.kind]

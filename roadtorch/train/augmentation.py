@@ -27,19 +27,19 @@ from roadtorch.run.memo import read_arrays
 from roadtorch.train.prepared import from_uint8
 
 GRAIN_CELLS = (4, 12, 40)
-"""Cells across the image at which grain is sampled: stones and ruts, near and far."""
+"""Numbers of noise cells across the image; a layer of each is added up to grain."""
 
 SHADOW_END = 0.02
-"""Fraction of the height over which a shadow fades out at the horizon."""
+"""Fraction of the height over which a shadow fades in below the horizon."""
 
 MAX_SHADOW_LEVEL = 0.7
-"""Brightness in the faintest shadow, relative to the light."""
+"""Factor on the brightness in the faintest shadow."""
 
 MAX_LAMP = 4.0
-"""Peak brightness of a lamp at night, where 1 is white: it saturates what is around it."""
+"""Peak brightness of a lamp at night, where 1 is white: its surroundings saturate."""
 
 EGO_TINT = 0.2
-"""Fraction of an ego car's change of light that varies between colour channels."""
+"""Exponent of an ego car's random channel factors: its colour changes less than its gain."""
 
 
 # --- settings ---------------------------------------------------------------------------
@@ -47,7 +47,7 @@ EGO_TINT = 0.2
 Fraction = Annotated[float, Field(ge=0, le=1)]
 GreyLevels = Annotated[float, Field(ge=0, le=255)]
 Exponent = Annotated[float, Field(ge=0, le=3)]
-"""Exponent of e: a factor is sampled between its inverse and itself, uniformly in its logarithm."""
+"""Exponent x of e: a factor is sampled from e^-x to e^x, uniformly in its logarithm."""
 
 
 class LightAugmentation(Settings):
@@ -70,7 +70,7 @@ class GeometryAugmentation(Settings):
     rotation: float = Field(default=4.0, ge=0, le=90, description="largest rotation, degrees")
     translation: Fraction = Field(default=0.1, description="largest shift, fraction of the size")
     crop_probability: Fraction = Field(
-        default=0.0, description="fraction of training images cropped at the top, as if uphill"
+        default=0.0, description="fraction of images cropped at the top: the horizon is higher"
     )
     max_crop: float = Field(
         default=0.5, ge=0, le=0.9, description="largest fraction of the height cropped at the top"
@@ -116,8 +116,8 @@ class WeatherAugmentation(Settings):
         default=0.15,
         gt=0,
         le=1,
-        description="densest fog: depth below the horizon, as a fraction of the height, at which "
-        "37 % of the ground's contrast is left",
+        description="densest fog: 37 % of the contrast remains on ground this fraction of the "
+        "height below the horizon",
     )
     snow: Fraction = Field(default=0.9, description="largest opacity of snow")
     reflection: Fraction = Field(default=0.6, description="largest reflectance of a wet road")
@@ -164,16 +164,15 @@ def sample_affine(
 ) -> Tensor:
     """Sample affine maps (n, 2, 3) from augmented to original coordinates, both in [-1, 1].
 
-    They show the whole image (mirrored, zoomed, stretched, rotated, translated), or a lower crop
-    of it, mirrored, whose width shrinks less than its height.
+    Each shows the whole image zoomed, stretched, rotated and shifted, or a crop at its lower edge;
+    half of them are mirrored. size: height and width.
     """
     mirror = _sample_mirrors(count, rng)
     zoom = torch.exp(uniform(rng, count, -geometry.scale, geometry.scale))
     width = zoom * torch.exp(uniform(rng, count, -geometry.stretch, geometry.stretch))
     angle = uniform(rng, count, -geometry.rotation, geometry.rotation) * (math.pi / 180)
-    shift = [
-        uniform(rng, count, -2 * geometry.translation, 2 * geometry.translation) for _ in range(2)
-    ]
+    reach = 2 * geometry.translation
+    shift = [uniform(rng, count, -reach, reach) for _ in range(2)]
     cos, sin, aspect = angle.cos(), angle.sin(), size[1] / size[0]
     across = torch.stack([mirror * cos / width, -sin / (zoom * aspect), shift[0]], 1)
     down = torch.stack([mirror * sin * aspect / width, cos / zoom, shift[1]], 1)
@@ -207,9 +206,8 @@ def jitter_light(image: Tensor, light: LightAugmentation, rng: torch.Generator) 
     adjust = import_torchvision().transforms.v2.functional
     gamma, gain = (math.exp(sample(rng, (-top, top))[0]) for top in (light.gamma, light.gain))
     tint = torch.exp(uniform(rng, 3, -light.tint, light.tint)).reshape(1, 3, 1, 1)
-    colour, noise = sample(
-        rng, (1 - light.saturation, 1 + light.saturation), (0, light.noise / 255)
-    )
+    change = light.saturation
+    colour, noise = sample(rng, (1 - change, 1 + change), (0, light.noise / 255))
     image = adjust.adjust_saturation(adjust.adjust_gamma(image, gamma), colour)
     return (image * gain * tint + noise * torch.randn(image.shape, generator=rng)).clamp(0, 1)
 
@@ -219,8 +217,8 @@ def retexture_road(
 ) -> Tensor:
     """Change colour and grain of road and other ground in an image (1, 3, H, W) in [0, 1].
 
-    road, ground: soft masks (1, 1, H, W) in [0, 1]. Shapes stay, so that road is not recognised by
-    its being grey.
+    road, ground: soft masks (1, 1, H, W) in [0, 1]. Only colour and grain change, so that the
+    network cannot rely on grey.
     """
     for mask in (road, ground):
         colour = torch.exp(uniform(rng, 3, -surface.tint, surface.tint)).reshape(1, 3, 1, 1)
@@ -232,7 +230,7 @@ def retexture_road(
 
 
 def sample_grain(size: Sequence[int], rng: torch.Generator) -> Tensor:
-    """Sample noise (1, 1, H, W) at several scales, of about unit deviation."""
+    """Sample noise (1, 1, H, W) of ``GRAIN_CELLS``, with a standard deviation of about 1."""
     layers = [
         F.interpolate(
             torch.randn(1, 1, max(2, across * size[0] // size[1]), across, generator=rng),
@@ -245,10 +243,7 @@ def sample_grain(size: Sequence[int], rng: torch.Generator) -> Tensor:
 
 
 def add_shadow(image: Tensor, shadow: ShadowAugmentation, rng: torch.Generator) -> Tensor:
-    """Cast a hard shadow across the lower part of an image (1, 3, H, W) in [0, 1].
-
-    It is a band at any angle: of a bridge or wall across the road, of a row of houses along it.
-    """
+    """Darken a straight band at a random angle, below the horizon, in an image (1, 3, H, W)."""
     height, width = image.shape[-2:]
     down = torch.linspace(0, 1, height)[:, None]
     along = torch.linspace(-0.5, 0.5, width)
@@ -265,7 +260,7 @@ def darken_to_night(
 ) -> Tensor:
     """Darken an image (1, 3, H, W) in [0, 1] to a night lit by headlights and a few lamps.
 
-    unlit: soft mask (1, 1, H, W) of what headlights leave dark, the ego car and the sky. The beam
+    unlit: soft mask (1, 1, H, W) of sky and ego car, which headlights do not reach. The beam
     starts below the horizon, widens towards the camera and peaks a little way ahead.
     """
     height, width = image.shape[-2:]
@@ -318,8 +313,8 @@ def add_fog(
 ) -> Tensor:
     """Add fog: transmission falls exponentially with distance.
 
-    The distance of ground is 1 over its depth below the horizon; what stands on it is as far as
-    the ground below it, and the sky is hidden.
+    Ground d below the horizon has the distance 1/d; other pixels have that of the farthest ground
+    below them in their column. The sky is hidden.
     """
     height = image.shape[-2]
     down = torch.linspace(0, 1, height)[:, None] - ground_horizon(scene) + 0.05
@@ -348,7 +343,7 @@ def add_snow(
 def wet_road(
     image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
-    """Darken the road and mirror what is beyond it in puddles."""
+    """Darken patches of the road and mirror the image at the horizon in them."""
     height, horizon = image.shape[-2], ground_horizon(scene)
     rows = 2 * horizon * height - torch.arange(height)
     mirrored = image[..., rows.round().long().clamp(0, height - 1), :]
@@ -361,7 +356,7 @@ def wet_road(
 def add_rain(
     image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
-    """Add falling streaks, drops on the glass that blur what is behind them, and a veil."""
+    """Add streaks, drops that show the image blurred and upside down, and a uniform veil."""
     size, level = image.shape[-2:], float(image.mean()) * 1.3 + 0.1
     density, veil, drops = sample(rng, (0, weather.streaks), (0, 0.3), (0, 0.02))
     starts = (torch.rand(1, 1, *size, generator=rng) < density).to(image)
@@ -423,9 +418,9 @@ def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, rng: torch.Generat
 
 
 def paste_ego_car(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, Tensor]:
-    """Paste an ego car over an image (1, 3, H, W) and its targets (1, 8, H, W).
+    """Paste an ego car over an image (1, 3, H, W) and its stacked ``Targets`` (1, 8, H, W).
 
-    On it the road is 0, the layout has no weight and the ego car is known.
+    There road is 0 and ego car 1, both with weight 1, and the layout has weight 0.
     """
     over = (car.ego > 0.5).to(targets)
     target = targets.new_tensor([0.0] * NUM_CLASSES + [0, 0, 1, 1, 1]).reshape(1, -1, 1, 1)

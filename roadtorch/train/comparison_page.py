@@ -1,4 +1,4 @@
-"""The page of a run that started from weights: its network before and after, measured."""
+"""Page that compares the network of a training run with its initial weights."""
 
 from dataclasses import replace
 
@@ -21,8 +21,7 @@ from roadtorch.train.run_folder import ADAPTATION_PAGE, RunFolder
 from roadtorch.train.teachers import teacher_agreement
 
 MAX_COMPARED, MAX_SHOWN = 60, 10
-"""Images that are compared, evenly spaced, and images on the page, half of them those that changed
-most."""
+"""Images that are compared, evenly spaced, and those on the page, half of them the most changed."""
 
 
 def write_page(
@@ -32,39 +31,38 @@ def write_page(
     verdict: str = "",
     command: str = "",
 ) -> bool:
-    """Write the page of a finished run with initial weights; return False without readable images.
+    """Write the page of a run with initial weights; return False without weights or images.
 
     verdict: sentence at the top. command: command line at the end.
     """
     if outcome.weights is None:
         return False
-    weights, calibrated = outcome.weights, outcome.weights.with_name(FUSION_CONFIG)
+    weights, config = outcome.weights, outcome.weights.with_name(FUSION_CONFIG)
     start = weights_path(training.initial_weights)
     initial = parse_reference(str(start), {})
-    trained = parse_reference(str(calibrated if calibrated.exists() else weights), {})
+    trained = parse_reference(str(config if config.exists() else weights), {})
     methods = (replace(initial, name="before"), replace(trained, name="after"))
     images = find_images([request.images], request.out)
     dataset = subsample_dataset(unlabelled_dataset(images), MAX_COMPARED)
     comparison = compare_masks(dataset, methods, quiet=request.quiet, desc="before and after")
     if not comparison.images:
         return False
-    taught = None
+    agreement = None
     if isinstance(training, ImageTraining):
         folder = request.prepared or request.out / PREPARED
         files = [folder / f"{image_file_name(image)}.npz" for image in images]
-        # Skipped images have no file.
         files = evenly_spaced([file for file in files if file.exists()], MAX_COMPARED)
         agreements = [
             teacher_agreement(network.eval(), files, training)
             for network in map(load_network, (start, weights))
             if isinstance(network, WholeImageNetwork)
         ]
-        taught = TeacherAgreement(training.teacher.detector, *agreements)
+        agreement = TeacherAgreement(training.teacher.detector, *agreements)
     change = Adaptation(
         comparison=comparison,
         files=(start, weights),
         examples=select_changed(comparison.images, MAX_SHOWN),
-        agreement=taught,
+        agreement=agreement,
         epochs=RunFolder(request.out).read_log(),
         verdict=verdict,
     )

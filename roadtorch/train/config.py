@@ -29,7 +29,7 @@ class Descent(Settings):
     schedule: Literal["constant", "cosine"] = Field(
         default="constant", description="learning rate: constant, or cosine down to 0"
     )
-    batch: int = Field(default=128, ge=1, le=10**6, description="samples of a step, about")
+    batch: int = Field(default=128, ge=1, le=10**6, description="samples per step, approximately")
     ema: float = Field(
         default=0.0,
         ge=0,
@@ -59,7 +59,10 @@ class Stopping(Settings):
         "after the last epoch",
     )
     min_delta: float = Field(
-        default=0.001, ge=0, le=10, description="fall of the mean loss for plateau"
+        default=0.001,
+        ge=0,
+        le=10,
+        description="largest fall of the mean loss that counts as a plateau",
     )
 
 
@@ -70,15 +73,11 @@ class PatchAugmentation(Settings):
     noise of a sensor, about one level; 0.3 to 1.2 standard deviations of the image would drown it.
     """
 
-    min_scale: float = Field(default=0.6, gt=0, le=10, description="magnification at least")
-    max_scale: float = Field(default=1.4, gt=0, le=10, description="magnification at most")
-    rotation: float = Field(default=17.0, ge=0, le=180, description="degrees to either side")
-    min_noise: GreyLevels = Field(
-        default=0.3, description="deviation of the noise at least, grey levels of 255"
-    )
-    max_noise: GreyLevels = Field(
-        default=1.2, description="deviation of the noise at most, grey levels of 255"
-    )
+    min_scale: float = Field(default=0.6, gt=0, le=10, description="least magnification")
+    max_scale: float = Field(default=1.4, gt=0, le=10, description="largest magnification")
+    rotation: float = Field(default=17.0, ge=0, le=180, description="largest rotation, degrees")
+    min_noise: GreyLevels = Field(default=0.3, description="least noise deviation, of 255 levels")
+    max_noise: GreyLevels = Field(default=1.2, description="largest noise deviation, of 255 levels")
 
 
 class PatchCentres(Settings):
@@ -161,20 +160,24 @@ class Teacher(Settings):
     )
     working: WorkingSize = WorkingSize()
     margin: float = Field(
-        default=0.5, ge=0, lt=1, description="lead of the best class from which a pixel counts"
+        default=0.5,
+        ge=0,
+        lt=1,
+        description="least lead of the best class for a pixel's layout to count",
     )
     otsu_weight: Fraction = Field(
         default=0.0,
         description="weight of each image's Otsu threshold against ``road_threshold``, in log odds",
     )
     road_threshold: float = Field(
-        default=0.39, gt=0, lt=1, description="likelihood from which a pixel is road"
+        default=0.39, gt=0, lt=1, description="teacher's likelihood that becomes 0.5 in the target"
     )
     road_margin: float = Field(
-        default=0.0, ge=0, lt=1, description="|2p - 1| from which a pixel's road counts"
+        default=0.0, ge=0, lt=1, description="least |2p - 1| for a pixel's road target p to count"
     )
     targets: Literal["hard", "soft"] = Field(
-        default="hard", description="targets: the best class (hard), or the potentials (soft)"
+        default="hard",
+        description="soft: potentials and road likelihood; hard: best class, road from 0.5 on",
     )
 
 
@@ -192,7 +195,7 @@ class Recordings(Settings):
         default=8, ge=2, le=10**4, description="frames needed to find a static ego car"
     )
     balance: Fraction = Field(
-        default=0.0, description="0 samples images uniformly, 1 recordings; a power between"
+        default=0.0, description="a recording of n images is sampled with n^(1 - balance)"
     )
 
 
@@ -209,7 +212,7 @@ class Rounds(Settings):
     count: Literal[1] = Field(default=1, description="rounds of a run: 1")
     combine: Literal["agreement", "teacher"] = Field(
         default="agreement",
-        description="labels where initial network and teacher agree, or the teacher's alone",
+        description="mean of teacher and initial network where they agree, or teacher alone",
     )
     start: Literal["fresh", "continued"] = Field(
         default="fresh", description="train new weights (fresh) or the initial ones (continued)"
@@ -234,7 +237,7 @@ class ImageTraining(CommonTraining):
         default=(1.0,),
         min_length=1,
         max_length=16,
-        description="sizes relative to the network's, one for each batch",
+        description="factors on the network's size, one sampled for each batch",
     )
     descent: Descent = Descent(method="adam", learning_rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
@@ -248,9 +251,9 @@ TRAINING_KINDS: dict[str, type[PatchTraining] | type[ImageTraining]] = {
 
 
 def build_training(values: dict[str, Any]) -> Training:
-    """Build the settings of a run from nested values; ``kind`` selects the kind of network.
+    """Build the settings of a run from nested values; ``kind`` is a key of ``TRAINING_KINDS``.
 
-    Raises ConfigError for an unknown kind, and for keys and values as any settings do.
+    Raises ConfigError for an unknown kind, an unknown key or a value that is not allowed.
     """
     nested = dict(values)
     kind = str(nested.pop("kind", PatchTraining.name))  # str, as a list could not be looked up
@@ -276,9 +279,8 @@ def build_training(values: dict[str, Any]) -> Training:
         message = "is empty, but a backbone needs initial weights"
         hint = "give weights of such a network, such as backbone-free"
         raise ConfigError("initial_weights", message, hint)
-    elif (
-        probability := settings.augmentation.ego_car.probability
-    ) and not settings.recordings.separator:
+    elif settings.augmentation.ego_car.probability and not settings.recordings.separator:
+        probability = settings.augmentation.ego_car.probability
         message = f"is {probability:g}, but ego cars are only found in recordings"
         hint = 'set recordings.separator, such as "_"'
         raise ConfigError("augmentation.ego_car.probability", message, hint)

@@ -67,8 +67,7 @@ def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any]
 def scale_learning_rate(descent: Descent, half_rate_images: float, images: int) -> Descent:
     """Scale the learning rate by n / (n + half_rate_images) for n corrected images, if any. Ours.
 
-    Few images that are unlike those to come then do less harm, and twenty are learned in as many
-    steps.
+    A few unrepresentative images then do less harm.
     """
     if not images:
         return descent
@@ -79,10 +78,7 @@ def scale_learning_rate(descent: Descent, half_rate_images: float, images: int) 
 def write_corrections(
     folder: Path, files: Mapping[Path, Correction], encode: Callable[[Correction], Arrays]
 ) -> dict[Path, Path]:
-    """Write the corrections of prepared images at the network's size; return the written files.
-
-    encode: converts a correction to arrays of that size.
-    """
+    """Write the encoded corrections of prepared images; return the written file by prepared one."""
     make_folder(folder)
     written = {file: folder / f"{number:06d}.npz" for number, file in enumerate(sorted(files))}
     for file, path in written.items():
@@ -96,7 +92,7 @@ def write_corrections(
 def write_fusion_config(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
     """Write a config of ``fusion`` with the weights beside it; return False without road labels.
 
-    With true labels, a log odds of 0 separates road from background, not the usual centre.
+    Its calibration has the centre 0, as log odds learned from true labels need no shift.
     """
     roads = [correction.road for correction in corrections]
     if not any(((road == ROAD_LABEL) | (road == NOT_ROAD)).any() for road in roads):

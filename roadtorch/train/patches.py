@@ -59,7 +59,7 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
 
 
 def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
-    """Return the weight of each class, (3,): all 1, or such that each class weighs the same in sum.
+    """Return class weights (3,): all 1, or inversely proportional to the classes' patches.
 
     Raises InputError if no image has a labelled patch.
     """
@@ -94,10 +94,7 @@ class LabelledCentres(NamedTuple):
 def merge_corrections(
     labelled: LabelledCentres, correction: Arrays, weight: float
 ) -> LabelledCentres:
-    """Replace machine-labelled centres in corrected areas by a grid of corrected ones.
-
-    correction: of ``PatchRecipe.encode_correction``.
-    """
+    """Replace centres in corrected areas by a grid of centres labelled by ``encode_correction``."""
     layout, is_corrected = correction["layout"], correction["known"].bool()
     rows, columns = labelled.centres.long().unbind(1)
     is_machine = ~is_corrected[rows, columns]
@@ -114,7 +111,7 @@ def merge_corrections(
 
 
 def oversample(files: Sequence[Path], corrected: Container[Path], fraction: float) -> list[Path]:
-    """Repeat corrected files until they are about ``fraction`` of all; keep each at least once."""
+    """Repeat corrected files until they are about ``fraction`` of all; at 1, keep them alone."""
     corrected_files = [file for file in files if file in corrected]
     machine_count = len(files) - len(corrected_files)
     if not corrected_files or not machine_count or fraction == 1:
@@ -133,8 +130,8 @@ NOISE_PATCHES = 256
 class Variation(NamedTuple):
     """Random variation of n patches.
 
-    centre: (n, 2), row and column. scale: magnification. turn: radians. noise: standard deviation
-    in grey levels of 255. noise_patch: int64, its index.
+    centre: row and column, (n, 2). scale: magnification. turn: rotation, radians. noise: standard
+    deviation in grey levels of 255. noise_patch: index of the patch of noise, int64.
     """
 
     centre: Tensor
@@ -171,33 +168,28 @@ def sample_noise(patch: int, generator: torch.Generator) -> Tensor:
 def sample_patches(pixels: Tensor, params: Variation, patch: int) -> Tensor:
     """Extract patches (n, 3, P, P) from an image (3, H, W), bilinear, reflected at the border.
 
-    At scale 1 and angle 0 they are the inputs of ``PatchNetwork.dense``: P/2 pixels before the
-    centre, one less behind it.
+    Each has P/2 pixels before its centre and P/2 - 1 after it, as in ``PatchNetwork``.
     """
     count, (height, width) = len(params.centre), pixels.shape[-2:]
     offsets = torch.arange(patch, dtype=torch.float32) - patch // 2
-    along, aside = (f(params.turn) / params.scale for f in (torch.cos, torch.sin))
+    cos, sin = (f(params.turn) / params.scale for f in (torch.cos, torch.sin))
     grid = torch.empty(count, patch, patch, 2)
     # column = sin·down + cos·across, row = cos·down - sin·across
-    for axis, (down, across, length) in enumerate(((aside, along, width), (along, -aside, height))):
+    for axis, (down, across, length) in enumerate(((sin, cos, width), (cos, -sin, height))):
         unit = 2 / max(1, length - 1)  # from pixels to -1 (first) … 1 (last)
         start = params.centre[:, 1 - axis] * unit - 1
         down = down[:, None] * offsets * unit + start[:, None]
         across = across[:, None] * offsets * unit
         torch.add(down[:, :, None], across[:, None, :], out=grid[..., axis])
-    cut = F.grid_sample(
-        pixels[None],
-        grid.reshape(1, count * patch, patch, 2),
-        padding_mode="reflection",
-        align_corners=True,
-    )
+    grid = grid.reshape(1, count * patch, patch, 2)
+    cut = F.grid_sample(pixels[None], grid, padding_mode="reflection", align_corners=True)
     return cut.reshape(3, count, patch, patch).transpose(0, 1)
 
 
 def add_noise(
     patches: Tensor, params: Variation, noise: Tensor, gain: float, out: Tensor | None = None
 ) -> Tensor:
-    """Add noise to patches (n, 3, P, P); gain: factor from [0, 1] to the patches' units."""
+    """Add noise to patches (n, 3, P, P); ``gain`` is that of their ``NormalisedImage``."""
     deviation = (params.noise * (gain / 255))[:, None, None, None]
     return torch.addcmul(patches, noise.index_select(0, params.noise_patch), deviation, out=out)
 
@@ -212,9 +204,8 @@ EXTRACTION_BLOCK = 128
 class PatchSamples:
     """Patches of prepared images, shuffled over ``shuffle_images`` of them at a time.
 
-    A chunk holds a part of the patches of that many images, another part at each visit. Memory is
-    that of about ``shuffle_images`` / ``passes`` images and of ``make_cached_reader``, however many
-    images there are.
+    A chunk is one ``passes``-th of the patches of that many images. Memory does not grow with the
+    number of images.
     """
 
     def __init__(
@@ -265,7 +256,7 @@ class PatchSamples:
     def _fill_buffer(
         self, members: list[int], images: Tensor, params: Variation, noise: Tensor
     ) -> None:
-        """Fill the buffer with the patches of ``params``; images: index of each (n,), ascending."""
+        """Fill the buffer with patches; images: index into ``members`` of each, (n,), ascending."""
         network = self._training.network
         patch = network.topology.patch
         if len(self._buffer) < len(images):
@@ -321,10 +312,9 @@ class PatchRecipe:
         """Do nothing: patches depend on single images."""
 
     def prepare(self, image: Tensor, name: str) -> Arrays:
-        """Prepare an image (3, H, W): resize it, and label the centres of its patches.
+        """Resize an image (3, H, W) and label the centres of its patches, without uncertain ones.
 
-        image: uint8 (3, h, w); centres: int16 (n, 2), row and column; classes: uint8 (n,), 0, 1, 2.
-        Centres about which the labeller is uncertain are left out.
+        Returns image: uint8 (3, h, w); centres: row and column, int16 (n, 2); classes: uint8 (n,).
         """
         training, working = self._training, self._training.network.working
         small = resize_to_work(image, working)
@@ -339,10 +329,10 @@ class PatchRecipe:
         }
 
     def encode_correction(self, correction: Correction) -> Arrays:
-        """Return a correction at working size.
+        """Return a correction at working size: ``layout`` and ``known``, uint8 (h, w).
 
-        ``layout``: uint8 (h, w), 0, 1, 2, or 255 where uncorrected; ``known``: 1 where the machine
-        label is ignored. "Not road" determines no layout; void only removes the machine label.
+        layout: 0, 1, 2, or 255 where it is not corrected. known: 1 where the machine label is
+        dropped, which includes void pixels.
         """
         height, width = correction.labels.shape
         size = working_size(height, width, self._training.network.working)

@@ -41,10 +41,10 @@ class PreparedImage:
 
 @dataclass(frozen=True)
 class Preparation:
-    """The preparation of an image in a worker.
+    """The preparation of an image in a worker process.
 
-    key: hash of an image and all settings that matter. compute: makes named arrays from an image
-    (3, H, W) in [0, 1] and its name.
+    key: returns the cache key of an image. compute: makes named arrays from an image (3, H, W) in
+    [0, 1] and its name.
     """
 
     folder: Path
@@ -55,9 +55,7 @@ class Preparation:
         """Prepare an image unless its file is up to date; ConfigError if a setting is wrong."""
         name, key = image_file_name(image), self.key(image)
         file = self.folder / f"{name}.npz"
-        if (
-            read_cached(file, key) is not None
-        ):  # read as a whole, as damage would end the training later
+        if read_cached(file, key) is not None:  # reads all arrays: damage would end the training
             return PreparedImage(name, file)
         try:
             arrays = self.compute(validate_image(image.read()), image.name)
@@ -77,9 +75,9 @@ class Preparation:
 def prepare(
     images: Sequence[Item], preparation: Preparation, stop: StopRequest, quiet: bool = False
 ) -> list[PreparedImage]:
-    """Prepare all images that are not up to date; report and skip those that fail.
+    """Prepare all images that are not up to date, in order; report and skip those that fail.
 
-    Returns one item an image, in order; if a stop is requested, only those that are ready.
+    If a stop is requested, only those that are ready are returned.
     """
     made, count = list[PreparedImage](), len(images)
     with single_threaded_process():
@@ -99,5 +97,5 @@ def _died(image: Item) -> PreparedImage:
 
 
 def image_file_name(image: Item) -> str:
-    """Return an image's relative name with its suffix, which two images of one stem need."""
+    """Return an image's relative name with its suffix: two images may differ in that alone."""
     return image.name + image.suffix

@@ -19,21 +19,21 @@ from roadtorch.run.memo import Arrays, cache_key, read_cached, write_cached
 from roadtorch.train.config import Recordings
 
 MAX_FRAMES = 120
-"""Frames of a recording that are examined, evenly spaced; more show nothing new."""
+"""Largest number of frames of a recording that are examined, evenly spaced."""
 
 FRAME_SIZE = WorkingSize(pixels=640 * 480)
 """Size to which frames are reduced, as all frames of a recording are in memory at once."""
 
 EDGE_COLUMNS, EDGE_JUMP, MAX_EDGE_JUMPS = 160, 0.012, 0.1
-"""Columns at which the edge of an ego car is compared, the step between neighbours that counts as a
-jump (fraction of the height), and the fraction of jumps from which it is no smooth edge."""
+"""Columns at which an ego car's upper edge is sampled, the difference of neighbours that is a jump
+(fraction of the height), and the largest fraction of jumps in a smooth edge."""
 
 ASPECT_BINS = 10
 """Bins per unit of width / height, by which frames are grouped."""
 
 
 def recording_name(name: str, separator: str) -> str:
-    """Return a name up to its last separator; all of it without one, or without a separator set."""
+    """Return a name up to its last separator, or all of it if it has none."""
     return name.rpartition(separator)[0] if separator and separator in name else name
 
 
@@ -42,8 +42,7 @@ def find_ego_cars(
 ) -> Mapping[str, Path]:
     """Find the ego car of each recording; return the file of the result by image name.
 
-    Recordings with too few frames are left out, and results of the same images are reused. Stops
-    early on request.
+    Recordings with too few frames are left out. Files of the same images are reused.
     """
     if not settings.separator:
         return {}
@@ -62,7 +61,7 @@ def find_ego_cars(
 
 
 def detect_ego_cars(images: Sequence[Item], min_frames: int) -> Arrays:
-    """Detect the ego car bool (H, W) in images of one camera, for each aspect ratio."""
+    """Detect the ego car, bool (H, W), of one camera's images; return it by ``aspect_bin``."""
     shapes: dict[int, list[Tensor]] = {}
     for image in images:
         with suppress(InputError):  # reported when it is prepared
@@ -76,7 +75,7 @@ def detect_ego_cars(images: Sequence[Item], min_frames: int) -> Arrays:
 def has_smooth_edge(ego: Tensor) -> bool:
     """Return whether the upper edge of an ego car bool (H, W) is smooth, as a bonnet's is.
 
-    In few frames of a slow drive kerbs and lane marks look static too, but their edge jumps.
+    In few frames of a slow drive kerbs and lane marks look static too, but with a rough edge.
     """
     height, width = ego.shape
     first = torch.where(ego.any(0), ego.to(torch.uint8).argmax(0), height) / height

@@ -62,8 +62,8 @@ class TrainingRequest:
     """The inputs of a run.
 
     images: a folder, file or quoted glob. prepared: folder of prepared images; None for one inside
-    ``out``. corrections: human corrections of some of the images. part: index and number of equal
-    runs, for the bar.
+    ``out``. corrections: human corrections of some of the images. part: number of this run, from 1,
+    among equal runs, and their count, for the progress bar.
     """
 
     images: str
@@ -107,10 +107,9 @@ def make_recipe(training: Training) -> Recipe:
 
 
 def load_initial_network(training: Training) -> LayoutNetwork | None:
-    """Load the network with the initial weights; None without any.
+    """Load the network with the initial weights, at the training's image size; None without any.
 
-    A whole-image network may have been trained at another size; it continues at that of the
-    settings. Raises WeightsError if its settings differ otherwise.
+    Raises WeightsError if its settings differ in anything but the size.
     """
     if not training.initial_weights:
         return None

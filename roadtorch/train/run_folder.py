@@ -36,7 +36,7 @@ RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png
 IMAGES, WEIGHTS, ADAPTATION_PAGE = "images.csv", "weights.safetensors", "adaptation.html"
 RUN_FILES = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, ADAPTATION_PAGE)
 INITIAL_LABELS = "labels-1"
-"""Folder of the labels by the network that a run starts from."""
+"""Folder of the initial network's labels."""
 
 OTHER_OUT = "give another --out"
 BAD_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
@@ -48,9 +48,7 @@ def config_hash(values: Mapping[str, Any]) -> str:
 
 
 def make_record(
-    config: Mapping[str, Any],
-    images: Sequence[Item],
-    corrections: Mapping[str, Any] | None,
+    config: Mapping[str, Any], images: Sequence[Item], corrections: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return the content of run.json: settings, images and corrections, with a key of each."""
     files = [(image_file_name(image), file_digest(image.path)) for image in images]
@@ -81,10 +79,9 @@ class RunFolder:
             yield
 
     def check(self, record: Mapping[str, Any]) -> None:
-        """Check, without writing, that a run with this record (``make_record``) may use the folder.
+        """Check that the folder has no files of a run, or those of a run with this record.
 
-        The folder has no files of a run, or those of a run with the same version, settings, images
-        and corrections. Raises ConfigError, InputError.
+        record: of ``make_record``. Nothing is written. Raises ConfigError, InputError.
         """
         previous = self._read_record()
         if previous is None:

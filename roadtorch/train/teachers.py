@@ -1,6 +1,6 @@
 """Teachers of whole-image networks: their labels, the targets made of them, agreement. Ours.
 
-The teacher is a detector; a network with initial weights contributes as well.
+The teacher is a detector; its labels may be combined with those of the initial network.
 """
 
 import math
@@ -19,7 +19,7 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import EGO_OUTPUT, ROAD_OUTPUT, scores_to_potentials
+from roadtorch.layout.image_network import ROAD_OUTPUT, scores_to_potentials
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.road.bayes import centred_odds, log_odds
@@ -33,10 +33,10 @@ from roadtorch.train.prepared import from_uint8, to_uint8
 
 
 EGO_KNOWN = 0.25
-"""Distance from 0.5 at which the ego car is known; its maps are bytes and interpolated by warps."""
+"""Least distance of an ego value from 0.5, unknown, to count: values are interpolated by warps."""
 
 EGO_CERTAIN = 0.8
-"""Probability from which a network's ego car counts; weaker belief would grow from run to run."""
+"""Probability from which a network's ego car counts, so that errors do not grow from run to run."""
 
 
 class Targets(NamedTuple):
@@ -60,32 +60,25 @@ TARGET_PLANES = (NUM_CLASSES, 1, 1, 1, 1, 1)
 def make_targets(
     teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher, rounds: Rounds
 ) -> Targets:
-    """Compute targets from the maps (B, 4, H, W) of the teacher and those of an initial network.
+    """Compute targets from the maps (B, 4, H, W) of the teacher and (B, 5, H, W) of a network.
 
-    ego: (B, 1, H, W), ego car found in the footage: 1 ego, 0 not, 0.5 unknown; where unknown it is
-    0 or taken from the network's maps (B, 5, H, W) if they are certain. The road likelihood is
-    shifted so that its threshold becomes 0.5. A pixel counts if its best class leads by
-    ``margin``; with ``combine = "agreement"`` only where teacher and network agree on the class,
-    or on road. On the ego car road is 0 and counts, and the layout does not count.
+    ego: ego car in the footage, (B, 1, H, W): 1 ego, 0 not, 0.5 unknown, where it is the network's.
+    Road likelihoods are shifted so that their threshold becomes 0.5. Weights are 0 or 1: 1 where
+    the best class leads by ``margin``, road is certain by ``road_margin``, and, with
+    ``combine = "agreement"``, teacher and network agree. On the ego car road is 0 with weight 1,
+    and the layout has weight 0.
     """
     layout, road = teacher[:, :NUM_CLASSES], centre_likelihood(teacher[:, NUM_CLASSES:], settings)
-    agree = agree_road = torch.ones_like(road)
+    agree, agree_road, guess = torch.ones_like(road), torch.ones_like(road), torch.zeros_like(ego)
     if network is not None:
-        network_layout, network_road = (
-            network[:, :NUM_CLASSES],
-            network[:, ROAD_OUTPUT : ROAD_OUTPUT + 1],
-        )
+        network_layout, network_road, network_ego = network.split((NUM_CLASSES, 1, 1), 1)
+        guess = (network_ego >= EGO_CERTAIN).to(ego)
         if rounds.combine == "agreement":
             agree = (best_class(layout) == best_class(network_layout)).to(road)
             agree_road = ((road >= 0.5) == (network_road >= 0.5)).to(road)
         weight = 1.0 if rounds.combine == "teacher" else 0.5
         layout = torch.lerp(network_layout, layout, weight)
         road = torch.lerp(network_road, road, weight)
-    guess = (
-        torch.zeros_like(ego)
-        if network is None
-        else (network[:, EGO_OUTPUT:] >= EGO_CERTAIN).to(ego)
-    )
     ego = torch.where((ego - 0.5).abs() < EGO_KNOWN, guess, ego)
     best = layout.topk(2, dim=1).values
     sure = (best[:, :1] - best[:, 1:] >= settings.margin).to(road)
@@ -133,10 +126,10 @@ def prepare_image(
 
 
 def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
-    """Resize an image and its maps in [0, 1], of any sizes, to uint8 arrays in 255ths.
+    """Resize an image (3, h, w) and its maps, in [0, 1] and of any sizes, to uint8 up to 255.
 
-    image: (3, h, w). maps: (4, h, w), the teacher's sky, vertical, horizontal, road. ego: (h, w):
-    1 ego, 0 not, 0.5 unknown.
+    maps: the teacher's sky, vertical, horizontal, road, (4, h, w). ego: (h, w), 1 ego, 0 not, 0.5
+    unknown.
     """
     parts = {"image": image, "maps": maps, "ego": ego[None]}
     small = {name: to_uint8(resize_maps(part, size).clamp(0, 1)) for name, part in parts.items()}
@@ -144,20 +137,14 @@ def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int])
 
 
 def shows_ego_car(file: Path) -> bool:
-    """Return whether a prepared image shows a whole ego car, from one side to the other.
-
-    A small piece may be a lane mark or a static reflection instead.
-    """
+    """Return whether a prepared image shows an ego car from side to side."""
     ego = read_arrays(file, "ego")["ego"] == 255
     across = float(ego.any(0).double().mean())
     return across >= MIN_EGO_WIDTH and float(ego.double().mean()) >= MIN_EGO_AREA
 
 
 def load_teacher(teacher: Teacher) -> Detector:
-    """Load the detector that makes the labels.
-
-    Raises ConfigError for an unknown name or a detector without a working size.
-    """
+    """Load the teacher; ConfigError for an unknown name or a detector without a working size."""
     settings: dict[str, Any] = {"weights": {"file": teacher.weights}} if teacher.weights else {}
     return load_detector(teacher.detector, working={"pixels": teacher.working.pixels}, **settings)
 
@@ -183,8 +170,7 @@ def label_with_network(
 ) -> list[Path]:
     """Write a network's maps of prepared images, averaged over mirroring; return the files.
 
-    One file an image, in the order of ``files``; those of the same image and network are reused.
-    Stops early on request.
+    Files of the same image and network are reused. If a stop is requested, some are not written.
     """
     weights = cache_key([value.numpy().tobytes() for value in network.state_dict().values()])
     names = [folder / f"{number:06d}.npz" for number in range(len(files))]
@@ -212,10 +198,10 @@ def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
 def teacher_agreement(
     network: WholeImageNetwork, files: Sequence[Path], training: ImageTraining
 ) -> Agreement:
-    """Measure how often a network agrees with the teacher on prepared images, over all pixels.
+    """Measure the fractions of pixels of prepared images on which network and teacher agree.
 
-    Only pixels count that have a weight in training (``make_targets``). Raises InputError for a
-    damaged file; without such pixels a fraction is NaN.
+    Only pixels with a weight in ``make_targets`` count; without any, a fraction is NaN. Raises
+    InputError for a damaged file.
     """
     agreeing, counted = torch.zeros(2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
     for file in files:

@@ -25,14 +25,13 @@ from roadtorch.train.run_folder import BAD_CHECKPOINT, CHECKPOINT, RunFolder
 
 
 PATCH_ORDER, CENTRES, PATCH_VARIATION, IMAGE_ORDER, IMAGE_VARIATION = range(5)
-"""First number of a generator's key, so that each use has generators of its own."""
+"""First numbers of generators' keys: each use of random numbers has its own generators."""
 
 
 def make_generator(seed: int, *key: int) -> torch.Generator:
     """Return the generator of a seed and a key (use, epoch, chunk, …).
 
-    No state is carried from one key to the next, so a resumed run samples what the uninterrupted
-    one would have sampled.
+    It depends on nothing else, so a resumed run samples as the uninterrupted one would.
     """
     state = np.random.SeedSequence([seed, *key]).generate_state(1, np.uint64)[0]
     return torch.Generator().manual_seed(int(state >> np.uint64(1)))
@@ -52,14 +51,11 @@ def seed_torch(seed: int, *key: int) -> Iterator[None]:
 Network = TypeVar("Network", bound=nn.Module)
 
 WARM_UP_STEPS = 10
-"""Steps of warm-up, during which the average forgets early weights faster."""
+"""Warm-up of the average: after n steps the decay is at most n / (n + this)."""
 
 
 class MovingAverage(Generic[Network]):
-    """Exponential moving average of a network's weights over its steps, with warm-up.
-
-    Polyak and Juditsky, 1992.
-    """
+    """Exponential moving average of a network's weights (Polyak and Juditsky 1992)."""
 
     def __init__(self, network: Network, ema: float) -> None:
         self.network = copy.deepcopy(network)
@@ -121,9 +117,9 @@ class TrainingProgress:
 class Loop:
     """The epochs of a run: a network, its averaged copy and their progress.
 
-    chunks: parts of an epoch, each held in memory, between which a run can be interrupted and
-    resumed. batches: yields those of an epoch and a chunk, always the same. loss: of a network,
-    summed over a batch. part: index and number of equal trainings, over which the bar extends.
+    chunks: number of parts of an epoch, between which a run can be interrupted and resumed.
+    batches: yields the batches of an epoch and a chunk, always the same. loss: of a network, summed
+    over a batch. part: number of this training, from 1, and count of those that share the bar.
     """
 
     network: LayoutNetwork
@@ -142,11 +138,8 @@ class Loop:
         """Create the averaged network and the optimizer."""
         descent = self.descent
         self.average = MovingAverage(self.network, descent.ema)
-        weights, rate, decay = (
-            self.network.parameters(),
-            descent.learning_rate,
-            descent.weight_decay,
-        )
+        rate, decay = descent.learning_rate, descent.weight_decay
+        weights = self.network.parameters()
         self._optimiser: torch.optim.Optimizer = (
             torch.optim.AdamW(weights, rate, weight_decay=decay)
             if descent.method == "adam"
@@ -166,7 +159,7 @@ class Loop:
     def train(self) -> None:
         """Train from ``progress`` to the last epoch, or until a stop is requested.
 
-        Saves a checkpoint after each epoch, every ``SAVE_INTERVAL`` seconds and before it returns.
+        Saves a checkpoint after each epoch, every ``SAVE_INTERVAL`` seconds and on a stop.
         Raises ConfigError if the loss is no longer finite.
         """
         self.network.train()
@@ -205,7 +198,7 @@ class Loop:
                 return
 
     def _bar(self) -> Progress:
-        """Return the bar over the chunks of all equal trainings; early stopping shortens it."""
+        """Return the progress bar over the chunks of all equal trainings."""
         part, parts = self.part
         whole = self.stopping.epochs * self.chunks
         done = self.progress.epoch * self.chunks + self.progress.chunk

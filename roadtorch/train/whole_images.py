@@ -61,9 +61,9 @@ EGO_CARS = "ego-cars"
 class ImageSamples:
     """Prepared images in augmented batches; a chunk is one batch.
 
-    files: image, teacher's maps and ego car of each. labels: maps of the initial network, in the
-    same order, if any. sampling_weights: of the files. ego_cars: files that show an ego car, by
-    recording. corrected: correction by file.
+    files: prepared images. labels: files of the initial network's maps in the same order, or none.
+    sampling_weights: (n,). ego_cars: files that show an ego car, by recording. corrected: file of
+    the correction by prepared image.
     """
 
     training: ImageTraining
@@ -93,27 +93,24 @@ class ImageSamples:
         size = (training.network.height, training.network.width)
         generator = make_generator(training.random_seed, IMAGE_VARIATION, 0, epoch, chunk)
         geometry = training.augmentation.geometry
-        frames = augmentation.sample_affine(len(members), size, geometry, generator)
+        transforms = augmentation.sample_affine(len(members), size, geometry, generator)
         seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
-        draws = zip(members, frames.split(1), seeds, strict=True)
-        images, targets = map(
-            torch.cat, zip(*(self._augment(*draw) for draw in draws), strict=True)
-        )
+        samples = map(self._augment, members, transforms.split(1), seeds)
+        images, targets = map(torch.cat, zip(*samples, strict=True))
         scales = training.scales
         scale = scales[int(torch.randint(len(scales), (), generator=generator))]
         if scale != 1:
-            images, targets = (
-                resize_maps(maps, scale_size(*size, scale)) for maps in (images, targets)
-            )
+            size = scale_size(*size, scale)
+            images, targets = (resize_maps(maps, size) for maps in (images, targets))
         yield Batch(images, targets, torch.ones(len(images)))
 
-    def _augment(self, member: int, frame: Tensor, seed: int) -> tuple[Tensor, Tensor]:
+    def _augment(self, member: int, transform: Tensor, seed: int) -> tuple[Tensor, Tensor]:
         """Return an augmented, normalised image (1, 3, H, W) and its targets (1, 8, H, W)."""
         training, rng = self.training, torch.Generator().manual_seed(seed)
         settings = training.augmentation
         image, targets = self._read_sample(member)
-        image = augmentation.warp_affine(image, frame, "border")
-        planes = augmentation.warp_affine(torch.cat(targets, 1), frame, "zeros")
+        image = augmentation.warp_affine(image, transform, "border")
+        planes = augmentation.warp_affine(torch.cat(targets, 1), transform, "zeros")
 
         def is_chosen(probability: float) -> bool:
             return float(torch.rand((), generator=rng)) < probability
@@ -154,10 +151,9 @@ class ImageSamples:
 
 
 def sample_members(weights: Tensor, count: int, rng: torch.Generator) -> Tensor:
-    """Sample ``count`` members in random order, each in proportion to its weight; int64 (count,).
+    """Sample ``count`` indices in proportion to weights (n,), shuffled: int64 (count,).
 
-    Systematic sampling: a member whose expected number is 1.6 is sampled once or twice, and with
-    equal weights and n samples each is sampled once.
+    Systematic sampling: an index that is expected 1.6 times is sampled once or twice.
     """
     expected = weights.to(torch.float64).cumsum(0)
     expected = expected / expected[-1] * count
@@ -174,10 +170,10 @@ MIN_CORRECTED = 0.5
 
 
 def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
-    """Replace machine targets by corrections.
+    """Replace machine targets by corrections, which have the given weight.
 
-    planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.encode_correction``. Void removes both;
-    corrected road is no ego car.
+    planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.encode_correction``. Void pixels get the
+    weight 0; corrected road is no ego car.
     """
     road, not_road, void, layout = planes.split((1, 1, 1, NUM_CLASSES), 1)
     is_corrected, is_void = road + not_road >= MIN_CORRECTED, void > MIN_CORRECTED
@@ -199,7 +195,7 @@ def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Target
 
 
 def reweight_corrected(weights: Tensor, corrected: Tensor, fraction: float) -> Tensor:
-    """Scale sampling weights (n,) so that corrected images, bool (n,), get ``fraction`` of the sum.
+    """Scale weights (n,) so that corrected images, bool (n,), get ``fraction`` of their sum.
 
     Unchanged if all images are corrected, or none.
     """
@@ -213,7 +209,7 @@ def reweight_corrected(weights: Tensor, corrected: Tensor, fraction: float) -> T
 
 
 def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Tensor:
-    """Sum the mean losses of a batch's images; targets are soft, or the best class alone."""
+    """Sum the mean losses of a batch's images, with soft or hard targets (``Teacher.targets``)."""
     scores = network(batch.inputs).float()
     small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
     targets = Targets(*small.split(TARGET_PLANES, 1))
@@ -275,10 +271,9 @@ class ImageRecipe:
         return prepare_image(image, ego, self._teacher, self._training)
 
     def encode_correction(self, correction: Correction) -> Arrays:
-        """Return a correction at the network's size.
+        """Return a correction at the network's size: ``planes``, uint8 (6, h, w).
 
-        ``planes``: uint8 (6, h, w) in 255ths, fractions of a cell's pixels labelled road, not road,
-        void, sky, vertical, horizontal.
+        255 times the fraction of a pixel labelled road, not road, void, sky, vertical, horizontal.
         """
         network = self._training.network
         road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)

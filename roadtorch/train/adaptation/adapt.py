@@ -1,9 +1,8 @@
-"""Adaptation to footage: frames, camera, a network of each half, their average, a verdict. Ours.
+"""Adaptation of a whole-image network to footage without labels. Ours.
 
-Each half of the footage trains a network and calibrates its bias; the network is judged on the
-other half, which it has not seen. The result is the average of both networks' weights: fine-tuned
-networks from the same initial weights lie in one low-loss basin (Wortsman et al., Model soups,
-ICML 2022).
+On each half of the sampled frames a network is fine-tuned and its bias calibrated; it is judged on
+the other half. The result is the average of both networks' weights: networks fine-tuned from the
+same initial weights lie in one low-loss basin (Wortsman et al., Model soups, ICML 2022).
 """
 
 from collections.abc import Sequence
@@ -49,20 +48,22 @@ from roadtorch.train.run_folder import WEIGHTS, RunFolder
 from roadtorch.train.whole_images import ImageRecipe
 
 CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "looks"
+"""Names in the folder of results; the last is the folder of the teacher's labels."""
+
 CALIBRATED = "calibrated.safetensors"
-"""Weights of a half, with its bias calibrated to the teacher's."""
+"""Weights of a half's network, with its bias calibrated to the teacher."""
 
 LABEL_SMOOTHING = TemporalFilterSettings(flow_error=2.0, relative_flow_error=0.1, contrast=0.1)
-"""Stricter than for video: frames are far apart in time, flow that closes is often chance, and
-places look alike."""
+"""Stricter than for video: frames are far apart in time, so that forward and backward flow often
+agree by chance."""
 
 
 @dataclass(frozen=True)
 class AdaptationResult:
     """The result of an adaptation.
 
-    outcome: weights, or the signal that interrupted it. camera: its file, None if there is none.
-    missing: parts that the footage could not give, with the reason, a line each.
+    camera: file of the camera, None if none was written. missing: results that could not be
+    written, each with its reason. outcome: weights, or the signal that interrupted the run.
     """
 
     frames: SampledFrames
@@ -80,7 +81,7 @@ class AdaptationResult:
 def adapt(
     inputs: Sequence[str], out: Path, training: ImageTraining, limit: int, quiet: bool = False
 ) -> AdaptationResult:
-    """Adapt the network with the initial weights to footage; results are written to ``out``.
+    """Adapt a network to at most ``limit`` frames of footage; write the results to ``out``.
 
     An interrupted run is resumed. Raises InputError for footage with fewer than two frames,
     ConfigError if ``out`` holds another run.
@@ -98,10 +99,8 @@ def adapt(
             return result(Outcome(None, stopped, 0))
         skipped = 0
         for number, half in enumerate(HALVES, 1):
-            part = (number, len(HALVES))
-            request = TrainingRequest(
-                frames.glob(half), out / half, out / PREPARED, quiet, part=part
-            )
+            pattern, part = frames.glob(half), (number, len(HALVES))
+            request = TrainingRequest(pattern, out / half, out / PREPARED, quiet, part=part)
             outcome = train(training, request)
             if outcome.interrupted:
                 return result(outcome)
@@ -128,15 +127,14 @@ def write_smoothed_labels(
     training: ImageTraining,
     quiet: bool = False,
 ) -> Signals | None:
-    """Prepare all frames for training in ``prepared``, with labels smoothed over time. Ours.
+    """Prepare all frames for training in ``prepared``, with road labels smoothed over time. Ours.
 
-    The teacher's labels vary from frame to frame, and ten frames show a place ten times, from
-    near and from far. The log odds of road are therefore carried back and forth by optical flow
-    (``road.temporal_filter``) and averaged. Frames that are not consecutive keep their labels.
+    The teacher's labels of the same ground vary from frame to frame. Their log odds are averaged
+    along optical flow, forwards and backwards (``roadtorch.road.temporal_filter``); across a cut
+    nothing is averaged.
 
-    labels: folder of the teacher's labels. Files in either folder for the same frames and
-    settings are reused. Returns the signal that interrupted it. Memory is linear in the frames,
-    0.5 MB each.
+    labels: folder of the teacher's labels, reused one by one; ``prepared`` is reused only if all
+    of it is current. Returns the signal that interrupted it. Takes 0.5 MB of memory a frame.
     """
     images = frames.images()
     with stop_on_signals() as stop:
@@ -164,7 +162,7 @@ def write_smoothed_labels(
 def _average(frames: SampledFrames, out: Path, training: ImageTraining, quiet: bool) -> list[Path]:
     """Write the average of the halves' calibrated networks, its card and its log.
 
-    Returns the files of the calibrated networks, in the order of the halves.
+    Returns the files of the calibrated networks, in the order of ``HALVES``.
     """
     files, rows = [out / half / CALIBRATED for half in HALVES], []
     for number, (half, file) in enumerate(zip(HALVES, files, strict=True), 1):
@@ -172,15 +170,13 @@ def _average(frames: SampledFrames, out: Path, training: ImageTraining, quiet: b
         bias = fit_bias(frames.images(half), learned, out / PREPARED, training, quiet)
         write_biased(learned, file, bias)
         rows += [{**row, "round": number} for row in RunFolder(out / half).read_log()]
-    networks = [load_network(file) for file in files]
+    network, states = load_network(files[0]), [load_network(file).state_dict() for file in files]
     mean = {
-        name: torch.stack([network.state_dict()[name].float() for network in networks])
-        .mean(0)
-        .to(value)
-        for name, value in networks[0].state_dict().items()
+        name: torch.stack([state[name].float() for state in states]).mean(0).to(value)
+        for name, value in states[0].items()
     }
-    networks[0].load_state_dict(mean)
-    save_network(out / WEIGHTS, networks[0], {**read_origin(files[0]), "images": frames.count})
+    network.load_state_dict(mean)
+    save_network(out / WEIGHTS, network, {**read_origin(files[0]), "images": frames.count})
     if inherited := inherited_corrections(training):
         write_text((out / WEIGHTS).with_suffix(".md"), format_card(inherited))
     RunFolder(out).write_log(rows)
@@ -199,7 +195,7 @@ def write_biased(learned: Path, file: Path, bias: float) -> None:
 
 
 def _write_camera(frames: SampledFrames, file: Path, where: str) -> InputError | None:
-    """Write the camera file; return the reason where there is none."""
+    """Estimate the camera from frames and write its file; return the error if that fails."""
     sampled = evenly_spaced(frames.images(), MAX_FRAMES)
     try:
         estimate_camera((image.read() for image in sampled), where).write(file)

@@ -1,7 +1,6 @@
-"""The frames of footage that an adaptation learns from: a limited number, in two halves.
+"""Frames of footage that an adaptation learns from: a limited number, in two halves.
 
-Consecutive frames show the same places (``write_smoothed_labels``), so longer footage is sampled in
-runs of them.
+Labels are smoothed over consecutive frames, so longer footage is sampled in runs of them.
 """
 
 import glob
@@ -27,13 +26,13 @@ from roadtorch.run.memo import cache_key
 from roadtorch.train.recordings import FRAME_SIZE
 
 HALVES = ("first", "second")
-"""Halves of the footage in order, as neighbouring frames are alike and must stay in one half."""
+"""Halves of the footage by time, so that neighbouring frames, which are alike, stay together."""
 
 FRAME_INTERVAL = 0.4
-"""Seconds between sampled frames, in which the ground before the car stays in view."""
+"""Seconds between sampled frames, few enough for the ground ahead to stay in view."""
 
 RUN_LENGTH = 5
-"""Consecutive frames that are kept or dropped together in longer footage."""
+"""Number of consecutive frames that are kept or dropped together in longer footage."""
 
 FRAME_LIST = "frames.json"
 
@@ -41,8 +40,8 @@ FRAME_LIST = "frames.json"
 class SampledFrames(NamedTuple):
     """The frames that were sampled from footage.
 
-    folder: contains HALF_NUMBER.jpg. halves: number of frames of each. has_times: whether they
-    have times. skipped: inputs that could not be read, a line each.
+    folder: contains HALF_NUMBER.jpg. halves: number of frames in each. has_times: whether any
+    frame has a time stamp. skipped: an error message for each unreadable input.
     """
 
     folder: Path
@@ -60,7 +59,7 @@ class SampledFrames(NamedTuple):
         return find_images([self.glob(half)])
 
     def glob(self, half: str = "*") -> str:
-        """Return the quoted glob of a half; frames have the same names in all globs."""
+        """Return the glob of a half; a frame's name does not depend on the glob that finds it."""
         return f"{glob.escape(str(self.folder))}/{half}_*.jpg"
 
 
@@ -69,9 +68,9 @@ def sample_frames(
 ) -> SampledFrames:
     """Sample at most ``limit`` frames of footage into a folder; a finished sample is reused.
 
-    A frame every ``FRAME_INTERVAL`` of videos and bags, all images; of long footage runs of
-    ``RUN_LENGTH`` frames. Memory does not grow with the footage. Raises ConfigError if the folder
-    holds frames of other footage, InputError for fewer than two readable frames.
+    Takes all images, and a frame every ``FRAME_INTERVAL`` of videos and bags; if they are too
+    many, evenly spaced runs of ``RUN_LENGTH``. Raises ConfigError if the folder holds frames of
+    other footage, InputError for fewer than two readable frames.
     """
     images, sources = find_inputs(inputs)
     digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
@@ -110,7 +109,7 @@ def _read(list_file: Path, folder: Path, key: str) -> SampledFrames | None:
 
 
 def _write_frames(inputs: Inputs, folder: Path, limit: int, quiet: bool) -> SampledFrames:
-    """Write frames while reading; when there are too many, drop every second run of frames."""
+    """Write frames while reading; at twice ``limit``, drop every second run of frames."""
     numbers: list[int] = []
     skipped: list[str] = []
     step, has_times = 1, False
@@ -140,7 +139,7 @@ def _write_frames(inputs: Inputs, folder: Path, limit: int, quiet: bool) -> Samp
 def _thin(
     folder: Path, numbers: list[int], runs: Sequence[int], limit: int | None = None
 ) -> list[int]:
-    """Remove the files of frames outside some runs; return the numbers of the rest, limited."""
+    """Remove all frames but the first ``limit`` of the runs; return the remaining numbers."""
     remaining = [number for number in numbers if number // RUN_LENGTH in runs][:limit]
     for number in set(numbers).difference(remaining):
         (folder / f"{number:08d}.jpg").unlink()

@@ -1,11 +1,10 @@
 """The decision whether to adopt an adapted network, by agreement with a teacher. Ours.
 
-There are no labels. A network is judged on the half of the footage that it was not trained on: does
-its mask agree better with the teacher, a detector outside the loop, where the teacher is certain?
-One half's network is worse than the average of both, which is the result, as a half may teach what
-holds in that half only; the average was trained on these frames and looks too good. Hence a gain
-has to show with the held-out network, a loss with both. Trust is no evidence, for agreement with
-the training labels raises it.
+Without labels, a network is judged by the F-score of its mask against the teacher's, where the
+teacher is certain, on the half of the footage that it was not trained on. A half's network is worse
+than the average of both, which is the result; the average was trained on these frames, so that its
+score is optimistic. Hence the held-out network must gain for "adopt", and it must lose and the
+average not gain for "do not adopt". Trust is no evidence: training on the labels raises it.
 """
 
 import math
@@ -46,16 +45,15 @@ MIN_JUDGED = 16
 """Frames of both halves below which there is no verdict."""
 
 MIN_GAIN = 0.002
-"""Gain of F that is worth another file."""
+"""Gain of F from which an adapted network is worth adopting."""
 
 VERDICT_SEED = 36
 
 
 class MaskCounts(NamedTuple):
-    """Fields of ``ConfusionCounts`` by frame, int64 (frames, 4), of three networks.
+    """Pixel counts of three networks by frame: the fields of ``ConfusionCounts``, (frames, 4).
 
-    initial: initial network. adapted: network not trained on these frames. averaged: average of
-    both halves' networks, one of which was.
+    adapted: network not trained on these frames. averaged: average of both halves' networks.
     """
 
     initial: Tensor
@@ -108,27 +106,20 @@ def count_masks(
     counts: list[list[Tensor]] = [[] for _ in weights]
     for image, road, sure in _labelled_frames(images, prepared, training, "evaluating", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
-            mask = (
-                resize_maps(detector.detect(image).mask.float()[None], spatial_size(road))[0] >= 0.5
-            )
-            rows.append(torch.stack(tuple(count_mask(mask, road, sure))))
+            mask = resize_maps(detector.detect(image).mask.float()[None], spatial_size(road))[0]
+            rows.append(torch.stack(tuple(count_mask(mask >= 0.5, road, sure))))
     return MaskCounts(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
 
 
 def fit_bias(
-    images: Sequence[Item],
-    file: Path,
-    prepared: Path,
-    training: ImageTraining,
-    quiet: bool = False,
+    images: Sequence[Item], file: Path, prepared: Path, training: ImageTraining, quiet: bool = False
 ) -> float:
-    """Fit the bias of a network's road, in log odds, to agree best with the teacher by F. Ours.
+    """Fit the bias of a network's road, in log odds, for the best F against the teacher. Ours.
 
-    A network fine-tuned on soft labels ranks pixels better but is less or more confident than the
-    one that `fusion` is calibrated for: one number for the whole footage corrects that without
-    labels. 0 if no frame can tell.
+    Fine-tuned on soft labels, a network is less or more confident than the one that `fusion` is
+    calibrated for; one bias for all frames corrects that. 0 if the teacher is certain of no road.
     """
-    network_alone = {"weight": 0.0}  # its appearance in the image would follow a shift in part
+    network_alone = {"weight": 0.0}  # the appearance learned from the network would undo part of it
     detector = load_detector("fusion", weights={"file": str(file)}, appearance=network_alone)
     settings = detector.settings
     assert isinstance(settings, FusionSettings)
@@ -141,14 +132,14 @@ def fit_bias(
     best, threshold = max_f(reduce(add, counts))
     if best.isnan():  # the teacher is certain of no road
         return 0.0
-    lacking = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
-    return float(lacking * settings.calibration.temperature)
+    shift = torch.tensor(settings.threshold).logit() - threshold.clamp(0.05, 0.95).logit()
+    return float(shift * settings.calibration.temperature)
 
 
 def _labelled_frames(
     images: Sequence[Item], prepared: Path, training: ImageTraining, title: str, quiet: bool
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Yield frames (3, H, W), the teacher's road and where it is certain, both bool (h, w)."""
+    """Yield frames (3, H, W), the teacher's road and its certain pixels, both bool (h, w)."""
     sampled = evenly_spaced(images, MAX_JUDGED)
     for image in Progress(sampled, desc=title, unit="frame", quiet=quiet):
         file = prepared / f"{image_file_name(image)}.npz"
@@ -171,7 +162,7 @@ def no_verdict(reason: str, frames: int) -> Verdict:
 
 
 def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
-    """Decide by the frames of both halves; the interval resamples runs of consecutive frames."""
+    """Decide by both halves' frames; the interval is a bootstrap of runs of ``RUN_LENGTH``."""
     counts = [torch.cat(halves) for halves in zip(*judged, strict=True)]
     frames = len(counts[0])
     if frames < MIN_JUDGED:
