@@ -55,7 +55,7 @@ class VanishingPointSettings(WorkingSettings):
 def vanishing_point_road(image: Tensor, settings: VanishingPointSettings) -> dict[str, Tensor]:
     """Detect the road between two borders from a vanishing point voted by texture (Kong 2010).
 
-    ``likelihood`` is 1 between the borders and 0 elsewhere; no road where no texture votes.
+    ``likelihood`` is 1 between the borders and 0 elsewhere; 0 everywhere if there are no votes.
     """
     responses = gabor_responses(color_plane(image, "grey"), settings.gabor)
     orientation, confidence = dominant_orientation(responses)
@@ -82,24 +82,17 @@ ALL_MAPS = MapSettings(encoder="patch", fraction=1.0)
 
 
 def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor]:
-    """Detect the road by K-means features, clusters of pixels and a graph cut (Xia et al. 2015).
-
-    ``likelihood`` is 1 on the road, else 0.
-    """
+    """Detect the road, likelihood 1 or 0, by K-means features and a graph cut (Xia et al. 2015)."""
     height, width = image.shape[-2:]
-    small, side = (
-        resize_bicubic(image, settings.working.size(height, width)),
-        settings.dictionary.side,
-    )
+    small = resize_bicubic(image, settings.working.size(height, width))
     learned = learn_features(small, settings.smoothing, settings.dictionary, ALL_MAPS)
-    bases, size = learned.dictionary, learned.size
+    bases, size, side = learned.dictionary, learned.size, settings.dictionary.side
     clusters = cluster_pixels(learned.maps.maps, settings.peaks)
-    regions, words = (
-        connected_regions(clusters),
-        assign_patches(learned.patches, bases).view(size).cpu(),
-    )
+    regions, words = connected_regions(clusters), assign_patches(learned.patches, bases)
     seed = seed_rectangle(size, settings.seed_area)
-    road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
+    road = mask_to_image(
+        cut_road(regions, words.view(size).cpu(), len(bases), seed, settings.cut), side
+    )
     levels = clusters / max(1, settings.peaks.clusters - 1)
     likelihood = resize_to_image(road, (height, width)).to(image)
     return {"likelihood": likelihood, "clusters": map_to_image(levels.to(image), side)}

@@ -27,7 +27,7 @@ Build = TypeVar("Build", bound=Callable[[Any], nn.Module])
 DETECTOR_ENTRY_POINTS = "roadtorch.detectors"
 
 DETECTOR_CONFIG = "detector.toml"
-"""File of a folder that holds a detector: its name, settings and the name of its weights' file."""
+"""File with a detector's name and settings in a folder of ``roadtorch export --format hub``."""
 
 ENTRIES: tuple[Entry, ...] = (
     *fusion.ENTRIES,
@@ -125,7 +125,7 @@ def detector_entry(name: str) -> Entry:
 
 
 def detector_groups() -> dict[str, list[Entry]]:
-    """Return the entries by name, those of a grid together under the grid's; sorted."""
+    """Return the entries sorted by name, those of a grid under the grid's."""
     groups: dict[str, list[Entry]] = {}
     for entry in _catalogue().values():
         groups.setdefault(entry.grid.name if entry.grid else entry.name, []).append(entry)
@@ -138,7 +138,7 @@ def is_pattern(name: str) -> bool:
 
 
 def unknown_detector_error(name: str) -> ConfigError:
-    """Return the error for a name or pattern without a detector: the reason, or nearest names."""
+    """Return the error for a name without a detector, with the reason or the nearest names."""
     grids = {entry.grid.name: entry.grid for entry in _catalogue().values() if entry.grid}
     for grid in grids.values():
         if name in grid.invalid:
@@ -194,7 +194,7 @@ def register_detector(
 
 
 def _add(entry: object, entries: dict[str, Entry]) -> None:
-    """Add an entry to others; ConfigError if its name is taken, or if it is not an entry."""
+    """Add an entry to a catalogue; ConfigError if its name is taken, or if it is not an entry."""
     if not isinstance(entry, Entry):
         raise ConfigError(repr(entry), "is not an Entry", "name an Entry or a sequence of them")
     if entry.name in entries:

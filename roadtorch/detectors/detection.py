@@ -25,7 +25,7 @@ NOTEBOOK_SIDE = 960  # pixels of the longer side in notebooks; ours: the width o
 class Cues(Mapping[str, Tensor]):
     """Cues of an image, stored at the size of the analysis and enlarged when they are accessed.
 
-    maps: by name, (h, w) or (C, h, w). size: rows and columns of the image.
+    maps: by name, (h, w) or (C, h, w). size: height and width of the image.
     """
 
     maps: Mapping[str, Tensor]

@@ -82,15 +82,15 @@ class WorkingSettings(DetectorSettings):
 
 Judge = Callable[[Tensor, Mapping[str, Tensor]], Judgement]
 """Optional method ``judge`` of an analysis: predicts the trust in a mask, bool (h, w), from it and
-the cues of that size, ``likelihood`` and ``ego`` among them."""
+the cues of that size, with ``likelihood`` and ``ego``."""
 
 
 class Evidence(NamedTuple):
-    """Part of a detection that depends on one image alone, before frames are smoothed.
+    """Result of an image's analysis, before smoothing over time and the decision on the mask.
 
-    outputs: likelihood and cues of the analysis, at its working size. likelihood: float32 (H, W),
-    0 on the ego car. ego: bool (H, W), where the settings or the analysis have one. cues: the
-    others. image: (3, H, W) in [0, 1].
+    outputs: likelihood and cues at the working size. likelihood: float32 (H, W), 0 on the ego car.
+    ego: bool (H, W), of settings and analysis; None if neither has one. cues: without these two.
+    image: (3, H, W) in [0, 1].
     """
 
     outputs: Mapping[str, Tensor]
@@ -102,12 +102,10 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True)
 class DetectorGrid:
-    """Grid of detectors of one family, one for each combination of options.
+    """Grid of detectors of one family, one for each combination of options, listed as one.
 
-    Lists show the grid once; a wildcard matches its detectors only if it names the family, and
-    the preset where there is one.
-    name: ``family:<option>:<option>[:preset]``, with placeholders. summary: one line.
-    invalid: names of combinations that are not offered, with the reason.
+    name: ``family:<option>:<option>[:preset]``, with placeholders. summary: one line. invalid:
+    names of combinations that are not offered, with the reason.
     """
 
     name: str
@@ -126,7 +124,7 @@ class DetectorGrid:
         return f"{self.family}*" if last.startswith("<") else f"{self.family}*:{last}"
 
     def matches(self, pattern: str) -> bool:
-        """Return whether a pattern names the family and the preset."""
+        """Return whether a pattern names the family and the preset, if any."""
         begin, _, end = self.wildcard.partition("*")
         return pattern.startswith(begin) and pattern.endswith(end)
 
@@ -197,7 +195,7 @@ class Detector(nn.Module):
         self.settings = settings
         usual = type(settings).model_construct().model_dump(warnings=False)
         self._changes = dict(_changes(settings.model_dump(), merge(usual, entry.defaults)))
-        # Read once, and at once: errors in the file are reported before any image is analysed.
+        # Read here, so that errors in the file are reported before any image is analysed.
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
         if not isinstance(analysis, nn.Module):
@@ -329,7 +327,7 @@ class Detector(nn.Module):
         return self._find(image)
 
     def _find(self, image: Tensor) -> Evidence:
-        """Run ``_analyse`` in float32, autocast or not; ConfigError inside ``torch.compile``."""
+        """Run ``_analyse`` without autocast; ConfigError inside ``torch.compile``."""
         if torch.compiler.is_compiling():
             hint = "compile its backbone: detector.analysis.network.backbone = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", hint)
@@ -338,7 +336,7 @@ class Detector(nn.Module):
             return self._analyse(image)
 
     def _analyse(self, image: Tensor) -> Evidence:
-        """Analyse an image; the ego car is that of the settings and the analysis' cue ``ego``."""
+        """Analyse an image; its ego car is the union of the settings' and the cue ``ego``."""
         settings = self.settings if isinstance(self.settings, WorkingSettings) else None
         cars, ground = [], image
         if has_ego_car(self.settings.ego):
@@ -372,10 +370,10 @@ class Detector(nn.Module):
     def conclude(
         self, evidence: Evidence, likelihood: Tensor | None = None, ego: Tensor | None = None
     ) -> Detection:
-        """Decide on the mask and judge it: second half of ``detect``.
+        """Decide on the mask and predict its trust: second half of ``detect``.
 
-        likelihood, ego: smoothed over time, (H, W), to decide on instead of those of the evidence.
-        Trust is computed from the frame's own likelihood in any case.
+        likelihood, ego: smoothed over time, (H, W), for the mask in place of those of the evidence,
+        from which the trust is predicted in any case.
         """
         outputs, seed = evidence.outputs, evidence.outputs.get("seed_area")
         ego = evidence.ego if ego is None else ego
@@ -418,10 +416,9 @@ def _changes(
 def use_inference_mode(
     run: Callable[..., Mapping[str, Tensor]],
 ) -> Callable[..., dict[str, Tensor]]:
-    """Run an analysis in inference mode, on the CPU and where no gradients are enabled.
+    """Decorate an analysis to run in inference mode, on the CPU and if gradients are disabled.
 
-    Autograd's bookkeeping for a thousand small kernels takes a fifteenth of the time. The maps are
-    cloned, so that they are ordinary tensors. For our own analyses: others may need gradients.
+    Saves a fifteenth of the time. The maps are cloned, so that they are ordinary tensors.
     """
 
     @wraps(run)
@@ -450,10 +447,7 @@ class Analysis(nn.Module):
 
 
 def validate_image(image: Tensor) -> Tensor:
-    """Check an image: floating point in [0, 1], shape (3, H, W), ≥ 16×16; return it as float32.
-
-    Raises InputError that names ``image``, the problem and what to do.
-    """
+    """Return an image (3, H, W) as float32; InputError unless in [0, 1] and at least 16×16."""
     if not isinstance(image, Tensor) or not image.is_floating_point():
         kind = image.dtype if isinstance(image, Tensor) else type(image).__name__
         raise InputError("image", f"is {kind}", "give float32 RGB in [0, 1], as read_image does")
@@ -479,8 +473,8 @@ def decide_mask(
     """Return the mask, bool (H, W): likelihood ≥ threshold, isolated regions dropped if set.
 
     seed: seed area, bool (H, W); None: the rectangle of the settings. ego: ego car, bool (H, W).
-    Road may reach the seed area through the ground hidden by the ego car. Where only hidden ground
-    does, no region is known to be the road, and none is dropped.
+    Road may touch the seed area by ground hidden under the ego car; if only hidden ground touches
+    it, no region is dropped.
     """
     if ego is not None and not any_pixel(ego):
         ego = None

@@ -137,24 +137,17 @@ class LearnedRoad(Settings):
         default=1.0, ge=0, le=10, description="weight of the network's road in each superpixel"
     )
     detail: float = Field(
-        default=0.5,
-        ge=0,
-        le=10,
-        description="weight of the network's road in each pixel, added last",
+        default=0.5, ge=0, le=10, description="weight of the network's road in each pixel"
     )
 
 
 class ScratchFusionSettings(UntrainedFusionSettings):
-    """Settings of naive Bayes with a network trained from random weights.
-
-    At 240x180, with as many superpixels as ``fusion:untrained`` has at 320x240: the same scores
-    within .001 in three quarters of the time (docs/performance.md).
-    """
+    """Settings of naive Bayes with a network trained from random weights."""
 
     threshold: Threshold = 0.5
-    working: WorkingSize = WorkingSize(pixels=240 * 180)
+    working: WorkingSize = WorkingSize(pixels=240 * 180)  # scores within .001 of 320x240
     outlines: Outlines = "guided"
-    superpixels: Superpixels = Superpixels(pixels=144)
+    superpixels: Superpixels = Superpixels(pixels=144)  # as many as at 320x240
     weights: WeightsFile = WeightsFile()
     layout_weight: NetworkWeight = 0.8
     learned: LearnedRoad = LearnedRoad()
@@ -165,8 +158,8 @@ class ScratchFusionSettings(UntrainedFusionSettings):
 class PaperFusionSettings(WorkingSettings):
     """Settings of P2 as published: CNN-7, colour plane fusion over superpixels, a uniform prior.
 
-    P2 combines CNN-7 with CPF, and shows CPFv2 as well (Fig. 6a); eq. 4 has a prior, but only a
-    uniform one is tested. The other two priors are baselines of ours.
+    P2 combines CNN-7 with CPF, shows CPFv2 as well (Fig. 6a), and tests eq. 4 with a uniform prior
+    only. The other two priors are ours.
     """
 
     threshold: Threshold = Field(default=0.131, description=TUNED_THRESHOLD)
@@ -194,10 +187,9 @@ def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mappin
     labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
     distance, texture, cues = seed_likelihoods(image, segments, seed, segments_inside(labels, seed))
+    road = segment_road(segments, layout[:, HORIZONTAL], distance, texture)
     return {
-        "likelihood": paint_segments(
-            segment_road(segments, layout[:, HORIZONTAL], distance, texture), labels
-        ),
+        "likelihood": paint_segments(road, labels),
         "layout": paint_segments(layout.T, labels),
         "layout_labels": paint_segments(decide_layout(layout), labels),
         "seed_area": seed,
@@ -208,9 +200,8 @@ def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mappin
 class Fusion(nn.Module):
     """Road of one or two networks, fused with its appearance in the image, calibrated.
 
-    P2's off-line and on-line parts: the network's road, and a classifier learned in the image.
-    P2's texture, distance from the seed area and position gain too little beside them for their
-    time (docs/how/layout_texture.md); ``fusion:scratch`` and ``fusion:untrained`` use them.
+    P2's texture and our distance from the seed area and position, which ``fusion:scratch`` uses,
+    gain too little for their time here (docs/how/layout_texture.md).
     """
 
     def __init__(self, settings: FusionSettings) -> None:
@@ -242,7 +233,7 @@ class Fusion(nn.Module):
         }
 
     def predict(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Compute the networks' ``cues`` of an image (3, H, W), averaged over views."""
+        """Compute the ``cues`` of an image (3, H, W), averaged over views and over networks."""
         fuse = partial(fuse_appearance, weight=self.settings.appearance.weight)
         maps = average_views(self.network, image, self.settings.crops, fuse)
         if self.second is None:
@@ -261,7 +252,7 @@ class Fusion(nn.Module):
 def average_views(
     network: WholeImageNetwork, image: Tensor, crops: Sequence[float], fuse: RoadFusion
 ) -> Mapping[str, Tensor]:
-    """Average a network's maps of an image (…, 3, H, W) and of its lower crops (multi-view)."""
+    """Average a network's ``cues`` of an image (…, 3, H, W) and of its lower crops."""
     total, height = network.cues(image, fuse), image.shape[-2]
     views = image.new_ones(height, 1)
     for crop in crops:
@@ -281,8 +272,8 @@ def calibrated_likelihood(odds: Tensor, calibration: RoadCalibration) -> Tensor:
 class ScratchFusion(nn.Module):
     """Naive Bayes of cues of the image and a network's road and layout.
 
-    The ego car is the network's; the ground above is extrapolated over it before anything is
-    measured. The seed area is where position, layout and network see road.
+    The network's ego car is filled from the ground above before anything is measured. The seed area
+    is where position, layout and network agree best on road.
     """
 
     def __init__(self, settings: ScratchFusionSettings) -> None:
@@ -313,14 +304,12 @@ class ScratchFusion(nn.Module):
         distance, texture, cues = seed_likelihoods(image, segments, seed, sources.nonzero()[:, 0])
         further = settings.learned.weight * network_odds
         road = segment_road(segments, layout[HORIZONTAL], distance, texture, further)
-        odds = fused_log_odds(
-            [paint_segments(road, labels), maps["road"]], [1, settings.learned.detail]
-        )
+        roads = [paint_segments(road, labels), maps["road"]]
+        odds = fused_log_odds(roads, [1, settings.learned.detail])
+        painted, weight = paint_segments(labelled.T, labels), settings.layout_weight
         return {
             "likelihood": calibrated_likelihood(odds, settings.calibration),
-            "layout": opinion_pool(
-                paint_segments(labelled.T, labels), maps["layout"], settings.layout_weight
-            ),
+            "layout": opinion_pool(painted, maps["layout"], weight),
             "layout_labels": paint_segments(decide_layout(layout.T), labels),
             "learned_road": maps["road"],
             "seed_area": seed,
@@ -334,9 +323,9 @@ class ScratchFusion(nn.Module):
 def seed_likelihoods(
     image: Tensor, segments: Segments, seed: Tensor, sources: Tensor
 ) -> tuple[Tensor, Tensor, Mapping[str, Tensor]]:
-    """Compute likelihoods (n,) by distance from the seed area and by texture like its, and cues.
+    """Compute likelihoods (n,) by distance from the seed area and by uniformity, and their cues.
 
-    image: (3, H, W), as measured. seed: bool (H, W). sources: labels (k,) of its segments.
+    image: (3, H, W). seed: seed area, bool (H, W). sources: labels of its segments, (k,).
     """
     labels, settings = segments.labels, TextureSettings()
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
@@ -371,13 +360,11 @@ class PaperFusion(nn.Module):
         if settings.descriptor == "cpf":
             fused, values = fused_uniformity(image, labels, labels >= 0, seed, texture)
         else:
-            fused, values, _ = unsaturated_uniformity(
-                image, labels, seed, texture, settings.saturation
-            )
+            saturation = settings.saturation
+            fused, values, _ = unsaturated_uniformity(image, labels, seed, texture, saturation)
         uniformity = paint_segments(values, labels)
         prior = PRIORS[settings.prior](*labels.shape).to(image)
         return {
-            # The paper thresholds the product as it is.
             "likelihood": likelihood_product(prior, [layout[HORIZONTAL], uniformity]),
             "layout": layout,
             "texture": uniformity_likelihood(uniformity, texture.midpoint),

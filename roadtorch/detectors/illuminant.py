@@ -38,7 +38,7 @@ class IlluminantSettings(WorkingSettings):
 
 @use_inference_mode
 def illuminant_invariant(image: Tensor, settings: IlluminantSettings) -> dict[str, Tensor]:
-    """Compute how often the seed area has each pixel's invariant value (Álvarez and López 2011)."""
+    """Compute p(invariant value | road) by the seed area's histogram (Álvarez and López 2011)."""
     chromaticity = log_chromaticity(image)
     angle = settings.invariant_angle
     if angle is None:

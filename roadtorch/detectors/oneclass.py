@@ -62,14 +62,13 @@ PAPER_GRID = DetectorGrid(
 P3_PIXELS = 640 * 480  # of P3's images, as far as is known
 
 MAX_SCALED_DISTANCE = 1000.0
-"""Limit of the cue ``distance`` in multiples of the threshold: empty bins are infinitely far."""
+"""Limit of the cue ``distance`` in multiples of the threshold, as empty bins are infinitely far."""
 
 
 class OneClassSettings(WorkingSettings):
     """Settings of samples and classifier.
 
-    P3 only thresholds the likelihood, so isolated regions are kept. Its images are assumed to have
-    640×480 pixels, and larger ones are reduced to as many.
+    As in P3, isolated regions are kept. Its images are assumed to have 640×480 pixels.
     """
 
     threshold: Threshold = Field(
@@ -90,8 +89,7 @@ class OneClassSettings(WorkingSettings):
 def classifier_settings(classifier: Classifier) -> type[OneClassSettings]:
     """Create the settings class of a detector with that classifier.
 
-    Histograms are learned from every pixel of the seed area, the others from one per superpixel
-    (P3, section V).
+    Histograms learn from each pixel of the seed area, others from superpixels (P3, section V).
     """
     group = classifier.settings
     every = issubclass(group, HistogramSettings)
@@ -139,5 +137,5 @@ def _entries() -> Iterator[Entry]:
 
 
 ENTRIES = tuple(_entries())
-"""17 classifiers on 19 representations, except PCA on a single plane: 310; and the six whose
-defaults are ours as in the paper."""
+"""17 classifiers on 19 representations, except PCA on a single plane: 310; and again, as in the
+paper, the six whose defaults are ours."""

@@ -62,7 +62,9 @@ class GreyUniformitySettings(WorkingSettings):
 
     threshold: Threshold = Field(default=0.58, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
-    bins: int = Field(default=64, ge=2, le=4096, description="number of histogram bins")
+    bins: int = Field(
+        default=64, ge=2, le=4096, description="bins of a superpixel's histogram of levels 0 to 1"
+    )
     midpoint: float = Field(
         default=0.15, gt=0, le=1, description="uniformity U whose likelihood is 0.5"
     )
@@ -77,10 +79,9 @@ class LbpSettings(WorkingSettings):
 
 @use_inference_mode
 def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, Tensor]:
-    """Compute the uniformity of the fused plane over segments (P2, section 4).
+    """Compute the uniformity of the fused plane over superpixels or squares (P2, section 4).
 
-    Over superpixels or, for comparison as in P2, squares; without saturated pixels (section 6.2)
-    for ``CpfV2Settings``.
+    Saturated pixels are left out for ``CpfV2Settings`` (section 6.2).
     """
     if isinstance(settings, CpfSquaresSettings):
         labels = square_grid(image.shape[-2], image.shape[-1], settings.square).to(image.device)
@@ -94,10 +95,9 @@ def cpf(image: Tensor, settings: CpfSettings | CpfSquaresSettings) -> dict[str, 
         )
     else:
         fused, values = fused_uniformity(image, labels, labels >= 0, seed, settings.texture)
+    likelihood = uniformity_likelihood(values, settings.texture.midpoint)
     return {
-        "likelihood": paint_segments(
-            uniformity_likelihood(values, settings.texture.midpoint), labels
-        ),
+        "likelihood": paint_segments(likelihood, labels),
         "uniformity": paint_segments(values, labels),
         "fused_plane": fused,
         "segments": labels,

@@ -31,8 +31,8 @@ RGB_TO_XYZ = tuple(tuple(value / sum(row) for value in row) for row in _XYZ)
 with the tabulated white (0.95047, 1, 1.08883) a and b would be off by up to 5e-5."""
 
 STRAIGHT_LIGHT, STRAIGHT_CODE = 216 / 24389, 0.04045
-"""Below these values CIE f and sRGB's transfer curve are straight lines. Both are computed as the
-curve of the clamped value plus the straight piece of the rest."""
+"""Values below which CIE f and sRGB's transfer curve are straight lines; both are computed as the
+curve of the clamped value plus the straight line of the rest."""
 
 
 class Channels:
@@ -75,7 +75,7 @@ class Channels:
     @cached_property
     def lab_roots(self) -> tuple[Tensor, Tensor, Tensor]:
         """CIE f(X/Xn), f(Y/Yn), f(Z/Zn)."""
-        # One plane at a time, as the last pixels of a tensor may be rounded differently.
+        # Plane by plane, as the last pixels of a tensor may be rounded differently.
         red, green, blue = (_linear(plane) for plane in (self.red, self.green, self.blue))
         red, blue = red - green, blue - green
         # Rows sum to 1, so this is M·RGB; written thus, grey has X = Y = Z to the bit.
@@ -180,26 +180,16 @@ REPRESENTATIONS: dict[str, tuple[str, ...]] = {
 
 
 def color_planes(image: Tensor, names: Sequence[str]) -> Tensor:
-    """Compute colour planes of an image, stacked.
+    """Compute N planes of ``PLANES`` by name of an sRGB image (…, 3, H, W) in [0, 1]: (…, N, H, W).
 
-    Formulas and ranges are in ``PLANES``. Source: P2, section 6.2; P3, section III.
-
-    Args:
-        image: sRGB in [0, 1], shape (…, 3, H, W).
-        names: keys of ``PLANES``.
-
-    Returns:
-        The planes in the order of ``names``, shape (…, N, H, W), dtype and device of the image.
-
-    Raises:
-        ConfigError: for an unknown name.
-        InputError: for an image of other than 3 channels.
+    Raises ConfigError for an unknown name, InputError for an image of other than 3 channels. P2,
+    section 6.2; P3, section III.
     """
     return torch.stack(list(iterate_color_planes(image, names)), -3)
 
 
 def iterate_color_planes(image: Tensor, names: Sequence[str]) -> Iterator[Tensor]:
-    """Yield the planes of ``color_planes`` one by one, each of shape (…, H, W), to save memory."""
+    """Yield the planes of ``color_planes``, each (…, H, W), one by one to save memory."""
     if image.ndim < 3 or image.shape[-3] != 3:
         problem = f"has the shape {tuple(image.shape)}"
         raise InputError("image", problem, "give RGB as (…, 3, height, width)")
@@ -225,7 +215,7 @@ MIN_VALUE = 1e-4
 
 
 class Exposure(Settings):
-    """How dark images are brightened before analysis."""
+    """Brightening of dark images before analysis."""
 
     ground: float = Field(
         default=0.4,
@@ -237,13 +227,10 @@ class Exposure(Settings):
 
 @cached_per_image
 def brighten(image: Tensor, exposure: Exposure) -> Tensor:
-    """Apply the gamma that lifts the lower part of an image to the grey level ``ground``.
+    """Raise the median grey of an image's lower 45 % to ``ground`` by a gamma. Ours.
 
-    At dusk all differences shrink; this restores them. The median grey below 0.55 of the height
-    decides. Bright images stay as they are, and the exponent is never below ``MIN_GAMMA``. Ours, in
-    place of P1's brightness equalisation.
-
-    image: (3, H, W) in [0, 1]; in an exported graph a batch (N, 3, H, W), each by its own gamma.
+    Bright images are returned as they are, and the exponent is at least ``MIN_GAMMA``. It replaces
+    P1's brightness equalisation. image: (3, H, W) in [0, 1]; in an exported graph a batch.
     """
     lower = image[..., image.shape[-2] * 11 // 20 :, :].mean(-3).flatten(-2)
     if torch.compiler.is_exporting():

@@ -1,4 +1,4 @@
-"""Make superpixels 4-connected: of each label the largest region stays, the rest is merged."""
+"""4-connected superpixels: the largest region of each label is kept, others are merged."""
 
 from typing import NamedTuple
 
@@ -22,17 +22,10 @@ class Runs(NamedTuple):
 
 
 def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
-    """Make every segment 4-connected and number the segments 0…n-1 in each image.
+    """Make the segments of labels (B, H, W) 4-connected, numbered 0…n-1 in each image: int64.
 
-    Of each label the largest region stays, unless it has fewer than ``smallest`` pixels. The pixels
-    of every other region join an adjacent segment, from the region's border inwards.
-
-    Args:
-        labels: integers, shape (B, H, W).
-        smallest: size in pixels below which a region is merged.
-
-    Returns:
-        Labels, int64, shape (B, H, W).
+    Of each label the largest region is kept if it has at least ``smallest`` pixels. The pixels of
+    all other regions join an adjacent segment, from the region's border inwards.
     """
     images = labels.cpu().numpy().astype(np.int32)
     stride = int(images.max()) + 1
@@ -43,7 +36,7 @@ def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
     label[region] = images.reshape(-1)[start]
     image = label // stride
     settled = _is_largest(label, size) & (size >= smallest) | _is_largest(image, size)
-    # Settled regions are numbered 0…n-1 in each image in order of appearance; the rest is -1.
+    # Settled regions are numbered 0…n-1 in each image in order of appearance; others get -1.
     survivors = np.nonzero(settled)[0]
     survivors = survivors[np.argsort(image[survivors], kind="stable")]
     numbers = np.full(len(image), -1, dtype=np.int64)
@@ -82,11 +75,7 @@ def _is_largest(group: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def _grow(numbers: np.ndarray) -> np.ndarray:
-    """Fill the pixels -1 of maps int64 (B, H, W) from their 4 neighbours, in place.
-
-    In each round a pixel takes the highest number among its neighbours, so that the result does not
-    depend on an order.
-    """
+    """Fill pixels of -1 in maps (B, H, W) by their highest 4-neighbour, repeatedly and in place."""
     height, width = numbers.shape[1:]
     flat = numbers.reshape(-1)
     empty = np.flatnonzero(flat == -1)

@@ -25,11 +25,7 @@ def is_above(values: Tensor, level: float) -> Tensor:
 
 
 def order_statistic(values: Tensor, k: int) -> float:
-    """Return the ``k``-th smallest of values (n,), counted from 0.
-
-    NumPy finds it twelve times faster than torch. Raises ValueError where there are k values or
-    fewer.
-    """
+    """Return the ``k``-th smallest of values (n,), counted from 0; ValueError unless n > k."""
     return float(np.partition(values.detach().cpu().numpy(), k)[k])
 
 
@@ -37,17 +33,10 @@ OTSU_BINS = 128  # histogram bins: the threshold is exact to 1/128 of the range
 
 
 def otsu_threshold(values: Tensor) -> Tensor:
-    """Compute the threshold that separates values into two classes of maximal variance.
+    """Compute the threshold of values (…) that maximises the variance between classes, a scalar.
 
-    Source: Otsu, "A Threshold Selection Method from Gray-Level Histograms", IEEE Trans. SMC 9(1),
-    1979, eq. 18: it maximises w₀ w₁ (μ₀ - μ₁)² over ``OTSU_BINS`` bins.
-
-    Args:
-        values: any shape.
-
-    Returns:
-        A scalar tensor: the value itself where all are equal, NaN or infinite where a value is not
-        finite.
+    The value itself if all are equal, NaN or infinite if a value is not finite. Otsu, "A Threshold
+    Selection Method from Gray-Level Histograms", IEEE Trans. SMC 9(1), 1979, eq. 18.
     """
     array = values.detach().reshape(-1).cpu().numpy()
     low, high = array.min(), array.max()

@@ -20,7 +20,7 @@ MIN_FLOW_SIDE = 32
 def flow_image(image: Tensor, width: int) -> Tensor:
     """Convert an image (3, H, W) in [0, 1] to grey uint8 (h, w), the flow's input.
 
-    It is at most ``width`` wide; its shape is kept unless a side falls below ``MIN_FLOW_SIDE``.
+    It is at most ``width`` wide and has the image's aspect ratio, but ``MIN_FLOW_SIDE`` at least.
     """
     grey = np.ascontiguousarray(image.detach().cpu().mean(0).numpy())
     height, wide = grey.shape
@@ -34,8 +34,7 @@ def flow_image(image: Tensor, width: int) -> Tensor:
 def dense_flow(source: Tensor, target: Tensor, preset: int = FASTEST_FLOW) -> Tensor:
     """Compute the flow from ``source`` to ``target``: float32 (h, w, 2), pixels right and down.
 
-    source, target: uint8 (h, w). preset: one of OpenCV's for dense inverse search. Raises
-    ValueError for images with a side below ``MIN_FLOW_SIDE``.
+    source, target: uint8 (h, w). Raises ValueError for a side below ``MIN_FLOW_SIDE``.
     """
     if min(source.shape) < MIN_FLOW_SIDE:
         raise ValueError(
@@ -47,10 +46,9 @@ def dense_flow(source: Tensor, target: Tensor, preset: int = FASTEST_FLOW) -> Te
 
 
 def warp(plane: Tensor, flow: Tensor) -> Tensor:
-    """Sample a plane where a flow points, by linear interpolation; outside, the edge is repeated.
+    """Sample a plane, float32 (H, W) or (H, W, 2), where a flow (h, w, 2) points, bilinearly.
 
-    plane: float32 (H, W) or (H, W, 2). flow: (h, w, 2); one of another size is resized to the
-    plane's.
+    Flow is resized to the plane's size. Outside, the edge is repeated.
     """
     columns, rows = _target_positions(flow, plane.shape[0], plane.shape[1])
     edge = cv2.BORDER_REPLICATE
@@ -59,7 +57,7 @@ def warp(plane: Tensor, flow: Tensor) -> Tensor:
 
 
 def _target_positions(flow: Tensor, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns and rows where a flow points, float32 (height, width) each."""
+    """Return the columns and rows to which a flow points, float32 (height, width) each."""
     right, down = cv2.split(flow.numpy())
     columns = cv2.resize(right, (width, height), interpolation=cv2.INTER_LINEAR)
     rows = cv2.resize(down, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -71,16 +69,15 @@ def _target_positions(flow: Tensor, height: int, width: int) -> tuple[np.ndarray
 
 
 def forward_backward_error(flow: Tensor, back: Tensor) -> Tensor:
-    """Compute the distance in pixels between start and end of a round trip, float32 (h, w).
+    """Compute the distance (h, w) in pixels from start to end of a round trip along two flows.
 
-    flow: (h, w, 2), from the first image to the second. back: from the second to the first. The
-    distance is infinite where the trip leaves the image.
+    flow, back: (h, w, 2), to another image and back. Infinite where the trip leaves the image.
     """
     height, width = flow.shape[:2]
     columns, rows = _target_positions(flow, height, width)
     outside = (columns < 0) | (columns > width - 1) | (rows < 0) | (rows > height - 1)
     right, down = cv2.split((flow + warp(back, flow)).numpy())
-    # Not cv2.magnitude, whose last digit depends on where in memory an array happens to lie.
+    # Not cv2.magnitude, whose last digit depends on the array's address.
     missed = np.sqrt(right * right + down * down)
     missed[outside] = np.inf
     return torch.from_numpy(missed)

@@ -1,8 +1,7 @@
 """Resizing: to the working size of a detector, and back to the size of the image.
 
-In an exported graph sizes are known at run time only, and neither OpenCV nor NumPy is there. Maps
-are resized by matrix products there, not by the resize operator: ONNX Runtime's antialiases as
-torch does, OpenVINO's does not (up to 0.45 off in a trial).
+An exported graph, which has sizes known at run time only and neither OpenCV nor NumPy, resizes by
+matrix products: OpenVINO's resize operator does not antialias (errors up to 0.45).
 """
 
 from functools import lru_cache
@@ -18,12 +17,12 @@ from torch.nn import functional as F
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
 
-SHORTEST = 16  # pixels: the short side of a long, thin image at the least
+SHORTEST = 16  # pixels: least side of an analysed image
 
 LONGEST = 10**9  # pixels: torch.export needs a bound
 
 ROWS, COLUMNS = 32, 64
-"""Input rows and columns in one matrix product, about: narrow bands have few zero weights."""
+"""Input rows and columns in one matrix product, approximately: few weights are zero."""
 
 
 class WorkingSize(Settings):
@@ -38,13 +37,13 @@ class WorkingSize(Settings):
 
 
 def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
-    """Return height and width of an image at work: its shape, at most ``working.pixels``."""
+    """Return height and width, of at most ``working.pixels`` in all, to analyse an image at."""
     scale = (working.pixels / (side_length(height) * side_length(width))).sqrt().clamp(max=1.0)
     return round_to_pixels(side_length(height) * scale), round_to_pixels(side_length(width) * scale)
 
 
 def side_length(pixels: int) -> Tensor:
-    """Return the length of a side as a scalar tensor, with which a graph can compute."""
+    """Return the length of a side as a float64 scalar tensor, which an exported graph traces."""
     return torch.scalar_tensor(pixels, dtype=torch.float64)
 
 
@@ -76,10 +75,9 @@ def resize_maps(maps: Tensor, size: tuple[int, int]) -> Tensor:
     if old_size == tuple(size):
         return maps
     if maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad:
-        # Faster than torch.
         is_larger = size[0] >= old_size[0] and size[1] >= old_size[1]
         flat = maps.reshape(-1, *old_size)
-        resampled = _enlarge(flat, size) if is_larger else _shrink(flat, size)
+        resampled = _enlarge(flat, size) if is_larger else _shrink(flat, size)  # faster than torch
         return resampled.reshape(*maps.shape[:-2], *size)
     batch = maps.reshape(1, -1, *maps.shape[-2:])
     batch = F.interpolate(batch, size=size, mode="bilinear", antialias=True)
@@ -125,9 +123,8 @@ def resize_bands(inputs: int, outputs: int, width: int) -> tuple[Band, ...]:
     most = max(1, round(width / scale))
     bands = []
     for start in range(0, outputs, most):
-        centre = (
-            torch.arange(start, min(start + most, outputs), dtype=torch.float64) + 0.5
-        ) * scale
+        pixels = torch.arange(start, min(start + most, outputs), dtype=torch.float64)
+        centre = (pixels + 0.5) * scale
         low = max(0, int(centre[0] - reach))
         high = min(inputs, int(centre[-1] + reach) + 1)
         weights = triangle_weights(torch.arange(low, high), centre, reach).to(torch.float32)
@@ -143,10 +140,10 @@ def resize_matrix(inputs: int, outputs: int) -> Tensor:
 
 
 def triangle_weights(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
-    """Return the weights (out, in) of input pixels (in,) in output pixels with centres (out,).
+    """Return the weights (out, in) of input pixels (in,) for output pixels with centres (out,).
 
-    A triangle around each centre, two input or two output pixels wide, whichever is wider, divided
-    by its sum: the antialiased bilinear filter of Pillow and torch.
+    A triangle ``reach`` wide on either side of each centre, of sum 1: the antialiased bilinear
+    filter of Pillow and torch.
     """
     distance = (pixels + 0.5 - centre[:, None]).abs()
     triangle = (1 - distance / reach).clamp_min(0)
@@ -168,7 +165,7 @@ def resize_to_image(cue: Tensor, size: tuple[int, int]) -> Tensor:
     rows, columns = (
         np.arange(new) * old // new for new, old in zip(size, cue.shape[-2:], strict=True)
     )
-    # NumPy indexes labels and masks faster than torch; the axis that shrinks most goes first.
+    # NumPy indexes labels and masks faster than torch; rows go first if they shrink.
     steps = [(rows, -2), (columns, -1)]
     for index, axis in steps if size[0] < cue.shape[-2] else reversed(steps):
         pixels = pixels.take(index, axis)

@@ -1,7 +1,6 @@
-"""Statistics of superpixels, and how similar superpixels are.
+"""Statistics of superpixels, and kernel densities of classes over them.
 
-The layout labeller and the fused detector both learn, in one image, the appearance of a class from
-the segments that are believed to belong to it. They share this module.
+The layout labeller and naive Bayes fusion learn the appearance of classes in an image with them.
 """
 
 from collections.abc import Sequence
@@ -20,14 +19,12 @@ from roadtorch.imaging.color import color_planes
 def segment_mean(planes: Sequence[Tensor] | Tensor, labels: Tensor, size: Tensor) -> Tensor:
     """Compute the mean of C planes over each of n segments: (C, n), 0 for an empty segment.
 
-    planes: C of shape (H, W). labels: int64 (H, W). size: int64 (n,) from ``segment_size``. Sums
-    are in float64: in float32 a large segment would lose small summands.
+    planes: C of shape (H, W). labels: int64 (H, W). size: int64 (n,), of ``segment_size``. Sums
+    are in float64, as float32 loses small summands.
     """
     segment = labels.reshape(-1).cpu().numpy()
-    sums = [
-        np.bincount(segment, plane.reshape(-1).cpu().numpy(), minlength=len(size))
-        for plane in planes
-    ]
+    flat = [plane.reshape(-1).cpu().numpy() for plane in planes]
+    sums = [np.bincount(segment, values, minlength=len(size)) for values in flat]
     total = torch.from_numpy(np.stack(sums)).to(planes[0])
     return total / size.to(total.dtype).clamp_min_(1)
 
@@ -73,9 +70,8 @@ def paint_segments(values: Tensor, labels: Tensor) -> Tensor:
 def segment_borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     """Find the pairs of adjacent segments and the mean of a plane along each border.
 
-    labels: int64 (H, W) with n segments; plane: (H, W). Returns int64 (2, E), each pair once and
-    the smaller number first, and (E,): the mean, over adjacent pixels on both sides of the border,
-    of the larger of their two values.
+    labels: int64 (H, W). plane: (H, W). Returns each pair once, the smaller number first, int64
+    (2, E), and the mean over pairs of pixels across the border of the larger value, (E,).
     """
     segment, values = (maps.reshape(-1).cpu().numpy() for maps in (labels, plane))
     count, width = int(segment.max()) + 1, labels.shape[1]
@@ -96,8 +92,7 @@ def segment_borders(labels: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
 
 
 LIGHTNESS_WEIGHT = 0.3
-"""Weight of lightness relative to a and b in border contrast: a shadow's edge changes mostly
-lightness, a verge's edge colour too."""
+"""Weight of lightness relative to a and b in border contrast, as shadows hardly change a and b."""
 
 MAX_SQUARED_DISTANCE = 160.0
 """Bound on the squared distance of segments: exp(-80) is not yet a slow denormal number."""
@@ -107,11 +102,10 @@ MIN_DENSITY = 1e-8
 
 
 class Bandwidths(NamedTuple):
-    """Widths of the Gaussian kernels that compare two segments.
+    """Standard deviations of the Gaussian kernels that compare two segments.
 
-    lightness: in L, 0 to 1. chroma: in a and b, in units of L. gradient: of the mean gradient, L
-    per pixel. contrast: of the standard deviation of L. row, column: fractions of the image's
-    sides.
+    lightness: of L, 0 to 1. chroma: of a and b over 100. gradient: of the mean gradient of L per
+    pixel. contrast: of the standard deviation of L. row, column: fractions of the image's sides.
     """
 
     lightness: float
@@ -220,10 +214,9 @@ def segment_affinity(segments: Segments, bandwidths: Bandwidths) -> Tensor:
 
 
 def class_log_density(affinity: Tensor, posterior: Tensor, size: Tensor) -> Tensor:
-    """Estimate log p(segment | class), (n, C), by kernel density over the segments themselves.
+    """Estimate log p(segment | class), (n, C), by kernel density; finite even without support.
 
-    affinity: (n, n) from ``segment_affinity``. posterior: (n, C), class probabilities of each
-    segment. size: (n,). A class with hardly any support keeps a finite density.
+    affinity: (n, n) of ``segment_affinity``. posterior: class probabilities, (n, C). size: (n,).
     """
     support = posterior.T * size
     # affinity is symmetric; multiplied from the left, the product is three times as fast.

@@ -1,10 +1,9 @@
 """SLIC superpixels in tensors, and P2's squares.
 
-Every pixel is compared with the nine segment centres around its grid cell. Cell by cell, that is
-one small matrix product; the centres are updated by a second one. Colours stay RGB: Lab is in the
-metric. Achanta et al., "SLIC Superpixels Compared to State-of-the-art Superpixel Methods", PAMI
-2012, takes the place of the TurboPixels of P2 and P3: both give compact segments of about equal
-size that follow edges.
+K-means of colour and position, each pixel compared with the nine centres around its grid cell: for
+each cell one small matrix product, and a second to update the centres. Colours stay RGB: Lab is in
+the metric. Achanta et al., "SLIC Superpixels Compared to State-of-the-art Superpixel Methods", PAMI
+2012, in place of the TurboPixels of P2 and P3, which also give compact segments along edges.
 """
 
 from functools import lru_cache
@@ -21,7 +20,7 @@ from roadtorch.base.settings import Settings
 from roadtorch.imaging.connectivity import connect
 
 NEIGHBOURS = 9
-"""Candidates of a pixel: the segments of its own grid cell and of the eight around it."""
+"""Candidates of a pixel: the segments of its grid cell and of the eight around it."""
 
 LAB_TANGENT = (
     (0.2127, 0.7153, 0.0722),
@@ -32,8 +31,7 @@ LAB_TANGENT = (
 Street images are nearly grey: boundary recall stays within 0.01, at 6 times the speed."""
 
 SAMPLES = 5
-"""Rows and columns from which a centre is updated at the least. Larger segments take every second
-or fourth of both: a quarter or a sixteenth of the work."""
+"""Least rows and columns of a cell that remain if its centre is updated from every fourth."""
 
 CHUNK = 1 << 18
 """Distances computed at a time: one megabyte."""
@@ -42,13 +40,13 @@ MIN_SEGMENT = 0.02
 """Fraction of the mean segment size below which a region is merged into a neighbour."""
 
 NOWHERE = 1e3
-"""Coordinates of a centre without pixels or beyond the grid: it is never the nearest."""
+"""Coordinates of a centre without pixels or beyond the grid, so that it is never the nearest."""
 
 MAX_LAB_SQUARE = 4.0
 """Bound on the squared distance of a colour from black: see ``_distance_maps``."""
 
 COMPACTNESS = 0.07
-"""Weight of spatial distance: one grid step in units of Lab/100. High values give squares."""
+"""Distance in Lab/100 that counts as much as one grid step; high values give squares."""
 
 ITERATIONS = 5
 """Iterations of k-means."""
@@ -76,10 +74,9 @@ def _cut(image: Tensor, superpixels: Superpixels) -> Tensor:
 
 
 def square_grid(height: int, width: int, size: int) -> Tensor:
-    """Divide an image into squares of ``size`` pixels: int64 labels (H, W), 0…n-1 by rows.
+    """Return labels of squares with sides of ``size``, int64 (H, W), 0…n-1 by rows (P2, section 4).
 
-    Squares at the right and the lower edge are truncated. Source: P2, section 4 ("fixed square
-    regions").
+    Squares at the right and the lower edge are truncated.
     """
     across = -(-width // size)
     rows = torch.arange(height) // size
@@ -101,15 +98,9 @@ class CellGrid(NamedTuple):
 
 
 def slic(image: Tensor, segments: int = 300) -> Tensor:
-    """Segment an image, or each image of a batch, into superpixels.
+    """Cut sRGB (…, 3, H, W) in [0, 1] into about ``segments`` superpixels: labels int64 (…, H, W).
 
-    Args:
-        image: sRGB in [0, 1], shape (3, H, W) or (B, 3, H, W).
-        segments: approximate number of segments, 1 or more.
-
-    Returns:
-        Labels, int64, shape (H, W) or (B, H, W), 0…n-1 in each image. Every segment is 4-connected;
-        the result is deterministic.
+    Takes an image or a batch. Labels are 0…n-1 in each image, and every segment is 4-connected.
     """
     batch = image if image.ndim == 4 else image[None]
     height, width = batch.shape[-2:]

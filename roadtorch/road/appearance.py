@@ -1,9 +1,8 @@
 """Appearance: a road classifier learned in each image from the network's own prediction. Ours.
 
-P2 fuses what was learned off line with what the image shows on line; P3 learns a classifier from
-the image's own road. Here both use features that know more than colour: a linear discriminant
-between the pixels that the network takes for road and for background, on the finest map of its
-backbone and six colour planes, gives a second opinion, which is averaged with the network's.
+As in P3 a classifier is learned in the image, and as in P2 it is fused with one learned off line:
+a linear discriminant between the pixels that the network predicts as road and as background, on the
+finest features of its backbone and six colour planes. Its log odds are averaged with the network's.
 """
 
 import torch
@@ -11,26 +10,23 @@ from torch import Tensor
 from torch.nn import functional as F
 
 RELATIVE_RIDGE = 0.3
-"""Fraction of the mean variance added to each variance, against overfitting of 30 features."""
+"""Multiple of the mean variance added to each variance, against overfitting of 30 features."""
 
 MIN_PIXELS = 20.0
-"""Weighted pixels of each class below which an image shows too little to learn from."""
+"""Sum of a class's pixel weights below which nothing is learned."""
 
 MAX_WEIGHT = 0.5
-"""Largest weight of the appearance: the network keeps at least half, however unsure it is."""
+"""Largest weight of the appearance against the network."""
 
 SCHULZ_STEPS = 14
-"""Iterations of the inverse: enough for a condition number of 1,000."""
+"""Iterations of the inverse, enough for a condition number of 1,000."""
 
 DARK_LEVEL = 0.02
-"""Added to channels before their logarithm: sensor noise in the dark is not colour."""
+"""Added to channels before their logarithm, so that sensor noise in the dark is not colour."""
 
 
 def appearance_planes(image: Tensor) -> Tensor:
-    """Compute r, g, b chromaticity, brightness, saturation and log R/B: (…, 6, H, W).
-
-    image: sRGB in [0, 1], shape (…, 3, H, W).
-    """
+    """Compute r, g, b, brightness, max - min and log R/B, (…, 6, H, W), of images (…, 3, H, W)."""
     red, _, blue = image.unbind(-3)
     total = image.sum(-3) + 1e-3
     saturation = image.amax(-3) - image.amin(-3)
@@ -42,17 +38,13 @@ def appearance_planes(image: Tensor) -> Tensor:
 def appearance_log_odds(features: Tensor, log_odds: Tensor) -> Tensor:
     """Compute the log odds of road by appearance, with a discriminant learned in this image.
 
-    Fisher's linear discriminant d = S⁻¹ (m₁ - m₀) between pixels weighted by how surely the
-    network takes them for road, max(0, 2p - 1), and for background, max(0, 1 - 2p). m are the
-    weighted means, S is the mean of both weighted covariances plus a ridge. The scores get the
-    standard deviation of the network's log odds, so that both can be averaged.
+    Fisher's linear discriminant d = S⁻¹ (m₁ - m₀) between road, pixels weighted by max(0, 2p - 1),
+    and background, max(0, 1 - 2p), with the network's probability p. m are the weighted means, S is
+    the mean of both weighted covariances plus a ridge. The scores are scaled to the standard
+    deviation of the network's log odds, so that both can be averaged.
 
-    Args:
-        features: any features of the pixels, shape (…, C, N).
-        log_odds: the network's log odds of road, shape (…, N).
-
-    Returns:
-        Log odds, shape (…, N); the network's own where road or background is missing.
+    features: of pixels, (…, C, N). log_odds: the network's, (…, N). Returns log odds (…, N); the
+    network's unchanged where an image has less than ``MIN_PIXELS`` of road or background.
     """
     features = standardise(features)
     belief = 2 * log_odds.sigmoid() - 1
@@ -100,24 +92,17 @@ def invert(matrix: Tensor) -> Tensor:
 def average_log_odds(log_odds: Tensor, appearance: Tensor, weight: float) -> Tensor:
     """Average the log odds (…, N) of network and appearance, by the network's doubt in this image.
 
-    log odds = (1 - α) network + α appearance, with α = weight · (1 - mean |2p - 1|), at most
-    ``MAX_WEIGHT``: the more unlike its training images a camera is, the more the image decides.
+    (1 - α) network + α appearance, with α = weight · (1 - mean |2p - 1|), at most ``MAX_WEIGHT``.
     """
     doubt = 1 - (2 * log_odds.sigmoid() - 1).abs().mean(-1, keepdim=True)
     return torch.lerp(log_odds, appearance, (weight * doubt).clamp_max(MAX_WEIGHT))
 
 
 def fuse_appearance(scores: Tensor, features: Tensor, images: Tensor, weight: float) -> Tensor:
-    """Fuse the network's log odds of road with the appearance learned in each image.
+    """Fuse the network's log odds of road (B, h, w) with the appearance learned in each image.
 
-    Args:
-        scores: log odds of road by the network, shape (B, h, w).
-        features: the finest features of the network, shape (B, C, h, w).
-        images: sRGB in [0, 1], shape (B, 3, H, W); H and W are multiples of h and w.
-        weight: weight of the appearance per mean doubt; see ``average_log_odds``.
-
-    Returns:
-        Log odds by both and by appearance alone, shape (B, 2, h, w).
+    features: (B, C, h, w). images: (B, 3, H, W) in [0, 1], H and W multiples of h and w. weight: as
+    in ``average_log_odds``. Returns the fused log odds and the appearance's, (B, 2, h, w).
     """
     step = images.shape[-2] // scores.shape[-2]
     planes = appearance_planes(F.avg_pool2d(images, step))

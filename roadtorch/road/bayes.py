@@ -1,11 +1,10 @@
 """Naive Bayes fusion of learned cues and cues of the image, and location priors.
 
 ``likelihood_product`` is P2's eq. 4: prior times likelihoods, without a model of the background.
-The rest is ours: every cue is a likelihood in [0, 1], read as p(road | cue) at even prior odds, so
-that cues multiply as odds, L / (1 - L), and evidence for the background counts as well. The two
-can rank pixels differently: 0.9 and 0.3 have the product 0.27 and the odds 3.9, 0.6 and 0.6 the
-product 0.36 and the odds 2.3. Over segments one more cue is learned from the others: the
-appearance of the road in this image (ours).
+The rest is ours: a cue L in [0, 1] is p(road | cue) at even prior odds, so that cues multiply as
+odds, L / (1 - L), and evidence for the background counts as well. Pixels may be ranked differently:
+0.9 and 0.3 have the product 0.27 and the odds 3.9, 0.6 and 0.6 the product 0.36 and the odds 2.3.
+Over segments one more cue is learned from the others: the appearance of the road in this image.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,8 +20,8 @@ LIKELIHOOD_EPS = 1e-4
 """Distance from 0 and 1 to which likelihoods are clamped: no single cue can veto the others."""
 
 MAX_APPEARANCE = 3.0
-"""Limit of the appearance's log odds: paint on the road resembles nothing else on it, and its
-neighbours must be able to outvote that."""
+"""Limit of the appearance's log odds, so that neighbours can outvote it: lane markings look unlike
+the rest of the road."""
 
 
 class RoadPosition(NamedTuple):
@@ -135,8 +134,8 @@ def segment_road(
     Naive Bayes over the cues gives a first belief. Then, in rounds, kernel densities of road and
     background are learned from the belief and added as one more cue, as are the neighbours.
 
-    layout: ground of the layout. distance: from the seed area. texture: uniformity. further: log
-    odds (n,) of further cues, added as they are.
+    layout: of ground. distance: from the seed area. texture: of uniformity. further: log odds (n,)
+    of further cues, added unweighted.
     """
     exponents = rules.exponents
     position = road_position_prior(segments.row, segments.column, rules.position)
@@ -172,11 +171,11 @@ def neighbour_mean(segments: Segments) -> Tensor:
 
 
 def centred_odds(odds: Tensor, centre: float, weight: float) -> Tensor:
-    """Subtract from the log odds (…) of an image those that separate road from background.
+    """Shift the log odds (…) of an image so that road and background separate at 0. Ours.
 
-    These are a weighted mean of ``centre``, the same for all images, and Otsu's threshold of the
-    image, with ``weight`` for the latter. The best threshold differs between cameras, and Otsu's
-    follows it without labels, but it is too low for a narrow road when used alone. Ours.
+    Subtracts the mean of ``centre``, the same for all images, and of Otsu's threshold of the image,
+    which has the ``weight``. Otsu's follows the best threshold of a camera without labels, but
+    alone it is too low for a narrow road.
     """
     if not weight:
         return odds - centre

@@ -1,8 +1,8 @@
 """The ego car: pixels of the vehicle that carries the camera, never road and never seed.
 
 It comes from the settings (``Ego``), a camera's file, or a network's map. Before an image is
-analysed, the ground above the ego car is extrapolated over it, so that everything learned or
-counted at the bottom of the image is ground.
+analysed, the ground above the ego car is extrapolated over it, so that the bottom of the image, of
+which the road's appearance is learned, is ground.
 """
 
 from pathlib import Path
@@ -26,10 +26,9 @@ MAX_STRIP = 0.08
 """Largest strip that is mirrored, as a fraction of the height: near ground, never the sky."""
 
 MIN_MEAN, MEAN_PER_AREA = 0.7, 0.5
-"""Mean potential that an ego car needs, and the increase of that per fraction of the image it
-covers: the network is half sure of lane markings near the lower edge, mostly surer of bonnets, and
-the more ground a mistake would lose, the surer it must be (train/README.md, "The ego car's edge").
-"""
+"""Least mean potential of an ego car, and its increase with the fraction of the image that the car
+covers: lane markings near the lower edge get about 0.5, bonnets mostly more, and a larger mistake
+loses more ground (train/README.md, "The ego car's edge")."""
 
 MIN_FILL = 0.6  # fraction of the pixels below a column's first row that must be ego car
 
@@ -37,20 +36,23 @@ FREE_HINT = f"leave at least {MIN_FREE:.0%} of the image free"
 
 
 class Ego(Settings):
-    """Ego car of all images, given in up to three ways; their union counts."""
+    """Ego car of all images, described in up to three ways, of which the union counts.
+
+    At full size, before the analysis, it is filled from the ground beside it; its likelihood is 0.
+    """
 
     bottom: float = Field(
         default=0, ge=0, le=1 - MIN_FREE, description="fraction of the height, at the bottom"
     )
     mask: str = Field(
         default="",
-        description="image file of the images' size; pixels that are not black are ego car",
+        description="image file of the images' full size; pixels that are not black are ego car",
     )
     outline: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(
         default=(),
         strict=False,
-        description="first row of the ego car in equally wide columns, as a fraction of the height "
-        "from the top; 1: none in that column",
+        description="first row of the ego car, fraction of the height from the top, at the centres "
+        "of equally wide columns, linear between them; 1: no ego car",
     )
 
     @field_validator("outline")
@@ -69,7 +71,7 @@ def has_ego_car(ego: Ego) -> bool:
 def read_ego_mask(path: str) -> Tensor:
     """Read an ego car mask, bool (H, W), from an image file: pixels that are not black.
 
-    Raises InputError when it cannot be read, ConfigError when nearly every pixel is ego car.
+    Raises InputError if it cannot be read, ConfigError if nearly every pixel is ego car.
     """
     mask = read_image(Path(path)).amax(0) > 0
     if float((~mask).double().mean()) < MIN_FREE:
@@ -79,15 +81,10 @@ def read_ego_mask(path: str) -> Tensor:
 
 @cached_per_image
 def ego_car(image: Tensor, ego: Ego, mask: Tensor | None = None) -> Tensor:
-    """Return the ego car that the settings describe, bool (H, W).
+    """Return the ego car that the settings describe for an image (3, H, W): bool (H, W).
 
-    Args:
-        image: shape (3, H, W); only its size counts.
-        ego: settings.
-        mask: result of ``read_ego_mask`` for the settings' file; None: the file is read.
-
-    Raises:
-        InputError: The mask differs in size from the image, or too little is free.
+    mask: that of the settings' file; None: it is read. Raises InputError if the mask differs in
+    size from the image, or too little is left free.
     """
     height, width = image.shape[-2:]
     rows = (torch.arange(height, device=image.device) + 0.5) / height
@@ -129,9 +126,9 @@ def any_pixel(mask: Tensor) -> bool:
 def find_ego_car(potential: Tensor) -> Tensor:
     """Return the ego car, bool (…, H, W), from a network's potential in [0, 1] of that shape.
 
-    In each column it extends from the first row from which at least ``MIN_FILL`` of all pixels
-    down to the lower edge exceed 0.5: reflections on a bonnet leave no hole, and a car ahead does
-    not count. None where next to nothing would be left free, or where its mean potential is low.
+    In each column it begins at the first pixel above 0.5 from which at least ``MIN_FILL`` of the
+    pixels down to the lower edge exceed 0.5: reflections leave no hole, and a car ahead does not
+    count. False everywhere if less than ``MIN_FREE`` would be left, or its mean potential is low.
     """
     height, width = potential.shape[-2:]
     ego = is_above(potential, 0.5)
@@ -153,9 +150,9 @@ def find_ego_car(potential: Tensor) -> Tensor:
 def extrapolate_over_ego(maps: Tensor, ego: Tensor) -> Tensor:
     """Replace the ego car, bool (H, W), in maps (…, H, W) by the ground above it; a new tensor.
 
-    Column by column, a strip just above the ego car is mirrored downwards repeatedly. Pixels with
-    nothing above them (a mirror at the top) are filled from below, and columns that are all ego
-    car from the side. At least one pixel must be free.
+    In each column a strip just above the ego car is mirrored downwards repeatedly. Pixels with
+    nothing above them are filled from below, and columns that are all ego car from the side. At
+    least one pixel must be free.
     """
     if torch.compiler.is_exporting():
         return _mirror_down_in_graph(maps, ego)
@@ -172,10 +169,7 @@ def extrapolate_over_ego(maps: Tensor, ego: Tensor) -> Tensor:
 
 
 def _mirror_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
-    """Mirror maps (C, H, W) down over the ego car (H, W); return them and the ego car that remains.
-
-    Only rows from the one above the highest ego car on are read.
-    """
+    """Mirror maps (C, H, W) down over the ego car (H, W); return them and the pixels not filled."""
     height, width = ego.shape
     car = ego.cpu().numpy()
     first = max(int(car.any(1).argmax()) - 1, 0)

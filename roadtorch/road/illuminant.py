@@ -34,7 +34,7 @@ MODEL_SMOOTHING = (0.25, 0.5, 0.25)
 def log_chromaticity(image: Tensor) -> Tensor:
     """Compute (log R/G, log B/G) of an image (3, H, W) in [0, 1], shape (2, H, W).
 
-    A gamma scales both and leaves the invariant direction where it is, so values stay encoded.
+    Values stay gamma-encoded: a gamma scales both and does not change the invariant direction.
     """
     red, green, blue = image.clamp_min(MIN_LEVEL).log()
     return torch.stack([red - green, blue - green])
@@ -72,18 +72,12 @@ def _entropy(points: np.ndarray, angle: int) -> float:
 
 
 def invariant_angle(entropies: Tensor) -> float:
-    """Return the direction in degrees whose projection has the least entropy.
-
-    entropies: (180,) of an image, or the mean of many images of a camera, which calibrates it.
-    """
+    """Return the angle of least entropy in degrees, from (180,) of an image or a camera's mean."""
     return float(entropies.argmin())
 
 
 def histogram_likelihood(plane: Tensor, seed: Tensor) -> Tensor:
-    """Compute p(value | road) / max p of each pixel, (H, W) in [0, 1], from the seed's histogram.
-
-    plane: values (H, W). seed: bool (H, W), pixels that are assumed to be road.
-    """
+    """Compute p(value | road) / max p of a plane (H, W), by its histogram in the seed (H, W)."""
     low, high = plane.aminmax()
     bins = ((plane - low) / (high - low).clamp_min(1e-6) * MODEL_BINS).long()
     bins = bins.clamp_max(MODEL_BINS - 1)

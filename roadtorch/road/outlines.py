@@ -30,10 +30,10 @@ Outlines = Annotated[
 MAX_ENLARGEMENT = 8  # times the pixels of the working size: 640x480 for 240x180
 
 SUBSAMPLING = 2
-"""Factor by which the analysed image is reduced before the filter's windows are computed."""
+"""Factor by which the analysed image is reduced for the guided filter."""
 
 WINDOW_SPACING = 6
-"""Pixels between window centres after subsampling; with the above, the side of a superpixel."""
+"""Distance in pixels of window centres in the reduced image."""
 
 RIDGE = 1e-3
 """ε of the guided filter: colour variance, in [0, 1], below which an edge counts as noise."""
@@ -56,12 +56,9 @@ def refine(
     on the fourteen cameras by .004. The ego car counts as no road, so that the strip of bonnet
     that its mask misses does not become road.
 
-    Args:
-        maps: ``likelihood``, shape (h, w), and ``ego``, bool, where there is one.
-        small: image as it was analysed, shape (3, h, w).
-        image: the same image at full size, shape (3, H, W).
-        working: working size; the result has at most ``MAX_ENLARGEMENT`` times its pixels.
-        threshold: likelihood from which a pixel is road.
+    maps: ``likelihood`` (h, w) and, if there is one, ``ego``, bool (h, w). small: the analysed
+    image (3, h, w). image: at full size, (3, H, W). The result has at most ``MAX_ENLARGEMENT``
+    times the pixels of ``working``.
     """
     return fill_thin_holes(snap_to_edges(maps, small, image, working, threshold), threshold)
 
@@ -122,7 +119,7 @@ def _stack(map: Tensor, planes: Tensor) -> Tensor:
 
 
 def _inverse(covariance: Tensor) -> Callable[[Tensor], Tensor]:
-    """Return the product of (Σ + ``RIDGE`` U)⁻¹ with vectors (…, 3, h, w), for Σ (…, 6, h, w)."""
+    """Return a function that multiplies vectors (…, 3, h, w) by (Σ + εU)⁻¹, for Σ (…, 6, h, w)."""
     if torch.compiler.is_exporting():  # ONNX cannot invert matrices: use minors
         a, b, c, d, e, f = covariance.unbind(-3)
         a, d, f = a + RIDGE, d + RIDGE, f + RIDGE
@@ -141,10 +138,8 @@ def _inverse(covariance: Tensor) -> Callable[[Tensor], Tensor]:
 
 
 def _reduced_size(map: Tensor, factor: int) -> tuple[int, int]:
-    """Return the size of a map (…, H, W) reduced by a factor, 2 at least on each side."""
-    height, width = (
-        round_to_pixels(side_length(length) / factor, 2) for length in spatial_size(map)
-    )
+    """Return the size of a map (…, H, W) reduced by a factor, at least 2×2."""
+    height, width = (round_to_pixels(side_length(n) / factor, 2) for n in spatial_size(map))
     return height, width
 
 

@@ -20,10 +20,7 @@ from roadtorch.imaging.resize import (
 )
 from roadtorch.imaging.segments import Segments
 
-REFERENCE_SIZE = (
-    240,
-    320,
-)  # height and width in pixels of the image that seed areas are specified for
+REFERENCE_SIZE = (240, 320)  # height and width, pixels, of the image for which sizes are given
 
 BOTTOM_BONUS = 4.0
 """Log odds by which the bottom of the image is preferred over its top when choosing a seed."""
@@ -38,20 +35,14 @@ STRIP_ROWS = 256  # rows of the region map processed at a time; ours: about a me
 class SeedArea(Settings):
     """Rectangle at the middle of the bottom edge that is assumed to be road.
 
-    Detectors that choose the seed area themselves take one of this size where road is likeliest.
+    Detectors that choose their seed area themselves choose as many pixels where road is likeliest.
     """
 
     height: float = Field(
-        default=30,
-        ge=1,
-        le=REFERENCE_SIZE[0],
-        description="height, in rows per 240 rows of the image",
+        default=30, ge=1, le=REFERENCE_SIZE[0], description="height, 240 being that of the image"
     )
     width: float = Field(
-        default=80,
-        ge=1,
-        le=REFERENCE_SIZE[1],
-        description="width, in columns per 320 columns of the image",
+        default=80, ge=1, le=REFERENCE_SIZE[1], description="width, 320 being that of the image"
     )
 
     @property
@@ -63,10 +54,9 @@ class SeedArea(Settings):
 def seed_area(
     height: int, width: int, seed: SeedArea | None = None, least: int = 1
 ) -> tuple[slice, slice]:
-    """Return the rows and columns of the seed area in an image of height × width pixels.
+    """Return rows and columns of the seed area, with sides of ``least`` pixels or more if possible.
 
-    At least ``least`` pixels on each side where the image has as many. P2, section 4, "the
-    central-bottom part of the image".
+    P2, section 4, "the central-bottom part of the image".
     """
     seed = SeedArea() if seed is None else seed
     rows = min(height, max(least, round(seed.height * height / REFERENCE_SIZE[0])))
@@ -83,12 +73,11 @@ def seed_rectangle(shape: Sequence[int], seed: SeedArea | None = None) -> Tensor
 
 
 def find_seed_segments(evidence: Tensor, row: Tensor, size: Tensor, fraction: float) -> Tensor:
-    """Select the segments of the lower half that are likeliest road, until they fill the seed area.
+    """Select the likeliest road segments of the lower half, bool (…, n), that fill a fraction.
 
-    One at least; they need not be adjacent. Near segments show the road best, and are preferred
-    by ``BOTTOM_BONUS``. Ours: the bottom of an image may be a bonnet, grass or a car ahead.
-    evidence: log odds of road, (…, n). row: centroids, 0 at the top to 1, (n,). size: fractions
-    of the image, (n,). fraction: to be filled. Returns a mask of the segments, bool (…, n).
+    At least one; they need not be adjacent. Ours: the bottom of an image may be a bonnet, grass or
+    a car ahead. evidence: log odds of road, (…, n). row: centroids, 0 at the top to 1, (n,).
+    size: fractions of the image, (n,). fraction: of the image.
     """
     score = evidence + BOTTOM_BONUS * row - UPPER_HALF_PENALTY * (row < 0.5)
     # The exporter to ONNX lacks ``argsort``; its ``sort`` is stable.
@@ -105,9 +94,7 @@ def find_seed_segments(evidence: Tensor, row: Tensor, size: Tensor, fraction: fl
 def find_seed_area(evidence: Tensor, fraction: float) -> Tensor:
     """Select a fraction of the image as seed area, bool (…, H, W), by log odds (…, H, W)."""
     full = spatial_size(evidence)
-    rows, columns = (
-        round_to_pixels((side_length(length) / SEED_CELL).ceil(), 1) for length in full
-    )
+    rows, columns = (round_to_pixels((side_length(n) / SEED_CELL).ceil(), 1) for n in full)
     cells = resize_maps(evidence, (rows, columns))
     row = ((torch.arange(rows, device=cells.device) + 0.5) / rows)[:, None].expand(rows, columns)
     size = torch.full_like(row, 1 / (rows * columns))
@@ -118,8 +105,8 @@ def find_seed_area(evidence: Tensor, fraction: float) -> Tensor:
 def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
     """Keep the 4-connected regions of a mask (H, W) that touch the seed area, bool (H, W).
 
-    Returns the mask unchanged where none does. P2, section 6.2 (isolated areas are discarded).
-    Regions are looked up strip by strip, as NumPy takes 8 bytes for each pixel's region.
+    Returns the mask itself if no region or every region does. P2, section 6.2. Works in strips, as
+    NumPy's index takes 8 bytes a pixel.
     """
     pixels = mask.cpu().contiguous().numpy()  # torch takes twenty times as long for ``any``
     rows = np.flatnonzero(pixels.any(1))
@@ -157,16 +144,15 @@ def segments_inside(labels: Tensor, seed: Tensor) -> Tensor:
 
 
 MIN_CONTRAST = 0.0034
-"""Added to the contrast of a faint border (Lab/100), so that clean images have no edges below."""
+"""Added to the contrast (Lab/100) of a faint border, which is nearly 0 in clean images."""
 
 
 def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
     """Compute the geodesic distance (n,) of each segment from the source segments (k,).
 
-    The least sum of the contrasts of the borders crossed on the way: a kerb or a lane marking must
-    be crossed somewhere even where both sides have the same colour. The unit is a faint border of
-    this image (the lower quartile), so that noise does not count. Ours, after the geodesic
-    distances of interactive segmentation.
+    The least sum of border contrasts on the way there, in units of their lower quartile in this
+    image, so that noise does not count: a kerb must be crossed somewhere even where both sides
+    have the same colour. Ours, after the geodesic distances of interactive segmentation.
     """
     steps = segments.contrast_between
     if len(steps):
@@ -180,10 +166,9 @@ def distance_likelihood(distance: Tensor, reach: float) -> Tensor:
 
 
 def shortest_paths(pairs: Tensor, steps: Tensor, sources: Tensor, count: int) -> Tensor:
-    """Compute the shortest path from any source to each of ``count`` nodes, (count,); Dijkstra.
+    """Compute the length of the shortest path from any source to each node, (count,); Dijkstra.
 
-    pairs: nodes of each edge, int64 (2, E), once. steps: lengths of the edges ≥ 0, (E,). Nodes out
-    of reach are at infinity.
+    pairs: nodes of each edge, int64 (2, E). steps: lengths ≥ 0, (E,). Infinite where there is none.
     """
     first, second = pairs.cpu().numpy()
     # SciPy takes a stored 0 for a missing edge.
@@ -194,10 +179,7 @@ def shortest_paths(pairs: Tensor, steps: Tensor, sources: Tensor, count: int) ->
 
 
 def lower_quartile(values: Tensor) -> float:
-    """Return the lower quartile of values (n,), n ≥ 1, linearly interpolated.
-
-    Sorting in NumPy takes a tenth of the time of ``torch.quantile`` or ``np.quantile``.
-    """
+    """Return the lower quartile of values (n,), n ≥ 1, ten times as fast as ``torch.quantile``."""
     ordered = np.sort(values.detach().cpu().numpy())
     position = (len(ordered) - 1) / 4
     low = int(position)

@@ -2,17 +2,13 @@
 
 A detector analyses each frame by itself, so its likelihood flickers with noise and light. The log
 odds of the frames before are warped along dense optical flow and averaged with those of this
-frame: recursive Bayes, the past raised to a power so that all frames together count as one. A
-plain sum of log odds would take a mistake repeated in every frame for ever stronger evidence.
-(Ours; averaging warped estimates: Nilsson and Sminchisescu, Semantic Video Segmentation by Gated
-Recurrent Flow Propagation, CVPR 2018; the weights: a Kalman filter of a constant with fading
-memory.)
+frame; a sum would count a mistake repeated in every frame as ever stronger evidence. (Ours;
+averaging warped estimates: Nilsson and Sminchisescu, Semantic Video Segmentation by Gated Recurrent
+Flow Propagation, CVPR 2018; the weights: a Kalman filter of a constant with fading memory.)
 
-Where forward and backward flow disagree, or the image changes along the flow, the past counts
-less, down to nothing: turns and the edges of cars stay sharp.
-
-An ego car is static in the image. An area that only single frames call ego car, such as a shadow
-close to the camera, is not hidden: there the past's log odds are kept.
+Where forward and backward flow disagree, or the image changes along the flow, the past counts less,
+down to nothing. An ego car is static in the image: where less than half of the last frames have it,
+such as at a shadow close to the camera, the warped log odds of the past are kept.
 """
 
 from collections.abc import Sequence
@@ -42,13 +38,16 @@ class TemporalFilterSettings(Settings):
         default=320, ge=32, le=4096, description="width in pixels at which optical flow is computed"
     )
     flow_error: float = Field(
-        default=4.0, gt=0, le=100, description="tolerated forward-backward error, in such pixels"
+        default=4.0,
+        gt=0,
+        le=100,
+        description="tolerated forward-backward error, pixels at that width",
     )
     relative_flow_error: float = Field(
         default=0.2, ge=0, le=10, description="further tolerated error, as a fraction of the motion"
     )
     contrast: float = Field(
-        default=0.2, gt=0, le=10, description="tolerated change of brightness, a fraction of white"
+        default=0.2, gt=0, le=10, description="tolerated change of brightness, 1 being white"
     )
     min_confidence: float = Field(
         default=0.25, ge=0, le=1, description="mean flow confidence below which a scene was cut"
@@ -61,8 +60,8 @@ class TemporalFilterSettings(Settings):
 class FilterState(NamedTuple):
     """State of the filter after a frame.
 
-    grey: the frame, uint8 (h, w). odds: smoothed log odds of road, float32 (H, W). frames: number
-    of frames they are based on, float32 (h, w).
+    grey: the frame, uint8 (h, w). odds: smoothed log odds of road, float32 (H, W). frames: weight
+    of ``odds`` as a number of frames, float32 (h, w).
     """
 
     grey: Tensor
@@ -96,15 +95,10 @@ class TemporalFilter:
         return None if self._ego is None else self._ego.hidden
 
     def __call__(self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None) -> Tensor:
-        """Return the smoothed likelihood of the next frame, shape (H, W).
+        """Return the smoothed likelihood (H, W) of the next frame, an image (3, H, W) in [0, 1].
 
-        That of the first frame is unchanged; a frame of another size restarts the filter.
-
-        Args:
-            image: the frame, in [0, 1], shape (3, H, W).
-            likelihood: of this frame alone, in [0, 1], shape (H, W).
-            hidden: ego car in this frame, bool, shape (H, W); the result is 0 where half of the
-                frames agree on it.
+        likelihood: of this frame alone, (H, W). hidden: its ego car, bool (H, W); the result is 0
+        where half of the last frames have one. A frame of another size restarts the filter.
         """
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
@@ -130,9 +124,9 @@ def update_state(
     hidden: Tensor,
     settings: TemporalFilterSettings,
 ) -> FilterState:
-    """Update the state of the filter by a frame.
+    """Update the state of the filter by a frame, grey uint8 (h, w), with its log odds (H, W).
 
-    grey: the frame, uint8 (h, w). odds: its own log odds (H, W). hidden: pixels without evidence.
+    hidden: pixels without evidence, bool (H, W). A cut or another size starts anew.
     """
     height, width = grey.shape
     covered = hidden.to(torch.float32).numpy()
@@ -159,9 +153,9 @@ def smooth_log_odds(
 ) -> list[Tensor]:
     """Smooth the log odds (H, W) of frames, uint8 (h, w), by the frames before and after each.
 
-    Two filters, one from either end, meet at every frame, whose own odds are in both and count
-    once (Fraser and Potter, The optimum linear smoother as a combination of two optimum linear
-    filters, 1969).
+    A forward and a backward filter are averaged at every frame; its log odds, which are in both,
+    count once (Fraser and Potter, The optimum linear smoother as a combination of two optimum
+    linear filters, 1969).
     """
     forward = _filter_states(greys, odds, settings)
     backward = _filter_states(greys[::-1], odds[::-1], settings)[::-1]
@@ -178,12 +172,10 @@ def _filter_states(
     """Return the filter's state after each frame, its ``frames`` at the size of the odds."""
     state, states = None, list[FilterState]()
     for grey, frame in zip(greys, odds, strict=True):
-        state = update_state(
-            state, grey, frame, torch.zeros_like(frame, dtype=torch.bool), settings
-        )
-        states.append(
-            state._replace(frames=resize_maps(state.frames[None], spatial_size(frame))[0])
-        )
+        hidden = torch.zeros_like(frame, dtype=torch.bool)
+        state = update_state(state, grey, frame, hidden, settings)
+        frames = resize_maps(state.frames[None], spatial_size(frame))[0]
+        states.append(state._replace(frames=frames))
     return states
 
 
@@ -192,9 +184,9 @@ def flow_confidence(
 ) -> Tensor:
     """Compute the confidence, float32 (h, w) in [0, 1], in a flow from a frame to the previous one.
 
-    1 where forward and backward flow agree and the brightness is unchanged, 0 outside the previous
-    frame. Larger errors are tolerated where motion is fast (Sundaram et al., ECCV 2010, eq. 5). A
-    change of brightness all over the image does not count. Frames: uint8 (h, w).
+    1 where forward and backward flow agree and the brightness is unchanged but for its median, 0
+    outside the previous frame. The tolerance grows with the motion (Sundaram et al., ECCV 2010,
+    eq. 5). Frames: uint8 (h, w).
     """
     motion = torch.hypot(flow[..., 0], flow[..., 1])
     tolerance = settings.flow_error + settings.relative_flow_error * motion

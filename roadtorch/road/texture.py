@@ -19,11 +19,10 @@ from roadtorch.imaging.levels import is_above, is_at_least, order_statistic
 from roadtorch.imaging.segments import segment_histogram, segment_size
 
 VARIANCE_FLOOR = 1e-12
-"""Added to the diagonal of Σ, so that a constant area has (equal) weights as well."""
+"""Added to the diagonal of Σ, so that the planes of a constant area get equal weights."""
 
 MIN_RANGE = 1e-4
-"""Smallest range that is quantised: below it there is only rounding, as planes are of order 1, and
-a flat image would look rough."""
+"""Smallest range that is quantised, as a smaller one holds only rounding errors."""
 
 
 def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
@@ -31,14 +30,11 @@ def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
 
     w = Σ⁻¹1 / (1ᵀΣ⁻¹1), P2 eq. 3. P2's nine planes are linearly dependent (R - G - √2·O1 = 0,
     R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and (R - G - √2·O1) / -√2, whose weights sum
-    to 1, is 0 in every image: the least variance possible, and no texture. Hence the ridge.
-    Solved in float64, returned in the samples' dtype.
+    to 1, is 0 in every image: the least variance possible, and no texture. Hence ``ridge`` times
+    the mean variance is added to the diagonal of Σ: 0 is P2's formula, which collapses
+    (docs/how/layout_texture.md); large values give the plain mean of the planes.
 
-    Args:
-        samples: K pixels of N planes, shape (K, N).
-        ridge: multiple ≥ 0 of the mean variance added to the diagonal of Σ. 0 leaves only
-            ``VARIANCE_FLOOR``: P2's formula up to rounding, which collapses
-            (docs/how/layout_texture.md). Large values give the plain mean of the planes.
+    samples: K pixels of N planes, (K, N). Solved in float64.
     """
     # In NumPy: torch takes twice as long for matrices this small.
     centred = samples.cpu().numpy().astype(np.float64)
@@ -60,10 +56,9 @@ def fused_plane(planes: Iterable[Tensor], weights: Tensor) -> Tensor:
 
 
 def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, float]:
-    """Return the quantiles ``tail`` and 1 - ``tail`` of the usable pixels of a plane (H, W).
+    """Return the quantiles ``tail`` and 1 - ``tail`` of the usable pixels of a plane (H, W). Ours.
 
-    They are the range that is quantised. The fused plane has no natural bounds, so the image
-    determines them, as exposure does for grey levels (ours).
+    The fused plane has no natural bounds for its histogram.
     """
     values = plane.reshape(-1) if usable.all() else masked_pixels(plane[None], usable)[0]
     count = len(values)
@@ -74,28 +69,21 @@ def value_range(plane: Tensor, usable: Tensor, tail: float) -> tuple[float, floa
 
 
 def quantise_plane(plane: Tensor, bins: int, low: float, high: float) -> Tensor:
-    """Quantise a plane to levels 0…bins-1 (int64) in equal steps from low to high, clamped.
-
-    A range below ``MIN_RANGE`` is widened to it.
-    """
+    """Quantise a plane to 0…bins-1, int64, from low to high (``MIN_RANGE`` or more), clamped."""
     scaled = (plane - low) * (bins / max(high - low, MIN_RANGE))
     return scaled.clamp(0, bins - 1).to(torch.int64)
 
 
 def uniformity(histogram: Tensor) -> Tensor:
-    """Compute U = Σ p², P2 eq. 1, of counts (…, L): 1/L if even, 1 for a single level, 0 if empty.
-
-    An empty histogram must not count as road.
-    """
+    """Compute U = Σ p², P2 eq. 1, of counts (…, L): 1/L if equal, 1 for one bin, 0 if empty."""
     return relative_frequencies(histogram).square().sum(-1)
 
 
 def saturation_mask(image: Tensor, dark: float, bright: float) -> Tensor:
     """Return the saturated pixels, bool (H, W), of an image (3, H, W): CPFv2, P2 section 6.2.
 
-    The rule is ours, P2 names none: a pixel whose largest channel is at ``bright`` or above has a
-    clipped channel; one whose largest is at ``dark`` or below has no colour. In both, the planes
-    are flat for reasons other than the surface.
+    The rule is ours, P2 names none: the largest channel is at least ``bright``, so that one is
+    clipped, or at most ``dark``, so that there is no colour.
     """
     highest = image.amax(-3)
     return is_at_least(highest, bright) | ~is_above(highest, dark)
@@ -104,8 +92,7 @@ def saturation_mask(image: Tensor, dark: float, bright: float) -> Tensor:
 def uniformity_likelihood(values: Tensor, midpoint: float) -> Tensor:
     """Turn U into a likelihood in [0, 1): U / (U + m), 0.5 at the midpoint m.
 
-    Ours; P2 thresholds U itself. Monotone, so every ROC curve is unchanged, and the small values
-    that separate road from background are spread.
+    Ours; P2 thresholds U itself. It is monotone, so ROC curves are unchanged.
     """
     return values / (values + midpoint)
 
@@ -132,14 +119,11 @@ class TextureSettings(Settings):
         description="colour planes that are fused",
     )
     ridge: float = Field(
-        default=3e-3, ge=0, le=1e6, description="added to the covariance, in mean variances"
+        default=3e-3, ge=0, le=1e6, description="mean variances added to the diagonal of Σ (eq. 3)"
     )
     bins: int = Field(default=64, ge=2, le=4096, description="number of histogram bins")
     tail: float = Field(
-        default=0.005,
-        ge=0,
-        lt=0.5,
-        description="fraction of pixels clipped at each end of a histogram",
+        default=0.005, ge=0, lt=0.5, description="fraction of pixels beyond each end of a histogram"
     )
     midpoint: float = Field(
         default=0.35, gt=0, le=1, description="uniformity U whose likelihood is 0.5"
@@ -165,9 +149,9 @@ def fused_uniformity(
 ) -> tuple[Tensor, Tensor]:
     """Fuse the colour planes and compute U of each segment, P2 section 4.
 
-    labels: n segments, int64 (H, W). seed: seed area, bool (H, W). usable: pixels that count for
-    weights and histograms, bool (H, W); where the seed area has too few, all of its pixels give
-    the weights. Returns the fused plane (H, W) and U (n,).
+    labels: n segments, int64 (H, W). seed: seed area, bool (H, W), from which the planes' weights
+    are computed. usable: pixels that count, bool (H, W); if the seed area has too few, all of it
+    counts. Returns the fused plane (H, W) and U (n,).
     """
     samples = masked_pixels(image, seed & usable)
     if samples.shape[1] <= len(settings.planes):
@@ -213,8 +197,7 @@ def uniform_patterns(grey: Tensor) -> Tensor:
     """Compute rotation-invariant uniform local binary patterns, int64 (H, W), of an image (H, W).
 
     LBP^riu2 of Ojala et al., PAMI 2002, 8 neighbours at radius 1; "uniform" in scikit-image.
-    0…8: number of neighbours, in one run, at least as bright as the centre; 9: several runs. The
-    image is padded by its outermost pixels.
+    0…8: number of neighbours, in one run, at least as bright as the centre; 9: several runs.
     """
     height, width = grey.shape
     padded = functional.pad(grey[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
@@ -234,9 +217,8 @@ def uniform_patterns(grey: Tensor) -> Tensor:
 def similarity(histogram: Tensor, reference: Tensor) -> Tensor:
     """Compute the similarity (…) of histograms (…, L) to a reference (L,): 1 equal, 0 disjoint.
 
-    1 - χ²/2 with χ² = Σ (p-q)²/(p+q); 0 where a histogram is empty. Ojala et al. take a
-    log-likelihood, which here also rewards regions more even than the reference (AUC below one
-    half); χ², histogram intersection and Kullback-Leibler divergence are within 0.01 of each other.
+    1 - χ²/2 with χ² = Σ (p-q)²/(p+q); 0 where a histogram is empty. The log-likelihood of Ojala et
+    al. also rewards regions more even than the reference: its AUC is below 0.5 here.
     """
     first, second = relative_frequencies(histogram), relative_frequencies(reference)
     total = first + second

@@ -1,10 +1,8 @@
 """Trust: the predicted F-score of a mask, without its truth. Ours.
 
-A good mask hardly depends on the threshold, has a high F if the likelihood is right, and contains
-a seed area that the network calls road: a ridge regression of F on these features over labelled
-images of many cameras. It is multiplied by the probability that there is a road at all: a logistic
-regression on rendered worlds with and without a road. ``python -m train.calibrate trust`` fits and
-cross-validates both.
+A ridge regression of F on ``TrustFeatures``, over labelled images of many cameras, times the
+probability that there is a road at all, a logistic regression on rendered worlds with and without
+a road. ``python -m train.calibrate trust`` fits and cross-validates both.
 """
 
 import math
@@ -75,9 +73,9 @@ class Judgement(NamedTuple):
 
 
 def trust_features(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> TrustFeatures:
-    """Compute the features of a mask, bool (H, W); in an exported graph of a batch, tensors (N,).
+    """Compute the features of a likelihood and its mask (H, W); in an exported graph, tensors (N,).
 
-    likelihood: in [0, 1], shape (H, W). cues: ``learned_road``, ``seed_area``, ``ego``, (H, W).
+    cues: ``learned_road``, ``seed_area`` and ``ego``, (H, W).
     """
     free = float_mask(~cues["ego"])
     inside = free * float_mask(mask)
@@ -122,7 +120,7 @@ def estimate_trust(
 ) -> Judgement:
     """Predict the F-score of a mask, and name the feature that lowers it most.
 
-    road: whether the mask has any. An exported graph gives the trust as a tensor (N,), no reason.
+    road: whether the mask has a pixel. An exported graph returns the trust (N,) without a reason.
     """
     expected: Any = INTERCEPT + sum(w * x for w, x in zip(FEATURE_WEIGHTS, features, strict=True))
     odds: Any = ROAD_INTERCEPT + ROAD_STABILITY * features.stability

@@ -260,9 +260,7 @@ class Loop:
         self.folder.write_log(progress.rows)
         if not self.quiet:
             change = f" ({-fall:+.4f})" if math.isfinite(fall) else ""
-            text = (
-                f"roadtorch: {self._title(row['epoch'])}: "
-                f"loss {row['loss']:.4f}{change}, {row['samples']} samples in "
-                f"{row['seconds']:.0f} s"
-            )
+            speed = f"{row['samples']} samples in {row['seconds']:.0f} s"
+            title = self._title(row["epoch"])
+            text = f"roadtorch: {title}: loss {row['loss']:.4f}{change}, {speed}"
             Progress.write(text, file=sys.stderr)

@@ -35,7 +35,9 @@ class StabilitySettings(Settings):
     weight: float = Field(
         default=2.0, ge=0, le=1000, description="lambda, weight of the error in eq. 6"
     )
-    rounds: int = Field(default=2, ge=1, le=100, description="iterations; the first has no error")
+    rounds: int = Field(
+        default=2, ge=1, le=100, description="iterations; in the first the error term is 0"
+    )
     position: Literal["symmetric", "from_one", "ahead"] = Field(
         default="symmetric",
         description="position in eq. 6: from the middle row and column (program), rows and columns "
