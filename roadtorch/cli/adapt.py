@@ -17,7 +17,7 @@ ADAPT_CONFIG = "adapt"
     "max_frames",
     type=click.IntRange(min=2),
     default=400,
-    help="Training frames to sample, in runs of five consecutive ones.",
+    help="Training frames to sample, in groups of five 0.4 s apart if the footage is long.",
 )
 @SETTING_OPTION
 @click.option(
@@ -37,8 +37,8 @@ def adapt_command(
     """Fine-tune the network of fusion on unlabelled footage, and report whether it helped.
 
     FOOTAGE: images, folders, quoted globs, videos or bags; some minutes of one camera. Each half
-    of the frames trains a network that is evaluated on the other half; the last line says adopt,
-    do not adopt, or cannot tell, and why.
+    of the frames trains a network that is compared with the teacher's labels of the other half; the
+    last line says adopt, do not adopt, or cannot tell, and why.
 
     \b
     Written to the folder --out:
@@ -65,7 +65,7 @@ def adapt_command(
     training = build_training(values)
     if not isinstance(training, ImageTraining) or not training.initial_weights:
         message = "adaptation starts from the weights of a whole-image network"
-        hint = "leave kind as it is, and give initial_weights=WEIGHTS"
+        hint = "keep kind = images, and give initial_weights=WEIGHTS"
         raise ConfigError("kind, initial_weights", message, hint)
     adaptation = adapt(footage, out, training, max_frames, quiet)
     outcome, verdict, frames = adaptation.outcome, str(adaptation.verdict), adaptation.frames
