@@ -65,7 +65,7 @@ class DetectorSettings(Settings):
         default=SeedArea(), description="area assumed to be road; connected road touches it"
     )
     ego: Ego = Field(
-        default=Ego(), description="vehicle that carries the camera: never road, never seed"
+        default=Ego(), description="vehicle that carries the camera: likelihood 0, never seed"
     )
 
 
@@ -193,8 +193,8 @@ class Detector(nn.Module):
         self.order: ColourOrder | None = None if order is None else check_order(order)
         self.name = entry.name
         self.settings = settings
-        usual = type(settings).model_construct().model_dump(warnings=False)
-        self._changes = dict(_changes(settings.model_dump(), merge(usual, entry.defaults)))
+        defaults = type(settings).model_construct().model_dump(warnings=False)
+        self._changes = dict(_changes(settings.model_dump(), merge(defaults, entry.defaults)))
         # Read here, so that errors in the file are reported before any image is analysed.
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
@@ -403,13 +403,13 @@ class Detector(nn.Module):
 
 
 def _changes(
-    settings: Mapping[str, Any], usual: Mapping[str, Any], group: str = ""
+    settings: Mapping[str, Any], defaults: Mapping[str, Any], group: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the settings that differ from the usual ones, by their full key."""
+    """Yield the settings that differ from the defaults, by their full key."""
     for key, value in settings.items():
         if isinstance(value, Mapping):
-            yield from _changes(value, usual.get(key) or {}, f"{group}{key}.")
-        elif value != usual.get(key):
+            yield from _changes(value, defaults.get(key) or {}, f"{group}{key}.")
+        elif value != defaults.get(key):
             yield f"{group}{key}", value
 
 

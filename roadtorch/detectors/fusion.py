@@ -1,4 +1,4 @@
-"""Fusion detectors: a network alone, or naive Bayes over layout and texture (P2 section 5)."""
+"""Fusion: a network and the image's appearance, or naive Bayes of several cues (P2 section 5)."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -98,7 +98,8 @@ class AppearanceSettings(Settings):
         default=1.0,
         ge=0,
         le=10,
-        description="weight of the appearance's log odds per mean doubt of the network; 0: none",
+        description="weight of the appearance's log odds: this times the network's mean doubt, 1 - "
+        "|2p - 1|, at most 0.5",
     )
 
 

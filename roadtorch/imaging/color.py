@@ -80,8 +80,8 @@ class Channels:
         red, blue = red - green, blue - green
         # Rows sum to 1, so this is M·RGB; written thus, grey has X = Y = Z to the bit.
         x, y, z = (
-            green.add(red, alpha=of_red).add_(blue, alpha=of_blue)
-            for of_red, _, of_blue in RGB_TO_XYZ
+            green.add(red, alpha=red_weight).add_(blue, alpha=blue_weight)
+            for red_weight, _, blue_weight in RGB_TO_XYZ
         )
         return _root(x), _root(y), _root(z)
 
@@ -112,11 +112,11 @@ def _over_total(channels: Channels, values: Tensor) -> Tensor:
 def _hue(channels: Channels) -> Tensor:
     red, green, blue = channels.red, channels.green, channels.blue
     over = torch.where(channels.chroma > 0, channels.chroma, 1)
-    of_red = torch.remainder((green - blue) / over, 6)
-    of_green = (blue - red) / over + 2
-    of_blue = (red - green) / over + 4
-    hue = torch.where(green == channels.highest, of_green, of_blue)
-    hue = torch.where(red == channels.highest, of_red, hue) / 6
+    hue_at_red = torch.remainder((green - blue) / over, 6)
+    hue_at_green = (blue - red) / over + 2
+    hue_at_blue = (red - green) / over + 4
+    hue = torch.where(green == channels.highest, hue_at_green, hue_at_blue)
+    hue = torch.where(red == channels.highest, hue_at_red, hue) / 6
     return torch.where(hue < 1, hue, 0)  # a tiny negative one is rounded to a whole turn
 
 

@@ -37,7 +37,7 @@ class WorkingSize(Settings):
 
 
 def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:
-    """Return height and width, of at most ``working.pixels`` in all, to analyse an image at."""
+    """Return height and width to analyse an image at: its aspect, at most ``working.pixels``."""
     scale = (working.pixels / (side_length(height) * side_length(width))).sqrt().clamp(max=1.0)
     return round_to_pixels(side_length(height) * scale), round_to_pixels(side_length(width) * scale)
 

@@ -38,7 +38,7 @@ FREE_HINT = f"leave at least {MIN_FREE:.0%} of the image free"
 class Ego(Settings):
     """Ego car of all images, described in up to three ways, of which the union counts.
 
-    At full size, before the analysis, it is filled from the ground beside it; its likelihood is 0.
+    For the analysis it is filled, at full size, from the ground beside it; its likelihood is 0.
     """
 
     bottom: float = Field(

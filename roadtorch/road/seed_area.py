@@ -39,10 +39,13 @@ class SeedArea(Settings):
     """
 
     height: float = Field(
-        default=30, ge=1, le=REFERENCE_SIZE[0], description="height, 240 being that of the image"
+        default=30,
+        ge=1,
+        le=REFERENCE_SIZE[0],
+        description="height, in 240ths of the image's height",
     )
     width: float = Field(
-        default=80, ge=1, le=REFERENCE_SIZE[1], description="width, 320 being that of the image"
+        default=80, ge=1, le=REFERENCE_SIZE[1], description="width, in 320ths of the image's width"
     )
 
     @property
@@ -75,9 +78,10 @@ def seed_rectangle(shape: Sequence[int], seed: SeedArea | None = None) -> Tensor
 def find_seed_segments(evidence: Tensor, row: Tensor, size: Tensor, fraction: float) -> Tensor:
     """Select the likeliest road segments of the lower half, bool (…, n), that fill a fraction.
 
-    At least one; they need not be adjacent. Ours: the bottom of an image may be a bonnet, grass or
-    a car ahead. evidence: log odds of road, (…, n). row: centroids, 0 at the top to 1, (n,).
-    size: fractions of the image, (n,). fraction: of the image.
+    At least one; they need not be adjacent, and lower ones, which show the road best, are preferred
+    by ``BOTTOM_BONUS``. Ours: the bottom of an image may be a bonnet, grass or a car ahead.
+    evidence: log odds of road, (…, n). row: centroids, 0 at the top to 1, (n,). size: fractions of
+    the image, (n,). fraction: of the image, to be filled.
     """
     score = evidence + BOTTOM_BONUS * row - UPPER_HALF_PENALTY * (row < 0.5)
     # The exporter to ONNX lacks ``argsort``; its ``sort`` is stable.

@@ -50,7 +50,7 @@ class TemporalFilterSettings(Settings):
         default=0.2, gt=0, le=10, description="tolerated change of brightness, 1 being white"
     )
     min_confidence: float = Field(
-        default=0.25, ge=0, le=1, description="mean flow confidence below which a scene was cut"
+        default=0.25, ge=0, le=1, description="mean flow confidence below which a cut is assumed"
     )
     ego_frames: float = Field(
         default=30.0, ge=1, le=10_000, description="frames over which the ego car is averaged"

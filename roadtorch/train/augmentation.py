@@ -27,7 +27,7 @@ from roadtorch.run.memo import read_arrays
 from roadtorch.train.prepared import from_uint8
 
 GRAIN_CELLS = (4, 12, 40)
-"""Numbers of noise cells across the image; a layer of each is added up to grain."""
+"""Numbers of cells across the image of the noise layers that are summed to grain."""
 
 SHADOW_END = 0.02
 """Fraction of the height over which a shadow fades in below the horizon."""

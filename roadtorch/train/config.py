@@ -177,7 +177,7 @@ class Teacher(Settings):
     )
     targets: Literal["hard", "soft"] = Field(
         default="hard",
-        description="soft: potentials and road likelihood; hard: best class, road from 0.5 on",
+        description="soft: layout potentials, road likelihood; hard: best class, road 0 or 1",
     )
 
 
@@ -195,7 +195,7 @@ class Recordings(Settings):
         default=8, ge=2, le=10**4, description="frames needed to find a static ego car"
     )
     balance: Fraction = Field(
-        default=0.0, description="a recording of n images is sampled with n^(1 - balance)"
+        default=0.0, description="a recording of n images has the sampling weight n^(1 - balance)"
     )
 
 

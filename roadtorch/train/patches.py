@@ -331,8 +331,8 @@ class PatchRecipe:
     def encode_correction(self, correction: Correction) -> Arrays:
         """Return a correction at working size: ``layout`` and ``known``, uint8 (h, w).
 
-        layout: 0, 1, 2, or 255 where it is not corrected. known: 1 where the machine label is
-        dropped, which includes void pixels.
+        layout: 0, 1, 2, or 255 where uncorrected, "not road" or void. known: 1 where the machine
+        label is dropped: at corrected layouts and void.
         """
         height, width = correction.labels.shape
         size = working_size(height, width, self._training.network.working)

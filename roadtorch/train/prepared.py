@@ -79,20 +79,20 @@ def prepare(
 
     If a stop is requested, only those that are ready are returned.
     """
-    made, count = list[PreparedImage](), len(images)
+    items, count = list[PreparedImage](), len(images)
     with single_threaded_process():
         workers = make_workers(None, count)
-        results = workers.map(preparation, until_stopped(images, stop), _died)
+        results = workers.map(preparation, until_stopped(images, stop), _crashed_item)
         bar = Progress(results, total=count, desc="labels", unit="image", quiet=quiet)
         with closing(results):
             for result in bar:
-                made.append(result)
+                items.append(result)
                 if result.error:
                     Progress.write(f"roadtorch: skipped: {result.error}", file=sys.stderr)
-    return made
+    return items
 
 
-def _died(image: Item) -> PreparedImage:
+def _crashed_item(image: Item) -> PreparedImage:
     return PreparedImage(image_file_name(image), None, str(InputError(image.origin, *WORKER_CRASH)))
 
 

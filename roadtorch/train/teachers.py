@@ -62,11 +62,11 @@ def make_targets(
 ) -> Targets:
     """Compute targets from the maps (B, 4, H, W) of the teacher and (B, 5, H, W) of a network.
 
-    ego: ego car in the footage, (B, 1, H, W): 1 ego, 0 not, 0.5 unknown, where it is the network's.
-    Road likelihoods are shifted so that their threshold becomes 0.5. Weights are 0 or 1: 1 where
-    the best class leads by ``margin``, road is certain by ``road_margin``, and, with
-    ``combine = "agreement"``, teacher and network agree. On the ego car road is 0 with weight 1,
-    and the layout has weight 0.
+    ego: ego car in the footage, (B, 1, H, W): 1 ego, 0 not, 0.5 unknown; there it is 1 where the
+    network is certain of one, else 0. Road likelihoods are shifted so that their threshold becomes
+    0.5. Weights are 0 or 1: 1 where the best class leads by ``margin``, road is certain by
+    ``road_margin``, and, with ``combine = "agreement"``, teacher and network agree. On the ego car
+    road is 0 with weight 1, and the layout has weight 0.
     """
     layout, road = teacher[:, :NUM_CLASSES], centre_likelihood(teacher[:, NUM_CLASSES:], settings)
     agree, agree_road, guess = torch.ones_like(road), torch.ones_like(road), torch.zeros_like(ego)
@@ -137,7 +137,7 @@ def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int])
 
 
 def shows_ego_car(file: Path) -> bool:
-    """Return whether a prepared image shows an ego car from side to side."""
+    """Return whether a prepared image shows an ego car from side to side; less may be an error."""
     ego = read_arrays(file, "ego")["ego"] == 255
     across = float(ego.any(0).double().mean())
     return across >= MIN_EGO_WIDTH and float(ego.double().mean()) >= MIN_EGO_AREA
