@@ -88,11 +88,10 @@ def kmeans_road(image: Tensor, settings: KmeansRoadSettings) -> dict[str, Tensor
     learned = learn_features(small, settings.smoothing, settings.dictionary, ALL_MAPS)
     bases, size, side = learned.dictionary, learned.size, settings.dictionary.side
     clusters = cluster_pixels(learned.maps.maps, settings.peaks)
-    regions, words = connected_regions(clusters), assign_patches(learned.patches, bases)
+    regions = connected_regions(clusters)
+    words = assign_patches(learned.patches, bases).view(size).cpu()
     seed = seed_rectangle(size, settings.seed_area)
-    road = mask_to_image(
-        cut_road(regions, words.view(size).cpu(), len(bases), seed, settings.cut), side
-    )
+    road = mask_to_image(cut_road(regions, words, len(bases), seed, settings.cut), side)
     levels = clusters / max(1, settings.peaks.clusters - 1)
     likelihood = resize_to_image(road, (height, width)).to(image)
     return {"likelihood": likelihood, "clusters": map_to_image(levels.to(image), side)}

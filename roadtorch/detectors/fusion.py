@@ -98,8 +98,8 @@ class AppearanceSettings(Settings):
         default=1.0,
         ge=0,
         le=10,
-        description="weight of the appearance's log odds: this times the network's mean doubt, 1 - "
-        "|2p - 1|, at most 0.5",
+        description="the appearance's weight is this times the network's mean doubt 1 - |2p - 1|, "
+        "at most 0.5",
     )
 
 

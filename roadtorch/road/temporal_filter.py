@@ -38,10 +38,7 @@ class TemporalFilterSettings(Settings):
         default=320, ge=32, le=4096, description="width in pixels at which optical flow is computed"
     )
     flow_error: float = Field(
-        default=4.0,
-        gt=0,
-        le=100,
-        description="tolerated forward-backward error, pixels at that width",
+        default=4.0, gt=0, le=100, description="tolerated forward-backward flow error, pixels"
     )
     relative_flow_error: float = Field(
         default=0.2, ge=0, le=10, description="further tolerated error, as a fraction of the motion"

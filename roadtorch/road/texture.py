@@ -119,10 +119,7 @@ class TextureSettings(Settings):
         description="colour planes that are fused",
     )
     ridge: float = Field(
-        default=3e-3,
-        ge=0,
-        le=1e6,
-        description="added to the covariance's diagonal, in mean variances",
+        default=3e-3, ge=0, le=1e6, description="added to each variance, in mean variances"
     )
     bins: int = Field(default=64, ge=2, le=4096, description="number of histogram bins")
     tail: float = Field(
