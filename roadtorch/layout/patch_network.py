@@ -114,7 +114,7 @@ class Normalisation(Settings):
 
 
 class NormalisedImage(NamedTuple):
-    """Normalised pixels (3, H, W), and the gain: the factor by which differences grew."""
+    """Normalised pixels (3, H, W), and the gain: the factor applied to differences."""
 
     pixels: Tensor
     gain: float

@@ -132,7 +132,7 @@ def read_origin(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def read_correction_runs(path: str | os.PathLike[str]) -> list[Mapping[str, Any]]:
-    """Return the training runs on human corrections behind weights; none: label-free.
+    """Return the runs with human corrections that weights were trained in; none: label-free.
 
     Each counts ``images`` and ``pixels``. Raises WeightsError as ``load_network`` does.
     """
@@ -231,7 +231,7 @@ class WeightsFile(Settings):
 
 
 def load_configured_network(weights: WeightsFile, shipped: str, *kinds: type[NetworkT]) -> NetworkT:
-    """Load the weights that settings choose, or else the shipped ones of a name.
+    """Load the network of the configured weight file, or of the shipped weights of that name.
 
     Raises WeightsError for a file that cannot be used, or that holds no network of these kinds.
     """
@@ -246,10 +246,7 @@ def load_configured_network(weights: WeightsFile, shipped: str, *kinds: type[Net
 
 
 def load_image_network(weights: WeightsFile, shipped: str) -> WholeImageNetwork:
-    """Load a network for whole images as ``load_configured_network`` does, and run it once.
-
-    Torch compiles its convolutions in the first run, which takes twice as long as later ones.
-    """
+    """Load a whole-image network as ``load_configured_network``; run it once, as that is slower."""
     network = load_configured_network(weights, shipped, ImageNetwork, BackboneNetwork)
     network.cues(torch.zeros(3, network.settings.height, network.settings.width))
     return network

@@ -61,7 +61,7 @@ class LightAugmentation(Settings):
 
 
 class GeometryAugmentation(Settings):
-    """Random geometry of whole images; every second one is mirrored."""
+    """Random geometry of whole images, half of which are mirrored as well."""
 
     scale: float = Field(default=0.25, ge=0, le=2, description="zoom from e^-scale to e^scale")
     stretch: float = Field(

@@ -32,7 +32,7 @@ def from_uint8(values: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class PreparedImage:
-    """An image and the file prepared from it; None and a problem if that failed."""
+    """An image's name and the file prepared from it; None, with an error, if that failed."""
 
     name: str
     file: Path | None

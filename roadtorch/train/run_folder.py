@@ -99,7 +99,7 @@ class RunFolder:
                 raise ConfigError(self.path, message, f"give those of {RUN}, or another --out")
 
     def begin(self, record: Mapping[str, Any]) -> None:
-        """Remove files that killed runs left half-written, and write the record of this run."""
+        """Remove half-written files of killed runs, and write the record of this run."""
         remove_leftovers([self.path, self.path / INITIAL_LABELS])
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
