@@ -36,7 +36,7 @@ from roadtorch.layout.backbone_network import (
     Head,
 )
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import EGO, ROAD_OUTPUT
+from roadtorch.layout.image_network import EGO_OUTPUT, ROAD_OUTPUT
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import cache_key, read_cached, write_cached
 from roadtorch.train.augmentation import warp_affine
@@ -303,7 +303,7 @@ def encode_sample(sample: Sample, size: tuple[int, int]) -> dict[str, Tensor]:
     """Encode a sample at a size: image, maps (4, h, w), ego car (h, w); unknown is uncertain."""
     doubt = torch.tensor([1 / NUM_CLASSES] * NUM_CLASSES + [0.5, 0.5])[:, None, None]
     maps = sample.targets * sample.known + doubt * (1 - sample.known)
-    return encode_maps(sample.image, maps[:EGO], maps[EGO], size)
+    return encode_maps(sample.image, maps[:EGO_OUTPUT], maps[EGO_OUTPUT], size)
 
 
 def combine_teachers(
