@@ -59,7 +59,7 @@ class Superpixels(Settings):
         default=256,
         ge=16,
         le=10**6,
-        description="average area of a superpixel in pixels, approximately",
+        description="average area of a superpixel in pixels of the working size, about",
     )
 
     def cut(self, image: Tensor) -> Tensor:

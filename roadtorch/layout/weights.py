@@ -225,8 +225,8 @@ class WeightsFile(Settings):
 
     file: str = Field(
         default="",
-        description="path of weights written by roadtorch train, or name of shipped weights, such "
-        "as layout-free; empty: the detector's default",
+        description="path of weights written by roadtorch train, or name of shipped weights, of "
+        "this detector's kind of network; empty: the detector's default",
     )
 
 

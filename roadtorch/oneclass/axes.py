@@ -96,7 +96,7 @@ def mean_hues(planes: Tensor, axes: Axes) -> Tensor:
 
 
 def unroll_hue(hues: Tensor, mean: Tensor | float) -> Tensor:
-    """Return hues in turns as their distance along the circle from a mean, in [-0.5, 0.5]."""
+    """Return hues in turns as their signed distance along the circle from a mean, -0.5 to 0.5."""
     turns = hues - mean
     return turns.sub_(turns.round())  # faster than a remainder
 

@@ -42,10 +42,14 @@ class SeedArea(Settings):
         default=30,
         ge=1,
         le=REFERENCE_SIZE[0],
-        description="height, in 240ths of the image's height",
+        description="height, in 240ths of the image's height; where the detector chooses the area "
+        "itself, only height × width counts",
     )
     width: float = Field(
-        default=80, ge=1, le=REFERENCE_SIZE[1], description="width, in 320ths of the image's width"
+        default=80,
+        ge=1,
+        le=REFERENCE_SIZE[1],
+        description="width, in 320ths of the image's width",
     )
 
     @property

@@ -215,10 +215,11 @@ def uniform_patterns(grey: Tensor) -> Tensor:
 
 
 def similarity(histogram: Tensor, reference: Tensor) -> Tensor:
-    """Compute the similarity (…) of histograms (…, L) to a reference (L,): 1 equal, 0 disjoint.
+    """Compute the similarity (…) of histograms (…, L) to one reference (L,) or one each (…, L).
 
-    1 - χ²/2 with χ² = Σ (p-q)²/(p+q); 0 where a histogram is empty. The log-likelihood of Ojala et
-    al. also rewards regions more even than the reference: its AUC is below 0.5 here.
+    1 - χ²/2 with χ² = Σ (p-q)²/(p+q): 1 equal, 0 disjoint or where a histogram is empty. The
+    log-likelihood of Ojala et al. also rewards regions more even than the reference: its AUC is
+    below 0.5 here.
     """
     first, second = relative_frequencies(histogram), relative_frequencies(reference)
     total = first + second

@@ -48,7 +48,7 @@ class Smoothing(Settings):
         default=0.5, gt=0, le=50, description="sigma of the brightness map's blur, pixels"
     )
     light_reach: int = Field(
-        default=2, ge=0, le=50, description="radius of that blur's window, pixels"
+        default=2, ge=0, le=50, description="window radius of the brightness map's blur, pixels"
     )
     target: float = Field(
         default=0.5, gt=0, le=10, description="brightness after equalisation; the text of P1: 1"

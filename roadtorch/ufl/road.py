@@ -58,7 +58,10 @@ class StabilitySettings(Settings):
         "or for the basis alone",
     )
     variance: float = Field(
-        default=0.95, gt=0, le=1, description="fraction of the road's variance in the basis"
+        default=0.95,
+        gt=0,
+        le=1,
+        description="fraction of the road's variance in its principal components",
     )
     error_range: Literal["covered", "everywhere"] = Field(
         default="covered",

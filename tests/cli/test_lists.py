@@ -61,7 +61,7 @@ def test_detectors_name_explains_its_settings_in_a_hundred_columns(call: Call) -
     assert "number" in cells["threshold"]
     assert "≥ 0, ≤ 1" in cells["threshold"]
     assert "drop | keep" in cells["isolated"]
-    assert "columns" in cells["seed_area.width"]
+    assert "320ths" in cells["seed_area.width"]
 
 
 def test_planes_lists_planes_and_representations(call: Call) -> None:
