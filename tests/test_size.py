@@ -25,7 +25,7 @@ LINES = {
     "roadtorch/export": 900,
     "roadtorch/imaging": 1_190,
     "roadtorch/inputs": 1_420,
-    "roadtorch/layout": 1_260,
+    "roadtorch/layout": 1_270,
     "roadtorch/oneclass": 1_900,
     "roadtorch/road": 1_570,
     "roadtorch/ros": 400,

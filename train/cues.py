@@ -27,7 +27,7 @@ from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_work, s
 from roadtorch.imaging.segments import measure_segments, paint_segments, segment_mean
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, opinion_pool
 from roadtorch.layout.image_network import scale_size
-from roadtorch.layout.labeller import EXPOSURE, segment_layout
+from roadtorch.layout.labeller import segment_layout
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
     WeightsFile,
@@ -85,7 +85,7 @@ def compute_odds(
     start = perf_counter()
     planes = torch.cat([image, learned["layout"], learned["road"][None]])
     image, layout, road = extrapolate_over_ego(planes, ego).split([3, NUM_CLASSES, 1])
-    image = brighten(image, EXPOSURE)
+    image = brighten(image, settings.labeller.rules.exposure)
     segments = measure_segments(image, settings.superpixels.cut(image))
     layout_rules = segment_layout(segments, settings.labeller.rules)
     layout_network = segment_mean([*layout, road[0]], segments.labels, segments.pixels)

@@ -25,7 +25,7 @@ from roadtorch.imaging.segments import Segments, measure_segments, paint_segment
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, NetworkWeight, opinion_pool
 from roadtorch.layout.image_network import RoadFusion
-from roadtorch.layout.labeller import EXPOSURE, HorizonSettings, decide_layout, segment_layout
+from roadtorch.layout.labeller import HorizonSettings, decide_layout, segment_layout
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
@@ -183,7 +183,7 @@ SCRATCH_WEIGHTS = "layout-free"
 @use_inference_mode
 def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
     """Compute the cues of an image (3, H, W) by naive Bayes without a network. Ours, after P2."""
-    image = brighten(image, EXPOSURE)
+    image = brighten(image, settings.labeller.rules.exposure)
     segments = measure_segments(image, settings.superpixels.cut(image))
     labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
@@ -292,7 +292,7 @@ class ScratchFusion(nn.Module):
             stack = torch.cat([image, maps["layout"], maps["road"][None]])
             image, layout, road = extrapolate_over_ego(stack, ego).split([3, NUM_CLASSES, 1])
             maps = {"layout": layout, "road": road[0]}
-        image = brighten(image, EXPOSURE)
+        image = brighten(image, settings.labeller.rules.exposure)
         segments = measure_segments(image, settings.superpixels.cut(image))
         labels, labelled = segments.labels, segment_layout(segments, settings.labeller.rules)
         means = segment_mean([*maps["layout"], maps["road"]], labels, segments.pixels)

@@ -79,4 +79,11 @@ ENTRIES = (
         LabellerDetectorSettings,
         partial(Analysis, labeller_road),
     ),
+    Entry(
+        "labeller:untuned",
+        "labeller with constants from geometry and round numbers, tuned on no label",
+        LabellerDetectorSettings,
+        partial(Analysis, labeller_road),
+        defaults={"threshold": 0.5, "labeller": {"constants": "untuned"}},
+    ),
 )

@@ -62,8 +62,11 @@ NEEDS: dict[str, dict] = {
 """What else has to be set for a setting to matter, in the detectors of ``USUAL``."""
 
 
-WITHOUT = {"vanishing-point": ("isolated", "seed_area", "outlines")}
-"""Settings that cannot matter: its road is one region with straight sides, nothing is isolated."""
+WITHOUT = {
+    "vanishing-point": ("isolated", "seed_area", "outlines"),
+    "labeller:untuned": ("seed_area",),
+}
+"""Settings without effect: the road is one region, with straight sides in `vanishing-point`."""
 
 
 KNOWN: dict[tuple[str, ...], Any] = {

@@ -14,6 +14,7 @@ from roadtorch.layout import labeller
 from roadtorch.layout.classes import SKY, UNLABELLED
 from roadtorch.layout.labeller import (
     LABELLER_RULES,
+    UNTUNED_RULES,
     ColumnChain,
     LabellerSettings,
     LayoutLabels,
@@ -47,6 +48,23 @@ def test_clouds_below_a_blue_sky_are_sky(monkeypatch: pytest.MonkeyPatch) -> Non
         LABELLER_RULES._replace(sky=SkyAppearance(light=0, even=0, blue=0)),
     )
     assert share > max(0.95, share_of_sky() + 0.1)
+
+
+def test_untuned_constants_follow_from_the_geometry_that_they_name() -> None:
+    """A wall 6 m aside, from 1.5 m below to 6 m above a level camera, projects to these lines."""
+    position = UNTUNED_RULES.position
+    width_to_height = 4 / 3
+    for column in (0.6, 0.75, 0.9):
+        offset = column - 0.5  # x / f = offset · width / f, and so z = 6 f / x for the wall
+        foot, top = (width_to_height * offset * metres / 6 for metres in (1.5, 6.0))
+        side = offset - 0.25
+        assert position.ground_drop + position.ground_slope * side == pytest.approx(foot)
+        assert position.sky_rise + position.sky_slope * side == pytest.approx(top)
+
+    street = scene(0, dusk=0.0)
+    labels = label_layout(street.image, LabellerSettings(constants="untuned")).potentials.argmax(0)
+    recalls = class_recalls(count_layout(labels, street.layout))
+    assert float(recalls.mean()) > 0.7
 
 
 # --- columns in order ---------------------------------------------------------------------
