@@ -44,7 +44,7 @@ Threshold = Annotated[
 ]
 Isolated = Annotated[
     Literal["drop", "keep"],
-    Field(description="drop or keep road regions that do not touch the seed area"),
+    Field(description="drop road regions that do not touch the seed area, if any does; or keep"),
 ]
 
 TUNED_THRESHOLD = "likelihood from which a pixel is road; the default has the best F on CamVid"

@@ -45,7 +45,7 @@ class UnlabelledReader:
 
 
 def unlabelled_dataset(images: Iterable[Item]) -> Dataset:
-    """Return images as a labelled set without truth."""
+    """Return images as a ``Dataset`` whose truth cannot be read: masks are only compared."""
     items = tuple(LabelledItem(image.name, image.path, image.path) for image in images)
     return Dataset("images", Path(), "", items, UnlabelledReader())
 

@@ -264,7 +264,7 @@ def pool_images(images: ImageTable, thresholds: Mapping[str, float]) -> PooledCo
 def _pool(
     images: ImageTable, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
 ) -> PooledCounts:
-    """Add images up; counts: pixels by likelihood level, by group."""
+    """Add up masks and counts by likelihood level, at each group's threshold; average AUCs."""
     areas = [area for area in images.auc.tolist() if not math.isnan(area)]
     layout, labels = (
         rows.sum(0) if rows is not None and rows.any() else None

@@ -141,7 +141,7 @@ def read_correction_runs(path: str | os.PathLike[str]) -> list[Mapping[str, Any]
 
 
 def count_corrected_images(settings: Mapping[str, Any]) -> int:
-    """Count the human-corrected images behind a detector's settings; 0 if label-free."""
+    """Sum the human-corrected images of all runs behind a detector's weights; 0 if label-free."""
     groups = [settings.get(name) for name in ("weights", "second")]
     files = [group.get("file") for group in groups if isinstance(group, Mapping)]
     runs = [run for file in files if file for run in read_correction_runs(weights_path(file))]

@@ -71,7 +71,7 @@ def _polynomial_features(samples: Tensor) -> Tensor:
 
 
 def log_densities(features: Tensor, mixtures: Mixtures) -> Tensor:
-    """Return ln P_n N(x; μ_n, Σ_n) (R, N, m) of the polynomial features of centred samples."""
+    """Return ln(P_n N(x; μ_n, Σ_n)), (R, N, m), of polynomial features of centred samples."""
     dimensions = mixtures.means.shape[-1]
     inverse = mixtures.whitening.mT @ mixtures.whitening
     slope = (inverse @ mixtures.means[..., None])[..., 0]

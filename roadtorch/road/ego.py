@@ -64,7 +64,7 @@ class Ego(Settings):
 
 
 def has_ego_car(ego: Ego) -> bool:
-    """Return whether the settings describe an ego car."""
+    """Return whether any setting of the ego car differs from its default."""
     return ego != Ego()
 
 

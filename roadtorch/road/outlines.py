@@ -23,7 +23,8 @@ from roadtorch.road.seed_area import remove_isolated
 Outlines = Annotated[
     Literal["guided", "smooth"],
     Field(
-        description="guided by the edges of the image, thin holes filled; or smooth, as computed"
+        description="likelihood refined at the image's edges, thin holes in the road filled "
+        "(guided), or as computed (smooth)"
     ),
 ]
 

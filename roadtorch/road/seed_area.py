@@ -42,14 +42,14 @@ class SeedArea(Settings):
         default=30,
         ge=1,
         le=REFERENCE_SIZE[0],
-        description="height, in 240ths of the image's height; where the detector chooses the area "
-        "itself, only height × width counts",
+        description="height of the area assumed to be road, in 240ths of the image's height; only "
+        "height × width counts where the detector chooses the area",
     )
     width: float = Field(
         default=80,
         ge=1,
         le=REFERENCE_SIZE[1],
-        description="width, in 320ths of the image's width",
+        description="its width, in 320ths of the image's width",
     )
 
     @property

@@ -51,7 +51,7 @@ class Smoothing(Settings):
         default=2, ge=0, le=50, description="window radius of the brightness map's blur, pixels"
     )
     target: float = Field(
-        default=0.5, gt=0, le=10, description="brightness after equalisation; the text of P1: 1"
+        default=0.5, gt=0, le=10, description="brightness that every place gets; the text of P1: 1"
     )
 
     @property

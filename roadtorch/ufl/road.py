@@ -70,8 +70,8 @@ class StabilitySettings(Settings):
     )
     model: Literal["selected", "best"] = Field(
         default="selected",
-        description="node from which the road is learned: the selected one with the greatest S "
-        "(program), or the one with the greatest best sum (listing)",
+        description="region of the tree that the road is learned from: the selected one of the "
+        "greatest stability (program), or that with the greatest sum of it inside (listing)",
     )
     whole: Literal["if_undivided", "never"] = Field(
         default="if_undivided", description="whole map as road: if undivided (program), or never"

@@ -202,7 +202,7 @@ class BorderSettings(Settings):
         default=10.0, gt=0, le=90, description="degrees by which texture may deviate from a ray"
     )
     side: int = Field(
-        default=4, ge=1, le=18, description="width of the regions beside a ray, in steps of 5°"
+        default=4, ge=1, le=18, description="sector on each side of a ray, in steps of 5°"
     )
     length: float = Field(
         default=1 / 3, ge=0, le=1, description="least length of a border in the image, in heights"
