@@ -22,12 +22,11 @@ from tqdm import tqdm
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detectors.fusion import ScratchFusionSettings, seed_likelihoods
-from roadtorch.imaging.color import brighten
 from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_work, spatial_size
-from roadtorch.imaging.segments import measure_segments, paint_segments, segment_mean
+from roadtorch.imaging.segments import paint_segments, segment_mean
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, opinion_pool
 from roadtorch.layout.image_network import scale_size
-from roadtorch.layout.labeller import segment_layout
+from roadtorch.layout.labeller import label_segments
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
     WeightsFile,
@@ -85,9 +84,7 @@ def compute_odds(
     start = perf_counter()
     planes = torch.cat([image, learned["layout"], learned["road"][None]])
     image, layout, road = extrapolate_over_ego(planes, ego).split([3, NUM_CLASSES, 1])
-    image = brighten(image, settings.labeller.rules.exposure)
-    segments = measure_segments(image, settings.superpixels.cut(image))
-    layout_rules = segment_layout(segments, settings.labeller.rules)
+    image, segments, layout_rules = label_segments(image, settings.labeller, settings.superpixels)
     layout_network = segment_mean([*layout, road[0]], segments.labels, segments.pixels)
     weight, odds = settings.layout_weight, log_odds(layout_network[-1])
     ground = opinion_pool(layout_rules.T, layout_network[:NUM_CLASSES], weight)[HORIZONTAL]

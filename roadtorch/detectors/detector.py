@@ -193,8 +193,7 @@ class Detector(nn.Module):
         self.order: ColourOrder | None = None if order is None else check_order(order)
         self.name = entry.name
         self.settings = settings
-        defaults = type(settings).model_construct().model_dump(warnings=False)
-        self._changes = dict(_changes(settings.model_dump(), merge(defaults, entry.defaults)))
+        self._defaults = entry.defaults
         # Read here, so that errors in the file are reported before any image is analysed.
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
@@ -397,7 +396,9 @@ class Detector(nn.Module):
 
     def __repr__(self) -> str:
         """Return one line: the name, and the settings that differ from the detector's defaults."""
-        values = {**self._changes, "order": self.order, "device": self.device}
+        defaults = type(self.settings).model_construct().model_dump(warnings=False)
+        settings = _changes(self.settings.model_dump(), merge(defaults, self._defaults))
+        values = {**dict(settings), "order": self.order, "device": self.device}
         changes = [f", {k}={reprlib.repr(v)}" for k, v in values.items() if v is not None]
         return f"<Detector {self.name}{''.join(changes)}>"
 

@@ -19,13 +19,12 @@ from roadtorch.detectors.detector import (
     WorkingSettings,
     use_inference_mode,
 )
-from roadtorch.imaging.color import brighten
 from roadtorch.imaging.resize import WorkingSize, round_to_pixels, side_length
-from roadtorch.imaging.segments import Segments, measure_segments, paint_segments, segment_mean
+from roadtorch.imaging.segments import Segments, paint_segments, segment_mean
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, NetworkWeight, opinion_pool
 from roadtorch.layout.image_network import RoadFusion
-from roadtorch.layout.labeller import HorizonSettings, decide_layout, segment_layout
+from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_segments
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
@@ -183,9 +182,8 @@ SCRATCH_WEIGHTS = "layout-free"
 @use_inference_mode
 def untrained_fusion(image: Tensor, settings: UntrainedFusionSettings) -> Mapping[str, Tensor]:
     """Compute the cues of an image (3, H, W) by naive Bayes without a network. Ours, after P2."""
-    image = brighten(image, settings.labeller.rules.exposure)
-    segments = measure_segments(image, settings.superpixels.cut(image))
-    labels, layout = segments.labels, segment_layout(segments, settings.labeller.rules)
+    image, segments, layout = label_segments(image, settings.labeller, settings.superpixels)
+    labels = segments.labels
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
     distance, texture, cues = seed_likelihoods(image, segments, seed, segments_inside(labels, seed))
     road = segment_road(segments, layout[:, HORIZONTAL], distance, texture)
@@ -292,9 +290,8 @@ class ScratchFusion(nn.Module):
             stack = torch.cat([image, maps["layout"], maps["road"][None]])
             image, layout, road = extrapolate_over_ego(stack, ego).split([3, NUM_CLASSES, 1])
             maps = {"layout": layout, "road": road[0]}
-        image = brighten(image, settings.labeller.rules.exposure)
-        segments = measure_segments(image, settings.superpixels.cut(image))
-        labels, labelled = segments.labels, segment_layout(segments, settings.labeller.rules)
+        image, segments, labelled = label_segments(image, settings.labeller, settings.superpixels)
+        labels = segments.labels
         means = segment_mean([*maps["layout"], maps["road"]], labels, segments.pixels)
         layout = opinion_pool(labelled.T, means[:NUM_CLASSES], settings.layout_weight)
         network_odds = log_odds(means[NUM_CLASSES])

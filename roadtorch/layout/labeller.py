@@ -103,9 +103,8 @@ class LabellerRules(NamedTuple):
 LABELLER_RULES = LabellerRules()
 
 UNTUNED_RULES = LabellerRules(
-    # A street between walls, seen by a level camera of 4:3 at 1.5 m above the ground: walls 6 m to
-    # either side, 6 m higher than the camera. The foot of a wall falls by (4/3) · 1.5/6 of the
-    # height per width, its top rises by (4/3) · 6/6; they meet at the horizon in the middle column.
+    # Walls 6 m aside and 6 m above a level 4:3 camera, itself 1.5 m above the ground: per width, a
+    # wall's foot falls by (4/3) · 1.5/6 and its top rises by (4/3) · 6/6 of the height.
     PositionPrior(
         horizon=1 / 2,
         sky_rise=1 / 3,
@@ -196,13 +195,18 @@ def label_at_image_size(
     image: Tensor, settings: HorizonSettings, superpixels: Superpixels, margin: float = MIN_MARGIN
 ) -> LayoutLabels:
     """Label an image as ``label_layout`` does, at the image's own size."""
+    _, segments, potentials = label_segments(image, settings, superpixels)
+    layout = potentials.T, decide_layout(potentials, margin)
+    return LayoutLabels(*(paint_segments(values, segments.labels) for values in layout))
+
+
+def label_segments(
+    image: Tensor, settings: HorizonSettings, superpixels: Superpixels
+) -> tuple[Tensor, Segments, Tensor]:
+    """Return the brightened image (3, H, W), its n segments and their potentials (n, 3)."""
     bright = brighten(image, settings.rules.exposure)
     segments = measure_segments(bright, superpixels.cut(bright))
-    potentials = segment_layout(segments, settings.rules)
-    labels = decide_layout(potentials, margin)
-    return LayoutLabels(
-        paint_segments(potentials.T, segments.labels), paint_segments(labels, segments.labels)
-    )
+    return bright, segments, segment_layout(segments, settings.rules)
 
 
 @cached_per_image

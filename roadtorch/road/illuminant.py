@@ -12,6 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.road.texture import quantise_plane
+
 MIN_LEVEL = 1 / 255
 """Lower bound of a channel before its logarithm. Ours: the least level above 0 in 8 bits."""
 
@@ -53,13 +55,12 @@ def projection_entropies(chromaticity: Tensor) -> Tensor:
     Drew and Lu, "Intrinsic Images by Entropy Minimization", ECCV 2004, section 3.
     """
     points = chromaticity.flatten(1).double()
-    points = points[:, :: max(1, points.shape[1] // ENTROPY_PIXELS)].cpu().numpy()
-    return torch.tensor([_entropy(points, angle) for angle in range(ANGLES)], dtype=torch.float64)
+    points = points[:, :: max(1, points.shape[1] // ENTROPY_PIXELS)].cpu()
+    entropies = [_entropy(invariant_plane(points, angle).numpy()) for angle in range(ANGLES)]
+    return torch.tensor(entropies, dtype=torch.float64)
 
 
-def _entropy(points: np.ndarray, angle: int) -> float:
-    radians = math.radians(angle)
-    values = points[0] * math.cos(radians) + points[1] * math.sin(radians)
+def _entropy(values: np.ndarray) -> float:
     margin = (1 - CENTRAL_FRACTION) / 2
     low, high = np.quantile(values, [margin, 1 - margin])
     values = values[(values >= low) & (values <= high)]
@@ -78,9 +79,8 @@ def invariant_angle(entropies: Tensor) -> float:
 
 def histogram_likelihood(plane: Tensor, seed: Tensor) -> Tensor:
     """Compute p(value | road) / max p of a plane (H, W), by its histogram in the seed (H, W)."""
-    low, high = plane.aminmax()
-    bins = ((plane - low) / (high - low).clamp_min(1e-6) * MODEL_BINS).long()
-    bins = bins.clamp_max(MODEL_BINS - 1)
+    low, high = (float(bound) for bound in plane.aminmax())
+    bins = quantise_plane(plane, MODEL_BINS, low, high)
     counts = torch.bincount(bins[seed], minlength=MODEL_BINS).to(plane)
     kernel = plane.new_tensor(MODEL_SMOOTHING)[None, None]
     smooth = torch.nn.functional.conv1d(counts[None, None], kernel, padding=1)[0, 0]

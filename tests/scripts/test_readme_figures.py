@@ -3,6 +3,7 @@
 import re
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -150,6 +151,9 @@ def test_the_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "street.png").rename(tmp_path / "street.jpg")
     write_video(tmp_path / "drive.mp4")
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names: dict[str, Any] = {}
 
-    exec(f"{block}\nassert detection.mask.shape == (48, 64) and 0 <= detection.trust <= 1", names)
+    exec(block, names)
+
+    assert names["detection"].mask.shape == (48, 64)
+    assert 0 <= names["detection"].trust <= 1
