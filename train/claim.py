@@ -1,40 +1,90 @@
 """Does the student beat its teacher? P2's claim, tested with five seeds and an untuned teacher.
 
-    python -m train.claim learn DATA --out RUNS        # 20 trainings, resumable, on one core
-    python -m train.claim list                         # what is trained, in this order
+    python -m train.claim learn DATA --out RUNS                 # 30 trainings, on one core
+    python -m train.claim learn DATA --out RUNS --minutes 8     # the same on a GPU, in minutes
+    python -m train.claim list                                  # what is trained, in this order
 
 DATA is the folder that holds unlabelled_free/. Every image directly in it is trained on, those of
-also_in_many/ are not. A run is RUNS/TEACHER-CONFIG-SEED. Labels of an image are made once for each
-teacher and config.
+also_in_many/ are not. A run is RUNS/TEACHER-CONFIG-SEED; finished ones are kept. Labels of an image
+are made once for each teacher and config.
 """
 
 import argparse
 import subprocess
 import sys
+import time
 from itertools import product
 from pathlib import Path
 
+import torch
+
+from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
+from roadtorch.train.config import PatchTraining, build_training
+from train.patches_gpu import prepare_student, train_side_by_side
+
 TEACHERS = {"untuned": ("labeller.constants=untuned",), "tuned": ()}
-CONFIGS = ("cnn7", "cnn7-paper")
+DECAYED = ("descent.schedule=cosine", "stopping.rule=epochs", "stopping.epochs=4")
+CONFIGS = {
+    "cnn7": ("cnn7", ()),
+    "cnn7-paper": ("cnn7-paper", ()),
+    "cnn7-paper-decayed": ("cnn7-paper", DECAYED),
+}
+"""Shipped config, and settings in place of its own. Ours: the decayed step, chosen beforehand."""
 SEEDS = range(5)
 RUNS = tuple((teacher, config, seed) for config, seed, teacher in product(CONFIGS, SEEDS, TEACHERS))
 """Teacher, config and seed of every training, in the order in which they run."""
 
 
-def learn(data: Path, out: Path) -> None:
-    """Train every network of ``RUNS`` that is not finished."""
-    images = data / "unlabelled_free" / "*.jpg"
+def run_name(teacher: str, config: str, seed: int) -> str:
+    """Return the name of a training's folder."""
+    return f"{teacher}-{config}-{seed}"
+
+
+def run_assignments(teacher: str, config: str, seed: int) -> tuple[str, ...]:
+    """Return the settings that a training has in place of its config's."""
+    return (f"random_seed={seed}", *TEACHERS[teacher], *CONFIGS[config][1])
+
+
+def prepared_folder(out: Path, teacher: str, config: str) -> Path:
+    """Return the folder of the labels that a teacher gives a config."""
+    return out / f"prepared-{teacher}-{CONFIGS[config][0]}"
+
+
+def learn(images: str, out: Path) -> None:
+    """Train every network of ``RUNS`` that is not finished, on one core."""
     for teacher, config, seed in RUNS:
-        folder = out / f"{teacher}-{config}-{seed}"
+        folder = out / run_name(teacher, config, seed)
         if (folder / "done").exists():
             continue
-        settings = [f"random_seed={seed}", *TEACHERS[teacher]]
-        words = ["--config", config, "--images", str(images), "--out", str(folder), "--quiet"]
-        words += ["--prepared", str(out / f"prepared-{teacher}-{config}"), "--threads", "1"]
-        words += [word for setting in settings for word in ("--set", setting)]
-        subprocess.run([sys.executable, "-m", "roadtorch", "train", *words], check=True)
+        words = ["--config", CONFIGS[config][0], "--images", images, "--out", str(folder)]
+        words += ["--prepared", str(prepared_folder(out, teacher, config)), "--quiet"]
+        for assignment in run_assignments(teacher, config, seed):
+            words += ["--set", assignment]
+        command = [sys.executable, "-m", "roadtorch", "train", *words, "--threads", "1"]
+        subprocess.run(command, check=True)
         (folder / "done").touch()
         print(f"{folder.name} is trained", flush=True)
+
+
+def learn_side_by_side(images: str, out: Path, minutes: float, device: torch.device) -> None:
+    """Train every network of ``RUNS`` that is not finished, side by side, within a time."""
+    deadline = time.monotonic() + 60 * minutes
+    torch.backends.cudnn.benchmark = True
+    torch.backends.cudnn.allow_tf32 = False
+    for trained in CONFIGS:
+        students = []
+        for teacher, config, seed in RUNS:
+            folder = out / run_name(teacher, config, seed)
+            if config == trained and not (folder / "done").exists():
+                values = read_settings_file(find_config(CONFIGS[config][0]))
+                assignments = parse_assignments(run_assignments(teacher, config, seed))
+                training = build_training(merge(values, assignments))
+                assert isinstance(training, PatchTraining)
+                prepared = prepared_folder(out, teacher, config)
+                students.append(prepare_student(folder, training, images, prepared))
+        print(f"{len(students)} networks of {trained}", flush=True)
+        if students:
+            train_side_by_side(students, device, deadline)
 
 
 def main() -> None:
@@ -44,12 +94,18 @@ def main() -> None:
     training = commands.add_parser("learn")
     training.add_argument("data", type=Path)
     training.add_argument("--out", type=Path, required=True)
+    training.add_argument("--minutes", type=float, help="train side by side within this time")
     commands.add_parser("list")
     options = parser.parse_args()
-    if options.command == "learn":
-        learn(options.data, options.out)
+    if options.command == "list":
+        print("\n".join(run_name(*run) for run in RUNS))
+        return
+    images = str(options.data / "unlabelled_free" / "*.jpg")
+    if options.minutes is None:
+        learn(images, options.out)
     else:
-        print("\n".join(f"{teacher}-{config}-{seed}" for teacher, config, seed in RUNS))
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        learn_side_by_side(images, options.out, options.minutes, device)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.patch_network import PatchNetwork, normalise
+from roadtorch.layout.patch_network import NormalisedImage, PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import uniform
@@ -201,6 +201,23 @@ EXTRACTION_BLOCK = 128
 """Patches extracted at a time, so that intermediate results stay in the cache."""
 
 
+class PatchChunk(NamedTuple):
+    """The patches of a chunk, before they are extracted, in the order of their images.
+
+    members: indices of the prepared files. image: index into ``members``, (n,). params, noise: of
+    ``sample_variation`` and ``sample_noise``. classes, counts: class and count of each patch in the
+    loss, (n,). steps: the patches of each step.
+    """
+
+    members: list[int]
+    image: Tensor
+    params: Variation
+    noise: Tensor
+    classes: Tensor
+    counts: Tensor
+    steps: tuple[Tensor, ...]
+
+
 class PatchSamples:
     """Patches of prepared images, shuffled over ``shuffle_images`` of them at a time.
 
@@ -227,47 +244,57 @@ class PatchSamples:
         """Chunks of an epoch: groups of images, each visited ``passes`` times."""
         return self._groups * self._training.passes
 
-    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """Yield the patches of a chunk in batches of nearly the same size."""
+    def sample_chunk(self, epoch: int, chunk: int) -> PatchChunk:
+        """Sample the patches of a chunk and their order."""
         training = self._training
         visit, group = divmod(chunk, self._groups)
         order = self._permute(len(self._files), PATCH_ORDER, epoch, visit)
         members = order[group * training.shuffle_images :][: training.shuffle_images].tolist()
         labelled = [self._read_centres(member, epoch, visit) for member in members]
         generator = make_generator(training.random_seed, PATCH_VARIATION, epoch, chunk)
-        centres, classes, counts = (torch.cat(parts) for parts in zip(*labelled, strict=True))
+        centres, classes, weights = (torch.cat(parts) for parts in zip(*labelled, strict=True))
         params = sample_variation(centres, training.augmentation, generator)
         noise = sample_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
-        steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
         image = torch.arange(len(members)).repeat_interleave(
             torch.tensor([len(part.classes) for part in labelled])
         )
         by_image = image[shuffled].argsort(stable=True)
-        buffer_order = shuffled[by_image]
-        self._fill_buffer(members, image[buffer_order], params.select(buffer_order), noise)
-        buffer_rows = by_image.argsort().tensor_split(len(steps))
-        for step, rows in zip(steps, buffer_rows, strict=True):
-            if len(step):
-                targets = classes[step].long()
-                patches = self._buffer.index_select(0, rows)
-                yield Batch(patches, targets, self._weights[targets] * counts[step])
+        extraction = shuffled[by_image]
+        rows = by_image.argsort()
+        steps = rows.tensor_split(max(1, round(len(classes) / training.descent.batch)))
+        classes = classes[extraction].long()
+        counts = self._weights[classes] * weights[extraction]
+        return PatchChunk(
+            members, image[extraction], params.select(extraction), noise, classes, counts, steps
+        )
 
-    def _fill_buffer(
-        self, members: list[int], images: Tensor, params: Variation, noise: Tensor
-    ) -> None:
-        """Fill the buffer with patches; images: index into ``members`` of each, (n,), ascending."""
-        network = self._training.network
-        patch = network.topology.patch
-        if len(self._buffer) < len(images):
-            self._buffer = torch.empty(len(images), 3, patch, patch)
-        for number, member in enumerate(members):
-            image = from_uint8(self._read(self._files[member], "image")["image"])
-            pixels, gain = normalise(image, network.normalisation)
-            for index in (images == number).nonzero()[:, 0].split(EXTRACTION_BLOCK):
+    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
+        """Yield the patches of a chunk in batches of nearly the same size."""
+        sampled = self.sample_chunk(epoch, chunk)
+        self._fill_buffer(sampled)
+        for rows in sampled.steps:
+            if len(rows):
+                patches = self._buffer.index_select(0, rows)
+                yield Batch(patches, sampled.classes[rows], sampled.counts[rows])
+
+    def _fill_buffer(self, chunk: PatchChunk) -> None:
+        """Fill the buffer with the patches of a chunk, in the order of their images."""
+        patch = self._training.network.topology.patch
+        if len(self._buffer) < len(chunk.image):
+            self._buffer = torch.empty(len(chunk.image), 3, patch, patch)
+        for number, member in enumerate(chunk.members):
+            pixels, gain = self.read_pixels(member)
+            for index in (chunk.image == number).nonzero()[:, 0].split(EXTRACTION_BLOCK):
                 if len(index):
-                    part, target = params.select(index), self._buffer[index[0] : index[-1] + 1]
-                    add_noise(sample_patches(pixels, part, patch), part, noise, gain, target)
+                    part = chunk.params.select(index)
+                    target = self._buffer[index[0] : index[-1] + 1]
+                    add_noise(sample_patches(pixels, part, patch), part, chunk.noise, gain, target)
+
+    def read_pixels(self, member: int) -> NormalisedImage:
+        """Read and normalise the image of a prepared file."""
+        image = from_uint8(self._read(self._files[member], "image")["image"])
+        return normalise(image, self._training.network.normalisation)
 
     def _read_centres(self, member: int, epoch: int, visit: int) -> LabelledCentres:
         """Return the patches of an image at one visit in an epoch."""

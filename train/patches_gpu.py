@@ -1,0 +1,264 @@
+"""Train patch networks side by side on a GPU, with the samples of ``roadtorch train``.
+
+One network of 6,099 weights keeps no GPU busy, so all take their steps at once, each on a stream of
+its own, in one CUDA graph. Random numbers, order, loss and stopping rule are those of one core;
+rounding is the GPU's.
+"""
+
+import math
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch.nn.utils.rnn import pad_sequence
+
+from roadtorch.base.signals import stop_on_signals
+from roadtorch.base.version import __version__
+from roadtorch.inputs.images import find_images
+from roadtorch.layout.classes import NUM_CLASSES
+from roadtorch.layout.patch_network import NormalisedImage, PatchNetwork
+from roadtorch.layout.weights import save_network
+from roadtorch.run.memo import read_arrays
+from roadtorch.train.config import PatchTraining, as_values
+from roadtorch.train.patches import (
+    PatchChunk,
+    PatchRecipe,
+    PatchSamples,
+    Variation,
+    add_noise,
+    sample_patches,
+)
+from roadtorch.train.run import prepare_folder
+from roadtorch.train.run_folder import WEIGHTS, RunFolder
+
+SPARE_ROWS = 8
+"""Rows of a step beyond the configured batch: the steps of a chunk differ by a patch or two."""
+
+
+@dataclass
+class Student:
+    """A network in training. rows: its finished epochs. loss, count: sums of the current one."""
+
+    folder: Path
+    training: PatchTraining
+    files: Sequence[Path]
+    samples: PatchSamples
+    network: PatchNetwork
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    chunk: int = 0
+    loss: float = 0.0
+    count: int = 0
+    finished: bool = False
+
+    @property
+    def learning_rate(self) -> float:
+        """Learning rate of the next chunk."""
+        epochs = len(self.rows) + self.chunk / self.samples.chunks
+        return self.training.descent.learning_rate_at(epochs / self.training.stopping.epochs)
+
+    def sample_chunk(self) -> PatchChunk:
+        """Sample the next chunk."""
+        epoch, chunk = divmod(self.chunk, self.samples.chunks)
+        return self.samples.sample_chunk(len(self.rows) + epoch, chunk)
+
+    def end_chunk(self, loss: float) -> None:
+        """Add a chunk's loss; at an epoch's end log it, apply the stopping rule and write."""
+        self.loss += loss
+        if self.chunk < self.samples.chunks:
+            return
+        stopping, mean = self.training.stopping, self.loss / self.count
+        fall = self.rows[-1]["loss"] - mean if self.rows else math.inf
+        epoch = len(self.rows) + 1
+        self.rows.append({"round": 1, "epoch": epoch, "loss": mean, "samples": self.count})
+        self.chunk, self.count, self.loss = 0, 0, 0.0
+        plateau = stopping.rule == "plateau" and fall <= stopping.min_delta
+        self.finished = plateau or epoch >= stopping.epochs or not math.isfinite(mean)
+        self.write()
+
+    def write(self) -> None:
+        """Write the weights and the losses."""
+        config = as_values(self.training)
+        origin = {"roadtorch": __version__, "config": config, "epochs": len(self.rows)}
+        origin = {**origin, "finished": self.finished, "trained on": "GPU"}
+        save_network(self.folder / WEIGHTS, self.network, origin)
+        RunFolder(self.folder).write_log(self.rows)
+        if self.finished:
+            (self.folder / "done").touch()
+
+
+def prepare_student(folder: Path, training: PatchTraining, images: str, prepared: Path) -> Student:
+    """Prepare the images of a training and make its network and its samples."""
+    folder.mkdir(parents=True, exist_ok=True)
+    recipe = PatchRecipe(training)
+    with stop_on_signals() as stop:
+        items = prepare_folder(recipe, find_images([images]), prepared, stop, quiet=True)
+    files = [item.file for item in items if item.file is not None]
+    network = recipe.make_network(None)
+    assert isinstance(network, PatchNetwork)
+    return Student(folder, training, files, PatchSamples(files, training), network)
+
+
+def largest_chunk(student: Student) -> int:
+    """Return the most patches that a chunk of a student can have."""
+    counts = [len(read_arrays(file, "classes")["classes"]) for file in student.files]
+    return sum(sorted(counts)[-student.training.shuffle_images :])
+
+
+class Descents:
+    """The steps of several networks, side by side.
+
+    A step reads its patches from the network's buffer by a table of rows; -1 fills up a step, and
+    a step of nothing else leaves the network as it is.
+    """
+
+    def __init__(self, students: Sequence[Student], device: torch.device) -> None:
+        self._device, count = device, len(students)
+        self._networks = [student.network.to(device) for student in students]
+        self._momentum = [student.training.descent.momentum for student in students]
+        width = max(student.training.descent.batch for student in students) + SPARE_ROWS
+        patch = students[0].training.network.topology.patch
+        capacity = max(largest_chunk(student) for student in students)
+        with device:
+            self.buffers = [torch.empty(capacity, 3, patch, patch) for _ in students]
+            self.classes = torch.zeros(count, capacity, dtype=torch.int64)
+            self.counts = torch.zeros(count, capacity)
+            self.table = torch.full((count, 2 * capacity // width, width), -1, dtype=torch.int64)
+            self.number = torch.zeros(1, dtype=torch.int64)
+            self._one_hot = torch.eye(NUM_CLASSES)
+            self.rate = torch.zeros(count)
+            self.loss = torch.zeros(count, dtype=torch.float64)
+        self._velocity = [
+            [torch.zeros_like(weight) for weight in network.parameters()]
+            for network in self._networks
+        ]
+        self._graph: Any = None
+        self.steps = 0
+
+    def clear(self) -> None:
+        """Empty the table of steps, and the losses."""
+        self.table.fill_(-1)
+        self.loss.zero_()
+        self.number.zero_()
+        self.steps = 0
+
+    def run(self) -> None:
+        """Take the steps of the table."""
+        if self._device.type == "cuda" and self._graph is None:
+            self._capture()
+        for _ in range(self.steps):
+            self._step_all() if self._graph is None else self._graph.replay()
+
+    def _capture(self) -> None:
+        """Capture a step of every network; the table is empty meanwhile, so that none changes."""
+        table = self.table.clone()
+        self.table.fill_(-1)
+        warm_up = torch.cuda.Stream()
+        warm_up.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(warm_up):
+            for _ in range(3):
+                self._step_all()
+        torch.cuda.current_stream().wait_stream(warm_up)
+        self.number.zero_()
+        streams = [torch.cuda.Stream() for _ in self._networks]
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph):
+            main = torch.cuda.current_stream()
+            for index, stream in enumerate(streams):
+                stream.wait_stream(main)
+                with torch.cuda.stream(stream):
+                    self._step(index)
+            for stream in streams:
+                main.wait_stream(stream)
+            self.number.add_(1)
+        self.number.zero_()
+        self.table.copy_(table)
+
+    def _step_all(self) -> None:
+        for index in range(len(self._networks)):
+            self._step(index)
+        self.number.add_(1)
+
+    def _step(self, index: int) -> None:
+        """Take a step of a network down the mean loss of its patches."""
+        network, velocity = self._networks[index], self._velocity[index]
+        rows = self.table[index].index_select(0, self.number)[0]
+        is_patch = rows >= 0
+        rows = rows.clamp_min(0)
+        targets = self._one_hot.index_select(0, self.classes[index].index_select(0, rows))
+        weights = self.counts[index].index_select(0, rows) * is_patch
+        potentials = network(self.buffers[index].index_select(0, rows))
+        loss = ((potentials - targets).square().sum(1) * weights).sum()
+        parameters = list(network.parameters())
+        gradients = torch.autograd.grad(loss / is_patch.sum().clamp_min(1), parameters)
+        is_step = is_patch.any().float()
+        with torch.no_grad():
+            decay = is_step * (self._momentum[index] - 1)
+            for weight, speed, gradient in zip(parameters, velocity, gradients, strict=True):
+                speed.add_(decay * speed + is_step * gradient)
+                weight.sub_(self.rate[index] * is_step * speed)
+            self.loss[index].add_(loss.detach())
+
+
+def train_side_by_side(students: Sequence[Student], device: torch.device, deadline: float) -> None:
+    """Train networks to their ends, or until ``deadline`` (of time.monotonic); write each epoch.
+
+    The CPU samples the next chunk of patches meanwhile.
+    """
+    images: dict[Path, NormalisedImage] = {}
+    descents = Descents(students, device)
+    with ThreadPoolExecutor(16, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        chunks = [pool.submit(student.sample_chunk) for student in students]
+        while not all(student.finished for student in students) and time.monotonic() < deadline:
+            start = time.monotonic()
+            descents.clear()
+            for index, student in enumerate(students):
+                if not student.finished:
+                    chunk = chunks[index].result()
+                    load_chunk(descents, index, student, chunk, images)
+                    student.count += len(chunk.classes)
+                    student.chunk += 1
+                    chunks[index] = pool.submit(student.sample_chunk)
+            descents.run()
+            for student, loss in zip(students, descents.loss.tolist(), strict=True):
+                if not student.finished:
+                    student.end_chunk(loss)
+            if students[0].chunk in (1, 10):
+                title = f"{students[0].folder.name}, epoch {len(students[0].rows) + 1}"
+                print(f"{title}: a chunk in {time.monotonic() - start:.2f} s", flush=True)
+
+
+@torch.no_grad()
+def load_chunk(
+    descents: Descents,
+    index: int,
+    student: Student,
+    chunk: PatchChunk,
+    images: dict[Path, NormalisedImage],
+) -> None:
+    """Extract the patches of a chunk into a network's buffer, and fill its table of rows."""
+    device = descents.loss.device
+    params = Variation(*(values.to(device) for values in chunk.params))
+    noise, first = chunk.noise.to(device), 0
+    patch = student.training.network.topology.patch
+    sizes = torch.bincount(chunk.image, minlength=len(chunk.members)).tolist()
+    for member, size in zip(chunk.members, sizes, strict=True):
+        file = student.files[member]
+        if file not in images:
+            pixels, gain = student.samples.read_pixels(member)
+            images[file] = NormalisedImage(pixels.to(device), gain)
+        pixels, gain = images[file]
+        part = params.select(torch.arange(first, first + size, device=device))
+        target = descents.buffers[index][first : first + size]
+        with device:
+            add_noise(sample_patches(pixels, part, patch), part, noise, gain, target)
+        first += size
+    descents.classes[index, :first] = chunk.classes.to(device)
+    descents.counts[index, :first] = chunk.counts.to(device)
+    rows = pad_sequence(list(chunk.steps), batch_first=True, padding_value=-1).to(device)
+    descents.table[index, : rows.shape[0], : rows.shape[1]] = rows
+    descents.steps = max(descents.steps, len(rows))
+    descents.rate[index] = student.learning_rate
