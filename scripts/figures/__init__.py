@@ -1,20 +1,32 @@
-"""The figures and tables of the papers that documents show, by name."""
+"""The figures and tables of the papers, by name, in the papers' order."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from scripts.figures import p1, p2, p3_light, p3_table3
 
-FIGURES: Mapping[str, Callable[[Path, Path], None]] = {
-    "p1-table1": p1.table1,
-    "p1-table2": p1.table2,
-    "p2-fig4b": p2.fig4b,
-    "p2-fig4c": p2.fig4c,
-    "p2-fig6a": p2.fig6a,
-    "p2-fig6b": p2.fig6b,
-    "p3-fig8": p3_table3.fig8,
-    "p3-fig9": p3_table3.fig9,
-    "p3-table2": p3_light.table2,
-    "p3-table3": p3_table3.table3,
+
+class PaperFigure(NamedTuple):
+    """A figure or table of a paper: its function and the files that it writes.
+
+    ``make`` reads the data (first path) and writes to a folder (second path), what takes long
+    first to a file from which it resumes. ``endings`` are appended to the figure's name.
+    """
+
+    make: Callable[[Path, Path], None]
+    endings: tuple[str, ...]
+
+
+FIGURES: Mapping[str, PaperFigure] = {
+    "p1-table1": PaperFigure(p1.table1, (".csv",)),
+    "p1-table2": PaperFigure(p1.table2, (".csv",)),
+    "p2-fig4b": PaperFigure(p2.fig4b, (".csv", ".png")),
+    "p2-fig4c": PaperFigure(p2.fig4c, (".csv", ".png")),
+    "p2-fig6a": PaperFigure(p2.fig6a, (".csv", "-camvid.png")),
+    "p2-fig6b": PaperFigure(p2.fig6b, (".csv",)),
+    "p3-fig8": PaperFigure(p3_table3.fig8, (".png",)),
+    "p3-fig9": PaperFigure(p3_table3.fig9, ("a.png", "b.png")),
+    "p3-table2": PaperFigure(p3_light.table2, (".csv", "-camvid.csv", ".png")),
+    "p3-table3": PaperFigure(p3_table3.table3, (".csv",)),
 }
-"""By name, what reads the data (first path) and writes images and CSV files to a folder."""

@@ -1,4 +1,4 @@
-"""Commands of figures and tables in docs/research/index.md, on an image of each set."""
+"""Commands of figures and tables, on an image of each set, and the page that shows them."""
 
 import re
 import shlex
@@ -7,14 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from roadtorch.base.errors import DatasetError
 from roadtorch.testing.scenes import render_scene, write_image
-from scripts.figures import FIGURES, __main__, p1, p3_light, p3_table3
+from scripts.figures import FIGURES, PaperFigure, __main__, p1, p3_light, p3_table3
 from tests.command import Call
 from tests.data.test_kitti import add_frame, street
 from tests.streets import write_drives
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/research/index.md"
-COMMANDS = re.findall(r"^\| (P\d, .*) \| `(.*)` \|$", PAGE.read_text("utf-8"), re.M)
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = (DOCS / "research/figures.md").read_text("utf-8")
+SHOWN = re.findall(r"^\*\*(P\d), .*`(p\d-\w+)`\.?$", PAGE, re.M)
+COMMANDS = re.findall(
+    r"^\| (P\d, .*) \| `(.*)` \|$", (DOCS / "research/index.md").read_text("utf-8"), re.M
+)
 
 WRITTEN = {
     "P1, Figs. 1 to 5": (
@@ -22,19 +27,9 @@ WRITTEN = {
         *("error", "pixel_stability", "node_stability", "iteration_1", "mask", "overlay"),
     ),
     "P1, Fig. 6": ("metrics",),
-    "P1, Table I": ("p1-table1",),
-    "P1, Table II": ("p1-table2",),
     "P2, Figs. 1 and 5": ("layout",),
-    "P2, Fig. 4b": ("p2-fig4b",),
-    "P2, Fig. 4c": ("p2-fig4c",),
-    "P2, Fig. 6a": ("p2-fig6a", "p2-fig6a-camvid"),
-    "P2, Fig. 6b": ("p2-fig6b",),
     "P2, Figs. 7 and 8": ("fused_plane", "uniformity", "layout", "likelihood"),
     "P3, Fig. 2": ("mask",),
-    "P3, Fig. 8": ("p3-fig8",),
-    "P3, Fig. 9": ("p3-fig9a", "p3-fig9b"),
-    "P3, Table II": ("p3-table2", "p3-table2-camvid"),
-    "P3, Table III": ("p3-table3",),
 }
 """Names of a figure's files, or their ends."""
 
@@ -63,27 +58,61 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("figure", "command"), COMMANDS, ids=[figure for figure, _ in COMMANDS])
 def test_the_command_of_a_figure_makes_it(
-    figure: str,
-    command: str,
-    data: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    call: Call,
+    figure: str, command: str, data: Path, tmp_path: Path, call: Call
 ) -> None:
     places = {"IMAGE": str(data / "street.png"), "OUT": str(tmp_path / "out")}
     words = [places.get(word, word.replace("DATA", str(data))) for word in shlex.split(command)]
 
-    if words[0] == "roadtorch":
-        assert call(*words[1:]).exit_code == 0
-    else:
-        monkeypatch.setattr(sys, "argv", words[1:])
-        __main__.main()
+    assert call(*words[1:]).exit_code == 0
 
     stems = {path.stem for path in (tmp_path / "out").rglob("*") if path.is_file()}
     for name in WRITTEN[figure.partition(":")[0]]:
         assert any(stem.split(".")[-1] == name for stem in stems), (name, stems)
 
 
-def test_every_command_of_figures_has_a_row() -> None:
-    assert len(COMMANDS) == len(WRITTEN)
-    assert set(FIGURES) <= {word for _, command in COMMANDS for word in command.split()}
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_writes_its_files(
+    name: str, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["figures", name, str(data), "--out", str(tmp_path)])
+
+    __main__.main()
+
+    files = {path.name for path in tmp_path.iterdir()}
+    assert {f"{name}{ending}" for ending in FIGURES[name].endings} <= files
+
+
+def test_all_skips_figures_that_exist_and_goes_on_after_one_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(data: Path, out: Path) -> None:
+        raise DatasetError(data / "camvid", "is missing", "get it")
+
+    def write(data: Path, out: Path) -> None:
+        (out / "p3-fig8.png").touch()
+
+    (tmp_path / "p1-table1.csv").touch()
+    figures = {
+        "p1-table1": PaperFigure(fail, (".csv",)),
+        "p2-fig4b": PaperFigure(fail, (".csv",)),
+        "p3-fig8": PaperFigure(write, (".png",)),
+    }
+    monkeypatch.setattr(__main__, "FIGURES", figures)
+
+    failed = __main__.make_all(Path("data"), tmp_path)
+
+    assert failed == ["p2-fig4b"]
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[1] for line in lines] == ["exists", "failed:", "made"]
+    assert (tmp_path / "p3-fig8.png").exists()
+
+
+def test_the_page_shows_every_figure_in_order() -> None:
+    assert [name for _, name in SHOWN] == list(FIGURES)
+    assert all(name.startswith(paper.lower()) for paper, name in SHOWN)
+
+
+def test_images_of_the_page_are_small() -> None:
+    images = [DOCS / "research" / image for image in re.findall(r"\]\((\.\./figures/.*?)\)", PAGE)]
+
+    assert sum(path.stat().st_size for path in images) <= 1_200_000

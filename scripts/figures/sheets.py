@@ -1,0 +1,68 @@
+"""Sheets of images: free streets in columns, a row for each step of a method."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from torch import Tensor
+
+from roadtorch.base.atomic import atomic_write
+from roadtorch.base.image import read_image
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Truth
+
+PHOTOS = (
+    *("udadv_test2.jpg", "driveai_us_019.jpg", "safroad_0004.jpg", "brno_0006.jpg"),
+    "rddmix_0025.jpg",
+)
+"""A motorway, two suburbs, a city, a village, of unlabelled_free/."""
+
+RENDERED = ("carla_lyft/carla_lyft_cc0_023", "carlarain/seqTown03Clear_001814")
+"""Streets of simulated/, whose truth the renderer knows."""
+
+TILE = 170, 110  # pixels, width and height
+CAPTION = 13  # pixels, above each row
+QUALITY = 78  # of JPEG
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+
+
+class Street(NamedTuple):
+    """An image (3, H, W), free for any use, and its truth where a renderer knows it."""
+
+    image: Tensor
+    truth: Truth | None
+
+
+def read_streets(data: Path) -> list[Street]:
+    """Read the photos, then the rendered streets with their truth."""
+    photos = [Street(read_image(data / "unlabelled_free" / name), None) for name in PHOTOS]
+    simulated = open_dataset("folder", data / "simulated")
+    by_name = {item.name: item for item in simulated.items}
+    return photos + [Street(*simulated.read(by_name[name])) for name in RENDERED]
+
+
+def write_sheet(
+    path: Path, rows: Mapping[str, Sequence[np.ndarray | None]], tile: tuple[int, int] = TILE
+) -> None:
+    """Write rows of tiles, each RGB uint8 (H, W, 3), under their captions, as JPEG.
+
+    A tile is scaled to ``tile`` (width, height) whatever its shape; None is left blank.
+    """
+    width, height = tile
+    columns = max(map(len, rows.values()))
+    parts = []
+    for caption, tiles in rows.items():
+        part = np.full((CAPTION + height, columns * width, 3), WHITE, np.uint8)
+        cv2.putText(part, caption, (2, 10), cv2.FONT_HERSHEY_SIMPLEX, 0.36, BLACK, 1, cv2.LINE_AA)
+        for column, pixels in enumerate(tiles):
+            if pixels is not None:
+                left = column * width
+                inside = cv2.resize(pixels, (width - 2, height), interpolation=cv2.INTER_AREA)
+                part[CAPTION:, left : left + width - 2] = inside
+        parts.append(part)
+    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    encoded = cv2.imencode(".jpg", np.ascontiguousarray(np.vstack(parts)[..., ::-1]), options)[1]
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())
