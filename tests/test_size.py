@@ -33,8 +33,8 @@ LINES = {
     "roadtorch/testing": 640,
     "roadtorch/train": 3_260,
     "roadtorch/ufl": 1_380,
-    "scripts": 3_560,
-    "tests": 25_010,
+    "scripts": 3_660,
+    "tests": 25_060,
     "train": 4_910,
 }
 """The lines of source code that each folder may have."""

@@ -162,7 +162,7 @@ class PaperFusionSettings(WorkingSettings):
     only. The other two priors are ours.
     """
 
-    threshold: Threshold = Field(default=0.131, description=TUNED_THRESHOLD)
+    threshold: Threshold = Field(default=0.171, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     weights: WeightsFile = WeightsFile()
     texture: TextureSettings = TextureSettings()
@@ -177,6 +177,9 @@ class PaperFusionSettings(WorkingSettings):
 
 SCRATCH_WEIGHTS = "layout-free"
 """Shipped weights of a network trained from random ones."""
+
+SCRATCH_RIDGE = 3e-3
+"""Ridge of the texture in ``fusion:scratch`` and ``fusion:untrained``, chosen on CamVid. Ours."""
 
 
 @use_inference_mode
@@ -325,7 +328,7 @@ def seed_likelihoods(
 
     image: (3, H, W). seed: seed area, bool (H, W). sources: labels of its segments, (k,).
     """
-    labels, settings = segments.labels, TextureSettings()
+    labels, settings = segments.labels, TextureSettings(ridge=SCRATCH_RIDGE)
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
     texture = uniformity_likelihood(uniformity, settings.midpoint)
     distance = distance_likelihood(seed_distance(segments, sources), ROAD_RULES.reach)

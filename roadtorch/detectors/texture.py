@@ -35,7 +35,7 @@ from roadtorch.road.texture import (
 class CpfSettings(WorkingSettings):
     """Settings of colour plane fusion over superpixels."""
 
-    threshold: Threshold = Field(default=0.54, description=TUNED_THRESHOLD)
+    threshold: Threshold = Field(default=0.58, description=TUNED_THRESHOLD)
     superpixels: Superpixels = Superpixels()
     texture: TextureSettings = TextureSettings()
 
@@ -43,14 +43,14 @@ class CpfSettings(WorkingSettings):
 class CpfV2Settings(CpfSettings):
     """Settings of colour plane fusion over superpixels, without saturated pixels."""
 
-    threshold: Threshold = Field(default=0.52, description=TUNED_THRESHOLD)
+    threshold: Threshold = Field(default=0.57, description=TUNED_THRESHOLD)
     saturation: Saturation = Saturation()
 
 
 class CpfSquaresSettings(WorkingSettings):
     """Settings of colour plane fusion over squares."""
 
-    threshold: Threshold = Field(default=0.52, description=TUNED_THRESHOLD)
+    threshold: Threshold = Field(default=0.58, description=TUNED_THRESHOLD)
     square: int = Field(
         default=16, ge=2, le=4096, description="side of the squares, in pixels at the working size"
     )

@@ -18,31 +18,34 @@ from roadtorch.imaging.color import PLANES, color_planes, iterate_color_planes
 from roadtorch.imaging.levels import is_above, is_at_least, order_statistic
 from roadtorch.imaging.segments import segment_histogram, segment_size
 
-VARIANCE_FLOOR = 1e-12
-"""Added to the diagonal of Σ, so that the planes of a constant area get equal weights."""
+FLOAT32_ROUNDING = 1e-12
+"""Variance, in mean squares of the planes, up to which a direction of Σ varies by rounding alone:
+float32 has 1e-14, a level of 8 bits 1e-6; from 1e-12 to 1e-10 the same directions count."""
 
 MIN_RANGE = 1e-4
 """Smallest range that is quantised, as a smaller one holds only rounding errors."""
 
 
-def minimum_variance_weights(samples: Tensor, ridge: float) -> Tensor:
+def minimum_variance_weights(samples: Tensor, ridge: float = 0.0) -> Tensor:
     """Compute the weights (N,), of sum 1, whose combination of planes has the least variance.
 
-    w = Σ⁻¹1 / (1ᵀΣ⁻¹1), P2 eq. 3. P2's nine planes are linearly dependent (R - G - √2·O1 = 0,
-    R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and (R - G - √2·O1) / -√2, whose weights sum
-    to 1, is 0 in every image: the least variance possible, and no texture. Hence ``ridge`` times
-    the mean variance is added to the diagonal of Σ: 0 is P2's formula, which collapses
-    (docs/how/layout_texture.md); large values give the plain mean of the planes.
+    w = Σ⁺1 / (1ᵀΣ⁺1), P2 eq. 3 with the pseudo-inverse: P2's nine planes are linearly dependent
+    (R - G - √2·O1 = 0, R + G - 2B - √6·O2 = 0), so its Σ has no inverse, and a combination of sum 1
+    that is 0 in every image would have the least variance (docs/how/layout_texture.md). ``ridge``
+    times the mean variance is added to the diagonal of Σ, which then has an inverse; ours. The
+    weights are equal where no plane varies.
 
     samples: K pixels of N planes, (K, N). Solved in float64.
     """
     # In NumPy: torch takes twice as long for matrices this small.
-    centred = samples.cpu().numpy().astype(np.float64)
-    centred -= centred.mean(0)
-    covariance = centred.T @ centred / max(1, len(samples))
-    load = ridge * covariance.trace() / len(covariance) + VARIANCE_FLOOR
-    np.fill_diagonal(covariance, covariance.diagonal() + load)
-    weights = np.linalg.solve(covariance, np.ones(len(covariance)))
+    values = samples.cpu().numpy().astype(np.float64)
+    centred = values - values.mean(0)
+    variances, directions = np.linalg.eigh(centred.T @ centred / max(1, len(samples)))
+    variances += ridge * variances.mean()
+    is_varying = variances > FLOAT32_ROUNDING * np.square(values).mean()
+    directions = directions[:, is_varying]
+    weights = directions @ (directions.sum(0) / variances[is_varying])
+    weights = weights if is_varying.any() else np.ones(len(weights))
     return torch.from_numpy(weights / weights.sum()).to(samples)
 
 
@@ -119,7 +122,10 @@ class TextureSettings(Settings):
         description="colour planes that are fused",
     )
     ridge: float = Field(
-        default=3e-3, ge=0, le=1e6, description="added to each variance, in mean variances"
+        default=0.0,
+        ge=0,
+        le=1e6,
+        description="added to each variance, in mean variances; 0 for the pseudo-inverse",
     )
     bins: int = Field(default=64, ge=2, le=4096, description="number of histogram bins")
     tail: float = Field(

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from scripts.figures import p1, p2, p3_light, p3_table3
+from scripts.figures import p1, p2, p2_eq3, p3_light, p3_table3
 
 
 class PaperFigure(NamedTuple):
@@ -21,6 +21,7 @@ class PaperFigure(NamedTuple):
 FIGURES: Mapping[str, PaperFigure] = {
     "p1-table1": PaperFigure(p1.table1, (".csv",)),
     "p1-table2": PaperFigure(p1.table2, (".csv",)),
+    "p2-eq3": PaperFigure(p2_eq3.eq3, (".csv",)),
     "p2-fig4b": PaperFigure(p2.fig4b, (".csv", ".png")),
     "p2-fig4c": PaperFigure(p2.fig4c, (".csv", ".png")),
     "p2-fig6a": PaperFigure(p2.fig6a, (".csv", "-camvid.png")),

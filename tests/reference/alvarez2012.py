@@ -1,7 +1,7 @@
 """P2's road likelihood of single pixels, slow and simple: layout times texture (eqs. 1 to 4).
 
-Superpixels and the normalised image are inputs; the constants that P2 does not state (ridge, levels
-and their range) are those of docs/how/layout_texture.md.
+Superpixels and the normalised image are inputs; the constants that P2 does not state (levels and
+their range) are those of docs/how/layout_texture.md.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from tests.reference.color import planes_of_pixel
 
 Array = np.ndarray
 PLANES = ("R", "G", "B", "nr", "ng", "O1", "O2", "S", "V")
-BINS, TAIL, RIDGE = 64, 0.005, 3e-3
+BINS, TAIL = 64, 0.005
 
 
 def ground(pixels: Array, weights: dict[str, Array], row: int, column: int) -> float:
@@ -30,9 +30,7 @@ def fused_levels(image: Array) -> Array:
     rows, columns = round(30 * height / 240), round(80 * width / 320)  # 30×80 of 240×320
     left = (width - columns) // 2
     area = planes[:, height - rows :, left : left + columns].reshape(len(PLANES), -1)
-    covariance = np.cov(area, bias=True)
-    ridge = RIDGE * np.trace(covariance) / len(PLANES) * np.eye(len(PLANES))
-    inverse, ones = np.linalg.inv(covariance + ridge), np.ones(len(PLANES))
+    inverse, ones = np.linalg.pinv(np.cov(area, bias=True)), np.ones(len(PLANES))
     fused = texture.fused(planes, inverse @ ones / (ones @ inverse @ ones))
     ordered = np.sort(fused.ravel())
     skipped = int(TAIL * len(ordered))

@@ -8,9 +8,11 @@ def uniformity_of_values(levels: np.ndarray) -> float:
     return sum(float(np.mean(levels == level)) ** 2 for level in set(levels.tolist()))
 
 
-def minimum_variance_weights(samples: np.ndarray) -> np.ndarray:
-    """P2 eq. 3 with an explicit inverse; samples (K,N)."""
-    inverse = np.linalg.inv(np.cov(samples.T, bias=True))
+def minimum_variance_weights(samples: np.ndarray, ridge: float) -> np.ndarray:
+    """P2 eq. 3 with an explicit inverse and a ridge in mean variances; samples (K,N)."""
+    covariance = np.cov(samples.T, bias=True)
+    added = ridge * np.trace(covariance) / len(covariance)
+    inverse = np.linalg.inv(covariance + added * np.eye(len(covariance)))
     ones = np.ones(samples.shape[1])
     return inverse @ ones / (ones @ inverse @ ones)
 

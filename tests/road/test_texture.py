@@ -31,28 +31,38 @@ def correlated_samples(count: int = 400, planes: int = 4, seed: int = 0) -> torc
 # --- weights and the fused plane (P2 eqs. 2 and 3) ------------------------------------------
 
 
-def test_weights_and_the_fused_plane_follow_equations_2_and_3():
+@pytest.mark.parametrize("ridge", [0.0, 0.5])
+def test_weights_and_the_fused_plane_follow_equations_2_and_3(ridge):
     samples, stack = correlated_samples(), random(4, 5, 6)
 
-    weights = minimum_variance_weights(samples, ridge=0)
+    weights = minimum_variance_weights(samples, ridge)
 
-    expected = reference.minimum_variance_weights(samples.numpy())
+    expected = reference.minimum_variance_weights(samples.numpy(), ridge)
     np.testing.assert_allclose(weights.numpy(), expected, rtol=1e-6)
     fused = reference.fused(stack.numpy(), weights.numpy())
     np.testing.assert_allclose(fused_plane(stack, weights), fused)
 
 
-def test_without_a_ridge_the_nine_planes_of_the_paper_fuse_to_nothing():
-    stack = color_planes(random(3, 24, 32, dtype=torch.float32), TextureSettings().planes)
+@pytest.mark.parametrize("scale", [1, 255])
+def test_the_nine_planes_of_the_paper_take_the_pseudo_inverse_at_any_scale(scale):
+    image = random(3, 24, 32, dtype=torch.float32) * scale
+    stack = color_planes(image, TextureSettings().planes)
     samples = stack[:, 16:].flatten(1).T
 
-    collapsed, kept = (
-        fused_plane(stack, minimum_variance_weights(samples, ridge)) for ridge in (0.0, 3e-3)
-    )
+    weights = minimum_variance_weights(samples)
 
-    # (R - G - √2·O1) / -√2 has weights that sum to 1, and is 0 in every image.
-    assert collapsed.std() < 1e-3
-    assert kept.std() > 10 * collapsed.std()
+    literal = np.linalg.pinv(np.cov(samples.T.double().numpy(), bias=True), 1e-11).sum(0)
+    np.testing.assert_allclose(weights, literal / literal.sum(), atol=1e-5)
+    # (R - G - √2·O1) / -√2 is 0 in every image: an inverse of Σ would fuse the planes to it.
+    null = torch.tensor([1, -1, 0, 0, 0, -(2**0.5), 0, 0, 0])
+    assert (weights @ null).abs() < 1e-5
+    assert fused_plane(stack, weights).std() > 1e-3 * scale**0.5
+
+
+def test_weights_are_equal_over_an_area_of_one_colour():
+    samples = torch.tensor([[0.3, 0.1, 0.7]]).repeat(50, 1)
+
+    assert minimum_variance_weights(samples).tolist() == pytest.approx([1 / 3] * 3)
 
 
 @pytest.mark.parametrize("ridge", [0, 1e-8, 1e-3, 1, 1e6])
