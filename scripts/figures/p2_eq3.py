@@ -10,19 +10,19 @@ from torch import Tensor
 
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, LabelledItem
+from roadtorch.data.dataset import Dataset, LabelledItem, subsample_dataset
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detection, Detector, WorkingSettings
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import MAXF, MEASURES
-from roadtorch.evaluation.methods import Contender
+from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.imaging.resize import resize_to_image, resize_to_work, spatial_size
 from roadtorch.imaging.segments import paint_segments
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.road.texture import TextureSettings, fused_uniformity
 from scripts.figures.chart import show_table
-from scripts.figures.p2 import reach_of_seed
+from scripts.figures.p2 import IDD_IMAGES, reach_of_seed, streets
 
 
 class Variant(NamedTuple):
@@ -43,6 +43,9 @@ VARIANTS: Mapping[str, Variant] = {
     "ridge 1e-9, levels to 1": Variant(1e-9, 1),  # nearly the inverse, which does not exist
 }
 
+EVERY = 4
+"""Step between CamVid's images."""
+
 PARTS = ("CPF", "CNN-7 × CPF")
 
 AUC = next(measure for measure in MEASURES if measure.key == "auc_pooled")
@@ -56,19 +59,19 @@ def paper() -> Detector:
 
 def eq3(data: Path, out: Path) -> None:
     """Write AUC of CPF and of its product with CNN-7, isolated areas dropped, by variants."""
-    sets = {"CamVid, mean of drives": open_dataset("camvid", data / "camvid", "dev")}
+    sets = {"CamVid, mean of drives": streets(data, EVERY)}
     if (data / "idd_lite").is_dir():
-        sets["IDD"] = open_dataset("idd-lite", data / "idd_lite")
+        sets["IDD"] = subsample_dataset(open_dataset("idd-lite", data / "idd_lite"), IDD_IMAGES)
     rows = [{"set": name, **row} for name, dataset in sets.items() for row in variant_rows(dataset)]
     show_table(out / "p2-eq3.csv", rows)
 
 
 def variant_rows(dataset: Dataset) -> list[dict[str, str]]:
     """Return AUC with its 95 % interval of each variant and part."""
-    contenders = []
-    for part, (title, variant) in product(PARTS, VARIANTS.items()):
-        predict = partial(detect, part, variant)
-        contenders.append(Contender(f"{part}, {title}", lambda _, predict=predict: predict))
+    contenders = [
+        Contender(f"{part}, {title}", partial(prepare, part, variant))
+        for part, (title, variant) in product(PARTS, VARIANTS.items())
+    ]
     result = evaluate(dataset, contenders, with_baselines=False, measures=(MAXF, AUC), quiet=False)
     rows = []
     for title in VARIANTS:
@@ -80,18 +83,23 @@ def variant_rows(dataset: Dataset) -> list[dict[str, str]]:
     return rows
 
 
+def prepare(part: str, variant: Variant, _: Dataset) -> Predictor:
+    """Return the detector of a part with a variant of eq. 3."""
+    return partial(detect, part, variant)
+
+
 def detect(part: str, variant: Variant, image: Tensor, _: LabelledItem) -> Detection:
     """Compute CPF, or its product with CNN-7, with a variant of eq. 3."""
     small = resize_to_work(image, WorkingSettings().working)
     cues = analyse(small)
     labels = cues["segments"]
-    _, values = fused_uniformity(
+    values = fused_uniformity(
         small * variant.largest,
         labels,
         labels >= 0,
         seed_rectangle(labels.shape),
         TextureSettings(ridge=variant.ridge),
-    )
+    )[1]
     likelihood = paint_segments(values, labels)
     if part != "CPF":
         likelihood = likelihood * cues["layout"][HORIZONTAL]
