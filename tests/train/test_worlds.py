@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roadtorch.camera.ground import Lens, distort_points
-from train.worlds.framing import measure_framing
+from train.worlds.framing import measure_framing, predict_one_sided
 from train.worlds.lens import (
     SENSOR,
     angle_polynomial,
@@ -17,12 +17,12 @@ from train.worlds.lens import (
     sample_fisheye,
     write_lens,
 )
-from train.worlds.plans import HELD_OUT, SCHEDULE, SCHEDULED, plan_world
+from train.worlds.plans import FISHEYES, HELD_OUT, SCHEDULE, SCHEDULED, STREETS, TOWNS, plan_world
 from train.worlds.sensor import develop
 from train.worlds.truth import HORIZONTAL, ROAD, VERTICAL, VOID, settle_truth
 
 
-@pytest.mark.parametrize("first", [SCHEDULED, SCHEDULED + 17, HELD_OUT + 5])
+@pytest.mark.parametrize("first", [SCHEDULED, SCHEDULED + 17, SCHEDULED + HELD_OUT + 5])
 def test_any_stretch_of_numbers_is_balanced(first: int) -> None:
     plans = [plan_world(number) for number in range(first, first + len(SCHEDULE))]
     names = Counter(plan.name for plan in plans)
@@ -33,6 +33,18 @@ def test_any_stretch_of_numbers_is_balanced(first: int) -> None:
     assert len(towns) == 12
     assert sum(plan.hours == {"night": 1} for plan in towns) == 4
     assert sum(plan.wet is True for plan in towns) == 4
+
+
+@pytest.mark.parametrize("first", [TOWNS, TOWNS + HELD_OUT + 7])
+def test_streets_are_equal_parts_of_light_weather_and_side_of_traffic(first: int) -> None:
+    plans = [plan_world(number) for number in range(first, first + len(STREETS))]
+    towns = [plan for plan in plans if plan.kinds == {"town": 1}]
+    parts = Counter((plan.name, "sun" in plan.hours, plan.hand) for plan in towns)
+    assert len(towns) > 0.7 * len(plans)
+    assert set(parts.values()) == {6}
+    assert len(parts) == 6  # dry by day, at night, in rain; right, left
+    fisheyes = sum(plan.mount in FISHEYES for plan in plans)
+    assert 1 / 6 <= fisheyes / len(plans) <= 1 / 5
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -88,3 +100,24 @@ def test_framing_tells_where_the_road_leaves_the_image() -> None:
     assert cropped is not None
     assert cropped.left_only == framing.left_only
     assert measure_framing(road & False, valid) is None
+
+
+def test_a_road_beyond_the_image_on_one_side_is_predicted_as_rendered() -> None:
+    """Mark the ground row by row, as a level camera sees a straight road."""
+    near, far, height, up, across, turn = 1.8, 7.5, 1.4, 0.4, 0.55, 0.05
+    slopes = (np.arange(400) + 0.5) / 400 * up
+    columns = np.linspace(-across, across, 801)
+    ground = (columns - turn)[None] * height / slopes[:, None]  # metres to the right
+    rows = (ground > -far) & (ground < near)
+
+    framing = measure_framing(rows, np.ones_like(rows))
+    predicted = predict_one_sided((near, far), height, (up, across), turn, 0.0)
+    assert framing is not None
+    assert predicted == pytest.approx(framing.left_only, abs=0.01)
+    assert framing.right_only == 0
+
+    level = predict_one_sided((near, far), height, (up, across), 0.0, 0.0)
+    wide = predict_one_sided((near, far + 4), height, (up, across), 0.0, 0.0)
+    assert wide > level
+    assert predict_one_sided((5.0, 5.0), height, (up, across), 0.0, 0.0) == 0
+    assert predict_one_sided((near, far), height, (up, across), 0.0, -up - 0.1) == 0

@@ -4,11 +4,12 @@
     python -m train.worlds 0 48 --out WORLDS --sheet sheet.jpg      (what is there, truth drawn in)
 
 writes WORLDS/images/NUMBER_KIND_HOUR.jpg and WORLDS/truth/….png (0 sky, 1 vertical, 2 horizontal
-without road, 3 road, 4 ego car, 255 void), and WORLDS/lenses/….toml of fisheyes. What is there is
-kept; a number gives the same image. Several at a time: ``--every 2 --from 1`` takes every second
-number. Numbers from 10000 on are towns, from 12000 on roads with shoulders and ramps, from 14000 on
-trails in woods, from 20000 on places without any road, from 30000 on all of them and people, lenses
-and mounts by turns (train.worlds.plans), of which those from 39000 on teach no network.
+without road, 3 road, 4 ego car, 255 void), WORLDS/lenses/….toml of fisheyes, and a row in
+WORLDS/worlds.csv. What is there is kept; a number gives the same image. Several at a time:
+``--every 2 --from 1`` takes every second number. Numbers from 10000 on are towns, from 12000 on
+roads with shoulders and ramps, from 14000 on trails in woods, from 20000 on places without any
+road, from 30000 on all of them and people, lenses and mounts by turns (train.worlds.plans), from
+40000 on towns above all. The last thousand of each ten thousand teaches no network.
 
     python -m train.worlds 5000 5012 --out DRIVES --frames 60
 
@@ -37,7 +38,7 @@ from train.worlds.lens import image_circle, write_lens
 from train.worlds.light import build_light, sample_hour, sample_weather
 from train.worlds.materials import Nodes
 from train.worlds.nowhere import build_nowhere
-from train.worlds.plans import FISHEYES, NOWHERE, plan_world
+from train.worlds.plans import FISHEYES, HELD_OUT, NOWHERE, plan_world
 from train.worlds.roads import Road, build_road
 from train.worlds.sensor import Look, develop
 from train.worlds.stage import Stage
@@ -49,7 +50,7 @@ from train.worlds.vehicles import build_traffic
 SEASONS = {"green": 6, "dry": 3, "earth": 2, "litter": 3, "snow": 2}
 """Of the land, and how often each is sampled."""
 
-SAMPLES = {"sun": 4, "overcast": 4, "dusk": 5, "night": 6}
+SAMPLES = {"sun": 2, "overcast": 2, "dusk": 2, "night": 3}
 """Paths a pixel by time of day; the rest is the denoiser's."""
 
 FINE = 3
@@ -79,6 +80,7 @@ def build_world(number: int, photographs: Path | None = None) -> tuple[Stage, Ro
         sample_weather(stage, plan.wet)
     build_light(stage, hour)
     if kind == "town":
+        stage.hand = plan.hand
         road, street = build_town(stage, season)
         furnish_town(stage, road, street, plan.crowd)
     else:
@@ -90,7 +92,7 @@ def build_world(number: int, photographs: Path | None = None) -> tuple[Stage, Ro
 
 
 def render(stage: Stage, number: int, place: Path) -> np.ndarray:
-    """Render linear light float32 (288, 384, 3) BGR."""
+    """Render linear light float32 (384, 512, 3) BGR."""
     scene, cycles = stage.scene, stage.scene.cycles
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
@@ -105,7 +107,7 @@ def render(stage: Stage, number: int, place: Path) -> np.ndarray:
 
 
 def render_truth(stage: Stage, place: Path) -> np.ndarray:
-    """Render what each pixel is, uint8 (288, 384): flat colours, several paths through each pixel.
+    """Render what each pixel is, uint8 (384, 512): flat colours, several paths through each pixel.
 
     The scene has no light any more afterwards.
     """
@@ -156,8 +158,20 @@ def make(number: int, out: Path, photographs: Path | None = None) -> str:
     cv2.imwrite(str(out / "truth" / f"{name}.png"), look.truth)
     if stage.lens:
         (out / "lenses" / f"{name}.toml").write_text(write_lens(stage.lens, stage.mount))
+    note_world(out / "worlds.csv", name, stage)
     part.rename(out / "images" / f"{name}.jpg")  # last, so that an image has its truth
     return name
+
+
+def note_world(table: Path, name: str, stage: Stage) -> None:
+    """Append a row of a world's properties to a table, which gets its header first."""
+    number, kind, hour = name.split("_")
+    side = {1: "right", -1: "left"}.get(stage.hand, "")
+    held_out = int(number) % 10000 >= HELD_OUT
+    row = {"name": name, "kind": kind, "hour": hour, "traffic": side, "held_out": int(held_out)}
+    with table.open("a") as file:
+        header = "" if file.tell() else ",".join(row) + "\n"
+        file.write(header + ",".join(map(str, row.values())) + "\n")
 
 
 def make_drive(number: int, out: Path, frames: int) -> str:

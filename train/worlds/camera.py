@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import atan, degrees, radians, tan
-from typing import Any
+from typing import Any, NamedTuple
 
 import bpy
 from mathutils import Matrix
@@ -10,6 +10,7 @@ from mathutils import Matrix
 from train.worlds.course import SPACING, START
 from train.worlds.ego_cars import Lens, put_car, put_robot
 from train.worlds.fisheye import build_fisheye
+from train.worlds.framing import predict_one_sided
 from train.worlds.head_lights import put_head_lights
 from train.worlds.plans import FISHEYES
 from train.worlds.roads import UNPAVED, Road
@@ -23,6 +24,10 @@ LENSES = ((22, 35), (28, 42), (40, 55))
 TOWN_LENSES = ((19, 28), (24, 34), (30, 44))
 """Half of the horizontal field of view in degrees, such that only the near kerb is in view."""
 
+FRAMED, TRIES = 0.65, 40
+"""Fraction of rows in which a street's far edge alone shall leave the image, and how many cameras
+are sampled to get it."""
+
 CLEAR_ACROSS, CLEAR_AHEAD = 2.2, 4.0
 """Width in metres that is cleared of objects along a drive."""
 
@@ -34,19 +39,14 @@ def build_camera(stage: Stage, road: Road, mount: str) -> None:
         _clear(stage, [_axes_at(road, stage.station)])
         return
     at, course = stage.at, road.course
-    lens = sample_lens(stage, TOWN_LENSES if road.kind == "town" else LENSES)
-    tall, side = _sample_place(stage, road, mount)
+    lens, tall, side, pitch, yaw = _sample_view(stage, road, mount)
     data: Any = bpy.data.cameras.new("camera")
     data.sensor_fit, data.clip_start, data.clip_end = "VERTICAL", 0.05, 2000
     data.angle_y = 2 * atan(lens.half_up)
     camera = stage.add("camera", data, course.at(START, side, tall))
     stage.scene.camera = camera
-    up = degrees(atan(lens.half_up))
-    pitch = at.uniform(-0.1, 0.45) * up if stage.chance(0.85) else at.uniform(0.4, 0.9) * up
-    if mount == "truck":
-        pitch = at.uniform(0.1, 0.8) * up
     slope = (course.points[START + 2].z - course.points[START].z) / 3
-    yaw = radians(_sample_yaw(stage, road))
+    yaw = radians(yaw)
     camera.rotation_euler = (radians(90 - pitch) + atan(slope), radians(at.gauss(0, 1.5)), yaw)
     if mount == "robot":
         if stage.chance(0.4):
@@ -57,6 +57,35 @@ def build_camera(stage: Stage, road: Road, mount: str) -> None:
         x, y, _ = camera.location
         low = camera.location[2] - tall + min(tall - 0.1, at.uniform(0.6, 0.9))
         put_head_lights(stage, (x, y + 2.2, low), yaw * 0.3)
+
+
+class View(NamedTuple):
+    """A camera's lens, height and metres from the middle of the road, and degrees down and left."""
+
+    lens: Lens
+    tall: float
+    side: float
+    pitch: float
+    yaw: float
+
+
+def _sample_view(stage: Stage, road: Road, mount: str) -> View:
+    """Sample a camera; of most cars in towns one that frames the street as ``FRAMED`` says."""
+    at, half = stage.at, road.course.half
+    framed = road.kind == "town" and mount == "car" and stage.chance(0.88)
+    for _ in range(TRIES if framed else 1):
+        lens = sample_lens(stage, TOWN_LENSES if road.kind == "town" else LENSES)
+        tall, side = _sample_place(stage, road, mount)
+        up = degrees(atan(lens.half_up))
+        pitch = at.uniform(-0.1, 0.45) * up if stage.chance(0.85) else at.uniform(0.4, 0.9) * up
+        if mount == "truck":
+            pitch = at.uniform(0.1, 0.8) * up
+        view = View(lens, tall, side, pitch, _sample_yaw(stage, road))
+        edges = (half - stage.hand * side, half + stage.hand * side)
+        turn = stage.hand * tan(radians(view.yaw))
+        if framed and predict_one_sided(edges, tall, lens, turn, tan(radians(pitch))) > FRAMED:
+            break
+    return view
 
 
 def _sample_place(stage: Stage, road: Road, mount: str) -> tuple[float, float]:

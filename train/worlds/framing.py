@@ -61,6 +61,34 @@ def measure_framing(road: np.ndarray, valid: np.ndarray) -> Framing | None:
     )
 
 
+def predict_one_sided(
+    edges: tuple[float, float],
+    height: float,
+    half_view: tuple[float, float],
+    turn: float,
+    tilt: float,
+) -> float:
+    """Predict the fraction of rows in which a straight, flat road leaves the image on one side.
+
+    A row at a slope s below the horizon shows the ground at a distance of height / s.
+
+    Args:
+        edges: metres to the near and to the far edge of the road, on opposite sides of the camera.
+        height: of the camera above the road, in metres.
+        half_view: tangents of half the vertical and half the horizontal field of view.
+        turn: tangent of the camera's yaw towards the far edge.
+        tilt: tangent of the camera's pitch downwards.
+
+    Returns:
+        The fraction of rows below the horizon in which the far edge alone is out of the image.
+    """
+    (near, far), (up, across) = edges, half_view
+    last = up + tilt
+    far_out = height * (across + turn) / far
+    near_out = height * (across - turn) / near
+    return max(0.0, min(near_out, last) - max(far_out, 0.0)) / last if last > 0 else 0.0
+
+
 def read_framings(folder: Path, kind: str) -> Iterator[Framing]:
     """Yield the framings of a folder's images, of worlds only those of a kind."""
     place = "truth" if (folder / "truth").is_dir() else "road"

@@ -36,7 +36,8 @@ class Plan(NamedTuple):
 
     name: part of the file's name; "" stands for the kind of road. kinds, hours: with their weights.
     wet: whether it rains on a wet road; None samples it. crowd: whether many people, cyclists and
-    small obstacles are near and on the road. mount: of the camera.
+    small obstacles are near and on the road. mount: of the camera. hand: the side on which traffic
+    keeps in a town, 1 right, -1 left; 0 samples it.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Plan(NamedTuple):
     wet: bool | None = None
     crowd: bool = False
     mount: str = "car"
+    hand: int = 0
 
 
 TOWN = {"town": 1}
@@ -72,8 +74,26 @@ SCHEDULE = (
 )
 """Plans in turn, so that any range of numbers is balanced."""
 
-SCHEDULED, HELD_OUT = 30000, 39000
-"""First number of worlds planned in turn, and of those that are held out from training."""
+STREETS = tuple(
+    plan._replace(hand=hand)
+    for plan in (
+        *(DRY_TOWN, DARK_TOWN, WET_TOWN._replace(crowd=True), FRONT),
+        *(DRY_TOWN._replace(crowd=True), DARK_TOWN, WET_TOWN, TRUCK),
+        *(DRY_TOWN, DARK_TOWN._replace(crowd=True), WET_TOWN, LEFT),
+        *(DRY_TOWN, DARK_TOWN._replace(crowd=True), WET_TOWN._replace(crowd=True), FRONT),
+        *(DRY_TOWN._replace(crowd=True), DARK_TOWN, WET_TOWN, REAR),
+        *(DRY_TOWN, DARK_TOWN, WET_TOWN._replace(crowd=True), RIGHT, ROBOT),
+    )
+    for hand in (1, -1)
+)
+"""Plans in turn of towns above all: a third of them by day, by night and in the rain, half of them
+with traffic that keeps right. A fifth of the worlds are fisheyes, a few trucks and robots."""
+
+SCHEDULED, TOWNS = 30000, 40000
+"""First numbers of worlds planned in turn by ``SCHEDULE`` and by ``STREETS``."""
+
+HELD_OUT = 9000
+"""From which of each ten thousand on numbers are held out from training."""
 
 RANGES = {
     0: Plan("", KINDS),
@@ -87,6 +107,8 @@ RANGES = {
 
 def plan_world(number: int) -> Plan:
     """Return the plan of a world's number."""
+    if number >= TOWNS:
+        return STREETS[(number - TOWNS) % len(STREETS)]
     if number >= SCHEDULED:
         return SCHEDULE[(number - SCHEDULED) % len(SCHEDULE)]
     return RANGES[max(first for first in RANGES if first <= number)]

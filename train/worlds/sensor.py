@@ -75,9 +75,8 @@ def with_glare(light: np.ndarray, night: bool, at: Random) -> np.ndarray:
     """Add halos around very bright pixels, more of them at night."""
     share = at.uniform(0.02, 0.15) if night else at.choice([0.0, 0.05])
     top = np.percentile(light, 99) * 8 + 1e-6
-    return light * (1 - share) + share * cv2.GaussianBlur(
-        np.minimum(light, top), (0, 0), at.uniform(3, 18)
-    )
+    wide = at.uniform(3, 18) * len(light) / 288
+    return light * (1 - share) + share * cv2.GaussianBlur(np.minimum(light, top), (0, 0), wide)
 
 
 def exposure(light: np.ndarray, seen: np.ndarray, hour: str, at: Random) -> float:
@@ -101,7 +100,7 @@ def through_rain(light: np.ndarray, much: float, at: Random) -> np.ndarray:
     """Add streaks of rain or flakes, brighter than what is behind them, and a veil."""
     height, width = light.shape[:2]
     lit = (at.random((height, width)) < 0.004 * much * at.uniform(0.3, 1.5)).astype(np.float32)
-    length = int(at.choice([1, 5, 11, 21]))
+    length = int(at.choice([1, 7, 15, 29]))
     lean, kernel = at.uniform(-0.4, 0.4), np.zeros((length, length), np.float32)
     for row in range(length):
         kernel[row, int(length / 2 + lean * (row - length / 2))] = 1
@@ -125,7 +124,7 @@ def behind_glass(light: np.ndarray, at: Random) -> np.ndarray:
         drops = np.zeros((height, width), np.float32)
         for _ in range(int(at.integers(10, 120))):
             middle = (int(at.integers(width)), int(at.integers(height)))
-            cv2.circle(drops, middle, int(at.integers(1, 6)), 1.0, -1)
+            cv2.circle(drops, middle, int(at.integers(1, 6) * height / 288), 1.0, -1)
         drops = cv2.GaussianBlur(drops, (0, 0), 1.0)[..., None]
         turned = soft[::-1] * at.uniform(0.4, 0.9)
         light = light * (1 - drops) + drops * (0.6 * soft + 0.4 * turned)

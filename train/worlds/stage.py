@@ -14,7 +14,7 @@ import bpy
 
 from train.worlds.truth import COLOURS
 
-WIDTH, HEIGHT = 384, 288
+WIDTH, HEIGHT = 512, 384
 """Width and height of the images, to which other aspect ratios are squeezed, as by the networks."""
 
 Point = tuple[float, float, float]

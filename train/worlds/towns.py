@@ -66,7 +66,7 @@ class Paving(NamedTuple):
 def build_town(stage: Stage, season: str) -> tuple[Road, Street]:
     """Build the carriageway with what lies on it, kerbs, pavements, side streets, the ground."""
     at = stage.at
-    hand = stage.hand = at.choice((-1, 1))
+    hand = stage.hand = stage.hand or at.choice((-1, 1))
     ways = {1: at.choices((1, 2), (6, 4))[0], -1: at.choices((1, 2, 3), (2, 4, 4))[0]}
     wide = at.uniform(2.8, 3.7)
     bed = at.choice([at.uniform(0.4, 3), at.uniform(5.5, 7)]) if stage.chance(0.2) else 0.0
@@ -112,7 +112,7 @@ def _sample_paving(stage: Stage, road: Road) -> Paving:
     slush = drawn(stage, SNOW) if lies in ("road", "both") else None
     surface = paved(stage, colour, road.course.half, wet, stones, slush, at.uniform(-0.12, 0.2))
     slush = drawn(stage, SNOW) if lies in ("walk", "both") else None
-    if stage.chance(0.45) and lies != "walk":
+    if stage.chance(0.55) and lies != "walk":
         stone = plain(stage, [c * at.uniform(0.8, 1.25) for c in colour], 0.9, vary=0.3)
         kind = at.choices(["same", "asphalt", "slabs"], [3, 3, 2])[0]
         if kind == "same":
@@ -199,7 +199,7 @@ def _build_middle(
         up = 0.0
         beyond = split - stage.hand * at.uniform(1.4, 1.9)
         pairs = [[split - 1.55, split + 1.55], [beyond], [beyond]]
-        tracks = at.choice(pairs) if stage.chance(0.3) else []
+        tracks = at.choice(pairs) if stage.chance(0.4) else []
     steel = plain(stage, (0.35, 0.34, 0.33), 0.25, metal=0.9)
     for middle in tracks:
         for rail in (middle - 0.72, middle + 0.72):
