@@ -1,19 +1,22 @@
 """Train patch networks side by side on a GPU, with the samples of ``roadtorch train``.
 
-One network of 6,099 weights keeps no GPU busy, so all take their steps at once, each on a stream of
-its own, in one CUDA graph. Random numbers, order, loss and stopping rule are those of one core;
-rounding is the GPU's.
+One CNN-7 of 6,099 weights keeps no GPU busy, so all take their steps at once, their weights in one
+tensor and a step in a CUDA graph. Random numbers, order, loss and stopping rule are those of one
+core; rounding is the GPU's.
 """
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
+from torch.nn import functional as F
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.nn.utils.rnn import pad_sequence
 
 from roadtorch.base.signals import stop_on_signals
@@ -108,8 +111,60 @@ def largest_chunk(student: Student) -> int:
     return sum(sorted(counts)[-student.training.shuffle_images :])
 
 
+# --- networks in one tensor -----------------------------------------------------------------
+
+
+def convolve_grouped(maps: Tensor, kernels: Tensor) -> Tensor:
+    """Convolve maps (N, B, C, H, W) with kernels (N, K, C, S, S) of N networks, in groups."""
+    count = len(maps)
+    grouped = maps.transpose(0, 1).flatten(1, 2)
+    result = F.conv2d(grouped, kernels.flatten(0, 1), groups=count)
+    return result.unflatten(1, (count, -1)).transpose(0, 1)
+
+
+def convolve_unfolded(maps: Tensor, kernels: Tensor) -> Tensor:
+    """Convolve maps (N, B, C, H, W) with kernels (N, K, C, S, S) as a product of matrices."""
+    batch, (height, width), size = maps.shape[1], maps.shape[-2:], kernels.shape[-1]
+    columns = F.unfold(maps.flatten(0, 1), size)
+    matrices = kernels.flatten(2).repeat_interleave(batch, 0)
+    result = torch.bmm(matrices, columns).unflatten(0, maps.shape[:2])
+    return result.unflatten(-1, (height - size + 1, width - size + 1))
+
+
+class StackedNetworks:
+    """The weights of N networks of one topology in a tensor (N, weights)."""
+
+    def __init__(self, networks: Sequence[PatchNetwork], device: torch.device) -> None:
+        self.networks = networks
+        self._shapes = [weight.shape for weight in networks[0].parameters()]
+        vectors = [parameters_to_vector(network.parameters()) for network in networks]
+        self.weights = torch.stack(vectors).detach().to(device).requires_grad_()
+        self.convolve: Callable[[Tensor, Tensor], Tensor] = convolve_unfolded
+
+    def potentials(self, patches: Tensor) -> Tensor:
+        """Return potentials (N, B, 3) of patches (N, B, 3, P, P), as ``PatchNetwork.forward``."""
+        parts = self.weights.split([shape.numel() for shape in self._shapes], 1)
+        count = len(self.networks)
+        parts = [part.view(count, *shape) for part, shape in zip(parts, self._shapes, strict=True)]
+        maps = self._layer(patches, parts[0], parts[1]).tanh()
+        maps = F.avg_pool2d(maps.flatten(0, 1), 2).unflatten(0, maps.shape[:2])
+        maps = self._layer(maps, parts[2], parts[3]).tanh()
+        return self._layer(maps, parts[4], parts[5]).flatten(2).sigmoid()
+
+    def _layer(self, maps: Tensor, kernels: Tensor, bias: Tensor) -> Tensor:
+        return self.convolve(maps, kernels) + bias[:, None, :, None, None]
+
+    def store(self) -> None:
+        """Copy the weights into the networks."""
+        for network, vector in zip(self.networks, self.weights.detach().cpu(), strict=True):
+            vector_to_parameters(vector, network.parameters())
+
+
+# --- steps ------------------------------------------------------------------------------------
+
+
 class Descents:
-    """The steps of several networks, side by side.
+    """The steps of several networks at once.
 
     A step reads its patches from the network's buffer by a table of rows; -1 fills up a step, and
     a step of nothing else leaves the network as it is.
@@ -117,24 +172,23 @@ class Descents:
 
     def __init__(self, students: Sequence[Student], device: torch.device) -> None:
         self._device, count = device, len(students)
-        self._networks = [student.network.to(device) for student in students]
-        self._momentum = [student.training.descent.momentum for student in students]
+        self.stack = StackedNetworks([student.network for student in students], device)
         width = max(student.training.descent.batch for student in students) + SPARE_ROWS
-        patch = students[0].training.network.topology.patch
+        self.patch = students[0].training.network.topology.patch
         capacity = max(largest_chunk(student) for student in students)
         with device:
-            self.buffers = [torch.empty(capacity, 3, patch, patch) for _ in students]
+            self.buffers = torch.zeros(count, capacity, 3, self.patch, self.patch)
             self.classes = torch.zeros(count, capacity, dtype=torch.int64)
             self.counts = torch.zeros(count, capacity)
             self.table = torch.full((count, 2 * capacity // width, width), -1, dtype=torch.int64)
             self.number = torch.zeros(1, dtype=torch.int64)
-            self._one_hot = torch.eye(NUM_CLASSES)
-            self.rate = torch.zeros(count)
+            self.rate = torch.zeros(count, 1)
             self.loss = torch.zeros(count, dtype=torch.float64)
-        self._velocity = [
-            [torch.zeros_like(weight) for weight in network.parameters()]
-            for network in self._networks
-        ]
+            self._offsets = (torch.arange(count) * capacity)[:, None]
+            self._one_hot = torch.eye(NUM_CLASSES)
+            momentum = [student.training.descent.momentum for student in students]
+            self._decay = torch.tensor(momentum)[:, None] - 1
+        self._velocity = torch.zeros_like(self.stack.weights)
         self._graph: Any = None
         self.steps = 0
 
@@ -148,59 +202,60 @@ class Descents:
     def run(self) -> None:
         """Take the steps of the table."""
         if self._device.type == "cuda" and self._graph is None:
-            self._capture()
+            self._choose_convolution()
         for _ in range(self.steps):
-            self._step_all() if self._graph is None else self._graph.replay()
+            self._step() if self._graph is None else self._graph.replay()
 
-    def _capture(self) -> None:
-        """Capture a step of every network; the table is empty meanwhile, so that none changes."""
-        table = self.table.clone()
+    def _choose_convolution(self) -> None:
+        """Capture a step with each kind of convolution, on an empty table, and keep the faster."""
+        table, fastest = self.table.clone(), math.inf
         self.table.fill_(-1)
+        for convolve in (convolve_unfolded, convolve_grouped):
+            self.stack.convolve = convolve
+            graph = self._capture()
+            torch.cuda.synchronize()
+            start = time.monotonic()
+            for _ in range(20):
+                graph.replay()
+            torch.cuda.synchronize()
+            seconds = (time.monotonic() - start) / 20
+            print(f"{convolve.__name__}: {1000 * seconds:.2f} ms a step", flush=True)
+            if seconds < fastest:
+                self._graph, fastest = graph, seconds
+        self.number.zero_()
+        self.table.copy_(table)
+
+    def _capture(self) -> Any:
+        """Capture a step in a CUDA graph."""
         warm_up = torch.cuda.Stream()
         warm_up.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(warm_up):
             for _ in range(3):
-                self._step_all()
+                self._step()
         torch.cuda.current_stream().wait_stream(warm_up)
         self.number.zero_()
-        streams = [torch.cuda.Stream() for _ in self._networks]
-        self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph):
-            main = torch.cuda.current_stream()
-            for index, stream in enumerate(streams):
-                stream.wait_stream(main)
-                with torch.cuda.stream(stream):
-                    self._step(index)
-            for stream in streams:
-                main.wait_stream(stream)
-            self.number.add_(1)
-        self.number.zero_()
-        self.table.copy_(table)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._step()
+        return graph
 
-    def _step_all(self) -> None:
-        for index in range(len(self._networks)):
-            self._step(index)
-        self.number.add_(1)
-
-    def _step(self, index: int) -> None:
-        """Take a step of a network down the mean loss of its patches."""
-        network, velocity = self._networks[index], self._velocity[index]
-        rows = self.table[index].index_select(0, self.number)[0]
+    def _step(self) -> None:
+        """Take a step of every network down the mean loss of its patches."""
+        rows = self.table.index_select(1, self.number)[:, 0]
         is_patch = rows >= 0
-        rows = rows.clamp_min(0)
-        targets = self._one_hot.index_select(0, self.classes[index].index_select(0, rows))
-        weights = self.counts[index].index_select(0, rows) * is_patch
-        potentials = network(self.buffers[index].index_select(0, rows))
-        loss = ((potentials - targets).square().sum(1) * weights).sum()
-        parameters = list(network.parameters())
-        gradients = torch.autograd.grad(loss / is_patch.sum().clamp_min(1), parameters)
-        is_step = is_patch.any().float()
+        rows = rows.clamp_min(0) + self._offsets
+        targets = self._one_hot[self.classes.flatten()[rows]]
+        counts = self.counts.flatten()[rows] * is_patch
+        potentials = self.stack.potentials(self.buffers.flatten(0, 1)[rows])
+        losses = ((potentials - targets).square().sum(2) * counts).sum(1)
+        mean = (losses / is_patch.sum(1).clamp_min(1)).sum()
+        (gradient,) = torch.autograd.grad(mean, [self.stack.weights])
         with torch.no_grad():
-            decay = is_step * (self._momentum[index] - 1)
-            for weight, speed, gradient in zip(parameters, velocity, gradients, strict=True):
-                speed.add_(decay * speed + is_step * gradient)
-                weight.sub_(self.rate[index] * is_step * speed)
-            self.loss[index].add_(loss.detach())
+            is_step = is_patch.any(1, keepdim=True)
+            self._velocity.add_((self._decay * self._velocity + gradient) * is_step)
+            self.stack.weights.sub_(self.rate * self._velocity * is_step)
+            self.loss.add_(losses.detach())
+            self.number.add_(1)
 
 
 def train_side_by_side(students: Sequence[Student], device: torch.device, deadline: float) -> None:
@@ -223,6 +278,7 @@ def train_side_by_side(students: Sequence[Student], device: torch.device, deadli
                     student.chunk += 1
                     chunks[index] = pool.submit(student.sample_chunk)
             descents.run()
+            descents.stack.store()
             for student, loss in zip(students, descents.loss.tolist(), strict=True):
                 if not student.finished:
                     student.end_chunk(loss)
@@ -243,7 +299,6 @@ def load_chunk(
     device = descents.loss.device
     params = Variation(*(values.to(device) for values in chunk.params))
     noise, first = chunk.noise.to(device), 0
-    patch = student.training.network.topology.patch
     sizes = torch.bincount(chunk.image, minlength=len(chunk.members)).tolist()
     for member, size in zip(chunk.members, sizes, strict=True):
         file = student.files[member]
@@ -254,7 +309,7 @@ def load_chunk(
         part = params.select(torch.arange(first, first + size, device=device))
         target = descents.buffers[index][first : first + size]
         with device:
-            add_noise(sample_patches(pixels, part, patch), part, noise, gain, target)
+            add_noise(sample_patches(pixels, part, descents.patch), part, noise, gain, target)
         first += size
     descents.classes[index, :first] = chunk.classes.to(device)
     descents.counts[index, :first] = chunk.counts.to(device)

@@ -1,0 +1,239 @@
+"""Score the students of ``train/claim.py`` and their teachers.
+
+    python -m train.claim_scores score DATA --out RUNS       # resumable; an hour on one core
+    python -m train.claim_scores tables --out RUNS --write DOCS/research
+
+DATA is the folder that holds camvid/, idd_lite/ and many/. Layout is scored by the mean class
+recall of the strongest potentials, void ignored, where a set has sky and vertical labels; road by
+the area under the ROC curve of the ground's potential. Groups (the drives of CamVid, the cameras of
+many) count the same. The intervals are of 95 % over images, drawn within their group, and seeds.
+"""
+
+import argparse
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset
+from roadtorch.evaluation import metrics
+from roadtorch.evaluation.evaluate import tally_images
+from roadtorch.evaluation.methods import Contender, contender_from_name
+from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.tally import ImageTable
+from roadtorch.evaluation.uncertainty import (
+    BOOTSTRAP_SEED,
+    REPLICATES,
+    bootstrap_weights,
+    percentile_interval,
+)
+from train.claim import CONFIGS, RUNS, SEEDS, TEACHERS, run_name
+
+SETS = {"idd": "IDD", "camvid": "CamVid", "many": "many"}
+TEACHER_DETECTORS = {"untuned": "labeller:untuned", "tuned": "labeller"}
+TEXTURE, ROWS = "cpf", "prior:rows"
+LEFT_OUT = {"india_zed"}
+
+
+def open_sets(data: Path) -> dict[str, Dataset]:
+    """Open the sets that students are scored on."""
+    return {
+        "idd": open_dataset("idd-lite", data / "idd_lite"),
+        "camvid": open_dataset("camvid", data / "camvid"),
+        "many": open_dataset("folder", data / "many"),
+    }
+
+
+# --- scores of images ---------------------------------------------------------------------
+
+
+def contenders(out: Path) -> dict[str, Contender]:
+    """Return teachers, students, and their products with the texture, by name."""
+    entries = {name: contender_from_name(name, {}) for name in TEACHER_DETECTORS.values()}
+    entries |= {name: contender_from_name(name, {}) for name in (TEXTURE, ROWS)}
+    for run in RUNS:
+        weights = out / run_name(*run) / "weights.safetensors"
+        if weights.exists():
+            settings = {"weights": {"file": str(weights)}}
+            entries[run_name(*run)] = contender_from_name("layout:cnn-7", settings)
+            entries[product_name(*run)] = contender_from_name("fusion:paper", settings)
+    return {name: replace(entry, name=name) for name, entry in entries.items()}
+
+
+def product_name(teacher: str, config: str, seed: int) -> str:
+    """Return the name of a student's product with the texture."""
+    return f"{run_name(teacher, config, seed)} × {TEXTURE}"
+
+
+def score(data: Path, out: Path) -> None:
+    """Score every contender that has no file of scores yet."""
+    folder = out / "scores"
+    folder.mkdir(exist_ok=True)
+    for name, dataset in open_sets(data).items():
+        entries = [
+            entry
+            for key, entry in contenders(out).items()
+            if not (folder / f"{name} {key}").exists()
+        ]
+        if not entries:
+            continue
+        print(f"{name}: {len(entries)} contenders, {len(dataset.items)} images", flush=True)
+        tallies, failures = tally_images(dataset, entries, 1, quiet=False)
+        for failure in failures:
+            raise RuntimeError(f"{failure.image}: {failure.reason}")
+        for entry in entries:
+            torch.save(tallies[entry.name].table(), folder / f"{name} {entry.name}")
+
+
+# --- measures -----------------------------------------------------------------------------
+
+
+class Scores(NamedTuple):
+    """Measures of replicates, float64 (replicates + 1,) each; the first is of the images as are."""
+
+    recall: Tensor
+    auc: Tensor
+    pooled_auc: Tensor
+
+
+def replicate_weights(table: ImageTable) -> dict[str, Tensor]:
+    """Return by group how often each image counts, (replicates + 1, n); each once in the first."""
+    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
+    weights = {}
+    for group in sorted(set(table.groups) - LEFT_OUT):
+        draws = bootstrap_weights(int(table.group_mask(group).sum()), generator)
+        weights[group] = torch.cat([torch.ones_like(draws[:1]), draws]).double()
+    return weights
+
+
+def measure(table: ImageTable) -> Scores:
+    """Compute the measures of a contender for every replicate; all contenders have the same."""
+    recalls, roads = [], []
+    for group, counts in replicate_weights(table).items():
+        rows = table.group_mask(group)
+        parts = (table.road.road, table.road.background)
+        roads.append(RoadCounts(*(counts @ part[rows].double() for part in parts)))
+        if table.layout is not None and bool(table.layout[rows, 0].any()):
+            confusion = counts @ table.layout[rows].flatten(1).double()
+            recalls.append(metrics.mean_class_recall(confusion.unflatten(1, (4, 4))))
+    undefined = torch.full((REPLICATES + 1,), torch.nan, dtype=torch.float64)
+    areas = torch.stack([metrics.auc(road) for road in roads])
+    pooled = RoadCounts(*(torch.stack(parts).sum(0) for parts in zip(*roads, strict=True)))
+    recall = torch.stack(recalls or [undefined]).mean(0)
+    return Scores(recall, areas.mean(0), metrics.auc(pooled))
+
+
+def seed_draws() -> Tensor:
+    """Draw the seeds of every replicate, int64 (replicates + 1, seeds); each once in the first."""
+    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED + 1)
+    draws = torch.randint(len(SEEDS), (REPLICATES, len(SEEDS)), generator=generator)
+    return torch.cat([torch.arange(len(SEEDS))[None], draws])
+
+
+def mean_of_seeds(values: Sequence[Tensor]) -> Tensor:
+    """Return the mean of the seeds' scores (replicates + 1,), of drawn ones in the replicates."""
+    return torch.stack(list(values), 1).gather(1, seed_draws()).mean(1)
+
+
+def difference_columns(values: Tensor) -> dict[str, str]:
+    """Format a difference (replicates + 1,) and its 95 % interval."""
+    low, high = percentile_interval(values[1:])
+    return {"difference": f"{values[0]:+.3f}", "low": f"{low:+.3f}", "high": f"{high:+.3f}"}
+
+
+# --- tables -------------------------------------------------------------------------------
+
+
+def write_tables(out: Path, folder: Path) -> None:
+    """Write claim.csv (students and teachers) and claim_fusion.csv (products with the texture)."""
+    scores: dict[str, dict[str, Scores]] = {name: {} for name in SETS}
+    for file in sorted((out / "scores").iterdir()):
+        name, _, contender = file.name.partition(" ")
+        scores[name][contender] = measure(torch.load(file, weights_only=False))
+    studies = [(teacher, config) for config in CONFIGS for teacher in TEACHERS]
+    studies = [s for s in studies if run_name(*s, SEEDS[-1]) in scores["many"]]
+    write_csv(folder / "claim.csv", [row for s in studies for row in claim_rows(out, scores, *s)])
+    rows = [row for s in studies for row in fusion_rows(scores, *s)]
+    write_csv(folder / "claim_fusion.csv", rows)
+
+
+def claim_rows(
+    out: Path, scores: Mapping[str, Mapping[str, Scores]], teacher: str, config: str
+) -> Iterator[dict[str, str]]:
+    """Yield the scores of a teacher and its students, by set and measure."""
+    runs = [run_name(teacher, config, seed) for seed in SEEDS]
+    epochs = [len((out / run / "log.csv").read_text().splitlines()) - 1 for run in runs]
+    for name, title in SETS.items():
+        for key in ("recall", "auc"):
+            students = [getattr(scores[name][run], key) for run in runs]
+            first = torch.stack([values[0] for values in students])
+            reference = getattr(scores[name][TEACHER_DETECTORS[teacher]], key)
+            yield {
+                "teacher": teacher,
+                "training": config,
+                "set": title,
+                "measure": key,
+                "of the teacher": f"{reference[0]:.3f}",
+                "mean of 5 students": f"{first.mean():.3f}",
+                "sd": f"{first.std():.3f}",
+                **difference_columns(mean_of_seeds(students) - reference),
+                "epochs": " ".join(map(str, epochs)),
+            }
+
+
+def fusion_rows(
+    scores: Mapping[str, Mapping[str, Scores]], teacher: str, config: str
+) -> Iterator[dict[str, str]]:
+    """Yield the AUC of texture, layout and their product, and what layout adds, by set."""
+    for name, title in SETS.items():
+        for key, average in (("auc", "by groups"), ("pooled_auc", "pooled")):
+            areas = {contender: getattr(part, key) for contender, part in scores[name].items()}
+            layout = mean_of_seeds([areas[run_name(teacher, config, seed)] for seed in SEEDS])
+            products = [areas[product_name(teacher, config, seed)] for seed in SEEDS]
+            product = mean_of_seeds(products)
+            yield {
+                "teacher": teacher,
+                "training": config,
+                "set": title,
+                "average": average,
+                "texture": f"{areas[TEXTURE][0]:.3f}",
+                "layout": f"{layout[0]:.3f}",
+                "product": f"{product[0]:.3f}",
+                "sd": f"{torch.stack(products)[:, 0].std():.3f}",
+                **difference_columns(product - areas[TEXTURE]),
+                ROWS: f"{areas[ROWS][0]:.3f}",
+            }
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
+    """Write rows with a header."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def main() -> None:
+    """Run a command of this script."""
+    parser = argparse.ArgumentParser(description="Score students and teachers.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    scoring = commands.add_parser("score")
+    scoring.add_argument("data", type=Path)
+    scoring.add_argument("--out", type=Path, required=True)
+    tables = commands.add_parser("tables")
+    tables.add_argument("--out", type=Path, required=True)
+    tables.add_argument("--write", type=Path, required=True)
+    options = parser.parse_args()
+    if options.command == "score":
+        score(options.data, options.out)
+    else:
+        write_tables(options.out, options.write)
+
+
+if __name__ == "__main__":
+    main()
