@@ -32,6 +32,7 @@ from roadtorch.evaluation.uncertainty import (
     bootstrap_weights,
     percentile_interval,
 )
+from scripts.figures.p2 import PRINTED_ORDER
 from train.claim import CONFIGS, RUNS, SEEDS, TEACHERS, run_name
 
 SETS = {"idd": "IDD", "camvid": "CamVid", "many": "many"}
@@ -150,16 +151,22 @@ def difference_columns(values: Tensor) -> dict[str, str]:
 
 
 def write_tables(out: Path, folder: Path) -> None:
-    """Write claim.csv (students and teachers) and claim_fusion.csv (products with the texture)."""
-    scores: dict[str, dict[str, Scores]] = {name: {} for name in SETS}
+    """Write claim.csv, claim_fusion.csv (products with the texture) and claim_confusion.csv."""
+    tables: dict[str, dict[str, ImageTable]] = {name: {} for name in SETS}
     for file in sorted((out / "scores").iterdir()):
         name, _, contender = file.name.partition(" ")
-        scores[name][contender] = measure(torch.load(file, weights_only=False))
+        tables[name][contender] = torch.load(file, weights_only=False)
+    scores = {
+        name: {contender: measure(table) for contender, table in part.items()}
+        for name, part in tables.items()
+    }
     studies = [(teacher, config) for config in CONFIGS for teacher in TEACHERS]
     studies = [s for s in studies if run_name(*s, SEEDS[-1]) in scores["many"]]
     write_csv(folder / "claim.csv", [row for s in studies for row in claim_rows(out, scores, *s)])
     rows = [row for s in studies for row in fusion_rows(scores, *s)]
     write_csv(folder / "claim_fusion.csv", rows)
+    rows = [row for s in studies for row in confusion_rows(tables["camvid"], *s)]
+    write_csv(folder / "claim_confusion.csv", rows)
 
 
 def claim_rows(
@@ -208,6 +215,26 @@ def fusion_rows(
                 **difference_columns(product - areas[TEXTURE]),
                 ROWS: f"{areas[ROWS][0]:.3f}",
             }
+
+
+def confusion_rows(
+    tables: Mapping[str, ImageTable], teacher: str, config: str
+) -> Iterator[dict[str, str]]:
+    """Yield P2's Figs. 4b and 4c on CamVid, its drives pooled: void counts as vertical.
+
+    Ratios of the students are means of the seeds.
+    """
+    students = [run_name(teacher, config, seed) for seed in SEEDS]
+    for title, names in (("students", students), ("teacher", [TEACHER_DETECTORS[teacher]])):
+        confusions = [tables[name].layout for name in names]
+        counts = [metrics.void_as_vertical(part.sum(0)) for part in confusions if part is not None]
+        ratios = torch.stack([metrics.normalised_confusion(part) for part in counts]).mean(0)
+        recalls = ratios.diagonal()
+        for truth, row in PRINTED_ORDER.items():
+            decisions = {key: f"{ratios[row, column]:.3f}" for key, column in PRINTED_ORDER.items()}
+            accuracy = {"global average accuracy": f"{recalls.mean():.3f}"}
+            origin = {"teacher": teacher, "training": config, "of": title, "truth": truth}
+            yield {**origin, **decisions, **accuracy}
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:

@@ -38,9 +38,6 @@ from roadtorch.train.patches import (
 from roadtorch.train.run import prepare_folder
 from roadtorch.train.run_folder import WEIGHTS, RunFolder
 
-SPARE_ROWS = 8
-"""Rows of a step beyond the configured batch: the steps of a chunk differ by a patch or two."""
-
 
 @dataclass
 class Student:
@@ -105,10 +102,13 @@ def prepare_student(folder: Path, training: PatchTraining, images: str, prepared
     return Student(folder, training, files, PatchSamples(files, training), network)
 
 
-def largest_chunk(student: Student) -> int:
-    """Return the most patches that a chunk of a student can have."""
-    counts = [len(read_arrays(file, "classes")["classes"]) for file in student.files]
-    return sum(sorted(counts)[-student.training.shuffle_images :])
+def buffer_size(student: Student) -> tuple[int, int]:
+    """Return the most patches that a chunk of a student can have, and a step of it."""
+    training, batch = student.training, student.training.descent.batch
+    counts = sorted(len(read_arrays(file, "classes")["classes"]) for file in student.files)
+    last = len(counts) % training.shuffle_images or training.shuffle_images
+    steps = max(1, round(sum(counts[:last]) / batch))
+    return sum(counts[-training.shuffle_images :]), batch + math.ceil(batch / (2 * steps)) + 1
 
 
 # --- networks in one tensor -----------------------------------------------------------------
@@ -131,15 +131,19 @@ def convolve_unfolded(maps: Tensor, kernels: Tensor) -> Tensor:
     return result.unflatten(-1, (height - size + 1, width - size + 1))
 
 
+Convolution = Callable[[Tensor, Tensor], Tensor]
+
+
 class StackedNetworks:
-    """The weights of N networks of one topology in a tensor (N, weights)."""
+    """The weights of N networks of CNN-7's kind and one topology in a tensor (N, weights)."""
+
+    convolve: Convolution = staticmethod(convolve_unfolded)
 
     def __init__(self, networks: Sequence[PatchNetwork], device: torch.device) -> None:
         self.networks = networks
         self._shapes = [weight.shape for weight in networks[0].parameters()]
         vectors = [parameters_to_vector(network.parameters()) for network in networks]
         self.weights = torch.stack(vectors).detach().to(device).requires_grad_()
-        self.convolve: Callable[[Tensor, Tensor], Tensor] = convolve_unfolded
 
     def potentials(self, patches: Tensor) -> Tensor:
         """Return potentials (N, B, 3) of patches (N, B, 3, P, P), as ``PatchNetwork.forward``."""
@@ -173,9 +177,8 @@ class Descents:
     def __init__(self, students: Sequence[Student], device: torch.device) -> None:
         self._device, count = device, len(students)
         self.stack = StackedNetworks([student.network for student in students], device)
-        width = max(student.training.descent.batch for student in students) + SPARE_ROWS
         self.patch = students[0].training.network.topology.patch
-        capacity = max(largest_chunk(student) for student in students)
+        capacity, width = map(max, zip(*map(buffer_size, students), strict=True))
         with device:
             self.buffers = torch.zeros(count, capacity, 3, self.patch, self.patch)
             self.classes = torch.zeros(count, capacity, dtype=torch.int64)
@@ -211,7 +214,7 @@ class Descents:
         table, fastest = self.table.clone(), math.inf
         self.table.fill_(-1)
         for convolve in (convolve_unfolded, convolve_grouped):
-            self.stack.convolve = convolve
+            self.stack.convolve = convolve  # of this stack alone
             graph = self._capture()
             torch.cuda.synchronize()
             start = time.monotonic()
