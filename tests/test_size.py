@@ -34,8 +34,8 @@ LINES = {
     "roadtorch/train": 3_260,
     "roadtorch/ufl": 1_380,
     "scripts": 3_660,
-    "tests": 25_095,
-    "train": 4_995,
+    "tests": 25_110,
+    "train": 5_015,
 }
 """The lines of source code that each folder may have."""
 

@@ -2,13 +2,14 @@
 
 import tomllib
 from collections import Counter
+from pathlib import Path
 from random import Random
 
 import numpy as np
 import pytest
 
 from roadtorch.camera.ground import Lens, distort_points
-from train.worlds.framing import measure_framing, predict_one_sided
+from train.worlds.framing import measure_framing, predict_one_sided, select_worlds
 from train.worlds.lens import (
     SENSOR,
     angle_polynomial,
@@ -121,3 +122,17 @@ def test_a_road_beyond_the_image_on_one_side_is_predicted_as_rendered() -> None:
     assert wide > level
     assert predict_one_sided((5.0, 5.0), height, (up, across), 0.0, 0.0) == 0
     assert predict_one_sided((near, far), height, (up, across), 0.0, -up - 0.1) == 0
+
+
+def test_worlds_are_selected_by_kind_and_side_of_traffic(tmp_path: Path) -> None:
+    (tmp_path / "truth").mkdir()
+    sides = {"40000_town_sun": "right", "40001_townrain_dusk": "left", "40006_robot_sun": "left"}
+    for name in sides:
+        (tmp_path / "truth" / f"{name}.png").touch()
+    rows = [f"{name},{side}" for name, side in sides.items()]
+    (tmp_path / "worlds.csv").write_text("\n".join(["name,traffic", *rows]))
+
+    towns = ["40000_town_sun", "40001_townrain_dusk"]
+    assert select_worlds(tmp_path, "town", "") == towns
+    assert select_worlds(tmp_path, "town", "left") == towns[1:]
+    assert select_worlds(tmp_path, "", "left") == [*towns[1:], "40006_robot_sun"]

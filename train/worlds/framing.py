@@ -1,12 +1,13 @@
 """Print the framing of roads: how unlike the halves of images are, and where roads leave the image.
 
-    python -m train.worlds.framing FOLDER… [--kind town]
+    python -m train.worlds.framing FOLDER… [--kind town] [--traffic right]
 
 A folder contains truth/*.png of ``train.worlds``, or road/*.png (1 road, 255 void). Needs no
 Blender.
 """
 
 import argparse
+import csv
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -89,15 +90,29 @@ def predict_one_sided(
     return max(0.0, min(near_out, last) - max(far_out, 0.0)) / last if last > 0 else 0.0
 
 
-def read_framings(folder: Path, kind: str) -> Iterator[Framing]:
-    """Yield the framings of a folder's images, of worlds only those of a kind."""
+def select_worlds(folder: Path, kind: str, traffic: str) -> list[str]:
+    """Return the names of a folder's worlds of a kind, with traffic on a side if one is named."""
+    names = sorted(file.stem for file in (folder / "truth").glob("*.png"))
+    names = [name for name in names if kind in name.split("_")[1]]
+    if traffic:
+        with (folder / "worlds.csv").open() as table:
+            sides = {row["name"]: row["traffic"] for row in csv.DictReader(table)}
+        names = [name for name in names if sides.get(name) == traffic]
+    return names
+
+
+def read_framings(folder: Path, kind: str, traffic: str) -> Iterator[Framing]:
+    """Yield the framings of a folder's images, of worlds only those of a kind and a side."""
     place = "truth" if (folder / "truth").is_dir() else "road"
-    for file in sorted((folder / place).glob("*.png")):
-        if place == "road" or kind in file.stem.split("_")[1]:
-            code = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
-            framing = measure_framing(code == CODES[place], code != VOID)
-            if framing is not None:
-                yield framing
+    if place == "truth":
+        files = [folder / place / f"{name}.png" for name in select_worlds(folder, kind, traffic)]
+    else:
+        files = sorted((folder / place).glob("*.png"))
+    for file in files:
+        code = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+        framing = measure_framing(code == CODES[place], code != VOID)
+        if framing is not None:
+            yield framing
 
 
 def main() -> None:
@@ -105,16 +120,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Print how the road lies in images.")
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--kind", default="", help="of worlds, e.g. town")
+    parser.add_argument("--traffic", default="", choices=("right", "left"), help="of worlds")
     options = parser.parse_args()
-    print("folder images (L-R)/(L+R) |…| balanced left-only right-only one-side-only")
+    print("folder images (L-R)/(L+R) |…| balanced left-only right-only one-side-only most-rows")
     for folder in options.folders:
-        table = np.array(list(read_framings(folder, options.kind)))
+        table = np.array(list(read_framings(folder, options.kind, options.traffic)))
         if len(table):
             size = np.abs(table[:, 0])
             left, right = table[:, 1:].mean(0)
+            most = (table[:, 1:].sum(1) > 0.5).mean()
             print(
                 f"{folder.name} {len(table)} {np.median(table[:, 0]):+.2f} {np.median(size):.2f} "
-                f"{(size < BALANCED).mean():.2f} {left:.2f} {right:.2f} {left + right:.2f}"
+                f"{(size < BALANCED).mean():.2f} {left:.2f} {right:.2f} "
+                f"{left + right:.2f} {most:.2f}"
             )
 
 
