@@ -1,6 +1,7 @@
 """Augmentation of whole images: geometry, light, surfaces, shadows, night, weather, ego cars. Ours.
 
-Brightness curve and saturation are torchvision's. Geometry is one affine map and one
+Images are (n, 3, H, W) in [0, 1] and masks (n, 1, H, W); every image gets random values of its own,
+on the device of the generator, which is that of the images. Geometry is one affine map and one
 ``grid_sample``: torchvision's affine map neither stretches the width nor repeats the border, and
 black corners would change the levels by which an image is brightened; with ``pad``,
 ``perspective`` and ``center_crop`` it takes four times as long (2.2 ms against 0.6 ms for 120×160
@@ -151,12 +152,25 @@ class Augmentation(Settings):
 
 def uniform(generator: torch.Generator, count: int, low: float, high: float) -> Tensor:
     """Sample ``count`` numbers uniformly between low and high, shape (count,)."""
-    return low + (high - low) * torch.rand(count, generator=generator)
+    numbers = torch.rand(count, generator=generator, device=generator.device)
+    return low + (high - low) * numbers
 
 
-def sample(generator: torch.Generator, *bounds: tuple[float, float]) -> list[float]:
-    """Sample one number between each pair of bounds."""
-    return [float(uniform(generator, 1, low, high)) for low, high in bounds]
+def sample(generator: torch.Generator, count: int, *bounds: tuple[float, float]) -> list[Tensor]:
+    """Sample numbers (count, 1, 1, 1) between each pair of bounds."""
+    return [uniform(generator, count, *pair).reshape(-1, 1, 1, 1) for pair in bounds]
+
+
+def sample_colour(generator: torch.Generator, count: int, exponent: float) -> Tensor:
+    """Sample channel factors (count, 3, 1, 1) from e^-exponent to e^exponent."""
+    return uniform(generator, 3 * count, -exponent, exponent).exp().reshape(-1, 3, 1, 1)
+
+
+def pixel_grid(image: Tensor, left: float, right: float) -> tuple[Tensor, Tensor]:
+    """Return rows (H, 1) from 0 to 1 and columns (W,) from left to right of images (…, H, W)."""
+    height, width = image.shape[-2:]
+    down = torch.linspace(0, 1, height, device=image.device)[:, None]
+    return down, torch.linspace(left, right, width, device=image.device)
 
 
 def sample_affine(
@@ -177,19 +191,19 @@ def sample_affine(
     across = torch.stack([mirror * cos / width, -sin / (zoom * aspect), shift[0]], 1)
     down = torch.stack([mirror * sin * aspect / width, cos / zoom, shift[1]], 1)
     whole = torch.stack([across, down], 1)
-    is_lower = torch.rand(count, generator=rng) < geometry.crop_probability
+    is_lower = uniform(rng, count, 0, 1) < geometry.crop_probability
     mirror = _sample_mirrors(count, rng)
     crop = uniform(rng, count, 0, geometry.max_crop)
     width = 1 - crop * uniform(rng, count, 0.3, 1)
     offset = (1 - width) * uniform(rng, count, -1, 1)
-    zero = torch.zeros(count)
+    zero = torch.zeros_like(crop)
     across = torch.stack([mirror * width, zero, offset], 1)
     lower = torch.stack([across, torch.stack([zero, 1 - crop, crop], 1)], 1)
     return torch.where(is_lower[:, None, None], lower, whole)
 
 
 def _sample_mirrors(count: int, rng: torch.Generator) -> Tensor:
-    return torch.randint(2, (count,), generator=rng) * 2 - 1
+    return torch.randint(2, (count,), generator=rng, device=rng.device) * 2 - 1
 
 
 def warp_affine(maps: Tensor, transforms: Tensor, padding: str) -> Tensor:
@@ -202,82 +216,78 @@ def warp_affine(maps: Tensor, transforms: Tensor, padding: str) -> Tensor:
 
 
 def jitter_light(image: Tensor, light: LightAugmentation, rng: torch.Generator) -> Tensor:
-    """Apply random gamma, gain, tint, saturation and noise to an image (1, 3, H, W) in [0, 1]."""
-    adjust = import_torchvision().transforms.v2.functional
-    gamma, gain = (math.exp(sample(rng, (-top, top))[0]) for top in (light.gamma, light.gain))
-    tint = torch.exp(uniform(rng, 3, -light.tint, light.tint)).reshape(1, 3, 1, 1)
-    change = light.saturation
-    colour, noise = sample(rng, (1 - change, 1 + change), (0, light.noise / 255))
-    image = adjust.adjust_saturation(adjust.adjust_gamma(image, gamma), colour)
-    return (image * gain * tint + noise * torch.randn(image.shape, generator=rng)).clamp(0, 1)
+    """Apply random gamma, gain, tint, saturation and noise to images (n, 3, H, W) in [0, 1]."""
+    adjust, count = import_torchvision().transforms.v2.functional, len(image)
+    tops = light.gamma, light.gain
+    gamma, gain = (power.exp() for power in sample(rng, count, *((-top, top) for top in tops)))
+    tint, change = sample_colour(rng, count, light.tint), light.saturation
+    colour, noise = sample(rng, count, (1 - change, 1 + change), (0, light.noise / 255))
+    image = image.clamp(0, 1).pow(gamma)  # of a negative rounding error a power is not a number
+    image = torch.lerp(adjust.rgb_to_grayscale(image), image, colour).clamp(0, 1)
+    grain = torch.randn(image.shape, generator=rng, device=rng.device)
+    return (image * gain * tint + noise * grain).clamp(0, 1)
 
 
 def retexture_road(
     image: Tensor, road: Tensor, ground: Tensor, surface: SurfaceAugmentation, rng: torch.Generator
 ) -> Tensor:
-    """Change colour and grain of road and other ground in an image (1, 3, H, W) in [0, 1].
+    """Change colour and grain of road and other ground in images (n, 3, H, W) in [0, 1].
 
-    road, ground: soft masks (1, 1, H, W) in [0, 1]. Only colour and grain change, so that the
+    road, ground: soft masks (n, 1, H, W) in [0, 1]. Only colour and grain change, so that the
     network cannot rely on grey.
     """
+    count = len(image)
     for mask in (road, ground):
-        colour = torch.exp(uniform(rng, 3, -surface.tint, surface.tint)).reshape(1, 3, 1, 1)
-        gain = torch.exp(uniform(rng, 1, -surface.gain, surface.gain))
-        depth = uniform(rng, 1, 0, surface.grain)
-        new = gain * colour * (1 + depth * sample_grain(image.shape[-2:], rng))
+        colour = sample_colour(rng, count, surface.tint)
+        gain, depth = sample(rng, count, (-surface.gain, surface.gain), (0, surface.grain))
+        new = gain.exp() * colour * (1 + depth * sample_grain(count, image.shape[-2:], rng))
         image = image * (1 + mask * (new - 1))
     return image.clamp(0, 1)
 
 
-def sample_grain(size: Sequence[int], rng: torch.Generator) -> Tensor:
-    """Sample noise (1, 1, H, W) of ``GRAIN_CELLS``, with a standard deviation of about 1."""
-    layers = [
-        F.interpolate(
-            torch.randn(1, 1, max(2, across * size[0] // size[1]), across, generator=rng),
-            size=(size[0], size[1]),
-            mode="bilinear",
-        )
-        for across in GRAIN_CELLS
-    ]
+def sample_grain(count: int, size: Sequence[int], rng: torch.Generator) -> Tensor:
+    """Sample noise (n, 1, H, W) of ``GRAIN_CELLS``, with a standard deviation of about 1."""
+    layers = []
+    for across in GRAIN_CELLS:
+        cells = (count, 1, max(2, across * size[0] // size[1]), across)
+        noise = torch.randn(cells, generator=rng, device=rng.device)
+        layers.append(F.interpolate(noise, size=(size[0], size[1]), mode="bilinear"))
     return torch.stack(layers).sum(0)
 
 
 def add_shadow(image: Tensor, shadow: ShadowAugmentation, rng: torch.Generator) -> Tensor:
-    """Darken a straight band at a random angle, below the horizon, in an image (1, 3, H, W)."""
-    height, width = image.shape[-2:]
-    down = torch.linspace(0, 1, height)[:, None]
-    along = torch.linspace(-0.5, 0.5, width)
-    angle, offset, half = sample(rng, (0, math.pi), (-0.3, 0.3), (0.05, shadow.max_half_width))
-    edge, horizon = sample(rng, (0.002, 0.03), (0.3, 0.6))
-    distance = along * math.cos(angle) + (down - 0.65) * math.sin(angle) - offset
+    """Darken a straight band at a random angle, below the horizon, in images (n, 3, H, W)."""
+    down, along = pixel_grid(image, -0.5, 0.5)
+    ranges = (0, math.pi), (-0.3, 0.3), (0.05, shadow.max_half_width), (0.002, 0.03), (0.3, 0.6)
+    angle, offset, half, edge, horizon = sample(rng, len(image), *ranges)
+    distance = along * angle.cos() + (down - 0.65) * angle.sin() - offset
     inside = ((half - distance.abs()) / edge).sigmoid() * ((down - horizon) / SHADOW_END).sigmoid()
-    (level,) = sample(rng, (shadow.min_brightness, MAX_SHADOW_LEVEL))
+    (level,) = sample(rng, len(image), (shadow.min_brightness, MAX_SHADOW_LEVEL))
     return image * (1 - (1 - level) * inside)
 
 
 def darken_to_night(
     image: Tensor, unlit: Tensor, night: NightAugmentation, rng: torch.Generator
 ) -> Tensor:
-    """Darken an image (1, 3, H, W) in [0, 1] to a night lit by headlights and a few lamps.
+    """Darken images (n, 3, H, W) in [0, 1] to a night lit by headlights and a few lamps.
 
-    unlit: soft mask (1, 1, H, W) of sky and ego car, which headlights do not reach. The beam
+    unlit: soft mask (n, 1, H, W) of sky and ego car, which headlights do not reach. The beam
     starts below the horizon, widens towards the camera and peaks a little way ahead.
     """
-    height, width = image.shape[-2:]
-    down = torch.linspace(0, 1, height)[:, None]
-    across = torch.linspace(-0.5, 0.5, width)
+    count, (down, across) = len(image), pixel_grid(image, -0.5, 0.5)
     ranges = (0.35, 0.55), (-0.1, 0.1), (0.4, 1.5), (0.15, 0.35)
-    horizon, offset, spread, nearest = sample(rng, *ranges)
+    horizon, offset, spread, nearest = sample(rng, count, *ranges)
     below = (down - horizon).clamp_min(0)
     beam = torch.exp(-(((across - offset) / (0.06 + spread * below)) ** 2))
     reach = (below / nearest) * torch.exp(1 - below / nearest)
-    ambient = float(torch.exp(uniform(rng, 1, math.log(night.min_brightness), math.log(0.3))))
+    power, warmth = sample(rng, count, (math.log(night.min_brightness), math.log(0.3)), (0, 0.3))
+    ambient = power.exp()
     light = ambient + (1 - ambient) * beam * reach * (1 - unlit)
-    warmth = float(uniform(rng, 1, 0, 0.3))
-    tint = torch.tensor([1 + warmth, 1, 1 - warmth]).reshape(1, 3, 1, 1)
-    lamps = torch.zeros(1, 1, height, width)
-    for _ in range(int(uniform(rng, 1, 0, night.lamps))):
-        lamps = lamps + render_lamp(image.shape[-2:], horizon, rng)
+    tint = torch.cat([1 + warmth, torch.ones_like(warmth), 1 - warmth], 1)
+    (lit,) = sample(rng, count, (0, night.lamps))
+    lamps = torch.zeros_like(unlit)
+    for number in range(1, night.lamps):
+        lamps = lamps + (lit >= number) * render_lamps(image, horizon, rng)
     return (image * light * tint + lamps * tint).clamp(0, 1)
 
 
@@ -285,7 +295,7 @@ def darken_to_night(
 
 
 class SceneMasks(NamedTuple):
-    """Soft masks (1, 1, H, W) in [0, 1] of an image: sky, ground including road, road, ego car."""
+    """Soft masks (n, 1, H, W) in [0, 1] of images: sky, ground including road, road, ego car."""
 
     sky: Tensor
     ground: Tensor
@@ -296,16 +306,24 @@ class SceneMasks(NamedTuple):
 def add_weather(
     image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
-    """Add fog, snow, rain or a wet road to an image (1, 3, H, W) in [0, 1]."""
-    kind = (add_fog, add_snow, wet_road, add_rain)[int(torch.randint(4, (), generator=rng))]
+    """Add fog, snow, rain or a wet road, the same to all images (n, 3, H, W) in [0, 1]."""
+    number = int(torch.randint(4, (), generator=rng, device=rng.device))
+    kind = (add_fog, add_snow, wet_road, add_rain)[number]
     street = kind(image, scene, weather, rng).clamp(0, 1)
     return torch.lerp(street, image, scene.ego)
 
 
-def ground_horizon(scene: SceneMasks) -> float:
-    """Return the fraction of the height at which the ground begins, on average over the columns."""
-    rows = (scene.ground + scene.ego).clamp_max(1).mean((0, 1, 3))
-    return 1 - float(rows.sum()) / len(rows)
+def ground_horizon(scene: SceneMasks) -> Tensor:
+    """Return the fraction of the height at which the ground begins, averaged over columns.
+
+    Shape (n, 1, 1, 1).
+    """
+    return 1 - (scene.ground + scene.ego).clamp_max(1).mean((1, 2, 3), keepdim=True)
+
+
+def mean_brightness(image: Tensor) -> Tensor:
+    """Return the mean (n, 1, 1, 1) of images (n, 3, H, W)."""
+    return image.mean((1, 2, 3), keepdim=True)
 
 
 def add_fog(
@@ -316,39 +334,40 @@ def add_fog(
     Ground d below the horizon has the distance 1/d; other pixels have that of the farthest ground
     below them in their column. The sky is hidden.
     """
-    height = image.shape[-2]
-    down = torch.linspace(0, 1, height)[:, None] - ground_horizon(scene) + 0.05
-    distance = scene.ground * (1 / down.clamp_min(0.02))
+    down, _ = pixel_grid(image, 0, 1)
+    distance = scene.ground / (down - ground_horizon(scene) + 0.05).clamp_min(0.02)
     distance = distance.flip(-2).cummax(-2).values.flip(-2)
     reach = image.shape[-1] // 8  # haze has no edges
     distance = F.avg_pool2d(distance, (1, 2 * reach + 1), 1, (0, reach), count_include_pad=False)
-    density, level = sample(rng, (0.02, weather.fog), (1, 2))
-    level = min(0.9, level * float(image.mean()))
+    density, level = sample(rng, len(image), (0.02, weather.fog), (1, 2))
+    level = (level * mean_brightness(image)).clamp_max(0.9)
     transmission = torch.exp(-density * distance) * (1 - scene.sky)
-    tint = 1 + uniform(rng, 3, -0.05, 0.05).reshape(1, 3, 1, 1)
-    return torch.lerp(level * tint.expand_as(image), image, transmission)
+    tint = 1 + uniform(rng, 3 * len(image), -0.05, 0.05).reshape(-1, 3, 1, 1)
+    return torch.lerp((level * tint).expand_as(image), image, transmission)
 
 
 def add_snow(
     image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Add patches of snow to the ground beside the road, sometimes to the road as well."""
-    on_road, amount, level = sample(rng, (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0))
-    ground = scene.ground * (1 - scene.road) + scene.road * max(on_road, 0)
-    grain = sample_grain(image.shape[-2:], rng)
-    patches = (2 * grain + 2 * float(uniform(rng, 1, -0.5, 2))).sigmoid()
-    return torch.lerp(image, torch.full_like(image, level), amount * ground * patches)
+    ranges = (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0), (-0.5, 2)
+    on_road, amount, level, cover = sample(rng, len(image), *ranges)
+    ground = scene.ground * (1 - scene.road) + scene.road * on_road.clamp_min(0)
+    patches = (2 * sample_grain(len(image), image.shape[-2:], rng) + 2 * cover).sigmoid()
+    return torch.lerp(image, level.expand_as(image), amount * ground * patches)
 
 
 def wet_road(
     image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
     """Darken patches of the road and mirror the image at the horizon in them."""
-    height, horizon = image.shape[-2], ground_horizon(scene)
-    rows = 2 * horizon * height - torch.arange(height)
-    mirrored = image[..., rows.round().long().clamp(0, height - 1), :]
-    reflection, level = sample(rng, (0.15, weather.reflection), (0.5, 1.0))
-    puddles = (3 * sample_grain(image.shape[-2:], rng) + float(uniform(rng, 1, -2, 3))).sigmoid()
+    height = image.shape[-2]
+    above = 2 * ground_horizon(scene) * height
+    rows = above - torch.arange(height, device=image.device)[:, None]
+    mirrored = image.gather(2, rows.round().long().clamp(0, height - 1).expand_as(image))
+    ranges = (0.15, weather.reflection), (0.5, 1.0), (-2, 3)
+    reflection, level, cover = sample(rng, len(image), *ranges)
+    puddles = (3 * sample_grain(len(image), image.shape[-2:], rng) + cover).sigmoid()
     wet = scene.road * puddles
     return torch.lerp(image * (1 - wet * (1 - level)), mirrored, reflection * wet)
 
@@ -356,33 +375,44 @@ def wet_road(
 def add_rain(
     image: Tensor, scene: SceneMasks, weather: WeatherAugmentation, rng: torch.Generator
 ) -> Tensor:
-    """Add streaks, drops that show the image blurred and upside down, and a uniform veil."""
-    size, level = image.shape[-2:], float(image.mean()) * 1.3 + 0.1
-    density, veil, drops = sample(rng, (0, weather.streaks), (0, 0.3), (0, 0.02))
-    starts = (torch.rand(1, 1, *size, generator=rng) < density).to(image)
+    """Add streaks, drops that show the image blurred and upside down, and a uniform veil.
+
+    All streaks are equally long.
+    """
+    ranges = (0, weather.streaks), (0, 0.3), (0, 0.02)
+    density, veil, drops = sample(rng, len(image), *ranges)
+    level = (mean_brightness(image) * 1.3 + 0.1).expand_as(image)
+
+    def scatter(density: Tensor) -> Tensor:
+        numbers = uniform(rng, scene.road.numel(), 0, 1).reshape(scene.road.shape)
+        return (numbers < density).to(image)
+
     length = 2 * int(uniform(rng, 1, 1, 7)) + 1
-    streaks = F.max_pool2d(starts, (length, 1), 1, (length // 2, 0)) * 0.4
+    streaks = F.max_pool2d(scatter(density), (length, 1), 1, (length // 2, 0)) * 0.4
     blurred = F.avg_pool2d(image.flip(-2), 9, 1, 4, count_include_pad=False)
-    glass = (torch.rand(1, 1, *size, generator=rng) < drops / 5).to(image)
-    glass = F.avg_pool2d(F.max_pool2d(glass, 7, 1, 3), 3, 1, 1)
-    image = torch.lerp(torch.lerp(image, torch.full_like(image, level), streaks), blurred, glass)
-    return torch.lerp(image, torch.full_like(image, level), veil)
+    glass = F.avg_pool2d(F.max_pool2d(scatter(drops / 5), 7, 1, 3), 3, 1, 1)
+    image = torch.lerp(torch.lerp(image, level, streaks), blurred, glass)
+    return torch.lerp(image, level, veil)
 
 
-def render_lamp(size: Sequence[int], horizon: float, rng: torch.Generator) -> Tensor:
-    """Render the light (1, 1, H, W) of a lamp or of another car's headlights, above the horizon."""
-    ranges = (0.1, horizon + 0.02), (0, 1), (0.003, 0.02), (0.3, MAX_LAMP)
-    row, column, radius, peak = sample(rng, *ranges)
-    down = torch.linspace(0, size[0] / size[1], size[0])[:, None] - row * size[0] / size[1]
-    across = torch.linspace(0, 1, size[1]) - column
-    return (peak * torch.exp(-(down**2 + across**2) / radius**2))[None, None]
+def render_lamps(image: Tensor, horizon: Tensor, rng: torch.Generator) -> Tensor:
+    """Render the light (n, 1, H, W) of a lamp, or of another car, above each image's horizon.
+
+    horizon: (n, 1, 1, 1), fractions of the height.
+    """
+    ranges = (0, 1), (0, 1), (0.003, 0.02), (0.3, MAX_LAMP)
+    row, column, radius, peak = sample(rng, len(image), *ranges)
+    row = 0.1 + row * (horizon - 0.08)
+    (down, along), aspect = pixel_grid(image, 0, 1), image.shape[-2] / image.shape[-1]
+    squares = ((down - row) * aspect) ** 2 + (along - column) ** 2
+    return peak * torch.exp(-squares / radius**2)
 
 
 # --- ego cars ---------------------------------------------------------------------------
 
 
 class EgoCar(NamedTuple):
-    """A frame (1, 3, H, W) in [0, 1] and the mask (1, 1, H, W) of its ego car, 0 or 1."""
+    """Frames (n, 3, H, W) in [0, 1] and the masks (n, 1, H, W) of their ego cars, 0 or 1."""
 
     image: Tensor
     ego: Tensor
@@ -402,23 +432,24 @@ def sample_ego_car(
 
 
 def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, rng: torch.Generator) -> EgoCar:
-    """Scale, mirror and relight an ego car; its lower edge stays at the bottom of the image."""
-    adjust = import_torchvision().transforms.v2.functional
-    height_scale = float(torch.exp(uniform(rng, 1, -settings.shrinkage, settings.growth)))
-    width_scale = float(torch.exp(uniform(rng, 1, 0, settings.widening)))  # no gap at the sides
-    mirror = 1 - 2 * int(torch.randint(2, (), generator=rng))
-    offset = float(uniform(rng, 1, -1, 1)) * (1 - 1 / width_scale)
-    transform = torch.tensor(
-        [[[mirror / width_scale, 0, offset], [0, 1 / height_scale, 1 - 1 / height_scale]]]
+    """Scale, mirror and relight ego cars; their lower edges stay at the bottom of the image."""
+    count = len(car.image)
+    height_scale = uniform(rng, count, -settings.shrinkage, settings.growth).exp()
+    width_scale = uniform(rng, count, 0, settings.widening).exp()  # no gap at the sides
+    across, zero = _sample_mirrors(count, rng) / width_scale, torch.zeros_like(width_scale)
+    offset = uniform(rng, count, -1, 1) * (1 - 1 / width_scale)
+    rows = [across, zero, offset, zero, 1 / height_scale, 1 - 1 / height_scale]
+    transforms = torch.stack(rows, 1).reshape(-1, 2, 3)
+    gamma, gain = (
+        power.exp() for power in sample(rng, count, *[(-settings.light, settings.light)] * 2)
     )
-    gamma, gain, *tint = torch.exp(uniform(rng, 5, -settings.light, settings.light)).tolist()
-    image = adjust.adjust_gamma(warp_affine(car.image, transform, "border"), gamma) * gain
-    colour = torch.tensor(tint).pow(EGO_TINT).reshape(1, 3, 1, 1)
-    return EgoCar((image * colour).clamp(0, 1), warp_affine(car.ego, transform, "border"))
+    colour = sample_colour(rng, count, settings.light * EGO_TINT)
+    image = warp_affine(car.image, transforms, "border").pow(gamma) * gain
+    return EgoCar((image * colour).clamp(0, 1), warp_affine(car.ego, transforms, "border"))
 
 
 def paste_ego_car(image: Tensor, targets: Tensor, car: EgoCar) -> tuple[Tensor, Tensor]:
-    """Paste an ego car over an image (1, 3, H, W) and its stacked ``Targets`` (1, 8, H, W).
+    """Paste ego cars over images (n, 3, H, W) and their stacked ``Targets`` (n, 8, H, W).
 
     There road is 0 and ego car 1, both with weight 1, and the layout has weight 0.
     """

@@ -20,6 +20,7 @@ from roadtorch.train.augmentation import (
     SurfaceAugmentation,
     WeatherAugmentation,
     add_fog,
+    add_rain,
     add_shadow,
     add_snow,
     darken_to_night,
@@ -166,6 +167,39 @@ def test_a_shadow_darkens_a_band_of_the_lower_part_and_nothing_else() -> None:
         assert torch.allclose(dark[..., :12, :], image[..., :12, :], atol=1e-3)
         assert 0.8 * 0.25 - 1e-3 <= dark.min() <= dark.max() <= 0.8 + 1e-6
     assert sum(float(dark.min()) < 0.8 * 0.72 for dark in images) >= 15  # a band may miss it
+
+
+MASK = torch.zeros(2, 1, 40, 60)
+MASK[..., 20:, :] = 1
+ROAD = MASK * (torch.arange(60) < 30)
+MASKED_SCENE = SceneMasks(1 - MASK, MASK, ROAD, 0 * MASK)
+
+EFFECTS = {
+    "light": lambda image, rng: jitter_light(image, LightAugmentation(), rng),
+    "surface": lambda image, rng: retexture_road(image, MASK, 0 * MASK, SurfaceAugmentation(), rng),
+    "shadow": lambda image, rng: add_shadow(image, ShadowAugmentation(), rng),
+    "night": lambda image, rng: darken_to_night(image, 1 - MASK, NightAugmentation(), rng),
+    "fog": lambda image, rng: add_fog(image, MASKED_SCENE, WeatherAugmentation(), rng),
+    "snow": lambda image, rng: add_snow(image, MASKED_SCENE, WeatherAugmentation(), rng),
+    "wet": lambda image, rng: wet_road(image, MASKED_SCENE, WeatherAugmentation(), rng),
+    "rain": lambda image, rng: add_rain(image, MASKED_SCENE, WeatherAugmentation(), rng),
+}
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+def test_every_image_of_a_batch_gets_random_values_of_its_own(effect) -> None:
+    image = scene(3, 40, 60).image.expand(2, -1, -1, -1)
+
+    changed = effect(image, seeded_generator(4))
+
+    assert changed.shape == image.shape
+    assert not torch.allclose(changed[0], changed[1], atol=0.01)
+    assert not torch.allclose(changed[0], image[0], atol=0.01)
+
+
+def test_light_of_a_negative_rounding_error_is_a_number() -> None:
+    image = torch.full((1, 3, 8, 8), -1e-9)
+    assert jitter_light(image, LightAugmentation(), seeded_generator(1)).isfinite().all()
 
 
 # --- ego cars ------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""Learning the networks of `fusion` on one GPU: pack, recipes, batches, learning, comparison."""

@@ -1,0 +1,91 @@
+"""Recipes of runs, and their hypotheses, written before they run. Each gets the same time.
+
+The runs start from what ships, so that their weights can be averaged, and each differs from an
+earlier one by one change.
+"""
+
+from dataclasses import dataclass, replace
+
+from train.street.pack import REAL, SIMULATED
+
+SHIPPED_SIZES = ((128, 160), (192, 256), (256, 320))
+"""Sizes of configs/backbone-free.toml, as near as they are."""
+
+LARGE_SIZES = ((192, 256), (192, 256), (256, 352), (288, 384))
+
+ALL_KINDS, STREETS = "set", "streets"
+"""Folders of worlds: of all kinds (30000 and on), and streets framed anew (40000 and on)."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a run learns from, and how.
+
+    groups: fractions of a batch by group of the pack; those that the pack lacks leave their part to
+    the others. sizes: of the network's input, one sampled for each batch. border: weight added to
+    pixels where road meets something vertical. stride: of the pixels on which the loss is computed,
+    in pixels of the input. margin: least |2p - 1| for a machine-labelled pixel's road target p to
+    count. dim: fraction of a batch that is underexposed. learns_backbone: whether the backbone
+    learns, or the heads alone.
+    """
+
+    name: str
+    hypothesis: str
+    groups: dict[str, float]
+    initial: str = "backbone-free"
+    sizes: tuple[tuple[int, int], ...] = SHIPPED_SIZES
+    border: float = 0.0
+    stride: int = 4
+    margin: float = 0.1
+    dim: float = 0.0
+    learning_rate: float = 5e-4
+    learns_backbone: bool = True
+    seed: int = 0
+
+
+CONTROL = Recipe(
+    "control",
+    "the recipe that shipped, ten times as long, on 619 real images: F within .004 of what ships",
+    {REAL: 0.5, ALL_KINDS: 0.4, SIMULATED: 0.1},
+)
+FRAMED = replace(
+    CONTROL,
+    name="streets",
+    hypothesis="streets framed anew, and dim images: the wrong halves shrink, nights gain",
+    groups={REAL: 0.5, ALL_KINDS: 0.2, STREETS: 0.25, SIMULATED: 0.05},
+    dim=0.15,
+)
+THIN = replace(
+    FRAMED,
+    name="thin",
+    hypothesis="borders weigh, the loss at half the size: less of what stands on the road is road",
+    border=3.0,
+    stride=2,
+)
+RECIPES = (
+    CONTROL,
+    FRAMED,
+    THIN,
+    replace(
+        THIN,
+        name="sizes",
+        hypothesis="learned at up to 288x384: thin things, and the crops of fusion:large, gain",
+        sizes=LARGE_SIZES,
+    ),
+    replace(
+        THIN,
+        name="doubt",
+        hypothesis="what the teacher doubts on real images teaches nothing: halves gain further",
+        margin=0.6,
+        seed=1,
+    ),
+    replace(
+        THIN,
+        name="rendered",
+        hypothesis="rendered-free's three heads, on worlds varied anew at every visit, gain alone",
+        initial="rendered-free",
+        groups={ALL_KINDS: 0.45, STREETS: 0.45, SIMULATED: 0.1},
+        learns_backbone=False,
+        learning_rate=1e-3,
+    ),
+)
