@@ -63,21 +63,19 @@ THIN = replace(
     stride=2,
 )
 RECIPES = (
-    CONTROL,
-    FRAMED,
     THIN,
-    replace(
-        THIN,
-        name="sizes",
-        hypothesis="learned at up to 288x384: thin things, and the crops of fusion:large, gain",
-        sizes=LARGE_SIZES,
-    ),
     replace(
         THIN,
         name="doubt",
         hypothesis="what the teacher doubts on real images teaches nothing: halves gain further",
         margin=0.6,
         seed=1,
+    ),
+    replace(
+        THIN,
+        name="sizes",
+        hypothesis="learned at up to 288x384: thin things, and the crops of fusion:large, gain",
+        sizes=LARGE_SIZES,
     ),
     replace(
         THIN,
@@ -88,4 +86,7 @@ RECIPES = (
         learns_backbone=False,
         learning_rate=1e-3,
     ),
+    FRAMED,
+    CONTROL,
 )
+"""In the order in which they run: the last two are there to compare with."""
