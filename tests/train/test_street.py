@@ -26,6 +26,7 @@ from train.street.pack import (
     encode_label,
     obstacle_mask,
     read_pack,
+    shrink_code,
     world_kind,
     write_pack,
 )
@@ -104,6 +105,19 @@ def test_a_pack_keeps_groups_names_and_pixels(tmp_path: Path) -> None:
     assert pack.names[5] == "39000_town_night"
     assert (pack.images == 120).all()
     assert pack.maps[5, 3].float().mean() == pytest.approx(255 * (288 - 150) / 288)
+
+
+def test_a_thin_vertical_thing_stays_in_a_smaller_truth() -> None:
+    code = np.full((576, 768), 3, np.uint8)
+    code[:, 400] = 1  # half of a pixel
+    code[:, 100:102] = 255
+
+    small = shrink_code(code)
+
+    assert small.shape == SIZE
+    assert (small[:, 200] == 1).all()
+    assert (small[:, 50] == VOID).all()
+    assert (small == 3).mean() > 0.99
 
 
 def test_kinds_of_worlds_keep_night_and_generation_apart() -> None:

@@ -25,13 +25,13 @@ from tqdm import tqdm
 from roadtorch import load_detector, read_image
 from roadtorch.base.atomic import atomic_write
 from roadtorch.imaging.resize import resize_maps
-from roadtorch.layout.classes import NUM_CLASSES
+from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
 from roadtorch.layout.weights import resize_network
 from roadtorch.road.bayes import log_odds
 from roadtorch.train.prepared import to_uint8
 
 SIZE = (288, 384)
-"""Height and width of the packed images; worlds are rendered at it."""
+"""Height and width of the packed images; most worlds are rendered at it."""
 
 LABEL_SIZE = (144, 192)
 """Height and width of machine labels, the finest at which a loss is computed."""
@@ -47,6 +47,9 @@ EGO_BOUNDS = (0.3, 0.7)
 
 HELD = 9000
 """Remainder of 10,000 from which the number of a world keeps it out of training."""
+
+MIN_VERTICAL = 1 / 3
+"""Least fraction of a pixel that makes it vertical."""
 
 REAL, SIMULATED, HELD_GROUP = "real", "simulated", "held"
 
@@ -149,14 +152,34 @@ def shrink(pixels: np.ndarray) -> np.ndarray:
     return resize_maps(image, SIZE).round().clamp(0, 255).byte().permute(1, 2, 0).numpy()
 
 
-def read_worlds(root: Path) -> Iterator[Example]:
-    """Yield the images of ``train.worlds`` as they were written."""
+def read_worlds(root: Path, quality: int) -> Iterator[Example]:
+    """Yield the images of ``train.worlds``: as they were written, or larger ones at ``SIZE``."""
     for file in sorted((root / "images").glob("*.jpg")):
         number = int(file.stem.partition("_")[0])
         group = HELD_GROUP if number % 10000 >= HELD else root.name
         truth = root / "truth" / f"{file.stem}.png"
-        if truth.exists():
-            yield Example(group, file.stem, file.read_bytes(), truth.read_bytes())
+        if not truth.exists():
+            continue
+        image, label = file.read_bytes(), truth.read_bytes()
+        code = np.asarray(cv2.imread(str(truth), cv2.IMREAD_UNCHANGED))
+        if code.shape != SIZE:
+            pixels = shrink(np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR)))
+            image = encode(".webp", pixels, cv2.IMWRITE_WEBP_QUALITY, quality)
+            label = encode(".png", shrink_code(code), cv2.IMWRITE_PNG_COMPRESSION, 9)
+        yield Example(group, file.stem, image, label)
+
+
+def shrink_code(code: np.ndarray) -> np.ndarray:
+    """Reduce a code of truth (H, W) to ``SIZE``.
+
+    As in ``train.worlds.truth``, a pixel is vertical from a third on, otherwise what most of it is.
+    """
+    values = np.unique(code)
+    planes = torch.stack([torch.from_numpy(code == value) for value in values]).float()
+    fractions = resize_maps(planes, SIZE).numpy()
+    largest = values[fractions.argmax(0)]
+    is_vertical = (fractions * (values == VERTICAL)[:, None, None]).sum(0) >= MIN_VERTICAL
+    return np.where(is_vertical, np.uint8(VERTICAL), largest)
 
 
 def read_simulated(root: Path, quality: int) -> Iterator[Example]:
@@ -196,7 +219,7 @@ def pack(options: argparse.Namespace) -> None:
     """Write all examples, and print how many of each group and how many bytes."""
     examples = [*read_real(options.data / "unlabelled_free", options.labels, options.quality)]
     for root in options.worlds:
-        examples += read_worlds(root)
+        examples += read_worlds(root, options.quality)
     examples += read_simulated(options.data, options.quality)
     write_pack(options.out, examples)
     for group in sorted({example.group for example in examples}):
@@ -291,7 +314,7 @@ def main() -> None:
     packing.add_argument("data", type=Path)
     packing.add_argument("--labels", type=Path, required=True)
     packing.add_argument("--worlds", type=Path, nargs="*", default=[])
-    packing.add_argument("--quality", type=int, default=90, help="of real images, as WebP")
+    packing.add_argument("--quality", type=int, default=88, help="of resized images, as WebP")
     packing.add_argument("--out", type=Path, required=True)
     packing.set_defaults(run=pack)
     options = parser.parse_args()
