@@ -50,8 +50,8 @@ from train.worlds.vehicles import build_traffic
 SEASONS = {"green": 6, "dry": 3, "earth": 2, "litter": 3, "snow": 2}
 """Of the land, and how often each is sampled."""
 
-SAMPLES = {"sun": 2, "overcast": 2, "dusk": 2, "night": 3}
-"""Paths a pixel by time of day; the rest is the denoiser's."""
+SAMPLES = 2
+"""Paths a pixel; the rest is the denoiser's."""
 
 FINE = 3
 """Paths through each pixel of the truth, across and down."""
@@ -96,7 +96,7 @@ def render(stage: Stage, number: int, place: Path) -> np.ndarray:
     scene, cycles = stage.scene, stage.scene.cycles
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
-    cycles.samples, cycles.seed, cycles.max_bounces = SAMPLES[stage.hour], number, 3
+    cycles.samples, cycles.seed, cycles.max_bounces = SAMPLES, number, 3
     cycles.diffuse_bounces, cycles.glossy_bounces = 1, 2
     cycles.use_light_tree = stage.night  # many lamps; by day it costs a third
     cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
