@@ -33,8 +33,8 @@ LINES = {
     "roadtorch/testing": 640,
     "roadtorch/train": 3_290,
     "roadtorch/ufl": 1_380,
-    "scripts": 3_660,
-    "tests": 25_395,
+    "scripts": 4_540,
+    "tests": 25_590,
     "train": 6_225,
 }
 """The lines of source code that each folder may have."""
