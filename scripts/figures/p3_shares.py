@@ -110,7 +110,7 @@ def fig6(data: Path, out: Path) -> None:
 # --- Fig. 7 -----------------------------------------------------------------------------
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-PAGE_SIZE = {"width": 900, "height": 560}
+PAGE_SIZE = 900, 560  # pixels, width and height
 
 
 @contextmanager
@@ -144,7 +144,9 @@ def fig7(data: Path, out: Path) -> None:
         shutil.copy(data / "unlabelled_free" / STREET, folder)
         with annotation_page(Path(folder)) as address:
             browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-            page = browser.new_page(viewport=PAGE_SIZE)
+            page = browser.new_page()
+            width, height = PAGE_SIZE
+            page.set_viewport_size({"width": width, "height": height})
             page.goto(address)
             page.wait_for_selector("body[data-image]")
             page.get_by_text("Got it").click()
