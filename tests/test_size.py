@@ -33,8 +33,8 @@ LINES = {
     "roadtorch/testing": 640,
     "roadtorch/train": 3_290,
     "roadtorch/ufl": 1_380,
-    "scripts": 4_540,
-    "tests": 25_590,
+    "scripts": 4_190,
+    "tests": 25_520,
     "train": 6_225,
 }
 """The lines of source code that each folder may have."""

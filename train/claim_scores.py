@@ -32,7 +32,7 @@ from roadtorch.evaluation.uncertainty import (
     bootstrap_weights,
     percentile_interval,
 )
-from scripts.figures.p2 import PRINTED_ORDER
+from scripts.figures.p2_layout import PRINTED_ORDER
 from train.claim import CONFIGS, RUNS, SEEDS, TEACHERS, run_name
 
 SETS = {"idd": "IDD", "camvid": "CamVid", "many": "many"}

@@ -22,7 +22,8 @@ from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.road.seed_area import seed_rectangle
 from roadtorch.road.texture import TextureSettings, fused_uniformity
 from scripts.figures.chart import show_table
-from scripts.figures.p2 import IDD_IMAGES, reach_of_seed, streets
+from scripts.figures.p2_layout import open_camvid
+from scripts.figures.p2_road import reach_of_seed
 
 
 class Variant(NamedTuple):
@@ -46,6 +47,8 @@ VARIANTS: Mapping[str, Variant] = {
 EVERY = 4
 """Step between CamVid's images."""
 
+IDD_IMAGES = 50
+
 PARTS = ("CPF", "CNN-7 × CPF")
 
 AUC = next(measure for measure in MEASURES if measure.key == "auc_pooled")
@@ -59,7 +62,7 @@ def paper() -> Detector:
 
 def eq3(data: Path, out: Path) -> None:
     """Write AUC of CPF and of its product with CNN-7, isolated areas dropped, by variants."""
-    sets = {"CamVid, mean of drives": streets(data, EVERY)}
+    sets = {"CamVid, mean of drives": open_camvid(data, EVERY)}
     if (data / "idd_lite").is_dir():
         sets["IDD"] = subsample_dataset(open_dataset("idd-lite", data / "idd_lite"), IDD_IMAGES)
     rows = [{"set": name, **row} for name, dataset in sets.items() for row in variant_rows(dataset)]

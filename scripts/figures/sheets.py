@@ -22,9 +22,9 @@ PHOTOS = (
 RENDERED = ("carla_lyft/carla_lyft_cc0_023", "carlarain/seqTown03Clear_001814")
 """Streets of simulated/, whose truth the renderer knows."""
 
-TILE = 170, 110  # pixels, width and height
+TILE = 140, 90  # pixels, width and height
 CAPTION = 13  # pixels, above each row
-QUALITY = 78  # of JPEG
+QUALITY = 72  # of JPEG
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 

@@ -3,63 +3,42 @@
 tests/docs/test_paper_commands.py makes each of them.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
-from roadtorch.data.dataset import LabelledItem
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.curves import Curve, area
+from roadtorch.evaluation.methods import Predictor, contender_from_name
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.evaluation.tally import ImageCounts, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
+from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
-from scripts.figures import p1, p1_stages, p2, p3_light, p3_table3
-from scripts.figures.intervals import mean_interval
+from roadtorch.testing.scenes import render_scene
+from scripts.figures import counting, p1, p2_layout, p2_road, p3_light, p3_table3
 from tests.streets import as_bytes, scene, write_camvid, write_drives
 
 # --- P1 ---------------------------------------------------------------------------------
 
 
-def test_scores_are_pooled_over_images_of_p1s_size(tmp_path: Path) -> None:
-    write_drives(tmp_path)
-    dataset = p1.open_small(tmp_path, "camvid")
-    sizes = {dataset.read(item)[0].shape for item in dataset.items}
-    roads = [truth.road & truth.valid for _, truth in map(dataset.read, dataset.items)]
+def test_counts_are_pooled_over_images() -> None:
+    empty = Truth(torch.zeros(120, 160, dtype=torch.bool), torch.ones(120, 160, dtype=torch.bool))
+    half = Truth((torch.arange(160) < 80).expand(120, 160), empty.valid)
+    image = render_scene(3, 120, 160).image
 
-    (row,) = p1.score_variants(dataset, {"all": ("prior:uniform", {})})
+    counts = p1.pooled_counts([(image, empty), (image, half)], ["prior:uniform"])["prior:uniform"]
 
-    assert sizes == {(3, 120, 160)}
-    valid = sum(int(dataset.read(item)[1].valid.sum()) for item in dataset.items)
-    share = sum(int(road.sum()) for road in roads) / valid
-    assert (row["P"], row["R"]) == (f"{100 * share:.2f}", "100.00")
-    assert float(str(row["low"])) <= float(str(row["F"])) <= float(str(row["high"]))
-
-
-def test_road_patches_are_road_from_far_to_near() -> None:
-    road = torch.zeros(60, 80, dtype=torch.bool)
-    road[20:, 10:50] = True
-
-    corners = p1_stages.road_patches(road, count=3)
-
-    assert corners == [(20, 24), (34, 24), (48, 24)]
-    assert p1_stages.road_patches(road[:25]) == []
-
-
-def test_a_parent_stands_over_the_middle_of_its_children() -> None:
-    assert p1_stages.node_columns([-1, 0, 0, 1, 1, 2]) == [1.25, 0.5, 2.0, 0.0, 1.0, 2.0]
-
-
-def test_the_interval_of_a_mean_is_that_of_its_standard_error() -> None:
-    values = torch.arange(100.0)
-
-    low, high = mean_interval(values)
-
-    error = float(values.std()) / 10
-    assert (low, high) == pytest.approx((49.5 - 1.96 * error, 49.5 + 1.96 * error), abs=0.4)
+    assert int(counts.true_positive) == 120 * 80
+    assert int(counts.false_positive) == 120 * 160 + 120 * 80
 
 
 # --- P2 ---------------------------------------------------------------------------------
@@ -77,41 +56,98 @@ def tally_of(**drives: tuple[list[float], list[bool]]) -> Tally:
     return tally
 
 
-def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baseline() -> None:
+def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baselines() -> None:
     good = ([0.9, 0.1, 0.8, 0.2], [True, False, True, False])
     base = ([0.9, 0.95, 0.8, 0.2], [True, False, True, False])
     two_drives = tally_of(a=good, b=([0.1, 0.9], [True, False]))
-    tallies = {p2.BASELINE: tally_of(a=base), p2.TEXTURE: tally_of(a=good), "both": two_drives}
-    tallies |= {title + p2.WHOLE: tally_of(a=base) for title in tallies}
+    tallies = {p2_road.BASELINE: tally_of(a=base), p2_road.TEXTURE: tally_of(a=good)}
+    tallies |= {"both": two_drives, p2_road.BLIND: tally_of(a=good)}
+    tallies |= {title + p2_road.WHOLE: tally_of(a=base) for title in tallies}
 
-    rows = p2.area_rows(tallies)
+    rows = p2_road.area_rows(tallies, {"set": "s"})
 
     # Of the 3·3 pairs of road and background 0.9, 0.8 and 0.1 against 0.1, 0.2 and 0.9: 4 right,
-    # and two ties.
-    assert [row["AUC, pooled"] for row in rows] == ["0.500", "1.000", "0.556"]
-    assert rows[2]["mean of drives"] == "0.500"
-    assert (rows[1]["over LBP, AUC, pooled"], rows[1]["P2's gain"]) == ("+100 %", "8 %")
-    assert {row[f"AUC, pooled{p2.WHOLE}"] for row in rows} == {"0.500"}
+    # and two ties. By drives 1 and 0.
+    pooled = [str(row["AUC, pooled"]).split()[0] for row in rows]
+    assert pooled == [".500", "1.000", ".556", "1.000"]
+    assert rows[2]["AUC, by drives"] == ".500 (.000 to 1.000)"
+    assert (rows[1]["over LBP, %, pooled"], rows[1]["P2's gain"]) == ("+100 (+100 to +100)", "8 %")
+    assert rows[1]["less rows, pooled"] == "+.000 (+.000 to +.000)"
+    assert {row[f"AUC, pooled{p2_road.WHOLE}"] for row in rows} == {".500 (.500 to .500)"}
 
 
 def test_at_every_threshold_isolated_areas_are_discarded() -> None:
     likelihood = torch.rand(24, 32, generator=torch.Generator().manual_seed(3))
     seed = seed_rectangle(likelihood.shape)
 
-    joined = p2.reach_of_seed(likelihood)
+    joined = p2_road.reach_of_seed(likelihood)
 
     for threshold in likelihood[seed].sort().values[:-1].tolist():
         mask = likelihood >= threshold
         assert torch.equal(joined >= threshold, remove_isolated(mask, seed))
 
 
+def test_replicates_draw_drives_and_the_images_within() -> None:
+    drives = {str(n): ([0.9, 0.1], [bool(n % 2), not n % 2]) for n in range(8)}  # 1, 0, 1, 0, …
+    tally = tally_of(**drives)
+
+    drawn = counting.replicate(tally)
+
+    means = drawn.mean(p2_road.pooled_auc)
+    assert float(counting.observe(tally).mean(p2_road.pooled_auc)) == 0.5
+    assert means.mul(8).frac().eq(0).all()  # of 8 drives, each whole
+    assert float(means.std()) == pytest.approx((0.25 / 8) ** 0.5, rel=0.1)
+    assert torch.equal(drawn.pooled.road.road.sum(-1), torch.full((len(means),), 8))
+
+
+def test_counts_resume_with_the_image_that_is_missing(tmp_path: Path) -> None:
+    write_drives(tmp_path)
+    dataset = open_dataset("camvid", tmp_path / "camvid")
+    _, whole = list(counting.count_images(dataset, ["prior:rows"], tmp_path / "counts"))[-1]
+    seen: list[str] = []
+
+    def prepare(_: Dataset) -> Predictor:
+        rows = load_detector("prior:rows")
+
+        def detect(image: Tensor, item: LabelledItem) -> Detection:
+            seen.append(item.name)
+            return rows.detect(image)
+
+        return detect
+
+    missing = sorted((tmp_path / "counts").iterdir())[1]
+    missing.unlink()
+    watched = replace(contender_from_name("prior:rows", {}), prepare=prepare)
+
+    ((number, again),) = counting.count_images(dataset, [watched], tmp_path / "counts")
+
+    assert (number, seen) == (3, [dataset.items[1].name])
+    for drive, counts in whole["prior:rows"].road.items():
+        assert torch.equal(again["prior:rows"].road[drive].road, counts.road)
+
+
 def test_a_confusion_is_printed_in_the_papers_order() -> None:
     confusion = torch.zeros(4, 4, dtype=torch.int64)
     confusion[SKY, SKY], confusion[SKY, VERTICAL] = 3, 1
     confusion[VERTICAL, VERTICAL], confusion[HORIZONTAL, VERTICAL] = 5, 2
-    confusion[3, SKY] = 7  # void
+    confusion[3, SKY] = 5  # void counts as vertical
 
-    assert p2.printed_ratios(confusion).tolist() == [[1, 0, 0], [1, 0, 0], [0.25, 0, 0.75]]
+    ratios = p2_layout.printed_ratios(confusion)
+
+    assert ratios.tolist() == [[0.5, 0, 0.5], [1, 0, 0], [0.25, 0, 0.75]]
+
+
+def test_the_maps_of_stages_end_in_the_potentials_of_the_patch() -> None:
+    network = PatchNetwork()
+    image = scene(3, 32, 32).image
+
+    stages = p2_layout.stage_maps(network, image)
+
+    sides = [tuple(maps.shape) for maps in stages.values()]
+    assert sides == [(4, 26, 26), (4, 13, 13), (16, 7, 7), (3, 1, 1)]
+    patch = normalise(image, network.settings.normalisation).pixels
+    potentials = list(stages.values())[-1].flatten()
+    assert torch.allclose(potentials, network(patch[None])[0], atol=1e-6)
 
 
 # --- P3 ---------------------------------------------------------------------------------
@@ -126,7 +162,7 @@ def test_a_confusion_is_printed_in_the_papers_order() -> None:
     ],
 )
 def test_planes_move_as_their_formulas_say(change, kept, lost) -> None:
-    moved = {name: float(each.mean()) for name, each in p3_light.moves(change, range(3)).items()}
+    moved = p3_light.moves(change, range(3))
 
     assert max(moved[name] for name in kept) < 0.25
     assert min(moved[name] for name in lost) > 0.5
@@ -150,13 +186,8 @@ def test_cells_are_areas_by_drive_beside_the_papers(tmp_path: Path) -> None:
     curve = Curve(*torch.from_numpy(p3_table3.mean_lines(run)["gaussian", "S"]))
     assert float(area(curve)) == pytest.approx(mean, abs=0.01)
     assert curve.x[[0, -1]].tolist() == [0, 1]
-    rows = p3_table3.table_rows(run)
-    assert [(row["classifier"], row["paper"]) for row in rows] == [
-        ("gaussian", 92.8),
-        ("dlp:paper", 92.9),
-    ]
-    low, high = (float(str(rows[0][end])) for end in ("low", "high"))
-    assert low <= 100 * mean <= high
+    rows = [(row["classifier"], row["paper"]) for row in p3_table3.table_rows(values)]
+    assert rows == [("gaussian", 92.8), ("dlp:paper", 92.9)]
 
 
 def test_p3s_table_has_all_its_values_and_ranks_like_itself() -> None:

@@ -11,7 +11,7 @@ import torch
 
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.teachers import TARGET_PLANES, Targets
-from train.street.__main__ import find_recipe, learn_network, load_backbone, mean, street_loss
+from train.street.__main__ import learn_network, load_backbone, mean, street_loss
 from train.street.batches import Batch, Sampler, make_planes, resize
 from train.street.compare import LEFT, RIGHT, Records, draw_weights, half_errors, mean_f
 from train.street.pack import (
@@ -176,11 +176,6 @@ def test_learning_lowers_the_loss_and_writes_weights_that_load(tmp_path: Path) -
     shipped = load_backbone("backbone-free", CPU).state_dict()
     learned = load_network(tmp_path / "new.safetensors").state_dict()
     assert any(not torch.equal(shipped[key], learned[key]) for key in shipped)
-
-
-def test_a_recipe_is_found_by_name_and_with_another_seed() -> None:
-    assert find_recipe("thin") == THIN
-    assert find_recipe("thin-3") == replace(THIN, name="thin-3", seed=3)
 
 
 def test_borders_of_road_and_vertical_weigh_more() -> None:

@@ -111,11 +111,10 @@ class Sampler:
         planes = make_planes(maps, known, self._recipe.margin)
         planes = augmentation.warp_affine(planes, frames, "zeros")
         batch = Batch(resize(images, size).clamp(0, 1), resize(planes, size).clamp(0, 1))
-        self._add_surface(batch)
-        self._add_shadow(batch)
-        self._add_ego_cars(batch)
-        self._add_weather(batch)
-        self._add_night(batch)
+        for add_effect in (self._add_surface, self._add_shadow, self._add_ego_cars):
+            add_effect(batch)
+        for add_effect in (self._add_weather, self._add_night):
+            add_effect(batch)
         self._degrade(batch.images)
         images = augmentation.jitter_light(batch.images, SETTINGS.light, rng)
         gain = (MIN_MEAN / augmentation.mean_brightness(images).clamp_min(1e-3)).clamp_min(1)

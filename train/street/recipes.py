@@ -52,7 +52,7 @@ FRAMED = replace(
     CONTROL,
     name="streets",
     hypothesis="streets framed anew, and dim images: the wrong halves shrink, nights gain",
-    groups={REAL: 0.5, ALL_KINDS: 0.3, STREETS: 0.15, SIMULATED: 0.05},
+    groups={REAL: 0.5, ALL_KINDS: 0.2, STREETS: 0.25, SIMULATED: 0.05},
     dim=0.15,
 )
 THIN = replace(
@@ -82,7 +82,7 @@ RECIPES = (
         name="rendered",
         hypothesis="rendered-free's three heads, on worlds varied anew at every visit, gain alone",
         initial="rendered-free",
-        groups={ALL_KINDS: 0.6, STREETS: 0.3, SIMULATED: 0.1},
+        groups={ALL_KINDS: 0.45, STREETS: 0.45, SIMULATED: 0.1},
         learns_backbone=False,
         learning_rate=1e-3,
     ),

@@ -1,0 +1,128 @@
+"""Counts of detectors on a labelled set, image by image and resumable, and intervals of scores."""
+
+import math
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from roadtorch.base.atomic import atomic_write
+from roadtorch.base.progress import Progress
+from roadtorch.data.dataset import Dataset
+from roadtorch.evaluation.methods import Contender, collect_contenders
+from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
+from roadtorch.evaluation.result import pool_groups
+from roadtorch.evaluation.scoring import score_dataset
+from roadtorch.evaluation.tally import ImageResult, PooledCounts, Tally
+from roadtorch.evaluation.uncertainty import (
+    BOOTSTRAP_SEED,
+    REPLICATES,
+    bootstrap_weights,
+    percentile_interval,
+    pool_replicates,
+)
+
+REPORT = 40  # images between two yields
+Tallies = Mapping[str, Tally]
+
+
+def count_images(
+    dataset: Dataset, contenders: Sequence[str | Contender], folder: Path
+) -> Iterator[tuple[int, Tallies]]:
+    """Yield how many images are counted, and the counts, after ``REPORT`` images and at the end.
+
+    Counts of an image are kept in ``folder``, from which the next run resumes; the figure removes
+    it. RuntimeError for an image that fails.
+    """
+    entries = collect_contenders(dataset, contenders, {}, with_baselines=False)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {item.name: folder / f"{item.name.replace('/', '-')}.pickle" for item in dataset.items}
+    missing = tuple(item for item in dataset.items if not paths[item.name].exists())
+    fresh = score_dataset(replace(dataset, items=missing), entries)
+    tallies = {entry.name: Tally() for entry in entries}
+    for number, item in enumerate(Progress(dataset.items, unit="image"), 1):
+        result = _read_or_write(paths[item.name], fresh)
+        if result.failure:
+            raise RuntimeError(f"{item.name}: {result.failure}")
+        for name, counts in result.counts.items():
+            tallies[name].add(item, counts)
+        if number % REPORT == 0 or number == len(dataset.items):
+            yield number, tallies
+
+
+def _read_or_write(path: Path, fresh: Iterator[ImageResult]) -> ImageResult:
+    if path.exists():
+        return pickle.loads(path.read_bytes())
+    result = next(fresh)
+    if not result.failure:
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(pickle.dumps(result))
+    return result
+
+
+# --- intervals --------------------------------------------------------------------------
+
+
+class Replicates(NamedTuple):
+    """Counts pooled over drives, and of each drive with the times that it is drawn.
+
+    Either those of all images, or of bootstrap replicates, (replicates, …).
+    """
+
+    pooled: PooledCounts
+    drives: Sequence[tuple[Tensor, PooledCounts]]
+
+    def mean(self, score: Callable[[PooledCounts], Tensor]) -> Tensor:
+        """Return the mean of a score over the drawn drives."""
+        total = sum(times * score(part) for times, part in self.drives)
+        return torch.as_tensor(total) / len(self.drives)
+
+
+def observe(tally: Tally) -> Replicates:
+    """Return the counts of all images, each drive once."""
+    drives = [(torch.tensor(1), pool_groups(tally, {drive: 0.5})) for drive in tally.road]
+    return Replicates(pool_groups(tally, dict.fromkeys(tally.road, 0.5)), drives)
+
+
+def replicate(tally: Tally) -> Replicates:
+    """Draw drives with replacement, where there are several, and images within each.
+
+    Tallies of the same images get the same draws, so that differences are paired.
+    """
+    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
+    names = list(tally.road)
+    times = torch.ones(REPLICATES, 1, dtype=torch.int64)
+    if len(names) > 1:
+        times = bootstrap_weights(len(names), generator)
+    drives = []
+    for column, name in enumerate(names):
+        table = tally.table([name])
+        weights = bootstrap_weights(len(table.names), generator)
+        drives.append((times[:, column], pool_replicates(table, math.nan, weights)))
+    return Replicates(_pool_drives(drives), drives)
+
+
+def _pool_drives(drives: Sequence[tuple[Tensor, PooledCounts]]) -> PooledCounts:
+    def total(part_of: Callable[[PooledCounts], Tensor]) -> Tensor:
+        parts = [(times, part_of(part)) for times, part in drives]
+        shaped = [times.reshape(-1, *[1] * (part.ndim - 1)) * part for times, part in parts]
+        return torch.stack(shaped).sum(0)
+
+    road = RoadCounts(total(lambda part: part.road.road), total(lambda part: part.road.background))
+    mask = ConfusionCounts(*total(lambda part: torch.stack(part.mask, 1)).unbind(1))
+    layout = None
+    if drives[0][1].layout is not None:
+        layout = total(lambda part: torch.as_tensor(part.layout))
+    boundary = total(lambda part: part.boundary)
+    return PooledCounts(road, mask, boundary, layout, None, total(lambda part: part.image_auc))
+
+
+def with_interval(value: Tensor, replicates: Tensor, style: str = ".3f") -> str:
+    """Format a score with its 95 % interval: ".957 (.929 to .971)"."""
+    ends = (float(value), *percentile_interval(replicates))
+    score, low, high = (f"{end:{style}}".replace("0.", ".", 1) for end in ends)
+    return f"{score} ({low} to {high})"
