@@ -47,7 +47,7 @@ Isolated = Annotated[
     Field(description="drop road regions that do not touch the seed area, if any does; or keep"),
 ]
 
-TUNED_THRESHOLD = "likelihood from which a pixel is road; the default has the best F on CamVid"
+TUNED_THRESHOLD = "likelihood from which a pixel is road; the default was chosen on CamVid's labels"
 """Description of a threshold that was chosen on labelled images: CamVid's three drives."""
 
 

@@ -6,7 +6,6 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.detectors.detector import (
-    TUNED_THRESHOLD,
     Analysis,
     Entry,
     Threshold,
@@ -26,7 +25,7 @@ from roadtorch.road.seed_area import seed_rectangle
 class IlluminantSettings(WorkingSettings):
     """Settings of the road's histogram in the illuminant-invariant plane."""
 
-    threshold: Threshold = Field(default=0.5, description=TUNED_THRESHOLD)
+    threshold: Threshold = 0.5
     invariant_angle: float | None = Field(
         default=None,
         ge=0,
