@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_290,
     "roadtorch/ufl": 1_380,
     "scripts": 4_190,
-    "tests": 25_520,
+    "tests": 25_760,
     "train": 6_225,
 }
 """The lines of source code that each folder may have."""

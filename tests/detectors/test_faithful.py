@@ -11,14 +11,23 @@ import torch
 from scipy.stats import rankdata
 from torch import Tensor
 
+from roadtorch.base.image import write_rgb_png
+from roadtorch.base.settings import merge, read_settings_file
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
+from roadtorch.layout.weights import load_network
 from roadtorch.oneclass import mixture
 from roadtorch.oneclass.samples import SampleSettings, road_samples
+from roadtorch.train.config import PatchTraining, build_training
+from roadtorch.train.patches import PatchRecipe, PatchSamples
+from roadtorch.train.run import TrainingRequest, train
 from roadtorch.ufl.features import DictionarySettings, initial_dictionary
-from tests.reference import alvarez2012, alvarez2014, zhang2016
+from tests.reference import alvarez2012, alvarez2014, cnn7_training, zhang2016
+from tests.train.runs import rows_of
 
-STEPS = Path(__file__).resolve().parents[2] / "docs/pictures/steps.jpg"
+ROOT = Path(__file__).resolve().parents[2]
+STEPS = ROOT / "docs/pictures/steps.jpg"
 
 
 IMAGES = {"motorway": np.s_[18:198, 40:280], "street": np.s_[256:496, :320]}
@@ -66,6 +75,64 @@ def test_equation_4_and_cnn_7_of_alvarez_et_al_at_single_pixels(name: str, seed:
     at_places = result.likelihood[tuple(places.T)].double().numpy()
     assert literal == pytest.approx(at_places, abs=1e-4)
     assert np.ptp(literal) > 0.3
+
+
+def test_the_mask_of_equations_1_to_4_without_isolated_areas() -> None:
+    image = real_image("motorway", 64, 48)
+    detector = load_detector("fusion:paper")
+    network = detector.analysis.get_submodule("network")
+    weights = {name: value.double().numpy() for name, value in network.state_dict().items()}
+
+    result = detector.detect(image.float())
+
+    segments = result.cues["segments"].numpy()
+    likelihood = alvarez2012.road_map(image.numpy(), weights, segments)
+    mask = alvarez2012.decide(likelihood, detector.settings.threshold)
+    np.testing.assert_allclose(result.likelihood, likelihood, atol=1e-4)
+    assert np.array_equal(result.mask, mask)
+    assert (mask != (likelihood > detector.settings.threshold)).any()
+    assert 0.1 < mask.mean() < 0.6
+
+
+def test_an_epoch_of_training_is_the_text_of_alvarez_et_al(tmp_path: Path) -> None:
+    image = real_image("motorway", 64, 48)
+    (tmp_path / "images").mkdir()
+    write_rgb_png(tmp_path / "images" / "one_1.png", image.float())
+    changes = {"stopping": {"rule": "epochs", "epochs": 1}, "descent": {"batch": 16}}
+    paper = read_settings_file(ROOT / "configs/cnn7-paper.toml")
+    training = build_training(merge(paper, changes))
+    assert isinstance(training, PatchTraining)
+    request = TrainingRequest(str(tmp_path / "images"), tmp_path / "out", quiet=True)
+
+    outcome = train(training, request)
+
+    # The random draws of the library; all else is the literal script's.
+    draws = PatchSamples(sorted(tmp_path.glob("out/prepared/*.npz")), training).sample_chunk(0, 0)
+    scale, angle, levels = (values.double().numpy() for values in draws.params[1:4])
+    noise = draws.noise[draws.params.noise_patch].double().numpy() * levels[:, None, None, None]
+    places = draws.params.centre.long().numpy()
+    segments = training.superpixels.cut(image.float()).numpy()
+    assert sorted(places.tolist()) == sorted(cnn7_training.centres(segments).tolist())
+    working = training.network.working
+    labels = label_layout(image.float(), training.labeller, working, training.superpixels).labels
+    network = PatchRecipe(training).make_network(None)
+    initial = {name: value.double().numpy() for name, value in network.state_dict().items()}
+    jitter = cnn7_training.Jitter(scale, angle, noise)
+    literal, error = cnn7_training.epoch(
+        initial,
+        cnn7_training.jittered_patches(image.numpy(), places, jitter),
+        labels.numpy()[tuple(places.T)],
+        [step.numpy() for step in draws.steps],
+    )
+    assert outcome.weights is not None
+    trained = load_network(outcome.weights).state_dict()
+    for name, values in literal.items():
+        np.testing.assert_allclose(trained[name], values, atol=1e-5)
+        assert abs(values - initial[name]).max() > 1e-3
+    assert float(rows_of(tmp_path / "out")[0]["loss"]) == pytest.approx(error, rel=1e-5)
+    for drawn, low, high in ((scale, 0.6, 1.4), (np.degrees(angle), -17, 17), (levels, 0.3, 1.2)):
+        assert low <= drawn.min() < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < drawn.max() <= high
 
 
 @pytest.mark.parametrize(
