@@ -31,11 +31,11 @@ LINES = {
     "roadtorch/ros": 380,
     "roadtorch/run": 2_630,
     "roadtorch/testing": 640,
-    "roadtorch/train": 3_290,
+    "roadtorch/train": 3_315,
     "roadtorch/ufl": 1_380,
     "scripts": 4_190,
     "tests": 25_760,
-    "train": 6_225,
+    "train": 6_240,
 }
 """The lines of source code that each folder may have."""
 

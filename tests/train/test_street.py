@@ -11,7 +11,7 @@ import torch
 
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.teachers import TARGET_PLANES, Targets
-from train.street.__main__ import learn_network, load_backbone, mean, street_loss
+from train.street.__main__ import find_recipe, learn_network, load_backbone, mean, street_loss
 from train.street.batches import Batch, Sampler, make_planes, resize
 from train.street.compare import LEFT, RIGHT, Records, draw_weights, half_errors, mean_f
 from train.street.pack import (
@@ -178,21 +178,30 @@ def test_learning_lowers_the_loss_and_writes_weights_that_load(tmp_path: Path) -
     assert any(not torch.equal(shipped[key], learned[key]) for key in shipped)
 
 
-def test_borders_of_road_and_vertical_weigh_more() -> None:
+def test_a_recipe_is_found_by_name_and_with_another_seed() -> None:
+    assert find_recipe("thin") == THIN
+    assert find_recipe("thin-3") == replace(THIN, name="thin-3", seed=3)
+
+
+def test_borders_of_road_and_vertical_weigh_where_truth_is_exact() -> None:
     network = load_backbone("backbone-free", CPU)
     planes = torch.zeros(1, 8, 64, 96)
     planes[:, 3] = planes[:, 5] = 1
     planes[:, 2], planes[:, 4] = 1, 1  # road everywhere
-    images = torch.full((1, 3, 64, 96), 0.5)
-    plain, weighted = replace(THIN, border=0.0), THIN
+    images, exact = torch.full((1, 3, 64, 96), 0.5), torch.ones(1, 1, 1, 1)
 
-    assert street_loss(network, Batch(images, planes), plain) == street_loss(
-        network, Batch(images, planes), weighted
-    )
+    def losses(exact: torch.Tensor) -> list[float]:
+        batch = Batch(images, planes, exact)
+        recipes = replace(THIN, border=0.0), THIN
+        return [street_loss(network, batch, recipe).item() for recipe in recipes]
+
+    plain, weighted = losses(exact)
+    assert plain == weighted
     planes[:, 1, 20:40, 40:50], planes[:, 2, 20:40, 40:50], planes[:, 4, 20:40, 40:50] = 1, 0, 0
-    assert street_loss(network, Batch(images, planes), plain) < street_loss(
-        network, Batch(images, planes), weighted
-    )
+    plain, weighted = losses(exact)
+    assert plain < weighted
+    plain, weighted = losses(0 * exact)
+    assert plain > weighted  # machine labels teach nothing there
 
 
 def test_the_mean_of_weights_lies_between_them(tmp_path: Path) -> None:
@@ -230,8 +239,9 @@ def test_held_out_worlds_are_scored_by_kind(tmp_path: Path) -> None:
 
 def test_errors_of_a_half_are_fractions_of_the_true_road() -> None:
     counts = torch.tensor([[30, 5, 10, 50, 20, 10, 0, 0], [10, 0, 0, 10, 0, 0, 0, 0]])
-    cameras = np.array(["a", "b"])
-    records = Records(cameras, [(), ()], counts, torch.zeros(2, 2, 4))
+    counts = torch.cat([counts, torch.tensor([[0, 7, 0, 0, 3, 0, 0, 0]])])
+    cameras = np.array(["a", "b", "roadless"])
+    records = Records(cameras, [()] * 3, counts, torch.zeros(3, 2, 4))
     weights = draw_weights(cameras)
 
     def first(score) -> float:

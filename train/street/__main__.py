@@ -14,7 +14,7 @@ import math
 import random
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,8 +45,6 @@ EMA = 0.995
 LOG_STEPS = 20
 """Steps between two rows of losses, at which the program waits for the device."""
 
-NAMES = tuple(recipe.name for recipe in RECIPES)
-
 
 class Loss(NamedTuple):
     """Mean loss of the last steps of a run, after so many seconds and visits to an image."""
@@ -67,7 +65,8 @@ def street_loss(network: BackboneNetwork, batch: Batch, recipe: Recipe) -> Tenso
     if recipe.border:
         vertical = targets.layout[:, VERTICAL : VERTICAL + 1] * targets.layout_weight
         nearby = [F.max_pool2d(mask, 3, 1, 1) for mask in (targets.road, vertical)]
-        gain = 1 + recipe.border * nearby[0] * nearby[1]
+        border = nearby[0] * nearby[1]
+        gain = 1 + border * torch.where(batch.exact > 0, recipe.border, -1.0)
         targets = targets._replace(
             road_weight=targets.road_weight * gain, layout_weight=targets.layout_weight * gain
         )
@@ -149,6 +148,13 @@ def write_rows(path: Path, run: str, rows: Sequence[Loss] | Sequence[KindScores]
         writer.writerows([run, *row] for row in rows)
 
 
+def find_recipe(text: str) -> Recipe:
+    """Return the recipe of NAME, or with another seed, and named so, of NAME-SEED."""
+    name, _, seed = text.partition("-")
+    recipe = next(recipe for recipe in RECIPES if recipe.name == name)
+    return replace(recipe, name=text, seed=int(seed)) if seed else recipe
+
+
 def learn(options: argparse.Namespace) -> None:
     """Run the recipes within the time, and write each one's weights, losses and scores."""
     end, device = time.monotonic() + 60 * options.minutes, torch.device(options.device)
@@ -157,8 +163,9 @@ def learn(options: argparse.Namespace) -> None:
     pack = read_pack(options.pack)
     tensors = [maps.to(device) for maps in (pack.images, pack.maps, pack.known)]
     pack = Pack(pack.groups, pack.names, *tensors)
+    print(len(pack.names), "images,", round(end - time.monotonic()), "seconds left", flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
-    held, recipes = options.out / "held.csv", [r for r in RECIPES if r.name in options.only]
+    held, recipes = options.out / "held.csv", options.only or RECIPES
     for initial in dict.fromkeys(recipe.initial for recipe in recipes):
         write_rows(held, initial, score_held_worlds(load_backbone(initial, device), pack))
     for number, recipe in enumerate(recipes):
@@ -199,7 +206,7 @@ def main() -> None:
     learning.add_argument("--steps", type=int, default=0, help="of each run, in place of the time")
     learning.add_argument("--batch", type=int, default=128)
     learning.add_argument("--device", default="cuda")
-    learning.add_argument("--only", nargs="*", choices=NAMES, default=NAMES)
+    learning.add_argument("--only", nargs="*", type=find_recipe, metavar="NAME[-SEED]")
     learning.set_defaults(run=learn)
     averaging = commands.add_parser("mean")
     averaging.add_argument("parts", nargs="+", metavar="WEIGHT:FILE")

@@ -31,6 +31,9 @@ MARGIN = 0.2
 BALANCE = 0.2
 """A recording of n real images has the sampling weight n^(1 - balance)."""
 
+WORLD_BALANCE = 0.5
+"""The same for kinds of worlds, most of which are towns."""
+
 GEOMETRY = augmentation.GeometryAugmentation(
     scale=0.35, stretch=0.25, rotation=5.0, translation=0.12, crop_probability=0.25
 )
@@ -55,10 +58,14 @@ BLURRED = 0.1
 
 
 class Batch(NamedTuple):
-    """Images (n, 3, H, W) in [0, 1] and their stacked ``Targets`` (n, 8, H, W)."""
+    """Images (n, 3, H, W) in [0, 1], their stacked ``Targets`` (n, 8, H, W), and which are exact.
+
+    exact: 1 for a renderer's truth, 0 for machine labels, (n, 1, 1, 1).
+    """
 
     images: Tensor
     planes: Tensor
+    exact: Tensor
 
 
 def make_planes(maps: Tensor, known: Tensor, margin: float) -> Tensor:
@@ -88,14 +95,18 @@ class Sampler:
         self.device = pack.images.device
         self._rng = torch.Generator(self.device).manual_seed(recipe.seed)
         self._choice = random.Random(recipe.seed)
-        recordings = Counter(map(recording_of, pack.names))
-        chances = [recordings[recording_of(name)] ** -BALANCE for name in pack.names]
+        self._exact = torch.from_numpy(pack.groups != REAL).float().to(self.device)
+        sources = [source_of(*names) for names in zip(pack.groups, pack.names, strict=True)]
+        sizes = Counter(sources)
+        chances = torch.tensor(
+            [sizes[name] ** -(BALANCE if name[0] == REAL else WORLD_BALANCE) for name in sources]
+        )
         self._members: list[tuple[Tensor, Tensor, float]] = []
         for group, fraction in recipe.groups.items():
             rows = torch.from_numpy((pack.groups == group).nonzero()[0])
-            weights = torch.tensor(chances)[rows] if group == REAL else torch.ones(len(rows))
             if len(rows):
-                self._members.append((rows.to(self.device), weights.to(self.device), fraction))
+                weights = chances[rows].to(self.device)
+                self._members.append((rows.to(self.device), weights, fraction))
         ego = (pack.maps[:, EGO_MAP] == 255) & pack.known[:, 2]
         across, area = ego.any(-2).float().mean(-1), ego.float().mean((-2, -1))
         is_held = torch.from_numpy(pack.groups == HELD_GROUP).to(self.device)
@@ -110,11 +121,13 @@ class Sampler:
         images = augmentation.warp_affine(pack.images[members] / 255, frames, "border")
         planes = make_planes(maps, known, self._recipe.margin)
         planes = augmentation.warp_affine(planes, frames, "zeros")
-        batch = Batch(resize(images, size).clamp(0, 1), resize(planes, size).clamp(0, 1))
-        for add_effect in (self._add_surface, self._add_shadow, self._add_ego_cars):
-            add_effect(batch)
-        for add_effect in (self._add_weather, self._add_night):
-            add_effect(batch)
+        images, planes = (resize(part, size).clamp(0, 1) for part in (images, planes))
+        batch = Batch(images, planes, self._exact[members].reshape(-1, 1, 1, 1))
+        self._add_surface(batch)
+        self._add_shadow(batch)
+        self._add_ego_cars(batch)
+        self._add_weather(batch)
+        self._add_night(batch)
         self._degrade(batch.images)
         images = augmentation.jitter_light(batch.images, SETTINGS.light, rng)
         gain = (MIN_MEAN / augmentation.mean_brightness(images).clamp_min(1e-3)).clamp_min(1)
@@ -193,9 +206,11 @@ class Sampler:
         images[part] = F.avg_pool2d(images[part], 3, 1, 1, count_include_pad=False)
 
 
-def recording_of(name: object) -> str:
-    """Return the recording of an image of a pack."""
-    return recording_name(str(name), "_")
+def source_of(group: object, name: object) -> tuple[str, str]:
+    """Return the group of an image of a pack, and its recording or its kind."""
+    text = str(name)
+    source = text.split("_")[1] if text[0].isdigit() else recording_name(text, "_")
+    return str(group), source
 
 
 def resize(maps: Tensor, size: tuple[int, int]) -> Tensor:

@@ -171,22 +171,31 @@ def camera_f(camera: str) -> Score:
     return lambda records, weights: f_of(pool(records, weights, records.cameras == camera))
 
 
+def cameras_with_road(records: Records) -> list[str]:
+    """Return the cameras, or kinds, whose images show road."""
+    ones, names = torch.ones(1, len(records.cameras)).double(), np.unique(records.cameras)
+    hits_and_missed = [
+        pool(records, ones, records.cameras == name)[:, [0, 2, 3, 5]] for name in names
+    ]
+    return [str(name) for name, road in zip(names, hits_and_missed, strict=True) if road.any()]
+
+
 def mean_f(records: Records, weights: Tensor) -> Tensor:
     """Compute the mean of F over the cameras."""
-    cameras = np.unique(records.cameras)
+    cameras = cameras_with_road(records)
     return torch.stack([camera_f(name)(records, weights) for name in cameras]).mean(0)
 
 
 def worst_f(records: Records, weights: Tensor) -> Tensor:
     """Compute the least F of a camera."""
-    cameras = np.unique(records.cameras)
+    cameras = cameras_with_road(records)
     return torch.stack([camera_f(name)(records, weights) for name in cameras]).amin(0)
 
 
 def mean_max_f(records: Records, weights: Tensor) -> Tensor:
     """Compute the mean of MaxF over the cameras, each at its best threshold."""
     best = []
-    for camera in np.unique(records.cameras):
+    for camera in cameras_with_road(records):
         rows = torch.from_numpy((records.cameras == camera).nonzero()[0])
         levels = torch.einsum("dn,nkl->kdl", weights[:, rows], records.levels[rows].double())
         best.append(max_f(RoadCounts(*levels.round().long()))[0])
@@ -251,7 +260,7 @@ def scores_of(name: str, records: Records) -> Mapping[str, Score]:
                 scores[f"{camera} missed {side}"] = half_errors(camera, half, 2)
     for condition in sorted(set(chain(*records.conditions))):
         scores[f"F {condition}"] = condition_f(condition)
-    return scores | {f"F {camera}": camera_f(camera) for camera in np.unique(records.cameras)}
+    return scores | {f"F {camera}": camera_f(camera) for camera in cameras_with_road(records)}
 
 
 # --- table ------------------------------------------------------------------------------
