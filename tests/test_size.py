@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/ufl": 1_380,
     "scripts": 4_190,
     "tests": 25_760,
-    "train": 6_240,
+    "train": 6_910,
 }
 """The lines of source code that each folder may have."""
 
