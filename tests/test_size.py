@@ -33,8 +33,8 @@ LINES = {
     "roadtorch/testing": 640,
     "roadtorch/train": 3_315,
     "roadtorch/ufl": 1_380,
-    "scripts": 4_190,
-    "tests": 25_760,
+    "scripts": 5_080,
+    "tests": 25_900,
     "train": 6_910,
 }
 """The lines of source code that each folder may have."""

@@ -4,7 +4,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from scripts.figures import p1, p2_eq3, p2_layout, p2_road, p2_topologies, p3_light, p3_table3
+from scripts.figures import (
+    p1,
+    p1_stages,
+    p2_eq3,
+    p2_layout,
+    p2_road,
+    p2_topologies,
+    p3_area,
+    p3_light,
+    p3_shares,
+    p3_table3,
+)
 
 
 class PaperFigure(NamedTuple):
@@ -19,6 +30,12 @@ class PaperFigure(NamedTuple):
 
 
 FIGURES: Mapping[str, PaperFigure] = {
+    "p1-fig1": PaperFigure(p1_stages.fig1, (".jpg",)),
+    "p1-fig2": PaperFigure(p1_stages.fig2, (".csv", ".jpg")),
+    "p1-fig3": PaperFigure(p1_stages.fig3, (".csv", ".jpg")),
+    "p1-fig4": PaperFigure(p1_stages.fig4, ("a.png", "b.jpg")),
+    "p1-fig5": PaperFigure(p1_stages.fig5, (".jpg",)),
+    "p1-fig6": PaperFigure(p1.fig6, (".csv", ".png")),
     "p1-table1": PaperFigure(p1.table1, (".csv",)),
     "p1-table2": PaperFigure(p1.table2, (".csv",)),
     "p2-eq3": PaperFigure(p2_eq3.eq3, (".csv",)),
@@ -33,6 +50,13 @@ FIGURES: Mapping[str, PaperFigure] = {
     "p2-fig6b": PaperFigure(p2_road.fig6b, (".csv",)),
     "p2-fig7": PaperFigure(p2_road.fig7, (".jpg",)),
     "p2-fig8": PaperFigure(p2_road.fig8, (".jpg",)),
+    "p3-fig1": PaperFigure(p3_area.fig1, (".jpg",)),
+    "p3-fig2": PaperFigure(p3_area.fig2, (".jpg",)),
+    "p3-fig3": PaperFigure(p3_area.fig3, (".csv", "a.jpg", ".png")),
+    "p3-fig4": PaperFigure(p3_area.fig4, (".csv", ".jpg", ".png")),
+    "p3-fig5": PaperFigure(p3_shares.fig5, (".csv", ".png")),
+    "p3-fig6": PaperFigure(p3_shares.fig6, (".csv", ".jpg")),
+    "p3-fig7": PaperFigure(p3_shares.fig7, (".png",)),
     "p3-fig8": PaperFigure(p3_table3.fig8, (".png",)),
     "p3-fig9": PaperFigure(p3_table3.fig9, ("a.png", "b.png")),
     "p3-table2": PaperFigure(p3_light.table2, (".csv", "-camvid.csv", ".png")),

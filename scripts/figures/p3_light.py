@@ -23,6 +23,7 @@ from roadtorch.imaging.color import PLANES, color_plane
 from roadtorch.oneclass.axes import circular_mean, unroll_hue
 from roadtorch.testing.scenes import RenderedScene, render_scene
 from scripts.figures.chart import chart, show_table
+from scripts.figures.counting import mean_interval
 
 NAMES = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "a", "b", "H", "S")
 
@@ -164,8 +165,8 @@ def deviation(values: Tensor, name: str) -> float:
     return float(distance(values, mean, name).square().mean().sqrt())
 
 
-def moves(change: Change, seeds: Sequence[int]) -> dict[str, float]:
-    """Return how far the road's median moves, over the plane's deviation in the images."""
+def moves(change: Change, seeds: Sequence[int]) -> dict[str, Tensor]:
+    """Return how far the road's median moves in each scene, over the plane's deviation: (n,)."""
     pairs = [pair for pair in map(change, seeds) if pair.here.any() and pair.there.any()]
     moved = {}
     for name in NAMES:
@@ -174,20 +175,22 @@ def moves(change: Change, seeds: Sequence[int]) -> dict[str, float]:
         here = [median_of(one[pair.here], name) for one, pair in zip(ones, pairs, strict=True)]
         there = [median_of(two[pair.there], name) for two, pair in zip(others, pairs, strict=True)]
         shifts = distance(torch.stack(here), torch.stack(there), name)
-        moved[name] = float(shifts.mean()) / deviation(torch.stack(ones).flatten(), name)
+        moved[name] = shifts / deviation(torch.stack(ones).flatten(), name)
     return moved
 
 
-def discriminative_power(dataset: Dataset) -> dict[str, float]:
-    """Return the mean AUC of one Gaussian in the images of a set that show road, by plane."""
+def discriminative_power(dataset: Dataset) -> dict[str, Tensor]:
+    """Return the AUC of one Gaussian in the images of a set that show road, (n,) by plane."""
     read = [dataset.read(item) for item in dataset.items]
     areas = {}
     for name in NAMES:
         detector = load_detector(f"oneclass:gaussian:{name}")
-        areas[name] = fmean(
-            float(auc(count_levels(detector.detect(image).likelihood, truth.road, truth.valid)))
-            for image, truth in read
-            if truth.road.any()
+        areas[name] = torch.stack(
+            [
+                auc(count_levels(detector.detect(image).likelihood, truth.road, truth.valid))
+                for image, truth in read
+                if truth.road.any()
+            ]
         )
     return areas
 
@@ -256,15 +259,16 @@ def draw_moves(path: Path, rows: Sequence[Row]) -> None:
 def table2(data: Path, out: Path) -> None:
     """Write P3's Table II: shift of the road in each plane when light, place or shape change."""
     few = subsample_dataset(open_dataset("camvid", data / "camvid"), IMAGES)
-    rows: list[Row] = [
-        {"property": name, **moves(change, range(SCENES))} for name, change in CHANGES.items()
-    ]
-    rows.append({"property": "discriminative power (AUC)", **discriminative_power(few)})
-    with_signs: list[Row] = []
-    for row in rows:
-        signs = {name: printed_sign(name, str(row["property"])) for name in NAMES}
-        with_signs += [row, {"property": "  P3", **signs}]
-    show_table(out / "p3-table2.csv", with_signs)
+    measured = {name: moves(change, range(SCENES)) for name, change in CHANGES.items()}
+    measured["discriminative power (AUC)"] = discriminative_power(few)
+    rows: list[Row] = []
+    table: list[Row] = []
+    for of, values in measured.items():
+        rows.append({"property": of} | {name: float(values[name].mean()) for name in NAMES})
+        ends = {name: "{:.2f} to {:.2f}".format(*mean_interval(values[name])) for name in NAMES}
+        signs = {name: printed_sign(name, of) for name in NAMES}
+        table += [rows[-1], {"property": "  95 %", **ends}, {"property": "  P3", **signs}]
+    show_table(out / "p3-table2.csv", table)
     print("Signs as P3's: {} of {}\n".format(*agreement(rows)))
     moved = drive_rows(few)
     show_table(out / "p3-table2-camvid.csv", moved)

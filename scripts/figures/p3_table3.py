@@ -98,18 +98,17 @@ def mean_lines(evaluation: Evaluation) -> Mapping[Key, np.ndarray]:
     return lines
 
 
-def table_rows(values: Mapping[Key, float]) -> list[Mapping[str, object]]:
-    """Return a row a cell, beside P3's value."""
-    paper = printed_table()
-    return [
-        {
-            "classifier": name,
-            "representation": planes,
-            "auc": f"{value:.2f}",
-            "paper": paper.get((name.removesuffix(":paper"), planes), ""),
-        }
-        for (name, planes), value in values.items()
-    ]
+def table_rows(evaluation: Evaluation) -> list[Mapping[str, object]]:
+    """Return a row a cell: AUC in percent, its 95 % interval, P3's value."""
+    paper, names = printed_table(), cells(evaluation)
+    rows = []
+    for (name, planes), value in percents(evaluation).items():
+        low, high = evaluation.detectors[names[name, planes]].intervals[AUC_MEAN.key]
+        figures = {"auc": value, "low": 100 * low, "high": 100 * high}
+        row = {"classifier": name, "representation": planes}
+        row |= {key: f"{figure:.2f}" for key, figure in figures.items()}
+        rows.append(row | {"paper": paper.get((name.removesuffix(":paper"), planes), "")})
+    return rows
 
 
 def rank_correlation(values: Mapping[Key, float], columns: Sequence[str]) -> float:
@@ -167,8 +166,9 @@ def fig9(data: Path, out: Path) -> None:
 def table3(data: Path, out: Path) -> None:
     """Write P3's Table III: AUC of 17 classifiers in 19 representations, ours and P3's."""
     patterns = ["oneclass:*:*", *list_detectors("oneclass:*:paper")]
-    values = percents(evaluate_few(data, patterns))
-    show_table(out / "p3-table3.csv", table_rows(values))
+    run = evaluate_few(data, patterns)
+    show_table(out / "p3-table3.csv", table_rows(run))
+    values = percents(run)
     for half, planes in HALVES.items():
         print(
             f"Spearman's rank correlation with P3, {half}: {rank_correlation(values, planes):+.2f}"

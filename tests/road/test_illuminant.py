@@ -64,6 +64,18 @@ def test_a_surface_has_one_value_under_every_planckian_light(kelvins: float) -> 
     assert values[0, 0] == pytest.approx(float(values[0, 1]), abs=1e-9)
 
 
+def test_the_plane_is_that_of_the_authors_program() -> None:
+    image = torch.rand(3, 12, 16, generator=torch.Generator().manual_seed(2)).clamp_min(1 / 255)
+    red, green, blue = image.double()
+
+    plane = invariant_plane(log_chromaticity(image), 40.0)
+
+    # GetInvariantImage.m (2012) has 5000 (x^(1/5000) - 1) for the logarithm of a ratio.
+    logs = [5000 * ((part / green) ** (1 / 5000) - 1) for part in (red, blue)]
+    program = math.cos(math.radians(40)) * logs[0] + math.sin(math.radians(40)) * logs[1]
+    assert float((plane - program).abs().max()) < 0.005
+
+
 def test_the_entropy_is_least_across_the_direction_of_light() -> None:
     generator = np.random.default_rng(1)
     colours = generator.uniform(0.1, 0.6, (12, 3))

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detection
 from roadtorch.evaluation import metrics
@@ -23,22 +23,49 @@ from roadtorch.evaluation.tally import ImageCounts, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
-from roadtorch.testing.scenes import render_scene
-from scripts.figures import counting, p1, p2_layout, p2_road, p3_light, p3_table3
+from scripts.figures import counting, p1, p1_stages, p2_layout, p2_road, p3_light, p3_table3
+from scripts.figures.counting import mean_interval
 from tests.streets import as_bytes, scene, write_camvid, write_drives
 
 # --- P1 ---------------------------------------------------------------------------------
 
 
-def test_counts_are_pooled_over_images() -> None:
-    empty = Truth(torch.zeros(120, 160, dtype=torch.bool), torch.ones(120, 160, dtype=torch.bool))
-    half = Truth((torch.arange(160) < 80).expand(120, 160), empty.valid)
-    image = render_scene(3, 120, 160).image
+def test_scores_are_pooled_over_images_of_p1s_size(tmp_path: Path) -> None:
+    write_drives(tmp_path)
+    dataset = p1.open_small(tmp_path, "camvid")
+    sizes = {dataset.read(item)[0].shape for item in dataset.items}
+    roads = [truth.road & truth.valid for _, truth in map(dataset.read, dataset.items)]
 
-    counts = p1.pooled_counts([(image, empty), (image, half)], ["prior:uniform"])["prior:uniform"]
+    (row,) = p1.score_variants(dataset, {"all": ("prior:uniform", {})}, tmp_path / "counts")
 
-    assert int(counts.true_positive) == 120 * 80
-    assert int(counts.false_positive) == 120 * 160 + 120 * 80
+    assert sizes == {(3, 120, 160)}
+    valid = sum(int(dataset.read(item)[1].valid.sum()) for item in dataset.items)
+    share = sum(int(road.sum()) for road in roads) / valid
+    assert (row["P"], row["R"]) == (f"{100 * share:.2f}", "100.00")
+    assert float(str(row["low"])) <= float(str(row["F"])) <= float(str(row["high"]))
+
+
+def test_road_patches_are_road_from_far_to_near() -> None:
+    road = torch.zeros(60, 80, dtype=torch.bool)
+    road[20:, 10:50] = True
+
+    corners = p1_stages.road_patches(road, count=3)
+
+    assert corners == [(20, 24), (34, 24), (48, 24)]
+    assert p1_stages.road_patches(road[:25]) == []
+
+
+def test_a_parent_stands_over_the_middle_of_its_children() -> None:
+    assert p1_stages.node_columns([-1, 0, 0, 1, 1, 2]) == [1.25, 0.5, 2.0, 0.0, 1.0, 2.0]
+
+
+def test_the_interval_of_a_mean_is_that_of_its_standard_error() -> None:
+    values = torch.arange(100.0)
+
+    low, high = mean_interval(values)
+
+    error = float(values.std()) / 10
+    assert (low, high) == pytest.approx((49.5 - 1.96 * error, 49.5 + 1.96 * error), abs=0.4)
 
 
 # --- P2 ---------------------------------------------------------------------------------
@@ -162,7 +189,7 @@ def test_the_maps_of_stages_end_in_the_potentials_of_the_patch() -> None:
     ],
 )
 def test_planes_move_as_their_formulas_say(change, kept, lost) -> None:
-    moved = p3_light.moves(change, range(3))
+    moved = {name: float(each.mean()) for name, each in p3_light.moves(change, range(3)).items()}
 
     assert max(moved[name] for name in kept) < 0.25
     assert min(moved[name] for name in lost) > 0.5
@@ -186,8 +213,13 @@ def test_cells_are_areas_by_drive_beside_the_papers(tmp_path: Path) -> None:
     curve = Curve(*torch.from_numpy(p3_table3.mean_lines(run)["gaussian", "S"]))
     assert float(area(curve)) == pytest.approx(mean, abs=0.01)
     assert curve.x[[0, -1]].tolist() == [0, 1]
-    rows = [(row["classifier"], row["paper"]) for row in p3_table3.table_rows(values)]
-    assert rows == [("gaussian", 92.8), ("dlp:paper", 92.9)]
+    rows = p3_table3.table_rows(run)
+    assert [(row["classifier"], row["paper"]) for row in rows] == [
+        ("gaussian", 92.8),
+        ("dlp:paper", 92.9),
+    ]
+    low, high = (float(str(rows[0][end])) for end in ("low", "high"))
+    assert low <= 100 * mean <= high
 
 
 def test_p3s_table_has_all_its_values_and_ranks_like_itself() -> None:
