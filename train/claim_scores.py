@@ -11,8 +11,10 @@ many) count the same. The intervals are of 95 % over images, drawn within their 
 
 import argparse
 import csv
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import NamedTuple
 
@@ -124,7 +126,7 @@ def measure(table: ImageTable) -> Scores:
             recalls.append(metrics.mean_class_recall(confusion.unflatten(1, (4, 4))))
     undefined = torch.full((REPLICATES + 1,), torch.nan, dtype=torch.float64)
     areas = torch.stack([metrics.auc(road) for road in roads])
-    pooled = RoadCounts(*(torch.stack(parts).sum(0) for parts in zip(*roads, strict=True)))
+    pooled = reduce(RoadCounts.__add__, roads)
     recall = torch.stack(recalls or [undefined]).mean(0)
     return Scores(recall, areas.mean(0), metrics.auc(pooled))
 
@@ -141,10 +143,10 @@ def mean_of_seeds(values: Sequence[Tensor]) -> Tensor:
     return torch.stack(list(values), 1).gather(1, seed_draws()).mean(1)
 
 
-def difference_columns(values: Tensor) -> dict[str, str]:
+def difference_columns(title: str, values: Tensor) -> dict[str, str]:
     """Format a difference (replicates + 1,) and its 95 % interval."""
     low, high = percentile_interval(values[1:])
-    return {"difference": f"{values[0]:+.3f}", "low": f"{low:+.3f}", "high": f"{high:+.3f}"}
+    return {title: f"{values[0]:+.3f}", f"{title}, 95 %": f"{low:+.3f} to {high:+.3f}"}
 
 
 # --- tables -------------------------------------------------------------------------------
@@ -188,7 +190,7 @@ def claim_rows(
                 "of the teacher": f"{reference[0]:.3f}",
                 "mean of 5 students": f"{first.mean():.3f}",
                 "sd": f"{first.std():.3f}",
-                **difference_columns(mean_of_seeds(students) - reference),
+                **difference_columns("difference", mean_of_seeds(students) - reference),
                 "epochs": " ".join(map(str, epochs)),
             }
 
@@ -212,7 +214,8 @@ def fusion_rows(
                 "layout": f"{layout[0]:.3f}",
                 "product": f"{product[0]:.3f}",
                 "sd": f"{torch.stack(products)[:, 0].std():.3f}",
-                **difference_columns(product - areas[TEXTURE]),
+                **difference_columns("product - texture", product - areas[TEXTURE]),
+                **difference_columns("product - layout", product - layout),
                 ROWS: f"{areas[ROWS][0]:.3f}",
             }
 
@@ -235,6 +238,46 @@ def confusion_rows(
             accuracy = {"global average accuracy": f"{recalls.mean():.3f}"}
             origin = {"teacher": teacher, "training": config, "of": title, "truth": truth}
             yield {**origin, **decisions, **accuracy}
+
+
+# --- the page -----------------------------------------------------------------------------
+
+
+def page_rows(folder: Path) -> Iterator[str]:
+    """Yield the rows of the page's two tables from the files of ``write_tables``."""
+    claims, products = read_csv(folder / "claim.csv"), read_csv(folder / "claim_fusion.csv")
+    for teacher in TEACHERS:
+        rows = [r for r in claims if (r["teacher"], r["measure"]) == (teacher, "recall")]
+        scores = {row["set"]: row["of the teacher"] for row in rows}
+        yield format_row(f"**{teacher} teacher**", *scores.values())
+        for config in dict.fromkeys(row["training"] for row in rows):
+            cells = [
+                f"{row['mean of 5 students']} ± {row['sd']}: {row['difference']} "
+                f"({row['difference, 95 %']})"
+                for row in rows
+                if row["training"] == config
+            ]
+            yield format_row(f"`{config}`", *cells)
+    for row in products:
+        if (row["training"], row["average"]) == ("cnn7", "by groups"):
+            cells = [
+                f"{row[kind]} ({row[f'{kind}, 95 %']})"
+                for kind in ("product - texture", "product - layout")
+            ]
+            areas = [row["texture"], row["layout"], row["product"]]
+            yield format_row(f"{row['set']}, {row['teacher']}", *areas, *cells, row[ROWS])
+
+
+def format_row(*cells: str) -> str:
+    """Format a row of a table, with the signs and the decimals of the pages."""
+    text = "| " + " | ".join(cells) + " |"
+    return re.sub(r"(?<!\d)0\.", ".", text).replace("-.", "\N{MINUS SIGN}.")
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Read the rows of a file."""
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
@@ -260,6 +303,7 @@ def main() -> None:
         score(options.data, options.out)
     else:
         write_tables(options.out, options.write)
+        print("\n".join(page_rows(options.write)))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from roadtorch.testing.scenes import render_scene, write_image
 from scripts.figures import FIGURES
 from scripts.readme_pictures import made_with
 from tests.videos import write_video
+from train.claim_scores import page_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("features", "layout_texture", "one_class", "index")
@@ -166,6 +167,12 @@ def test_the_page_says_what_the_tables_say() -> None:
     page = " ".join((ROOT / "docs/how/one_class.md").read_text(encoding="utf-8").split())
 
     assert [claim for claim in claims() if claim not in page] == []
+
+
+def test_the_page_has_the_claims_that_were_measured() -> None:
+    page = (ROOT / "docs/how/layout_texture.md").read_text(encoding="utf-8").splitlines()
+
+    assert [row for row in page_rows(RESEARCH) if row not in page] == []
 
 
 # --- parts made of the code -------------------------------------------------------------

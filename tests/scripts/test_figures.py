@@ -1,6 +1,6 @@
 """The figures and tables of the papers on rendered streets: what they measure.
 
-tests/docs/test_paper_commands.py makes each of them.
+tests/docs/test_paper_figures.py makes each of them.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Commands of figures and tables, on an image of each set, and the page that shows them."""
+"""Figures and tables on an image of each set, and the page that shows them."""
 
 import re
 import sys
