@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/ufl": 1_380,
     "scripts": 5_080,
     "tests": 25_900,
-    "train": 6_910,
+    "train": 6_960,
 }
 """The lines of source code that each folder may have."""
 
