@@ -122,10 +122,10 @@ def _pool_drives(drives: Sequence[tuple[Tensor, PooledCounts]]) -> PooledCounts:
 
 
 def with_interval(value: Tensor, replicates: Tensor, style: str = ".3f") -> str:
-    """Format a score with its 95 % interval: ".957 (.929 to .971)"."""
+    """Format a score with its 95 % interval, ".957 (.929–.971)"; "to" between signed ends."""
     ends = (float(value), *percentile_interval(replicates))
     score, low, high = (f"{end:{style}}".replace("0.", ".", 1) for end in ends)
-    return f"{score} ({low} to {high})"
+    return f"{score} ({low} to {high})" if "+" in style else f"{score} ({low}–{high})"
 
 
 def mean_interval(values: Tensor) -> Interval:

@@ -97,10 +97,10 @@ def test_areas_are_pooled_and_by_drive_and_gains_are_over_the_baselines() -> Non
     # and two ties. By drives 1 and 0.
     pooled = [str(row["AUC, pooled"]).split()[0] for row in rows]
     assert pooled == [".500", "1.000", ".556", "1.000"]
-    assert rows[2]["AUC, by drives"] == ".500 (.000 to 1.000)"
+    assert rows[2]["AUC, by drives"] == ".500 (.000–1.000)"
     assert (rows[1]["over LBP, %, pooled"], rows[1]["P2's gain"]) == ("+100 (+100 to +100)", "8 %")
     assert rows[1]["less rows, pooled"] == "+.000 (+.000 to +.000)"
-    assert {row[f"AUC, pooled{p2_road.WHOLE}"] for row in rows} == {".500 (.500 to .500)"}
+    assert {row[f"AUC, pooled{p2_road.WHOLE}"] for row in rows} == {".500 (.500–.500)"}
 
 
 def test_at_every_threshold_isolated_areas_are_discarded() -> None:
