@@ -6,7 +6,7 @@
 
 DATA is the folder that holds unlabelled_free/, camvid/, idd_lite/ and many/. Every image directly
 in the first is trained on, those of also_in_many/ are not; to the letter, with 7 times as many
-patches an image, every fourth. A run is RUNS/TEACHER-CONFIG-SEED; finished ones are kept. Labels of
+patches an image, every fifth. A run is RUNS/TEACHER-CONFIG-SEED; finished ones are kept. Labels of
 an image are made once for each teacher and config.
 """
 
@@ -22,7 +22,7 @@ import torch
 
 from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
 from roadtorch.train.config import PatchTraining, build_training
-from train.patches_gpu import prepare_student, train_side_by_side
+from train.patches_gpu import make_student, prepare_files, train_side_by_side
 
 TEACHERS = {"untuned": ("labeller.constants=untuned",), "tuned": ()}
 DECAYED = ("descent.schedule=cosine", "stopping.rule=epochs", "stopping.epochs=4")
@@ -38,8 +38,8 @@ class Config(NamedTuple):
 
 CONFIGS = {
     "cnn7": Config("cnn7"),
-    "cnn7-paper": Config("cnn7-paper", every=4),
-    "cnn7-paper-decayed": Config("cnn7-paper", DECAYED, every=4),
+    "cnn7-paper": Config("cnn7-paper", every=5),
+    "cnn7-paper-decayed": Config("cnn7-paper", DECAYED, every=5),
 }
 """What is trained. Ours: the decayed step beside the letter; written before any was trained."""
 
@@ -96,6 +96,7 @@ def learn_side_by_side(data: Path, out: Path, minutes: float, device: torch.devi
     deadline = time.monotonic() + 60 * minutes
     torch.backends.cudnn.benchmark = True
     torch.backends.cudnn.allow_tf32 = False
+    files = dict[Path, list[Path]]()
     for name, config in CONFIGS.items():
         images, students = link_images(data, out, config.every), []
         for teacher, trained, seed in RUNS:
@@ -106,7 +107,9 @@ def learn_side_by_side(data: Path, out: Path, minutes: float, device: torch.devi
                 training = build_training(merge(values, assignments))
                 assert isinstance(training, PatchTraining)
                 prepared = prepared_folder(out, teacher, name)
-                students.append(prepare_student(folder, training, images, prepared))
+                if prepared not in files:
+                    files[prepared] = prepare_files(training, images, prepared)
+                students.append(make_student(folder, training, files[prepared]))
         print(f"{len(students)} networks of {name}", flush=True)
         if students:
             train_side_by_side(students, device, deadline)

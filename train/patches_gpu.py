@@ -90,14 +90,18 @@ class Student:
             (self.folder / "done").touch()
 
 
-def prepare_student(folder: Path, training: PatchTraining, images: str, prepared: Path) -> Student:
-    """Prepare the images of a training and make its network and its samples."""
-    folder.mkdir(parents=True, exist_ok=True)
-    recipe = PatchRecipe(training)
+def prepare_files(training: PatchTraining, images: str, prepared: Path) -> list[Path]:
+    """Prepare the images of a training, and return their files."""
     with stop_on_signals() as stop:
-        items = prepare_folder(recipe, find_images([images]), prepared, stop, quiet=True)
-    files = [item.file for item in items if item.file is not None]
-    network = recipe.make_network(None)
+        parts = (PatchRecipe(training), find_images([images]), prepared, stop)
+        items = prepare_folder(*parts, quiet=True)
+    return [item.file for item in items if item.file is not None]
+
+
+def make_student(folder: Path, training: PatchTraining, files: Sequence[Path]) -> Student:
+    """Make the network of a training and its samples."""
+    folder.mkdir(parents=True, exist_ok=True)
+    network = PatchRecipe(training).make_network(None)
     assert isinstance(network, PatchNetwork)
     return Student(folder, training, files, PatchSamples(files, training), network)
 

@@ -29,8 +29,8 @@ def test_networks_side_by_side_learn_what_each_learns_alone(
     for number, change in enumerate(changes):
         training = training_of("patches", *change)
         assert isinstance(training, PatchTraining)
-        inputs = (tmp_path / str(number), training, str(streets), cache / "patches")
-        students.append(patches_gpu.prepare_student(*inputs))
+        files = patches_gpu.prepare_files(training, str(streets), cache / "patches")
+        students.append(patches_gpu.make_student(tmp_path / str(number), training, files))
 
     cpu, deadline = torch.device("cpu"), time.monotonic() + math.inf
     patches_gpu.train_side_by_side(students, cpu, deadline)
