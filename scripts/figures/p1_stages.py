@@ -263,15 +263,15 @@ def fig4(data: Path, out: Path) -> None:
     image = read_example(data)
     tree, mean, rounds = grow(image)
     regions = tree.node_of + 1
-    with chart(out / "p1-fig4a.png", 6.4, 3.8) as figure:
-        for place, level in enumerate((None, *LEVELS), 1):
-            axes = figure.add_subplot(2, 4, place)
+    with chart(out / "p1-fig4a.png", 6.4, 3.2) as figure:
+        above, below = figure.subfigures(2, 1, height_ratios=[1, 2])
+        for axes, level in zip(above.subplots(1, 1 + len(LEVELS)), (None, *LEVELS), strict=True):
             axes.set_axis_off()
             shown = mean if level is None else regions[tree.regions.labels[level].long()]
             colours = "cividis" if level is None else "tab20"
             axes.imshow(shown.numpy(), cmap=colours, interpolation="nearest")
             axes.set_title("mean map" if level is None else f"regions at {level}/16")
-        draw_tree(figure.add_subplot(2, 1, 2), tree, rounds[-1])
+        draw_tree(below.subplots(), tree, rounds[-1])
     side, rows = PROGRAM.dictionary.side, {}
     for number, step in enumerate(rounds, 1):
         stability = step.choice.stability.clamp_min(0) * step.choice.selected
