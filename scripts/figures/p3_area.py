@@ -29,7 +29,7 @@ CONDITIONS = {
     "rain": "pothole8_009.jpg",
     "country": "rseg_0125.jpg",
     "village": "rddmix_0025.jpg",
-    "night": "mcnight_0009.jpg",
+    "night": "brno_0035.jpg",
 }
 """Free images of unlabelled_free/, by what is difficult in them."""
 
