@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 import torch
@@ -264,7 +265,8 @@ def fig4(data: Path, out: Path) -> None:
     tree, mean, rounds = grow(image)
     regions = tree.node_of + 1
     with chart(out / "p1-fig4a.png", 6.4, 3.2) as figure:
-        above, below = figure.subfigures(2, 1, height_ratios=[1, 2])
+        halves: Any = figure.subfigures(2, 1, height_ratios=[1, 2])
+        above, below = halves
         for axes, level in zip(above.subplots(1, 1 + len(LEVELS)), (None, *LEVELS), strict=True):
             axes.set_axis_off()
             shown = mean if level is None else regions[tree.regions.labels[level].long()]
