@@ -21,7 +21,6 @@ from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import F_MASK, ROAD_MEASURES
 from roadtorch.evaluation.methods import contender_from_name
 from roadtorch.evaluation.metrics import ConfusionCounts, f_measure, precision, recall
-from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import percentile_interval
 from roadtorch.ufl.preprocess import WorkingShape, resize_bicubic
@@ -78,11 +77,11 @@ def open_small(data: Path, name: str, count: int | None = None) -> SmallDataset:
     return SmallDataset(**vars(replace(dataset, levels=LEVELS)))
 
 
-def pooled_interval(tally: Tally, measure: Measure) -> Interval:
-    """Return the 95 % interval of a score of pooled pixels, over drives and images."""
+def pooled_replicates(tally: Tally, measure: Measure) -> Tensor:
+    """Return a score of pooled pixels in each draw of drives and images, (replicates,)."""
     values = measure.formula(replicate(tally).pooled)
     assert isinstance(values, Tensor)
-    return percentile_interval(values)
+    return values
 
 
 Variant = tuple[str, Mapping[str, Any]]
@@ -94,20 +93,26 @@ def score_variants(
 ) -> list[dict[str, object]]:
     """Return P, R and F of masks, pooled over images (P1, eq. 11), F with its 95 % interval.
 
-    Counts are kept in ``folder`` until all are there, so that a run resumes.
+    "less" is F less that of the first variant, on the same draws. Counts are kept in ``folder``,
+    so that a run resumes; the figure removes it.
     """
     contenders = [
         replace(contender_from_name(*variant), name=title) for title, variant in variants.items()
     ]
     *_, (number, tallies) = count_images(dataset, contenders, folder)
-    rows = []
-    for title, tally in tallies.items():
-        counts = ConfusionCounts(*tally.table().outcomes.sum(0))
-        low, high = pooled_interval(tally, F_MASK)
-        figures = {"P": float(precision(counts)), "R": float(recall(counts))}
-        figures |= {"F": float(f_measure(counts)), "low": low, "high": high}
+    counts = {
+        title: ConfusionCounts(*tally.table().outcomes.sum(0)) for title, tally in tallies.items()
+    }
+    drawn = {title: pooled_replicates(tally, F_MASK) for title, tally in tallies.items()}
+    first, rows = next(iter(variants)), []
+    for title, outcome in counts.items():
+        low, high = percentile_interval(drawn[title])
+        figures = {"P": precision(outcome), "R": recall(outcome), "F": f_measure(outcome)}
+        figures |= {"low": low, "high": high, "less": figures["F"] - f_measure(counts[first])}
+        low, high = percentile_interval(drawn[title] - drawn[first])
+        figures |= {"less, low": low, "less, high": high}
         row = {"set": dataset.name, "images": number, "method": title}
-        rows.append(row | {key: f"{100 * value:.2f}" for key, value in figures.items()})
+        rows.append(row | {key: f"{100 * float(value):.2f}" for key, value in figures.items()})
     return rows
 
 
@@ -139,7 +144,8 @@ def table2(data: Path, out: Path) -> None:
             for measure in TABLE2:
                 row[f"{group} {measure.name}"] = f"{100 * measure.get(part):.2f}"
         for measure in TABLE2:
-            low, high = pooled_interval(evaluation.tallies[name], measure)
+            draws = pooled_replicates(evaluation.tallies[name], measure)
+            low, high = percentile_interval(draws)
             row[f"total {measure.name}, 95 %"] = f"{100 * low:.1f} to {100 * high:.1f}"
         rows.append(row)
     show_table(out / "p1-table2.csv", rows)
@@ -147,39 +153,44 @@ def table2(data: Path, out: Path) -> None:
 
 # --- Fig. 6 -----------------------------------------------------------------------------
 
-BASES: Sequence[float] = (108, 200, 300, 400, 500)
-WEIGHTS: Sequence[float] = (0, 1, 2, 3, 4)
+CHOICE = "K = 200, λ = 2"
+BASES: Sequence[int] = (108, 300, 400, 500)
+WEIGHTS: Sequence[int] = (0, 1, 3, 4)
 SAMPLE = {"camvid": 36, "idd-lite": 25}
 """By name of the set, how many of its images Fig. 6 takes."""
 
 
 def fig6(data: Path, out: Path) -> None:
-    """Write P1's Fig. 6: F of the authors' program over (a) K and (b) λ, with 95 % intervals."""
-    parts = {"K": ("dictionary", "bases", BASES), "λ": ("road", "weight", WEIGHTS)}
-    variants = {
-        f"{title} = {value}": ("ufl:original", {group: {key: value}})
-        for title, (group, key, values) in parts.items()
-        for value in values
-    }
-    kept = out / "p1-fig6-counts"
+    """Write P1's Fig. 6: F of the authors' program over (a) K and (b) λ.
+
+    Bars are 95 % intervals of the difference to P1's choice.
+    """
+    program, kept = "ufl:original", out / "p1-fig6-counts"
+    by_bases = {f"K = {count}": (program, {"dictionary": {"bases": count}}) for count in BASES}
+    by_weight = {f"λ = {weight}": (program, {"road": {"weight": weight}}) for weight in WEIGHTS}
+    variants: Mapping[str, Variant] = {CHOICE: (program, {}), **by_bases, **by_weight}
     rows = {
         name: score_variants(open_small(data, name, count), variants, kept / name)
         for name, count in SAMPLE.items()
     }
     show_table(out / "p1-fig6.csv", [row for part in rows.values() for row in part])
-    shutil.rmtree(kept)
     with chart(out / "p1-fig6.png", 6.4, 2.4) as figure:
-        for axes, (title, (_, _, values)) in zip(
-            figure.subplots(1, 2, sharey=True), parts.items(), strict=True
-        ):
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, (title, chosen) in zip(panels, {"K": 200, "λ": 2}.items(), strict=True):
             for name, table in rows.items():
-                cells = [row for row in table if str(row["method"]).startswith(title)]
-                middle, low, high = (
-                    torch.tensor([float(str(row[key])) for row in cells])
-                    for key in ("F", "low", "high")
+                points = {
+                    chosen if row["method"] == CHOICE else int(str(row["method"]).split()[-1]): row
+                    for row in table
+                    if row["method"] == CHOICE or str(row["method"]).startswith(title)
+                }
+                values = sorted(points)
+                f, less, low, high = (
+                    torch.tensor([float(str(points[value][key])) for value in values])
+                    for key in ("F", "less", "less, low", "less, high")
                 )
-                spread = torch.stack([middle - low, high - middle]).clamp_min(0)
-                axes.errorbar(values, middle, spread, marker="o", capsize=3, label=name)
+                spread = torch.stack([less - low, high - less]).clamp_min(0)
+                axes.errorbar(values, f, spread, marker="o", capsize=3, label=name)
             axes.set(xlabel=title)
             axes.legend(loc="lower right")
-        figure.axes[0].set_ylabel("F, %")
+        panels[0].set_ylabel("F, %")
+    shutil.rmtree(kept)

@@ -76,7 +76,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(p1, "SETS", {"camvid": "camvid"})
     monkeypatch.setattr(p1, "SAMPLE", {"camvid": 1})
     monkeypatch.setattr(p1, "BASES", (20,))
-    monkeypatch.setattr(p1, "WEIGHTS", (2,))
+    monkeypatch.setattr(p1, "WEIGHTS", (1,))
     monkeypatch.setattr(p1_stages, "METHODS", ("ufl:original",))
     monkeypatch.setattr(p1_stages, "LABELLED", p1_stages.LABELLED[:1])
     monkeypatch.setattr(p1, "TABLE", ("ufl:paper",))
