@@ -30,6 +30,7 @@ from roadtorch.ufl.hierarchy import (
 from roadtorch.ufl.preprocess import WorkingShape, equalise, resize_bicubic
 from roadtorch.ufl.road import Round, dilate, find_road, mask_to_image
 from scripts.figures.chart import chart, show_table
+from scripts.figures.counting import mean_interval
 from scripts.figures.p1 import open_small, resize_as_p1, score_variants
 from scripts.figures.sheets import write_sheet
 
@@ -146,15 +147,13 @@ def fig2(data: Path, out: Path) -> None:
         if corners := road_patches(truth.road & truth.valid):
             measured["without"].append(unevenness(small, corners))
             measured["after"].append(unevenness(equalise(small, PROGRAM.smoothing), corners))
-    table = [
-        {
-            "preprocessing": title,
-            "images": len(values),
-            "brightness differs by": fmean(brightness for brightness, _ in values),
-            "texture differs by": fmean(texture for _, texture in values),
-        }
-        for title, values in measured.items()
-    ]
+    table = []
+    for title, values in measured.items():
+        row: dict[str, object] = {"preprocessing": title, "images": len(values)}
+        for name, column in zip(("brightness", "texture"), torch.tensor(values).T, strict=True):
+            row |= {f"{name} differs by": float(column.mean())}
+            row |= {f"{name}, 95 %": "{:.3f} to {:.3f}".format(*mean_interval(column))}
+        table.append(row)
     show_table(out / "p1-fig2.csv", table)
 
 

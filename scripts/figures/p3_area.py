@@ -19,6 +19,7 @@ from roadtorch.imaging.color import REPRESENTATIONS, color_plane, color_planes
 from roadtorch.oneclass import CLASSIFIERS, FittedClassifier, fit, make_axes
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples, sample_area
 from scripts.figures.chart import chart, show_table
+from scripts.figures.counting import mean_interval
 from scripts.figures.sheets import write_sheet
 
 CONDITIONS = {
@@ -193,7 +194,8 @@ def fig3(data: Path, out: Path) -> None:
     draw_fig3(out / "p3-fig3.png", image, load_detector("fusion").detect(image).mask)
     few = subsample_dataset(open_dataset("camvid", data / "camvid"), IMAGES)
     kept = [variance_ratio(few.read(item)[0]) for item in few.items]
-    row = {"images": len(kept), "variance kept": fmean(kept), "least": min(kept), "most": max(kept)}
+    low, high = mean_interval(torch.tensor(kept))
+    row = {"images": len(kept), "variance kept": fmean(kept), "low": low, "high": high}
     show_table(out / "p3-fig3.csv", [row])
 
 
