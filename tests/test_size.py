@@ -17,10 +17,10 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_420,
     "roadtorch/base": 1_810,
-    "roadtorch/camera": 1_660,
-    "roadtorch/cli": 1_830,
+    "roadtorch/camera": 1_930,
+    "roadtorch/cli": 1_840,
     "roadtorch/data": 2_110,
-    "roadtorch/detectors": 2_040,
+    "roadtorch/detectors": 2_070,
     "roadtorch/evaluation": 3_690,
     "roadtorch/export": 850,
     "roadtorch/imaging": 1_170,
@@ -34,14 +34,14 @@ LINES = {
     "roadtorch/train": 3_315,
     "roadtorch/ufl": 1_380,
     "scripts": 5_080,
-    "tests": 25_900,
-    "train": 6_960,
+    "tests": 26_210,
+    "train": 7_050,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 112
+OPTIONS = 113
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

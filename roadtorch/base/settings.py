@@ -5,7 +5,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import pydantic
 import tomli_w
@@ -82,8 +82,9 @@ def find_settings_group(kind: type[Settings], path: Sequence[str]) -> type[Setti
     for name in path:
         field = kind.model_fields.get(name)
         annotation = field.annotation if field else None
-        if isinstance(annotation, type) and issubclass(annotation, Settings):
-            kind = annotation
+        for group in (annotation, *get_args(annotation)):  # an optional group is a union
+            if isinstance(group, type) and issubclass(group, Settings):
+                kind = group
     return kind
 
 

@@ -28,6 +28,7 @@ from roadtorch.camera.gradients import (
     sobel_gradient,
     soft_normalize,
 )
+from roadtorch.camera.ground import Lens, pitch_from_horizon
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.road.ego import Ego, ego_car, has_ego_car
 
@@ -132,6 +133,9 @@ class Camera(Settings):
     invariant_angle: float | None = Field(
         default=None, ge=0, lt=180, description="direction of equal log chromaticity in degrees"
     )
+    lens: Lens | None = Field(
+        default=None, description="calibration; images are rectified if it has distortion"
+    )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
     template: EgoTemplate = Field(default=EgoTemplate(), description="gradients of the ego car")
 
@@ -175,14 +179,18 @@ class Camera(Settings):
     def settings_for(self, settings_class: type[Settings]) -> dict[str, Any]:
         """Return the values, nested, that a detector's settings take from this camera.
 
-        Every detector takes the ego car, those with a labeller the horizon, and
-        illuminant-invariant the invariant angle.
+        Every detector takes the ego car and a lens with distortion, those with a labeller the
+        horizon, and illuminant-invariant the invariant angle.
         """
         values: dict[str, Any] = {}
         if "invariant_angle" in settings_class.model_fields and self.invariant_angle is not None:
             values["invariant_angle"] = self.invariant_angle
         if has_ego_car(self.ego):
             values["ego"] = self.ego.model_dump(exclude_defaults=True)
+        if self.lens is not None and self.lens.coefficients:
+            lens = self.lens.model_dump(exclude_defaults=True)
+            pitch = pitch_from_horizon(self.lens, self.horizon)
+            values["rectification"] = {"lens": lens, "pitch": pitch}
         labeller = find_settings_group(settings_class, ["labeller"])
         if labeller is not settings_class and "horizon" in labeller.model_fields:
             values["labeller"] = {"horizon": self.horizon}

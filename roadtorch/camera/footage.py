@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F
@@ -31,6 +32,8 @@ from roadtorch.camera.gradients import (
     soft_normalize,
     vanishing_point,
 )
+from roadtorch.camera.ground import Lens, project_rays
+from roadtorch.camera.views import SLOPE_AHEAD, sample_view, view_ahead
 from roadtorch.imaging.resize import resize_to_image, spatial_size
 from roadtorch.road.ego import Ego
 from roadtorch.road.illuminant import invariant_angle, log_chromaticity, projection_entropies
@@ -175,22 +178,28 @@ class StaticFootageError(InputError):
     """Footage in which nothing moves."""
 
 
-def estimate_camera(frames: Iterable[Tensor], where: str = "footage") -> Camera:
+def estimate_camera(
+    frames: Iterable[Tensor], where: str = "footage", lens: Lens | None = None
+) -> Camera:
     """Estimate the camera from frames that it recorded.
 
     Args:
         frames: sRGB in [0, 1], shape (3, H, W) each, 10 to some hundred; iterated over once.
         where: names the footage in errors.
+        lens: becomes part of the camera; the horizon is estimated where it has no distortion.
 
     Raises:
         StaticFootageError: for footage in which nothing moves.
         InputError: for too few frames, and for several cameras (of different shapes, or with an ego
             car in one part of the frames only).
     """
-    sizes, greys, entropies = [], [], []
+    sizes, greys, entropies, rectified = [], [], [], []
     for frame in frames:
         sizes.append(spatial_size(frame))
         greys.append(small_grey(frame, small_size([frame])))
+        if lens is not None:
+            view = sample_view(frame, lens, view_ahead(lens))
+            rectified.append(sobel_gradient(small_grey(view, small_size([view]))))
         if len(entropies) * ENTROPY_STEP < len(sizes):
             entropies.append(projection_entropies(log_chromaticity(frame)))
     if len(sizes) < MIN_CAMERA_FRAMES:
@@ -219,13 +228,20 @@ def estimate_camera(frames: Iterable[Tensor], where: str = "footage") -> Camera:
         heights = F.adaptive_avg_pool1d(rows[None].to(torch.float64) / size[0], OUTLINE_COLUMNS)[0]
         outline = to_floats(heights, 4)
     height, width = Counter(sizes).most_common(1)[0][0]
+    horizon = footage.point.row
+    if lens is not None:
+        lens = lens.at(width, height)
+        slope = (2 * vanishing_point(rectified).row - 1) * SLOPE_AHEAD
+        pixels, _ = project_rays(lens, np.array([[0.0, slope, 1.0]]))
+        horizon = min(1.0, max(0.0, (float(pixels[0, 1]) + 0.5) / height))
     return Camera(
         width=width,
         height=height,
         frames=footage.gradients.frames,
-        horizon=round(footage.point.row, 3),
+        horizon=round(horizon, 3),
         seed_row=min(outline[MIDDLE_COLUMNS], default=1.0),
         invariant_angle=invariant_angle(torch.stack(entropies).mean(0)),
+        lens=lens,
         ego=Ego(outline=outline),
         template=template,
     )

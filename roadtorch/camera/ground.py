@@ -21,7 +21,10 @@ MIN_PITCH, MAX_PITCH = -30.0, 89.0
 MAX_ROLL = 45.0  # degrees
 MAX_ASPECT_ERROR = 0.01  # relative difference of aspect ratios, after scaling to whole pixels
 MIN_DEPTH = 1e-6  # metres ahead of the lens from which a point is projected
+TINY = 1e-12  # keeps quotients of rays along the axis finite
 MAX_DISTORTION_ERROR = 0.5  # pixels between a point and its distorted undistortion
+MAX_FIELD_OF_VIEW = 190.0  # degrees; no fisheye is wider unless it says so
+FISHEYE_ANGLES = 2048  # of the table that inverts the equidistant model, to 1e-3 pixels
 
 COEFFICIENT_COUNTS = {
     "pinhole": (0,),
@@ -47,6 +50,12 @@ class Lens(Settings):
     centre_y: _PrincipalPoint
     model: Literal["pinhole", "plumb_bob", "rational_polynomial", "equidistant"] = "pinhole"
     coefficients: tuple[float, ...] = Field(default=(), strict=False)
+    field_of_view: float | None = Field(
+        default=None,
+        gt=0,
+        le=MAX_FIELD_OF_VIEW,
+        description="diameter of a fisheye's image circle in degrees; black outside",
+    )
 
     @field_validator("coefficients")
     @classmethod
@@ -160,46 +169,78 @@ class GroundCamera:
         """Project points (n, 3), metres in the robot's frame, into the image.
 
         Returns:
-            Pixels, float64, shape (n, 2), and a mask, bool, shape (n,), of the visible ones: false
-            behind the camera, outside the image, and where the distortion is not invertible.
+            Pixels, float64, shape (n, 2), and a mask, bool, shape (n,), of the visible ones, as
+            ``project_rays``.
         """
-        rays = (points - self.pose.position) @ np.array(self.pose.axes).T
-        ahead = rays[:, 2] > MIN_DEPTH
-        rays = np.where(ahead[:, None], rays, (0.0, 0.0, 1.0))
-        pixels = distort_points(self.lens, rays[:, :2] / rays[:, 2:])
-        inside = (pixels >= -0.5).all(1) & (pixels[:, 0] < self.lens.width - 0.5)
-        inside &= (pixels[:, 1] < self.lens.height - 0.5) & ahead
-        if self.lens.coefficients and inside.any():
-            undistorted = undistort_points(self.lens, pixels[inside])
-            errors = np.abs(undistorted - rays[inside, :2] / rays[inside, 2:]).max(1)
-            inside[inside] = errors * self.lens.focal_x < MAX_DISTORTION_ERROR
-        return pixels, inside
+        return project_rays(self.lens, (points - self.pose.position) @ np.array(self.pose.axes).T)
 
     def unproject(self, pixels: np.ndarray) -> np.ndarray:
         """Return the directions (n, 3) of pixels (n, 2) in the robot's frame, not normalised."""
-        plane = undistort_points(self.lens, pixels)
-        return np.column_stack([plane, np.ones(len(plane))]) @ np.array(self.pose.axes)
+        return pixel_rays(self.lens, pixels) @ np.array(self.pose.axes)
 
 
-def distort_points(lens: Lens, plane: np.ndarray) -> np.ndarray:
-    """Return the pixels (n, 2) of points (n, 2) on the plane one metre ahead (OpenCV's models)."""
-    if not lens.coefficients:
-        return plane * (lens.focal_x, lens.focal_y) + (lens.centre_x, lens.centre_y)
-    zeros, coefficients = np.zeros(3), np.array(lens.coefficients)
-    points = np.column_stack([plane, np.ones(len(plane))])[:, None]
+def project_rays(lens: Lens, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Project rays (n, 3) in the camera's frame into the image (OpenCV's models).
+
+    Returns:
+        Pixels, float64, shape (n, 2), and a mask, bool, shape (n,), of the visible ones: false
+        behind the camera or outside a fisheye's circle, outside the image, and where the distortion
+        is not invertible.
+    """
+    is_fisheye = lens.model == "equidistant"
+    if is_fisheye:
+        angles, radii = _fisheye_table(lens)
+        across = np.hypot(rays[:, 0], rays[:, 1])
+        angle = np.arctan2(across, rays[:, 2])
+        radius = np.interp(angle, angles, radii) / np.maximum(across, TINY)
+        plane, visible = rays[:, :2] * radius[:, None], angle <= angles[-1]
+    else:
+        visible = rays[:, 2] > MIN_DEPTH
+        rays = np.where(visible[:, None], rays, (0.0, 0.0, 1.0))
+        plane = rays[:, :2] / rays[:, 2:]
+    pixels = plane * (lens.focal_x, lens.focal_y) + (lens.centre_x, lens.centre_y)
+    if lens.coefficients and not is_fisheye:
+        points = np.column_stack([plane, np.ones(len(plane))])[:, None]
+        zeros, coefficients = np.zeros(3), np.array(lens.coefficients)
+        pixels = cv2.projectPoints(points, zeros, zeros, lens.matrix, coefficients)[0][:, 0]
+    visible &= (pixels >= -0.5).all(1) & (pixels[:, 0] < lens.width - 0.5)
+    visible &= pixels[:, 1] < lens.height - 0.5
+    if lens.coefficients and not is_fisheye and visible.any():
+        errors = np.abs(pixel_rays(lens, pixels[visible])[:, :2] - plane[visible]).max(1)
+        visible[visible] = errors * lens.focal_x < MAX_DISTORTION_ERROR
+    return pixels, visible
+
+
+def pixel_rays(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Return the rays (n, 3) of pixels (n, 2) in the camera's frame, not normalised.
+
+    Of pixels outside a fisheye's circle they are those of its border.
+    """
+    plane = (pixels - (lens.centre_x, lens.centre_y)) / (lens.focal_x, lens.focal_y)
     if lens.model == "equidistant":
-        return cv2.fisheye.projectPoints(points, zeros, zeros, lens.matrix, coefficients)[0][:, 0]
-    return cv2.projectPoints(points, zeros, zeros, lens.matrix, coefficients)[0][:, 0]
+        angles, radii = _fisheye_table(lens)
+        radius = np.hypot(plane[:, 0], plane[:, 1])
+        angle = np.interp(radius, radii, angles)
+        plane = plane * (np.sin(angle) / np.maximum(radius, TINY))[:, None]
+        return np.column_stack([plane, np.cos(angle)])
+    if lens.coefficients:
+        points, criteria = np.ascontiguousarray(pixels, np.float64)[:, None], (3, 50, 1e-9)
+        coefficients = np.array(lens.coefficients)
+        plane = cv2.undistortPoints(points, lens.matrix, coefficients, criteria=criteria)[:, 0]
+    return np.column_stack([plane, np.ones(len(plane))])
 
 
-def undistort_points(lens: Lens, pixels: np.ndarray) -> np.ndarray:
-    """Return the points (n, 2) of pixels (n, 2) on the plane one metre ahead of the lens."""
-    if not lens.coefficients:
-        return (pixels - (lens.centre_x, lens.centre_y)) / (lens.focal_x, lens.focal_y)
-    coefficients, criteria = np.array(lens.coefficients), (3, 50, 1e-9)  # 3: count and precision
-    points = np.ascontiguousarray(pixels, np.float64)[:, None]
-    undistort = cv2.fisheye.undistortPoints if lens.model == "equidistant" else cv2.undistortPoints
-    return undistort(points, lens.matrix, coefficients, criteria=criteria)[:, 0]
+def _fisheye_table(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Return angles from the axis, radians, and their radii over the focal length, both rising.
+
+    Radius θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸): Kannala and Brandt, IEEE PAMI 28(8), 2006.
+    """
+    half = math.radians((lens.field_of_view or MAX_FIELD_OF_VIEW) / 2)
+    angles = np.linspace(0, half, FISHEYE_ANGLES)
+    powers = angles[:, None] ** (2 * np.arange(1, len(lens.coefficients) + 1))
+    radii = angles * (1 + powers @ np.array(lens.coefficients))
+    rising = int(np.argmax(np.append(np.diff(radii) <= 0, True))) + 1
+    return angles[:rising], radii[:rising]
 
 
 def pitch_from_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
@@ -212,5 +253,5 @@ def pitch_from_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
         hint = "give a fraction of the height, 0 to 1, or --pitch"
         raise ConfigError("horizon", f"{horizon:g} lies outside the image", hint)
     row = horizon * lens.height - 0.5
-    slope = undistort_points(lens, np.array([[lens.centre_x, row]]))[0, 1]
-    return math.degrees(math.atan(-float(slope) * math.cos(math.radians(roll))))
+    _, down, ahead = pixel_rays(lens, np.array([[lens.centre_x, row]]))[0].tolist()
+    return math.degrees(math.atan2(-down * math.cos(math.radians(roll)), ahead))

@@ -90,7 +90,7 @@ class CameraPlacement:
         if self.calibration is not None:
             facts = {"calibration": asdict(self.calibration), "mount": self.mounting.mount}
         else:
-            lens = None if self.lens is None else self.lens.model_dump()
+            lens = None if self.lens is None else self.lens.model_dump(exclude_none=True)
             options = asdict(replace(self.mounting, camera=None, camera_info=None))
             facts = {**options, "horizon": self.horizon, "lens": lens}
         return f"# {json.dumps({name: fact for name, fact in facts.items() if fact is not None})}"
@@ -128,7 +128,7 @@ def build_placement(mounting: Mounting, of_bags: bool) -> CameraPlacement:
     lenses = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
     lenses["--calibration"] = mounting.calibration
     options = [name for name, value in lenses.items() if value is not None]
-    hint = f"give one of {', '.join(lenses)}"
+    hint = f"give one of {', '.join(lenses)}, or --camera with a lens"
     if len(options) > 1:
         raise ConfigError("grid", f"{' and '.join(options)} were given", hint)
     if mounting.calibration is not None:
@@ -138,17 +138,19 @@ def build_placement(mounting: Mounting, of_bags: bool) -> CameraPlacement:
             problem = "conflicts with --calibration, which includes it"
             raise ConfigError(name, problem, "leave it out")
         return CameraPlacement(mounting, read_calibration(mounting.calibration))
-    if not options and not of_bags:
+    camera = None if mounting.camera is None else Camera.read(mounting.camera)
+    lens = camera.lens if camera is not None and not options else None
+    if lens is None and not options and not of_bags:
         raise ConfigError("grid", "the lens is not specified", hint)
     mounting.pose(mounting.pitch or 0.0)
     if mounting.fov is not None:
         pinhole_lens(2, 2, mounting.fov)
-    horizon = None if mounting.camera is None else Camera.read(mounting.camera).horizon
+    horizon = None if camera is None else camera.horizon
     pitch = None if mounting.pitch is None else Pitch(mounting.pitch, "as given")
     placement = CameraPlacement(mounting, None, None, horizon, pitch)
-    if mounting.camera_info is None:
-        return placement
-    return placement.with_lens(read_camera_info(mounting.camera_info))
+    if mounting.camera_info is not None:
+        lens = read_camera_info(mounting.camera_info)
+    return placement if lens is None else placement.with_lens(lens)
 
 
 def median_pitch(pitches: Sequence[Pitch]) -> Pitch:

@@ -19,25 +19,31 @@ MEAN_FRAMES = 12  # frames averaged in the check image
     default=120,
     help="Frames to sample, evenly spaced.",
 )
-def camera_command(footage: tuple[str, ...], out: Path, max_frames: int) -> None:
+@click.option("--camera-info", type=PATH, help="ROS camera_info as YAML, with distortion.")
+def camera_command(
+    footage: tuple[str, ...], out: Path, max_frames: int, camera_info: Path | None
+) -> None:
     """Estimate ego car, horizon and seed row from the footage of one camera.
 
     FOOTAGE: images, folders, quoted globs or video files; at least 10 frames of different
     scenes. Writes --out for infer --camera, and an image to check it: the mean of the frames and
-    one of them, with the ego car tinted, the horizon blue, the seed row orange.
+    one of them, with the ego car tinted, the horizon blue, the seed row orange. --camera-info
+    adds the lens; if it has distortion, detectors see rectified views.
     """
     from roadtorch.base.image import write_jpeg
     from roadtorch.base.progress import Progress
+    from roadtorch.camera.calibration import read_camera_info
     from roadtorch.camera.camera import draw_check_image
     from roadtorch.camera.footage import estimate_camera
     from roadtorch.inputs.find import locate_frames, read_frames
     from roadtorch.road.ego import has_ego_car, outline_rows
 
     check_file = out.with_suffix(".jpg")
+    lens = None if camera_info is None else read_camera_info(camera_info)
     places = locate_frames(footage, max_frames)
     _check_outputs(out, check_file, {place.path.resolve() for place in places})
     frames = Progress(read_frames(places), total=len(places), unit="frame")
-    camera = estimate_camera(frames, footage[0])
+    camera = estimate_camera(frames, footage[0], lens)
     camera.write(out)
     sample = places[:: max(1, len(places) // MEAN_FRAMES)]
     write_jpeg(check_file, draw_check_image(camera, list(read_frames(sample))))

@@ -123,7 +123,7 @@ def _type_name(field: Mapping[str, Any]) -> str:
     if "anyOf" in field:
         return " or ".join(_type_name(option) for option in field["anyOf"])
     values = field.get("enum", [field["const"]] if "const" in field else None)
-    return "choice" if values else str(field.get("type", "any"))
+    return "choice" if values else str(field.get("type", "group" if "$ref" in field else "any"))
 
 
 def _allowed(field: Mapping[str, Any]) -> str:

@@ -22,9 +22,16 @@ from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import ColourOrder, ImageLike, as_image, check_order
 from roadtorch.base.settings import Settings, build_settings, merge
+from roadtorch.camera.views import Rectification, merge_views, rectified_views, sample_view
 from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.imaging.levels import is_at_least
-from roadtorch.imaging.resize import WorkingSize, resize_to_image, resize_to_work, spatial_size
+from roadtorch.imaging.resize import (
+    WorkingSize,
+    resize_to_image,
+    resize_to_work,
+    spatial_size,
+    working_size,
+)
 from roadtorch.road.ego import (
     Ego,
     any_pixel,
@@ -66,6 +73,9 @@ class DetectorSettings(Settings):
     )
     ego: Ego = Field(
         default=Ego(), description="vehicle that carries the camera: likelihood 0, never seed"
+    )
+    rectification: Rectification | None = Field(
+        default=None, description="lens whose distortion is removed before the analysis; or none"
     )
 
 
@@ -336,25 +346,15 @@ class Detector(nn.Module):
 
     def _analyse(self, image: Tensor) -> Evidence:
         """Analyse an image; its ego car is the union of the settings' and the cue ``ego``."""
-        settings = self.settings if isinstance(self.settings, WorkingSettings) else None
-        cars, ground = [], image
+        cars, ground, size = [], image, spatial_size(image)
         if has_ego_car(self.settings.ego):
             cars = [ego_car(image, self.settings.ego, self._ego_mask)]
             ground = extrapolate_over_ego(image, cars[0])
-        small = resize_to_work(ground, settings.working) if settings else ground
-        outputs = self.analysis(small)
-        if not isinstance(outputs, Mapping) or "likelihood" not in outputs:
-            problem = f"returns no likelihood from {type(self.analysis).__name__}.forward"
-            raise ConfigError(self.name, problem, "return a mapping with likelihood (H, W)")
-        if not outputs["likelihood"].sum().isfinite():  # a single NaN or inf shows in the sum
-            problem = f"gives {self.name} a likelihood that is not finite"
-            raise InputError("image", problem, "check the weights and the settings; else report it")
-        size, cues = spatial_size(image), dict(outputs)
-        likelihood = cues.pop("likelihood")
-        if settings:
-            if settings.outlines == "guided":
-                likelihood = refine(outputs, small, ground, settings.working, settings.threshold)
-            likelihood = resize_to_image(likelihood, size)
+        if self.settings.rectification is None:
+            outputs, likelihood = self._analyse_view(ground)
+        else:
+            outputs, likelihood = self._analyse_views(ground, self.settings.rectification)
+        cues = {name: map for name, map in outputs.items() if name != "likelihood"}
         if "ego" in cues:
             cars.append(resize_to_image(cues.pop("ego"), size))
         ego = reduce(torch.logical_or, cars) if cars else None
@@ -363,6 +363,40 @@ class Detector(nn.Module):
             if "seed_area" in cues:
                 cues["seed_area"] = resize_to_image(cues["seed_area"], size).masked_fill(ego, 0)
         return Evidence(outputs, likelihood, ego, Cues(cues, size), image)
+
+    def _analyse_views(
+        self, image: Tensor, rectification: Rectification
+    ) -> tuple[Mapping[str, Tensor], Tensor]:
+        """Analyse the rectified views of an image; return its maps as ``_analyse_view``."""
+        size, settings = spatial_size(image), self.settings
+        lens = rectification.lens.at(size[1], size[0])
+        views = rectified_views(lens, rectification.pitch)
+        results = [self._analyse_view(sample_view(image, lens, view)) for view in views]
+        is_small = isinstance(settings, WorkingSettings)
+        small = working_size(*size, settings.working) if is_small else size
+        outputs = {
+            name: merge_views([maps[name] for maps, _ in results], lens, views, small)
+            for name in results[0][0]
+        }
+        return outputs, merge_views([large for _, large in results], lens, views, size)
+
+    def _analyse_view(self, image: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
+        """Return the maps of an image's analysis, and the likelihood (H, W) at its full size."""
+        settings = self.settings if isinstance(self.settings, WorkingSettings) else None
+        small = resize_to_work(image, settings.working) if settings else image
+        outputs = self.analysis(small)
+        if not isinstance(outputs, Mapping) or "likelihood" not in outputs:
+            problem = f"returns no likelihood from {type(self.analysis).__name__}.forward"
+            raise ConfigError(self.name, problem, "return a mapping with likelihood (H, W)")
+        likelihood = outputs["likelihood"]
+        if not likelihood.sum().isfinite():  # a single NaN or inf shows in the sum
+            problem = f"gives {self.name} a likelihood that is not finite"
+            raise InputError("image", problem, "check the weights and the settings; else report it")
+        if settings:
+            if settings.outlines == "guided":
+                likelihood = refine(outputs, small, image, settings.working, settings.threshold)
+            likelihood = resize_to_image(likelihood, spatial_size(image))
+        return outputs, likelihood
 
     @one_torch_thread()
     @torch.no_grad()

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -24,10 +25,10 @@ from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
     camera_pose,
-    distort_points,
     pinhole_lens,
     pitch_from_horizon,
-    undistort_points,
+    pixel_rays,
+    project_rays,
 )
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
 from tests.reference import bev as reference
@@ -81,6 +82,13 @@ def test_pixels_come_back_to_their_ground(pitch: float, roll: float, x: float, y
         assert ground_points(camera, pixels)[0] == pytest.approx([x, y], abs=1e-6)
 
 
+def opencv_pixels(lens: Lens, rays: np.ndarray) -> np.ndarray:
+    """Return the pixels (n, 2) of rays (n, 3) by OpenCV."""
+    project = cv2.fisheye.projectPoints if lens.model == "equidistant" else cv2.projectPoints
+    zeros, coefficients = np.zeros(3), np.array(lens.coefficients)
+    return project(rays[:, None], zeros, zeros, lens.matrix, coefficients)[0][:, 0]
+
+
 @pytest.mark.parametrize("model", DISTORTIONS)
 def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> None:
     camera = GroundCamera(distorted_lens(model), camera_pose(1.4, 10))
@@ -89,8 +97,10 @@ def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> Non
 
     projected, inside = camera.project(points)
 
-    undistorted = undistort_points(camera.lens, pixels)
-    assert np.abs(distort_points(camera.lens, undistorted) - pixels).max() < 1e-3
+    rays = pixel_rays(camera.lens, pixels)
+    assert np.abs(project_rays(camera.lens, rays)[0] - pixels).max() < 1e-3
+    expected = opencv_pixels(camera.lens, rays)
+    assert project_rays(camera.lens, 7 * rays)[0] == pytest.approx(expected, abs=1e-3)
     assert inside.all()
     assert ground_points(camera, projected) == pytest.approx(points[:, :2], abs=1e-4)
 

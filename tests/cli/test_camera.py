@@ -97,6 +97,34 @@ def test_files_of_others_stay(name: str, call: Call, street: Path, tmp_path: Pat
     assert len(list(tmp_path.iterdir())) == 1
 
 
+CAMERA_INFO = """
+image_width: 320
+image_height: 240
+camera_matrix: {data: [100, 0, 159.5, 0, 100, 119.5, 0, 0, 1]}
+distortion_model: fisheye
+distortion_coefficients: {data: [0.01, 0, 0, 0]}
+"""
+
+
+def test_a_calibration_reaches_camera_file_infer_and_grid(
+    call: Call, street: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "info.yaml").write_text(CAMERA_INFO)
+    file, image = tmp_path / "camera.toml", street / "00.png"
+
+    made = call("camera", street, "--camera-info", tmp_path / "info.yaml", "--out", file)
+    options = ("--camera", file, "--detector", "prior:rows", "--out")
+    found = call("infer", image, *options, tmp_path / "roads")
+    mapped = call("grid", image, *options, tmp_path / "grids", "--height", 1.2)
+
+    assert [made.exit_code, found.exit_code, mapped.exit_code] == [0, 0, 0], mapped.output
+    lens = Camera.read(file).lens
+    assert lens is not None
+    assert (lens.model, lens.width, lens.focal_x) == ("equidistant", 160, 50)
+    assert "[rectification.lens]" in (tmp_path / "roads" / "config.toml").read_text()
+    assert '"equidistant"' in (tmp_path / "grids" / "config.toml").read_text().splitlines()[-1]
+
+
 # --- commands with --camera ---------------------------------------------------------------
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.image import write_mask
 from roadtorch.base.settings import Settings, build_settings, find_settings_group, merge
+from roadtorch.camera.ground import pinhole_lens
 from roadtorch.detectors.catalogue import detector_entry, load_detector
 from roadtorch.oneclass import CLASSIFIERS
 from tests.networks import write_random_network
@@ -69,12 +70,19 @@ WITHOUT = {
 """Settings without effect: the road is one region, with straight sides in `vanishing-point`."""
 
 
+def wide_lens() -> dict[str, Any]:
+    """Return the values of a fisheye for the street, 128×96 pixels."""
+    pinhole = pinhole_lens(128, 96, 90).model_dump(exclude_none=True)
+    return pinhole | {"model": "equidistant", "coefficients": (0.0,) * 4}
+
+
 KNOWN: dict[tuple[str, ...], Any] = {
     ("ego", "outline"): [0.5, 0.8],
     ("working", "pixels"): 2000,
     ("crops",): [0.3],
     ("invariant_angle",): 30.0,
     ("second", "file"): "rendered-free",
+    ("rectification",): {"lens": wide_lens(), "pitch": 10.0},
 }
 """Values that no type or bound tells."""
 

@@ -8,7 +8,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from roadtorch.camera.ground import Lens, distort_points
+from roadtorch.camera.ground import Lens, project_rays
 from train.worlds.framing import measure_framing, predict_one_sided, select_worlds
 from train.worlds.lens import (
     SENSOR,
@@ -54,10 +54,10 @@ def test_a_sampled_fisheye_is_the_lens_that_is_written(seed: int) -> None:
     table = tomllib.loads(write_lens(fisheye, {"pitch": 30.0}))
     mount = table.pop("mount")
     lens = Lens(**{**table, "coefficients": tuple(table["coefficients"])})
-    angles = np.linspace(0.05, np.radians(min(fisheye.view / 2, 85)), 7)
+    angles = np.linspace(0.05, np.radians(fisheye.view / 2), 7)
     radii = bend(angles, fisheye.coefficients)
 
-    pixels = distort_points(lens, np.stack([np.tan(angles), np.zeros(7)], 1))
+    pixels, _ = project_rays(lens, np.stack([np.sin(angles), np.zeros(7), np.cos(angles)], 1))
     assert pixels[:, 0] == pytest.approx(fisheye.centre_x + fisheye.focal_x * radii, abs=0.01)
     assert mount["view"] == pytest.approx(fisheye.view, abs=0.01)
 

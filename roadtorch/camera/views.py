@@ -1,0 +1,210 @@
+"""Rectified views of a wide lens: a detector sees them, and its maps are brought back. Ours.
+
+Detectors learn from images without distortion. An image of a lens with distortion is therefore
+sampled as seen by pinhole lenses: by one up to ``MAX_WIDTH``, else by three, of which the
+others look to the left and right.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn import functional as F
+
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.settings import Settings
+from roadtorch.camera.ground import (
+    MAX_DISTORTION_ERROR,
+    MAX_PITCH,
+    MIN_PITCH,
+    Lens,
+    camera_pose,
+    pixel_rays,
+    project_rays,
+)
+from roadtorch.imaging.resize import SHORTEST
+
+MAX_WIDTH = 110.0  # degrees from side to side that a view shows, as the widest rendered worlds
+MAX_VIEW_ANGLE = 75.0  # degrees from the axis of a single view; farther out it is stretched
+TOP, BOTTOM = 15.0, 85.0  # degrees above and below the horizon that three views show
+MIN_HEIGHT = 20.0  # degrees from the upper to the lower side of three views
+FAR_GROUND = 60.0  # degrees below the horizon, down to which three views look in all directions
+MAX_YAW = 80.0  # degrees by which a view looks aside
+MESH_POINTS = 129  # columns and rows of pixels whose rays bound what a lens sees
+SLOPE_AHEAD = math.tan(math.radians(MAX_WIDTH / 2))  # of the rays at the sides of ``view_ahead``
+OUTSIDE = 2.0  # position, where the image extends from -1 to 1, of what no lens sees
+
+
+class Rectification(Settings):
+    """Lens and pitch by which images are rectified before they are analysed."""
+
+    lens: Lens
+    pitch: float = Field(
+        default=0.0,
+        ge=MIN_PITCH,
+        le=MAX_PITCH,
+        description="degrees by which the optical axis points below the horizon",
+    )
+
+
+class View(NamedTuple):
+    """Rectified view: its x, y and z axis in the frame of the camera, and its pinhole lens."""
+
+    axes: tuple[tuple[float, ...], ...]
+    lens: Lens
+
+
+def rectified_views(lens: Lens, pitch: float) -> tuple[View, ...]:
+    """Return the views that show what a lens sees, each with about as many pixels as the image.
+
+    A single view has the axes of the camera. Three are upright, whatever the camera's pitch, and
+    show the ground from just above the horizon to the camera's foot.
+
+    Args:
+        lens: of the images, at their size.
+        pitch: degrees by which the optical axis points below the horizon.
+
+    Raises:
+        ConfigError: for a lens that sees nothing in its images.
+    """
+    return _plan_views(lens, pitch)  # type: ignore[arg-type]  # frozen: it has a hash
+
+
+@lru_cache(maxsize=4)
+def _plan_views(lens: Lens, pitch: float) -> tuple[View, ...]:
+    sides = (np.linspace(-0.499, end - 0.501, MESH_POINTS) for end in (lens.width, lens.height))
+    rays, visible = _rays_and_seen(lens, np.stack(np.meshgrid(*sides), -1).reshape(-1, 2))
+    if not visible.any():
+        raise ConfigError("lens", "sees nothing", "check its focal lengths and its centre")
+    rays = rays[visible] / np.linalg.norm(rays[visible], axis=1, keepdims=True)
+    (left, top, _), (right, bottom, _) = np.degrees(np.arcsin([rays.min(0), rays.max(0)]))
+    if right - left <= MAX_WIDTH:
+        plane = rays[:, :2] / np.maximum(rays[:, 2:], math.cos(math.radians(MAX_VIEW_ANGLE)))
+        return (_make_view(np.eye(3), plane.min(0), plane.max(0), lens),)
+    low = min(BOTTOM, pitch + bottom)
+    height = max(low + min(TOP, -top - pitch), MIN_HEIGHT)
+    tilt = low - height / 2
+    side, top, bottom = np.tan(np.radians([MAX_WIDTH / 2, height / 2, BOTTOM - tilt]))
+    camera, upright = (np.array(camera_pose(1, degrees).axes) for degrees in (pitch, tilt))
+    ahead, aside, up = (rays @ camera).T
+    is_far_ground = (up < 0) & (up > -math.sin(math.radians(FAR_GROUND)))
+    azimuths = np.degrees(np.arctan2(-aside, ahead))[is_far_ground if is_far_ground.any() else ...]
+    reach = MAX_YAW + MAX_WIDTH / 2
+    left, right = np.clip([azimuths.min(), azimuths.max()], -reach, reach)
+    views = []
+    for yaw in np.radians([0, left + MAX_WIDTH / 2, right - MAX_WIDTH / 2]):
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        to_right = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+        axes = upright @ to_right @ camera.T
+        x, y, z = (rays @ axes.T).T
+        floor = (y / z)[(z > 0) & (np.abs(x) < side / 2 * z)].max(initial=0)
+        bounds = np.array([-side, -top]), np.array([side, min(floor, bottom)])
+        views.append(_make_view(axes, *bounds, lens))
+    return tuple(views)
+
+
+def view_ahead(lens: Lens) -> View:
+    """Return a view along the axis of a lens, ``MAX_WIDTH`` from side to side and up and down."""
+    corner = np.full(2, SLOPE_AHEAD)
+    return _make_view(np.eye(3), -corner, corner, lens)
+
+
+def _rays_and_seen(lens: Lens, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rays (n, 3) of pixels (n, 2), and which of them the lens sees, bool (n,)."""
+    rays = pixel_rays(lens, pixels)
+    projected, visible = project_rays(lens, rays)
+    return rays, visible & (np.abs(projected - pixels).max(1) < MAX_DISTORTION_ERROR)
+
+
+def _make_view(axes: np.ndarray, low: np.ndarray, high: np.ndarray, lens: Lens) -> View:
+    """Return a view of the plane one metre ahead between two corners (x, y)."""
+    focal = math.sqrt(lens.width * lens.height / np.prod(high - low))
+    width, height = (max(SHORTEST, round(side * focal)) for side in (high - low).tolist())
+    focal_x, focal_y = ((width, height) / (high - low)).tolist()
+    pinhole = Lens(
+        width=width,
+        height=height,
+        focal_x=focal_x,
+        focal_y=focal_y,
+        centre_x=-low[0] * focal_x - 0.5,
+        centre_y=-low[1] * focal_y - 0.5,
+    )
+    return View(tuple(map(tuple, axes.tolist())), pinhole)
+
+
+def sample_view(image: Tensor, lens: Lens, view: View) -> Tensor:
+    """Sample a view (3, h, w) of an image (3, H, W), bilinearly; its border goes on outside."""
+    grid = _view_grid(lens, view)  # type: ignore[arg-type]  # frozen: it has a hash
+    return _sample_map(image, grid.to(image.device))
+
+
+def merge_views(
+    maps: Sequence[Tensor], lens: Lens, views: Sequence[View], size: tuple[int, int]
+) -> Tensor:
+    """Bring maps of views back to the image, and merge them where views overlap.
+
+    Args:
+        maps: of each view, shape (h, w) or (C, h, w); views may differ in size.
+        lens: of the image.
+        views: of ``rectified_views``.
+        size: height and width of the result.
+
+    Returns:
+        Means of values, unions of masks, labels of the first view that shows a pixel, of shape
+        (H, W) or (C, H, W); 0 where no view shows it.
+    """
+    grids = [_image_grid(lens, view, size) for view in views]  # type: ignore[arg-type]  # as above
+    grids = [grid.to(maps[0].device) for grid in grids]
+    visible = torch.stack([(grid[0] < OUTSIDE).all(-1) for grid in grids])
+    sampled = torch.stack(list(map(_sample_map, maps, grids)))
+    visible = visible.reshape(len(maps), *[1] * (sampled.ndim - 3), *size)
+    if maps[0].is_floating_point():
+        return (sampled * visible).sum(0) / visible.sum(0).clamp(min=1)
+    if maps[0].dtype == torch.bool:
+        return (sampled * visible).amax(0).bool()
+    first = visible.to(torch.uint8).argmax(0, keepdim=True).expand(1, *sampled.shape[1:])
+    return (sampled * visible).gather(0, first)[0].to(maps[0].dtype)
+
+
+def _sample_map(values: Tensor, grid: Tensor) -> Tensor:
+    """Sample a map (…, h, w) at a grid (1, H, W, 2): values bilinearly, labels the nearest."""
+    mode = "bilinear" if values.is_floating_point() else "nearest"
+    kind = values.dtype if values.is_floating_point() else torch.float64
+    batch = values.reshape(1, -1, *values.shape[-2:]).to(kind)
+    sampled = F.grid_sample(batch, grid.to(kind), mode, "border", align_corners=False)
+    return sampled.reshape(*values.shape[:-2], *grid.shape[1:3])
+
+
+@lru_cache(maxsize=4)
+def _view_grid(lens: Lens, view: View) -> Tensor:
+    """Return the positions in the image of the pixels of a view, (1, h, w, 2)."""
+    rays = pixel_rays(view.lens, _pixel_centres(view.lens, view.lens.height, view.lens.width))
+    pixels, _ = project_rays(lens, rays @ np.array(view.axes))
+    grid = _to_grid(lens, pixels, np.ones(len(pixels), bool))
+    return grid.reshape(1, view.lens.height, view.lens.width, 2)
+
+
+@lru_cache(maxsize=8)
+def _image_grid(lens: Lens, view: View, size: tuple[int, int]) -> Tensor:
+    """Return the positions in a view of the pixels of an image of a size, (1, H, W, 2)."""
+    rays, visible = _rays_and_seen(lens, _pixel_centres(lens, *size))
+    pixels, inside = project_rays(view.lens, rays @ np.array(view.axes).T)
+    return _to_grid(view.lens, pixels, inside & visible).reshape(1, *size, 2)
+
+
+def _pixel_centres(lens: Lens, height: int, width: int) -> np.ndarray:
+    """Return the centres (n, 2), in the lens's pixels, of the pixels of an image of a size."""
+    columns = (np.arange(width) + 0.5) * (lens.width / width) - 0.5
+    rows = (np.arange(height) + 0.5) * (lens.height / height) - 0.5
+    return np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
+
+
+def _to_grid(lens: Lens, pixels: np.ndarray, visible: np.ndarray) -> Tensor:
+    """Return pixels (n, 2) as positions of ``grid_sample``, from -1 to 1, or ``OUTSIDE``."""
+    positions = (pixels + 0.5) * 2 / (lens.width, lens.height) - 1
+    return torch.from_numpy(np.where(visible[:, None], positions, OUTSIDE)).float()
