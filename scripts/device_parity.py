@@ -1,0 +1,57 @@
+"""Compare detectors on a GPU with the CPU's results.
+
+    python scripts/device_parity.py IMAGES... [--device cuda]
+
+Prints, by detector, in how many pixels the masks differ and by how much the likelihoods do at most,
+and the median time of an image on either device.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+
+from roadtorch import Detection, load_detector, read_image
+
+DETECTORS = ("fusion", "fusion:large", "layout:cnn-7", "cpf", "labeller")
+
+
+def detect_all(name: str, device: str, images: Sequence[Path]) -> tuple[list[Detection], float]:
+    """Return the detections of images, and the median milliseconds of one."""
+    detector, detections, times = load_detector(name, device=device), [], []
+    detector.detect(read_image(images[0]))  # the first call compiles and allocates
+    for path in images:
+        image, start = read_image(path), time.perf_counter()
+        detection = detector.detect(image)
+        detection.likelihood.sum().item()  # waits for the device
+        times.append(1000 * (time.perf_counter() - start))
+        detections.append(detection)
+    return detections, median(times)
+
+
+def compare(name: str, device: str, images: Sequence[Path]) -> str:
+    """Describe how a detector's results on a device differ from the CPU's."""
+    (expected, slow), (actual, fast) = (detect_all(name, d, images) for d in ("cpu", device))
+    pairs = list(zip(expected, actual, strict=True))
+    pixels = sum(detection.mask.numel() for detection in expected)
+    differing = sum(int((cpu.mask != gpu.mask.cpu()).sum()) for cpu, gpu in pairs)
+    largest = max(float((c.likelihood - g.likelihood.cpu()).abs().max()) for c, g in pairs)
+    masks = f"masks differ in {differing} of {pixels} pixels"
+    return (
+        f"{name}: {masks}, likelihoods by {largest:.3g}; cpu {slow:.1f} ms, {device} {fast:.1f} ms"
+    )
+
+
+def main() -> None:
+    """Compare every detector of ``DETECTORS``."""
+    parser = argparse.ArgumentParser(description="Compare a GPU's results with the CPU's.")
+    parser.add_argument("images", nargs="+", type=Path)
+    parser.add_argument("--device", default="cuda")
+    options = parser.parse_args()
+    for name in DETECTORS:
+        print(compare(name, options.device, options.images), flush=True)
+
+
+if __name__ == "__main__":
+    main()
