@@ -1,11 +1,22 @@
-"""Bounded reads of files, and printable text of names and exceptions."""
+"""Bounded reads of files, and printable text of names, URLs and exceptions."""
 
 import os
+import re
 import stat
 from pathlib import Path
 
 MAX_BYTES = 2**30
 """Largest file that is read; ours: 100 megapixels of 16 bits, uncompressed, have 800 million."""
+
+USER_PATTERN = r"(?<=\w\w:/)(/?)([^/?#\n]*|[^/?#@:\[\n]*:(?!\d*(?:[/?#]|$))\S*)@"
+"""User and password in a URL: up to the last @ of its host's part, or up to the last @ of all
+where / ? or # of an unencoded password would cut that part at what is no port."""
+
+SECRET_PATTERN = (
+    r"(?i)([?&;/_](?:user|usr|login|[\w-]*(?:pass|pw|token|secret|key|auth|sig|credential)[\w-]*)=)"
+    r"[^&;#\s]*?(?=[&;#\s]|_[a-z]+=|$)"
+)
+"""Value of a URL's parameter that is secret by its name."""
 
 
 def read_regular(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes:
@@ -61,3 +72,16 @@ def to_printable(text: str) -> str:
         return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
     except UnicodeEncodeError:  # a surrogate that stands for no byte
         return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def strip_user(url: str) -> str:
+    """Return a URL without user name and password."""
+    return re.sub(USER_PATTERN, r"\1", url)
+
+
+def strip_password(text: str) -> str:
+    """Return a URL, or text with URLs, without their secrets, for messages and files."""
+    if ":/" not in text:
+        return text
+    bare = re.sub(rf"{USER_PATTERN}(?:[^\s?#]*@)?", r"\1", text)  # its password may have @ and /
+    return re.sub(r"\w\w://\S+", lambda url: re.sub(SECRET_PATTERN, r"\1***", url[0]), bare)

@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import threading
 import warnings
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from PIL import Image, ImageOps
 from PIL.ExifTags import Base as ExifTag
 
 PILLOW_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
+FORMAT_START = rb"\xff\xd8\xff|\x89PNG\r\n|II\*\0|MM\0\*|RIFF....WEBP|BM....\0\0\0\0"
 
 MAX_MEGAPIXELS = 100
 """Default limit of an image, see ``MEGAPIXELS_VARIABLE``; ours: fusion takes about 4 GB for it."""
@@ -74,6 +76,11 @@ def open_image(data: bytes) -> Image.Image:
     if max(image.size) > MAX_IMAGE_SIDE:
         raise ValueError(f"a side of {max(image.size)} pixels, more than {MAX_IMAGE_SIDE}")
     return image
+
+
+def is_image_start(data: bytes) -> bool:
+    """Return whether a file's first bytes are those of a format that is read."""
+    return re.match(FORMAT_START, data, re.DOTALL) is not None
 
 
 def check_pixels(width: int, height: int) -> None:

@@ -14,6 +14,8 @@ import os
 from collections.abc import Iterable
 from enum import IntEnum
 
+from roadtorch.base.bounded import strip_password
+
 MAX_MESSAGE_LENGTH = 400
 """Longest place or problem of an error, in characters: it may repeat a file's content."""
 
@@ -42,7 +44,7 @@ class RoadtorchError(Exception):
 
     Args:
         where: the file, setting or option; a path stays whole, other text longer than
-            ``MAX_MESSAGE_LENGTH`` loses its middle.
+            ``MAX_MESSAGE_LENGTH`` loses its middle; URLs lose their passwords.
         problem: what is wrong with it, shortened likewise.
         hint: what to do.
     """
@@ -50,8 +52,9 @@ class RoadtorchError(Exception):
     exit_code = ExitCode.WRONG_USAGE
 
     def __init__(self, where: object, problem: str, hint: str) -> None:
-        self.where = str(where) if isinstance(where, os.PathLike) else truncate_middle(str(where))
-        self.problem = truncate_middle(problem)
+        place = strip_password(str(where))
+        self.where = place if isinstance(where, os.PathLike) else truncate_middle(place)
+        self.problem = truncate_middle(strip_password(problem))
         self.hint = hint
         super().__init__(f"{self.where}: {self.problem} ({hint})")
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic_write
-from roadtorch.base.bounded import read_regular, reason
+from roadtorch.base.bounded import read_regular, reason, strip_password
 from roadtorch.base.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode_pixels, pillow_pixels
 from roadtorch.base.errors import (
     ConfigError,
@@ -23,7 +23,7 @@ from roadtorch.base.errors import (
     to_input_error,
     unknown_name_error,
 )
-from roadtorch.base.urls import read_url, strip_password, url_scheme
+from roadtorch.base.urls import read_url, url_scheme
 
 READABLE_FORMATS = "JPEG, PNG, TIFF, WebP or BMP"
 

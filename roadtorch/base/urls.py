@@ -1,16 +1,18 @@
-"""URLs: their schemes, and responses of web servers."""
+"""URLs: their schemes and secrets, and responses of web servers."""
 
 import base64
 import re
+import string
+import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPException
 from typing import Any
 from urllib.error import HTTPError
-from urllib.parse import unquote
-from urllib.request import Request, urlopen
+from urllib.parse import quote, unquote, urlsplit
+from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from roadtorch.base.bounded import MAX_BYTES
+from roadtorch.base.bounded import MAX_BYTES, USER_PATTERN, strip_password, strip_user
 from roadtorch.base.errors import InputError
 
 WEB_SCHEMES = ("http", "https")
@@ -25,39 +27,65 @@ def url_scheme(address: str) -> str:
     return scheme[1].lower() if scheme else ""
 
 
-def strip_password(url: str) -> str:
-    """Return a URL without user name and password, for messages and files."""
-    return re.sub(r"(?<=://)[^/@]*@", "", url)
-
-
 def slug(url: str) -> str:
     """Return a file name for the results of a URL: its words, without password and query."""
     address = re.sub(r"^\w+://|[?#].*", "", strip_password(url))
     return re.sub(r"[^\w.]+", "-", address).strip("-.") or "stream"
 
 
+def encode_url(url: str) -> str:
+    """Percent-encode what no request may contain: letters beyond ASCII, spaces, / in a password.
+
+    Names of hosts become IDNA; what is encoded already stays.
+    """
+    user = re.search(USER_PATTERN, url)
+    credentials = quote(user[2], safe=string.punctuation.translate(_RESERVED)) if user else ""
+    parts = urlsplit(strip_user(url))
+    host = parts.netloc if parts.netloc.isascii() else parts.netloc.encode("idna").decode()
+    address = parts._replace(netloc=f"{credentials}@{host}" if user else host).geturl()
+    return quote(address, safe=string.punctuation, errors="surrogateescape")
+
+
+_RESERVED = str.maketrans("", "", "/?#@[]")
+
+
+class _OwnCredentials(HTTPRedirectHandler):
+    """Redirections, on which another origin (scheme, host, port) gets no credentials."""
+
+    def redirect_request(
+        self, req: Request, fp: Any, code: int, msg: str, headers: Any, newurl: str
+    ) -> Request | None:
+        """Return the request to the new address."""
+        target = encode_url(strip_user(newurl))
+        request = super().redirect_request(req, fp, code, msg, headers, target)
+        if request is not None and (request.type, request.host) != (req.type, req.host):
+            request.remove_header("Authorization")
+        return request
+
+
 @contextmanager
 def open_url(url: str) -> Iterator[Any]:
     """Yield the response to a GET request, after redirections; InputError if there is none."""
-    address = strip_password(url)
+    origin = strip_password(url)
     headers = {"User-Agent": "roadtorch"}
-    if (user := re.match(r"\w+://([^/@]*)@", url)) is not None:  # basic access, RFC 7617
-        credentials = base64.b64encode(unquote(user[1]).encode()).decode()
-        headers["Authorization"] = f"Basic {credentials}"
     try:
-        request = Request(address, headers=headers)
-        with closing(urlopen(request, timeout=RESPONSE_TIMEOUT)) as response:
-            yield response
+        if (user := re.search(USER_PATTERN, url)) is not None:  # basic access, RFC 7617
+            credentials = base64.b64encode(unquote(user[2]).encode()).decode()
+            headers["Authorization"] = f"Basic {credentials}"
+        address = encode_url(strip_user(url))
+        opener = build_opener(_OwnCredentials)
+        with closing(opener.open(Request(address, None, headers), None, RESPONSE_TIMEOUT)) as body:
+            yield body
     except HTTPError as error:
         error.close()
         problem = f"returned {error.code} {error.reason}"
-        raise InputError(address, problem, "check the address") from None
-    except (OSError, HTTPException, ValueError) as error:
+        raise InputError(origin, problem, "check the address") from None
+    except (OSError, HTTPException, ValueError, zlib.error) as error:
         cause = getattr(error, "reason", error)
         text = str(cause) or "no response"
         if isinstance(cause, TimeoutError):
             text = f"{RESPONSE_TIMEOUT:g} seconds without a response"
-        raise InputError(address, f"cannot be fetched: {text}", "check the address") from None
+        raise InputError(origin, f"cannot be fetched: {text}", "check the address") from None
 
 
 def read_url(url: str) -> bytes:
@@ -66,12 +94,34 @@ def read_url(url: str) -> bytes:
         raise InputError(url, "is no web address", "give http:// or https://, or a file")
     data = bytearray()
     with open_url(url) as response:
-        while chunk := response.read(READ_SIZE):
+        for chunk in read_chunks(response):
             data += chunk
             if len(data) > MAX_BYTES:
                 problem = f"has more than {MAX_BYTES:,} bytes"
-                raise InputError(strip_password(url), problem, "make it smaller")
-        length = response.headers.get("Content-Length", "")
-        if length.isdigit() and len(data) < int(length):
-            raise ValueError(f"it is truncated after {len(data):,} of {int(length):,} bytes")
+                raise InputError(url, problem, "make it smaller")
     return bytes(data)
+
+
+def read_chunks(response: Any, size: int = READ_SIZE) -> Iterator[bytes]:
+    """Yield the body of a response, unpacked if the server packed it unasked (RFC 9110, 8.4).
+
+    Raises ValueError where the body is truncated, or packed in another way than gzip and deflate.
+    """
+    coding = response.headers.get("Content-Encoding", "identity").strip().lower()
+    if coding not in ("", "identity", "gzip", "x-gzip", "deflate"):
+        raise ValueError(f"it is packed by {coding}, which is not read")
+    is_packed = coding not in ("", "identity")
+    unpack, window = zlib.decompressobj(zlib.MAX_WBITS | 32), zlib.MAX_WBITS | 32  # either header
+    received, length = 0, response.headers.get("Content-Length", "")
+    while chunk := response.read(size):
+        received += len(chunk)
+        if not is_packed:
+            yield chunk
+        while is_packed and chunk:
+            unpack = zlib.decompressobj(window) if unpack.eof else unpack  # another gzip member
+            yield unpack.decompress(chunk, READ_SIZE)
+            chunk = unpack.unused_data or unpack.unconsumed_tail
+    if length.isdigit() and received < int(length):
+        raise ValueError(f"it is truncated after {received:,} of {int(length):,} bytes")
+    if is_packed and not unpack.eof:
+        raise ValueError(f"it is truncated after {received:,} packed bytes")

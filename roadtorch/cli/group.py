@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 import click
 
+from roadtorch.base.bounded import strip_password
 from roadtorch.base.errors import ExitCode, RoadtorchError, is_out_of_memory, to_input_error
 from roadtorch.base.signals import SigtermInterrupt, prefer_interruption, raise_on_sigterm
 from roadtorch.base.version import __version__
@@ -134,10 +135,10 @@ class CommandGroup(click.Group):
             error.show()
             code = ExitCode.WRONG_USAGE
         except click.ClickException as error:
-            click.echo(f"roadtorch: error: {_one_line(error)}", err=True)
+            click.echo(f"roadtorch: error: {strip_password(_one_line(error))}", err=True)
             code = error.exit_code
         except OSError as error:
-            click.echo(f"roadtorch: error: {error}", err=True)
+            click.echo(f"roadtorch: error: {strip_password(str(error))}", err=True)
             code = ExitCode.SOME_FAILED
         sys.exit(code if isinstance(code, int) else 0)
 
@@ -166,7 +167,7 @@ def _see_help(error: click.UsageError) -> str:
 
 def _print_traceback(ctx: click.Context) -> None:
     if ctx.meta.get("roadtorch.debug"):
-        traceback.print_exc()
+        click.echo(strip_password(traceback.format_exc()), err=True)
 
 
 def _debug_option() -> click.Option:

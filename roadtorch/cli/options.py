@@ -263,5 +263,7 @@ selection_options = _group_options(
 
 
 def command_line(context: click.Context) -> str:
-    """Return the command line as it was typed, quoted for a shell."""
-    return shlex.join(["roadtorch", *context.obj])
+    """Return the command line as it was typed, quoted for a shell, without passwords of URLs."""
+    from roadtorch.base.bounded import strip_password
+
+    return shlex.join(["roadtorch", *map(strip_password, context.obj)])

@@ -11,6 +11,7 @@ from typing import NamedTuple, TextIO
 
 from torch import Tensor
 
+from roadtorch.base.bounded import strip_password
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import READABLE_FORMATS, read_image
 from roadtorch.base.urls import WEB_SCHEMES, slug, url_scheme
@@ -151,8 +152,10 @@ def open_source(argument: str, selection: Selection) -> Source:
     if not sources:
         numbered = [replace(image, number=number) for number, image in enumerate(images)]
         chosen = list(selection.select(numbered))
-        name = Path(argument).stem or "images"
-        return Source(name, argument, lambda: iter(chosen), count=len(chosen), footage=False)
+        name = slug(argument) if url_scheme(argument) else Path(argument).stem or "images"
+        return Source(
+            name, strip_password(argument), lambda: iter(chosen), count=len(chosen), footage=False
+        )
     if len(sources) != 1 or images:
         problem = f"holds {len(sources)} videos" + " and images" * bool(images)
         raise ConfigError(argument, problem, "give one of them")

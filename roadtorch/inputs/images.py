@@ -3,7 +3,6 @@
 import glob
 import hashlib
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache, partial
 from itertools import takewhile
@@ -15,10 +14,14 @@ from urllib.parse import urlsplit
 from torch import Tensor
 
 from roadtorch.base.atomic import file_digest
+from roadtorch.base.bounded import strip_password, strip_user
+from roadtorch.base.decoding import is_image_start
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image import IMAGE_SUFFIXES, READABLE_FORMATS, decode_image, read_image
-from roadtorch.base.urls import open_url, read_url, slug, strip_password, url_scheme
+from roadtorch.base.urls import open_url, read_chunks, read_url, slug, url_scheme
 from roadtorch.inputs.item import Item
+
+IMAGE_START = 16  # bytes by which the formats are told apart
 
 RESULT_SUFFIXES = (".likelihood.png", ".mask.png", ".overlay.jpg")  # our results, never inputs
 
@@ -91,22 +94,25 @@ def make_image_item(path: Path, name: str) -> Item:
 def open_web_image(url: str) -> Item | None:
     """Return the image at a URL; None where the server sends something else.
 
-    A server's stream of images (``multipart/…``) is no image. Raises InputError where there is no
-    answer and the name is an image's; other URLs may be streams, which are waited for.
+    An image is one by its name, by the server's word or by its first bytes. A server's stream of
+    images (``multipart/…``) is none. Raises InputError where there is no answer and the name is an
+    image's; other URLs may be streams, which are waited for.
     """
-    path = PurePosixPath(urlsplit(url).path)
+    path = PurePosixPath(urlsplit(strip_user(url)).path)
     name, is_named = slug(path.with_suffix("").as_posix()), is_image_name(path.name)
     try:
         with open_url(url) as response:
             kind = response.headers.get_content_maintype()
+            if not is_named and kind not in ("image", "multipart", "video"):
+                is_named = is_image_start(next(read_chunks(response, IMAGE_START), b""))
     except InputError:
         if is_named:
             raise
         return None
     if kind != "image" and (not is_named or kind == "multipart"):
         return None
-    suffix = PurePosixPath(re.split(r"(?<=\w)[?#]", url)[0]).suffix
-    return Item(name, url, partial(_read_remote, url), partial(_digest_remote, url), suffix)
+    origin = strip_password(url)
+    return Item(name, origin, partial(_read_remote, url), partial(_digest_remote, url), path.suffix)
 
 
 @lru_cache(maxsize=1)

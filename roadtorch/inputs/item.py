@@ -14,6 +14,7 @@ from torch import Tensor
 from roadtorch.base.atomic import file_digest, folder_digest
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.urls import url_scheme
 
 _Value = TypeVar("_Value")
 
@@ -138,7 +139,8 @@ class Source:
 
     @property
     def _location(self) -> Path:
-        return self.path or Path(self.origin)
+        is_url = bool(url_scheme(self.origin))
+        return self.path or Path(self.origin.partition("?")[0] if is_url else self.origin)
 
     def digest(self) -> str:
         """Return the SHA-256 of the file, or of the files in a folder; "" if there is none."""

@@ -12,10 +12,11 @@ from threading import Event, Thread
 import cv2
 from torch import Tensor
 
+from roadtorch.base.bounded import strip_password
 from roadtorch.base.decoding import silence_opencv
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import from_pixels
-from roadtorch.base.urls import strip_password
+from roadtorch.base.urls import encode_url
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.inputs.video import ffmpeg_reason, first_video_stream, import_av, upright_image
 
@@ -137,7 +138,7 @@ def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor
     av, origin = import_av(), strip_password(url)
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
-        with av.open(url, options=options, timeout=policy.timeout) as container:
+        with av.open(encode_url(url), options=options, timeout=policy.timeout) as container:
             stream = first_video_stream(url, container)
             decode = partial(upright_image, av.video.reformatter.VideoReformatter())
             for frame in container.decode(stream):

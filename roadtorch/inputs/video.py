@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from torch import Tensor
 
+from roadtorch.base.bounded import strip_password
 from roadtorch.base.decoding import check_pixels, max_megapixels
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, report_decoding_errors
+from roadtorch.base.urls import encode_url
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
@@ -73,7 +75,7 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
 
     return Source(
         name=name,
-        origin=str(path),
+        origin=strip_password(str(path)),
         items=frames,
         rate=None if rate is None else float(rate),
         path=path if isinstance(path, Path) else None,
@@ -91,7 +93,7 @@ def open_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]
         problem = "is no file" if path.exists() else "does not exist"
         raise InputError(path, problem, "check the name")
     try:
-        url = f"file:{path}" if isinstance(path, Path) else path
+        url = f"file:{path}" if isinstance(path, Path) else encode_url(path)
         container = av.open(url, timeout=ANSWER_TIMEOUT)
     except (av.FFmpegError, UnicodeError) as error:
         problem = f"cannot be decoded as video: {ffmpeg_reason(error)}"
@@ -177,7 +179,7 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
                 seconds = clock.seconds(image.pts)
                 duration = float(image.duration or 0) * float(image.time_base or 0)
                 end = max(end, seconds + (duration or clock.step))
-                origin = f"{path}: frame {number}"
+                origin = strip_password(f"{path}: frame {number}")
                 read = (
                     partial(_raise_damaged, origin) if image.is_corrupt else partial(decode, image)
                 )

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from roadtorch.base.atomic import file_digest, write_json
+from roadtorch.base.bounded import strip_password
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ExitCode, RoadtorchError
 from roadtorch.base.signals import SigtermInterrupt
@@ -63,7 +64,10 @@ def record_run(
             "corrected_images": count_corrected_images(settings),
             "weights_sha256": hash_tensors(detector.state_dict()),
             "threads": vars(Threads.current()),
-            "options": options,
+            "options": {
+                name: strip_password(value) if isinstance(value, str) else value
+                for name, value in options.items()
+            },
             "inputs_sha256": hashlib.sha256(inputs.encode()).hexdigest(),
             "index_sha256": file_digest(index),
             "started": started,
