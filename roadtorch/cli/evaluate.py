@@ -1,7 +1,7 @@
 """roadtorch evaluate: score detectors and baselines on labelled images."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import click
@@ -19,7 +19,7 @@ from roadtorch.cli.options import (
 
 if TYPE_CHECKING:
     from roadtorch.evaluation.methods import Contender
-    from roadtorch.evaluation.result import Evaluation
+    from roadtorch.evaluation.result import Evaluation, Failure
     from roadtorch.evaluation.tuning import ThresholdChoice
 
 
@@ -151,15 +151,20 @@ def evaluate_command(
 
 
 def print_cautions(evaluation: "Evaluation") -> None:
-    """Print a line for each detector trained on corrections, and for each failed image."""
+    """Print a line for each detector trained on corrections, and for each kind of failure."""
     from roadtorch.layout.weights import count_corrected_images
 
     for name, figures in evaluation.detectors.items():
         if count := count_corrected_images(figures.contender.settings):
             text = f"{name} was trained on {count} images corrected by hand: it is not label-free, "
             click.echo(f"roadtorch: {text}and scores on those images are optimistic", err=True)
-    for failure in evaluation.failures:
-        click.echo(f"failed: {failure.image}: {failure.reason}", err=True)
+    kinds: dict[str, list[Failure]] = {}
+    for failure in evaluation.failures:  # of one kind where the text after the name is the same
+        problem = failure.reason.rpartition(PurePath(failure.image).name)[2]
+        kinds.setdefault(problem, []).append(failure)
+    for first, *more in kinds.values():
+        count = f"{len(more) + 1} images, the first " if more else ""
+        click.echo(f"failed: {count}{first.image}: {first.reason}", err=True)
 
 
 def write_files(

@@ -1,7 +1,9 @@
-"""Likelihood maps of other programs, scored like those of a detector."""
+"""Likelihood maps and masks of other programs, scored like those of a detector."""
 
 import io
+import warnings
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +11,17 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings, read_settings_file
+from roadtorch.data.label_images import read_labels
 from roadtorch.detectors.detector import DetectorSettings, decide_mask
 
 MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
 TOLERANCE = 1 / 255  # largest difference between a map of 8 bits and the same map in another format
+
+MAX_LABELS = 32  # values of a map that may be a label image; ours: Cityscapes has 34 classes
 
 INFER_CONFIG, MASK_ENDING = "config.toml", ".mask.png"
 """Settings that ``infer`` writes beside its maps, and the file name's end of its masks."""
@@ -26,24 +31,45 @@ DECISION_KEYS = ("threshold", "isolated", "seed_area")
 
 
 def read_map(path: Path) -> Tensor:
-    """Read a map as float32 (H, W): a grey image of 8 or 16 bits, or a NumPy file of floats.
+    """Read a likelihood or a mask as float32 (H, W): a grey image of 8 or 16 bits, or a NumPy file.
 
-    Raises InputError for a file that cannot be read, is coloured, or is not two-dimensional.
+    Where only 0 and 1 occur, as numbers or as indices of a palette, 1 is road; otherwise the
+    largest level is 1. Raises InputError for a file that cannot be read, is coloured, or is not
+    two-dimensional.
     """
-    if path.suffix != ".npy":
-        image = read_image(path)
-        if (image != image[0]).any():
-            raise InputError(path, "is a colour image", "give a grey one, bright where road is")
-        return image[0]
+    if path.suffix == ".npy":
+        return _read_array(path)
+    with suppress(DatasetError):  # a grey palette, or whatever reading the image reports
+        labels = read_labels(path)
+        if 0 <= labels.min() <= labels.max() <= 1:
+            return torch.from_numpy(labels.astype(np.float32))
+    return read_levels(path)
+
+
+def read_levels(path: Path) -> Tensor:
+    """Read a grey image as float32 (H, W), white being 1; raises as ``read_map``."""
+    image = read_image(path)
+    if (image != image[0]).any():
+        raise InputError(path, "is a colour image", "give a grey one, bright where road is")
+    return image[0]
+
+
+def _read_array(path: Path) -> Tensor:
     try:
         values = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
     except Exception as error:  # NumPy raises anything for foreign bytes
         raise InputError(path, f"cannot be read: {reason(error)}", "replace the file") from None
     if not isinstance(values, np.ndarray):
         raise InputError(path, "is an archive of arrays", "give a single one")
-    if values.ndim != 2 or values.dtype.kind != "f":
+    if values.ndim != 2 or values.dtype.kind not in "bfiu":
         message = f"holds {values.dtype} of shape {values.shape}"
-        raise InputError(path, message, "give floating-point numbers (height, width)")
+        raise InputError(path, message, "give numbers (height, width)")
+    if values.dtype.kind in "iu" and values.size and values.max() > 1:
+        top = 255 if values.max() <= 255 and values.dtype != np.uint16 else 65535
+        if values.min() < 0 or values.max() > top:
+            message = f"has values from {values.min()} to {values.max()}"
+            raise InputError(path, message, "give 0 and 1, levels up to 255 or 65535, or floats")
+        values = values / top
     with np.errstate(over="ignore"):  # refused later, as a value out of [0,1]
         return torch.from_numpy(values.astype(np.float32))
 
@@ -85,6 +111,25 @@ def read_or_decide_mask(
     return decide_mask(likelihood, settings)
 
 
+def warn_of_labels(paths: Sequence[Path]) -> None:
+    """Warn of a map with as few values as a label image has, but for those of a mask."""
+    for path in paths:
+        try:
+            values = read_map(path).unique()
+        except InputError:
+            continue  # reported when it is scored
+        if len(values) <= MAX_LABELS and not torch.isin(values, torch.tensor([0.0, 1.0])).all():
+            message = f"{path} has only {len(values)} values; if they are numbers of classes, "
+            warnings.warn(f"{message}write masks instead: 0 and 1, or 0 and 255", stacklevel=2)
+            return
+
+
+def find_maps(folder: Path, names: Sequence[str]) -> list[Path]:
+    """Return the files of one image's map; names: possible stems."""
+    paths = [folder / f"{name}{ending}" for name in names for ending in MAP_ENDINGS]
+    return [path for path in paths if path.is_file()]
+
+
 def read_likelihood_map(
     folder: Path, names: Sequence[str], sizes: Collection[tuple[int, int]]
 ) -> Tensor:
@@ -93,13 +138,12 @@ def read_likelihood_map(
     names: possible stems of the file. Raises InputError naming the file when it is missing, of
     another size, not grey, or has values outside [0, 1], and when two files of the image differ.
     """
-    paths = [folder / f"{name}{ending}" for name in names for ending in MAP_ENDINGS]
-    present = [path for path in paths if path.is_file()]
-    if not present:
+    if not (present := find_maps(folder, names)):
         hint = f"every image needs a map, {' or '.join(MAP_ENDINGS)}"
-        raise InputError(paths[0], "is missing", hint)
+        raise InputError(folder / f"{names[0]}{MAP_ENDINGS[0]}", "is missing", hint)
     path, *duplicates = present
-    likelihood = read_map(path)
+    is_levels = is_infer_folder(folder) and path.suffix != ".npy"  # which may be 0 and 1
+    likelihood = read_levels(path) if is_levels else read_map(path)
     if tuple(likelihood.shape) not in sizes:
         height, width = likelihood.shape
         allowed = " or ".join(dict.fromkeys(f"{columns} by {rows}" for rows, columns in sizes))

@@ -26,6 +26,7 @@ from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import detector_entry, is_pattern, list_detectors, load_detector
 from roadtorch.detectors.detector import Detection, Detector, DetectorSettings
 from roadtorch.imaging.resize import spatial_size
+from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
@@ -44,6 +45,8 @@ DETECTOR_BY_NETWORK = {
 
 Predictor = Callable[[Tensor, LabelledItem], Detection]
 """Image and item → detection by a loaded contender; can be pickled for worker processes."""
+
+CHECKED_MAPS = 8  # maps of a folder whose values are looked at before the run
 
 MAX_NAME_LENGTH = 60  # letters of a name from a file in a message
 
@@ -188,10 +191,35 @@ def contender_from_maps(name: str, folder: Path) -> Contender:
         settings["isolated"] = decision.isolated
     return Contender(
         f"maps:{name}",
-        lambda dataset: partial(_read_maps, folder, decision, dataset),
+        partial(_prepare_maps, folder, decision),
         settings,
         decision.threshold,
     )
+
+
+def _prepare_maps(folder: Path, decision: DetectorSettings, dataset: Dataset) -> Predictor:
+    """Return the reader of maps, after a look at a few for values that no likelihood has."""
+    maps = [
+        path
+        for item in dataset.items
+        for path in likelihood_maps.find_maps(folder, _map_names(dataset, item))
+    ]
+    if not likelihood_maps.is_infer_folder(folder):
+        likelihood_maps.warn_of_labels(evenly_spaced(maps, CHECKED_MAPS))
+    return partial(_read_maps, folder, decision, dataset)
+
+
+def _map_names(dataset: Dataset, item: LabelledItem) -> list[str]:
+    """Return the possible stems of an item's map.
+
+    Maps by infer are named like the image, relative to its folder or to that of the set; maps for
+    KITTI's server are named like the label.
+    """
+    like_image = str(PurePath(item.name).with_name(item.image.stem))
+    names = list(dict.fromkeys([item.name, like_image, item.label.stem]))
+    if item.image.is_relative_to(dataset.root):
+        names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
+    return names
 
 
 def _read_maps(
@@ -201,12 +229,7 @@ def _read_maps(
     if dataset.scoring_space is not None:
         height, width = dataset.scoring_space(item, torch.zeros(sizes[0])).shape
         sizes.append((height, width))
-    # Maps by infer are named like the image, relative to its folder or to that of the set; maps
-    # for KITTI's server are named like the label.
-    like_image = str(PurePath(item.name).with_name(item.image.stem))
-    names = list(dict.fromkeys([item.name, like_image, item.label.stem]))
-    if item.image.is_relative_to(dataset.root):
-        names.append(str(item.image.relative_to(dataset.root).with_suffix("")))
+    names = _map_names(dataset, item)
     likelihood = likelihood_maps.read_likelihood_map(folder, names, sizes)
     mask = likelihood_maps.read_or_decide_mask(folder, names, likelihood, decision)
     return Detection(likelihood, mask, {})

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import Result
+from PIL import Image
 
 from roadtorch.annotate.session import make_import_event
 from roadtorch.base.errors import InputError
@@ -208,6 +209,24 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(camvid, tmp_p
 
     with pytest.raises(InputError, match="out: cannot be written: Permission denied"):
         run("camvid", camvid, "--detector", "prior:rows", "--out", tmp_path / "out")
+
+
+# --- maps ----------------------------------------------------------------------------------------
+
+
+def test_a_few_maps_are_counted_and_their_failures_are_one_line(
+    camvid: Path, tmp_path: Path, call: Call
+) -> None:
+    for name in list(SCENES)[:2]:
+        Image.fromarray(SCENES[name].road.numpy().astype(np.uint8)).save(tmp_path / f"{name}.png")
+
+    result = call("evaluate", "camvid", camvid, "--detector", tmp_path)
+
+    assert result.exit_code == 1
+    assert f"2 of {len(SCENES)} images were scored" in result.stdout
+    assert result.stdout.split("F of mask")[1].split("\n")[1].split()[1] == "1.000"
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"failed: {len(SCENES) - 2} images, the first ")
 
 
 # --- maps of infer --------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from PIL import Image
 from roadtorch.data.correction_formats import fill_area
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
-from roadtorch.data.likelihood_maps import read_likelihood_map
+from roadtorch.data.likelihood_maps import read_likelihood_map, warn_of_labels
 from roadtorch.data.polygons import fill_polygon
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 
@@ -93,6 +93,58 @@ def test_8_and_16_bit_images_and_numpy_files_are_read_alike(tmp_path):
         likelihood = read_likelihood_map(tmp_path, ["none", name], [(4, 6)])
         assert likelihood.dtype == torch.float32
         assert np.abs(likelihood.numpy() - RAMP).max() <= step / 2 + 1e-7
+
+
+MASK = np.arange(24).reshape(4, 6) > 13
+
+
+def in_palette(colours: list[int]) -> Image.Image:
+    image = Image.fromarray(MASK.astype(np.uint8)).convert("P")
+    image.putpalette(colours)
+    return image
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        Image.fromarray(MASK.astype(np.uint8)),
+        Image.fromarray(MASK.astype(np.uint8) * 255),
+        Image.fromarray(MASK.astype(np.uint16)),
+        Image.fromarray(MASK),
+        Image.fromarray(np.stack([MASK.astype(np.uint8)] * 3, -1)),
+        in_palette([0, 0, 0, 128, 0, 0]),
+        MASK,
+        MASK.astype(np.int64),
+        MASK.astype(np.uint8) * 255,
+        MASK.astype(np.uint16) * 65535,
+    ],
+    ids=["0/1", "0/255", "16 bits", "1 bit", "rgb", "palette", "bool", "int", "bytes", "words"],
+)
+def test_a_mask_in_any_coding_is_a_mask(values: Image.Image | np.ndarray, tmp_path: Path) -> None:
+    if isinstance(values, Image.Image):
+        values.save(tmp_path / "a.png")
+    else:
+        np.save(tmp_path / "a.npy", values)
+
+    assert torch.equal(
+        read_likelihood_map(tmp_path, ["a"], [(4, 6)]), torch.from_numpy(MASK).float()
+    )
+
+
+def test_a_map_of_few_values_is_told(tmp_path: Path) -> None:
+    for name, values in {"mask": MASK, "smooth": np.linspace(0, 1, 99)[None]}.items():
+        np.save(tmp_path / f"{name}.npy", values)
+    np.save(tmp_path / "classes.npy", np.arange(24).reshape(4, 6) % 3)
+
+    with pytest.warns(UserWarning, match=r"classes.npy has only 3 values; if they are numbers of"):
+        warn_of_labels([tmp_path / f"{name}.npy" for name in ("mask", "smooth", "classes")])
+
+
+def test_likelihoods_of_infer_that_are_almost_0_are_no_mask(tmp_path: Path) -> None:
+    (tmp_path / "config.toml").touch()
+    Image.fromarray(MASK.astype(np.uint8)).save(tmp_path / "a.likelihood.png")
+
+    assert float(read_likelihood_map(tmp_path, ["a"], [(4, 6)]).max()) == pytest.approx(1 / 255)
 
 
 # --- drawn shapes -----------------------------------------------------------------------

@@ -188,7 +188,9 @@ MAPS: Rows = [
         (np.where(RAMP > 0.9, np.nan, RAMP), "has values from nan to nan"),
         (RAMP * 1.5, r"has values from 0 to 1\.5"),
         (RAMP[:3], r"is 6 by 3 pixels \(it should be 6 by 4\)"),
-        ((RAMP * 255).astype(np.uint8), r"holds uint8 of shape \(4, 6\)"),
+        (RAMP * 1j, r"holds complex128 of shape \(4, 6\)"),
+        (np.where(RAMP > 0.9, -1, 5), "has values from -1 to 5"),
+        (np.where(RAMP > 0.9, 70_000, 0), "has values from 0 to 70000"),
     ]
 ] + [
     (read_map, {}, "m.png", "is missing"),

@@ -22,7 +22,9 @@ PartKind = Literal["group", "condition"]
 
 def format_tables(evaluation: Evaluation) -> str:
     """Return the tables of an evaluation as text, with the columns that fit ``SCREEN_WIDTH``."""
-    texts = [table.text(SCREEN_WIDTH) for table in build_tables(evaluation, MAX_SCREEN_ROWS)]
+    scored = f"{evaluation.images} of {len(evaluation.dataset.items)} images were scored"
+    texts = [scored] if evaluation.failures else []
+    texts += [table.text(SCREEN_WIDTH) for table in build_tables(evaluation, MAX_SCREEN_ROWS)]
     if more := len(evaluation.detectors) - len(shortlist(evaluation)):
         texts.append(f"{more} more detectors, with lower MaxF: metrics.json (--out DIR)")
     return "\n\n".join(texts)
