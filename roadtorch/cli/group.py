@@ -198,8 +198,6 @@ def _configure_process() -> None:
         sys.stdin.reconfigure(errors="surrogateescape")
     if not any(name in os.environ for name in (*OPENMP_WAIT, "KMP_BLOCKTIME")):
         os.environ.update(OPENMP_WAIT)  # read by OpenMP when torch is loaded
-    # A new Python of a worker must not import a types.py from the folder of the user's images.
-    os.environ.setdefault("PYTHONSAFEPATH", "1")
     gc.set_threshold(GC_THRESHOLD)
     atexit.register(gc.freeze)
     open_streams()

@@ -15,7 +15,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import active_children, get_context
 from multiprocessing.process import BaseProcess
@@ -186,7 +186,8 @@ class _ProcessPool:
     """Executors with one process each, so that the item of a dead process is known.
 
     Processes are forked, so that nothing is loaded twice, where that is safe: on Linux, without
-    CUDA and without several OpenMP threads, neither of which survives a fork.
+    CUDA and without several OpenMP threads, neither of which survives a fork. A process that dies
+    before it has its task ends the run: all after it would die as well.
     """
 
     crashes: tuple[type[Exception], ...] = (BrokenExecutor,)
@@ -201,21 +202,27 @@ class _ProcessPool:
         # once the process runs: Python waits forever for one that dies reading its arguments.
         self._pickled_task = None if forks else pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
         self._processes: dict[ProcessPoolExecutor, set[BaseProcess]] = {}
+        self._starts: dict[ProcessPoolExecutor, Future[None]] = {}
+        self._dies_at_start = False
 
     def start(self) -> ProcessPoolExecutor:
         """Start an executor with one process."""
+        if self._dies_at_start:
+            hint = "give --jobs 1, and check the Python environment of new processes"
+            raise InputError("--jobs", "a worker process died at its start", hint)
         earlier = set(active_children())
         try:
             arguments = (self._threads, self._inherited_task)
-            executor = ProcessPoolExecutor(1, self._context, _initialise_worker, arguments)
-            with block_sigint_in_children():
-                executor.submit(_load_task, self._pickled_task)
+            with _safe_path(), block_sigint_in_children():
+                executor = ProcessPoolExecutor(1, self._context, _initialise_worker, arguments)
+                start = executor.submit(_load_task, self._pickled_task)
         except (OSError, RuntimeError) as error:  # RuntimeError: its thread cannot start
             for process in set(active_children()) - earlier:
                 process.kill()
             problem = f"no process can be started: {getattr(error, 'strerror', None) or error}"
             raise InputError("--jobs", problem, "give --jobs 1, or end other programs") from None
         self._processes[executor] = set(active_children()) - earlier
+        self._starts[executor] = start
         return executor
 
     def submit(self, worker: ProcessPoolExecutor, item: bytes) -> Future[bytes]:
@@ -230,6 +237,8 @@ class _ProcessPool:
     def stop(self, workers: Sequence[ProcessPoolExecutor]) -> None:
         """Shut executors down, and kill processes that take too long."""
         processes = set[BaseProcess]().union(*(self._processes.pop(worker) for worker in workers))
+        starts = [start for worker in workers if (start := self._starts.pop(worker)).done()]
+        self._dies_at_start = any(isinstance(start.exception(), self.crashes) for start in starts)
 
         def kill() -> None:
             for process in processes:
@@ -243,6 +252,20 @@ class _ProcessPool:
         finally:  # also after a second signal
             timer.cancel()
             kill()
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let a Python that starts in the block import no types.py from the user's folder."""
+    previous = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if previous is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = previous
 
 
 def _initialise_worker(threads: Threads, task: Callable[[Any], Any] | None) -> None:

@@ -154,10 +154,24 @@ def test_beside_several_threads_workers_are_started_anew_with_as_many() -> None:
     assert results == [(0.0, 2), (2.0, 2), (4.0, 2)]
 
 
-def test_a_users_file_is_no_module_of_workers_that_are_started_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_workers_that_die_at_their_start_end_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)  # of a command in this process
+    (tmp_path / "types.py").write_text("raise SystemExit('broken')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # of new processes alone
+    threads, start = Threads.current(), time.monotonic()
+    try:
+        Threads(2, 1).set()
+        with pytest.raises(InputError, match="--jobs: a worker process died at its start"):
+            list(Workers(2).map(partial(work, deadly=(0,) * 10**6), range(30), died))
+    finally:
+        threads.set()
+
+    assert time.monotonic() - start < 60
+    assert "broken" in capfd.readouterr().err
+
+
+def test_a_users_file_is_no_module_of_workers_that_are_started_anew(tmp_path: Path) -> None:
     (tmp_path / "types.py").write_text("x = 1  # notes\n")
     for name in "ab":
         save_image(tmp_path / f"{name}.jpg")
