@@ -116,23 +116,24 @@ def read_framings(folder: Path, kind: str, traffic: str) -> Iterator[Framing]:
 
 
 def main() -> None:
-    """Print a row for each folder."""
+    """Print a row for each folder, with the 95 % interval of rows cut on one side alone."""
     parser = argparse.ArgumentParser(description="Print how the road lies in images.")
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--kind", default="", help="of worlds, e.g. town")
     parser.add_argument("--traffic", default="", choices=("right", "left"), help="of worlds")
     options = parser.parse_args()
-    print("folder images (L-R)/(L+R) |…| balanced left-only right-only one-side-only most-rows")
+    print("folder images (L-R)/(L+R) |…| balanced left-only right-only one-side-only ± most-rows")
     for folder in options.folders:
         table = np.array(list(read_framings(folder, options.kind, options.traffic)))
         if len(table):
             size = np.abs(table[:, 0])
             left, right = table[:, 1:].mean(0)
+            margin = 1.96 * table[:, 1:].sum(1).std() / len(table) ** 0.5
             most = (table[:, 1:].sum(1) > 0.5).mean()
             print(
                 f"{folder.name} {len(table)} {np.median(table[:, 0]):+.2f} {np.median(size):.2f} "
                 f"{(size < BALANCED).mean():.2f} {left:.2f} {right:.2f} "
-                f"{left + right:.2f} {most:.2f}"
+                f"{left + right:.2f} {margin:.2f} {most:.2f}"
             )
 
 
