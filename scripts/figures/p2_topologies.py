@@ -1,9 +1,9 @@
 """P2, Figs. 3 and 4a: networks of different patches and kernels, by accuracy and by time.
 
-A small version, ten minutes on one core: seven networks for P2's fifteen, each trained once on an
-eighth of the free images as ``configs/cnn7.toml`` says but for one epoch, one patch a superpixel
-and batches of 32: some 20 thousand patches where P2 has 4.8 million. It compares networks with one
-another, not with P2's. (P2's fifteen at three times the patches: train/README.md.)
+A small version, some minutes on one core: seven networks for P2's fifteen, each trained once on a
+fifth of the free images as ``configs/cnn7.toml`` says but for one epoch, one patch a superpixel and
+batches of 32: 32 thousand patches where P2 has 4.8 million. It compares networks with one another,
+not with P2's. (P2's fifteen at four times the patches: train/README.md.)
 
 P2 prints the ranges that its networks are from, and the size of CNN-7 alone; the others are ours
 from the same ranges, under its names.
