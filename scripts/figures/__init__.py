@@ -22,7 +22,7 @@ class PaperFigure(NamedTuple):
     """A figure or table of a paper: its function and the files that it writes.
 
     ``make`` reads the data (first path) and writes to a folder (second path), what takes long
-    first to a file from which it resumes. ``endings`` are appended to the figure's name.
+    first to the folder NAME-counts, from which it resumes. ``endings`` are appended to the name.
     """
 
     make: Callable[[Path, Path], None]

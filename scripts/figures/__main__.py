@@ -26,7 +26,8 @@ def make_all(data: Path, out: Path) -> list[str]:
     """Make every figure whose files do not exist yet; returns the names of those that failed."""
     failed = []
     for name, figure in FIGURES.items():
-        if all((out / f"{name}{ending}").exists() for ending in figure.endings):
+        is_counting = (out / f"{name}-counts").exists()  # an earlier run was interrupted
+        if not is_counting and all((out / f"{name}{end}").exists() for end in figure.endings):
             print(f"{name}: exists", flush=True)
             continue
         start = time.monotonic()

@@ -2,7 +2,7 @@
 
 import math
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -40,27 +40,33 @@ def count_images(
     """
     entries = collect_contenders(dataset, contenders, {}, with_baselines=False)
     folder.mkdir(parents=True, exist_ok=True)
-    paths = {item.name: folder / f"{item.name.replace('/', '-')}.pickle" for item in dataset.items}
-    missing = tuple(item for item in dataset.items if not paths[item.name].exists())
-    fresh = score_dataset(replace(dataset, items=missing), entries)
     tallies = {entry.name: Tally() for entry in entries}
+    paths = {item.name: folder / f"{item.name.replace('/', '-')}.pickle" for item in dataset.items}
+    kept = {name for name, path in paths.items() if _read_counts(path, tallies)}
+    missing = tuple(item for item in dataset.items if item.name not in kept)
+    fresh = score_dataset(replace(dataset, items=missing), entries)
     for number, item in enumerate(Progress(dataset.items, unit="image"), 1):
-        result = _read_or_write(paths[item.name], fresh)
-        if result.failure:
-            raise RuntimeError(f"{item.name}: {result.failure}")
+        path = paths[item.name]
+        result = _read_counts(path, tallies) if item.name in kept else None
+        result = result or _write_counts(path, next(fresh))
         for name, counts in result.counts.items():
             tallies[name].add(item, counts)
         if number % REPORT == 0 or number == len(dataset.items):
             yield number, tallies
 
 
-def _read_or_write(path: Path, fresh: Iterator[ImageResult]) -> ImageResult:
-    if path.exists():
-        return pickle.loads(path.read_bytes())
-    result = next(fresh)
-    if not result.failure:
-        with atomic_write(path) as temporary:
-            temporary.write_bytes(pickle.dumps(result))
+def _read_counts(path: Path, names: Collection[str]) -> ImageResult | None:
+    """Read the counts of an image; None where there are none, or of other contenders."""
+    result = pickle.loads(path.read_bytes()) if path.exists() else None
+    return result if result is not None and set(result.counts) == set(names) else None
+
+
+def _write_counts(path: Path, result: ImageResult) -> ImageResult:
+    """Write the counts of an image and return them; RuntimeError where it failed."""
+    if result.failure:
+        raise RuntimeError(f"{result.item.name}: {result.failure}")
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(pickle.dumps(result))
     return result
 
 

@@ -114,18 +114,21 @@ def test_all_skips_figures_that_exist_and_goes_on_after_one_that_fails(
         (out / "p3-fig8.png").touch()
 
     (tmp_path / "p1-table1.csv").touch()
+    (tmp_path / "p2-fig4c.csv").touch()
+    (tmp_path / "p2-fig4c-counts").mkdir()  # its run was interrupted
     figures = {
         "p1-table1": PaperFigure(fail, (".csv",)),
         "p2-fig4b": PaperFigure(fail, (".csv",)),
+        "p2-fig4c": PaperFigure(fail, (".csv",)),
         "p3-fig8": PaperFigure(write, (".png",)),
     }
     monkeypatch.setattr(__main__, "FIGURES", figures)
 
     failed = __main__.make_all(Path("data"), tmp_path)
 
-    assert failed == ["p2-fig4b"]
+    assert failed == ["p2-fig4b", "p2-fig4c"]
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[1] for line in lines] == ["exists", "failed:", "made"]
+    assert [line.split()[1] for line in lines] == ["exists", "failed:", "failed:", "made"]
     assert (tmp_path / "p3-fig8.png").exists()
 
 

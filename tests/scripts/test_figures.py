@@ -151,6 +151,8 @@ def test_counts_resume_with_the_image_that_is_missing(tmp_path: Path) -> None:
     assert (number, seen) == (3, [dataset.items[1].name])
     for drive, counts in whole["prior:rows"].road.items():
         assert torch.equal(again["prior:rows"].road[drive].road, counts.road)
+    ((_, other),) = counting.count_images(dataset, ["prior:triangle"], tmp_path / "counts")
+    assert list(other) == ["prior:triangle"]  # counts of another detector are not taken
 
 
 def test_a_confusion_is_printed_in_the_papers_order() -> None:
