@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import cv2
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image, ImageFile, ImageOps
 from PIL.ExifTags import Base as ExifTag
 
 PILLOW_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
@@ -47,6 +47,11 @@ def decode_pixels(data: bytes) -> np.ndarray:
     OpenCV decodes 16 bits, Pillow the rest. Raises TooLargeError before anything is decoded, and
     whatever the decoders raise for other bytes.
     """
+    with refuse_truncated():
+        return _decode(data)
+
+
+def _decode(data: bytes) -> np.ndarray:
     image = open_image(data)
     if image.format == "PNG":
         image.verify()  # checks every chunk, and closes the image
@@ -110,6 +115,31 @@ def suppress_warnings() -> Iterator[None]:
         yield
 
 
+class _Truncated:
+    """Number of blocks that refuse truncated images, and what another package had set before."""
+
+    lock = threading.Lock()
+    blocks = 0
+    allowed = False
+
+
+@contextmanager
+def refuse_truncated() -> Iterator[None]:
+    """Let Pillow refuse truncated images inside the block, whatever another package has set."""
+    with _Truncated.lock:
+        if not _Truncated.blocks:
+            _Truncated.allowed = ImageFile.LOAD_TRUNCATED_IMAGES
+            ImageFile.LOAD_TRUNCATED_IMAGES = False
+        _Truncated.blocks += 1
+    try:
+        yield
+    finally:
+        with _Truncated.lock:
+            _Truncated.blocks -= 1
+            if not _Truncated.blocks:
+                ImageFile.LOAD_TRUNCATED_IMAGES = _Truncated.allowed
+
+
 @contextmanager
 def silence_opencv() -> Iterator[None]:
     """Keep OpenCV from writing warnings to stderr inside the block."""
@@ -130,7 +160,8 @@ def pillow_pixels(image: Image.Image) -> np.ndarray:
 
     Raises ValueError for 32 bits, whose white level is undefined, and whatever Pillow raises.
     """
-    image.load()
+    with refuse_truncated():
+        image.load()
     with suppress_warnings():
         try:
             upright = ImageOps.exif_transpose(image)

@@ -1,5 +1,6 @@
 """Documents of other programs and of browsers: bounded models, errors in one line."""
 
+import codecs
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,7 +50,7 @@ def read_document(path: Path, hint: str) -> Iterator[bytes]:
     a RoadtorchError passes unchanged.
     """
     try:
-        yield read_regular(path, MAX_DOCUMENT_BYTES)
+        yield read_regular(path, MAX_DOCUMENT_BYTES).removeprefix(codecs.BOM_UTF8)
     except RoadtorchError:
         raise
     except pydantic.ValidationError as error:

@@ -2,6 +2,7 @@
 
 import io
 import os
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic_write
-from roadtorch.base.bounded import read_regular, reason, strip_password
+from roadtorch.base.bounded import read_regular, reason, strip_password, to_printable
 from roadtorch.base.decoding import MEGAPIXELS_VARIABLE, TooLargeError, decode_pixels, pillow_pixels
 from roadtorch.base.errors import (
     ConfigError,
@@ -28,6 +29,15 @@ from roadtorch.base.urls import read_url, url_scheme
 READABLE_FORMATS = "JPEG, PNG, TIFF, WebP or BMP"
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")  # of images in folders
+
+UNREAD_SUFFIXES = (
+    *(".jfif", ".jfi", ".jif", ".jpe", ".mpo", ".jp2", ".j2k", ".jpx", ".jxl", ".heic", ".heif"),
+    *(".hif", ".avif", ".gif", ".apng", ".ppm", ".pgm", ".pnm", ".exr", ".hdr", ".psd", ".tga"),
+    *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf"),
+)
+"""Suffixes of other images, which are reported where a folder holds them."""
+
+MAX_LISTED_NAMES = 5  # in a warning
 
 # Okabe and Ito, "Color Universal Design" (2008): distinct for every kind of colour vision.
 SKY_BLUE = (86, 180, 233)
@@ -49,6 +59,8 @@ PNG_MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 
 ColourOrder = Literal["rgb", "bgr"]
 """Order of the colour channels of an array: OpenCV's is ``bgr``, most others' is ``rgb``."""
+
+ARRAY_DTYPES = (np.uint8, np.uint16, np.float16, np.float32, np.float64)
 
 ImageLike = Tensor | np.ndarray | Image.Image | str | os.PathLike[str] | bytes | IO[bytes]
 """Types of images that ``as_image`` converts."""
@@ -91,6 +103,17 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror}", "check the file") from None
     return decode_image(data, path)
+
+
+def warn_of_unread(folder: object, names: Iterable[str]) -> None:
+    """Warn of what a folder holds and no command reads: other images, and links to folders."""
+    unread = [name for name in names if not name.startswith(".")]
+    if unread:
+        more = f" and {len(unread) - MAX_LISTED_NAMES} more" * (len(unread) > MAX_LISTED_NAMES)
+        listed = f"{', '.join(unread[:MAX_LISTED_NAMES])}{more}"
+        hint = f"give links by name; rename or convert images to {READABLE_FORMATS}"
+        message = f"{folder}: {len(unread)} left out: {to_printable(listed)} ({hint})"
+        warnings.warn(strip_password(message), stacklevel=2)
 
 
 def decode_image(data: bytes, origin: object) -> Tensor:
@@ -201,8 +224,8 @@ def check_order(order: ColourOrder) -> ColourOrder:
 
 def _as_rgb(pixels: np.ndarray, order: ColourOrder | None) -> np.ndarray:
     """Return pixels (H, W) or (H, W, C) as grey, RGB or RGBA; raise InputError for others."""
-    if pixels.dtype not in (np.uint8, np.uint16) and pixels.dtype.kind != "f":
-        hint = "give uint8 from 0 to 255, or floating point from 0 to 1"
+    if pixels.dtype not in ARRAY_DTYPES:  # other byte orders and longdouble are unequal to all
+        hint = "give uint8 from 0 to 255, or float32 from 0 to 1, in the byte order of this machine"
         raise InputError("image", f"is an array of {pixels.dtype}", hint)
     if pixels.ndim == 2:
         return pixels

@@ -142,7 +142,7 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     not TOML.
     """
     try:
-        return _resolve_files(path, tomllib.loads(read_regular(path).decode()))
+        return _resolve_files(path, tomllib.loads(read_regular(path).decode("utf-8-sig")))
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror}", "give a TOML file") from None
     except UnicodeDecodeError:

@@ -3,9 +3,11 @@
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Annotated, NamedTuple
+from unicodedata import normalize
 
 import numpy as np
 import torch
@@ -137,13 +139,15 @@ class _CocoCategory(ForeignDocument):
 
 
 class _Counts(ForeignDocument):
-    counts: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...]
+    size: tuple[Side, Side] | None = None  # height, width
+    counts: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] | str
 
 
 _Polygons = tuple[Annotated[tuple[Coordinate, ...], Field(min_length=6)], ...]
 
 
 class _CocoRegion(ForeignDocument):
+    id: int | str | None = None
     image_id: int
     category_id: int
     segmentation: Annotated[
@@ -163,13 +167,16 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
 
     path: a folder with coco.json, or a file of any name. Later regions cover earlier ones.
     Raises DatasetError for any other file, one without an image of ``sizes``, two entries for one
-    image, an image of another size, a region that does not fit its image, and a category that is
-    not one of ``LABEL_NAMES``.
+    image or id, an image of another size, a region that does not fit its image or has none, and a
+    category that is not one of ``LABEL_NAMES``.
     """
     path = path / _COCO_FILE if path.is_dir() else path
     with read_document(path, "export it again as COCO") as data:
         document = _CocoFile.model_validate_json(data)
-        names: dict[int, str] = {}
+        _require_unique_ids("images", [image.id for image in document.images])
+        _require_unique_ids("categories", [category.id for category in document.categories])
+        _require_unique_ids("annotations", [region.id for region in document.annotations])
+        listed, names = {image.id for image in document.images}, dict[int, str]()
         for image in document.images:
             if (name := match_image_name(image.file_name, sizes)) is None:
                 continue
@@ -186,6 +193,8 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
         labels = {name: np.zeros(sizes[name], np.uint8) for name in names.values()}
         categories = {category.id: category.name for category in document.categories}
         for region in document.annotations:
+            if region.image_id not in listed:
+                raise ValueError(f"a region is on image {region.image_id}, which is not listed")
             if (name := names.get(region.image_id)) is not None:
                 category = categories.get(region.category_id, "")
                 if category not in LABEL_NAMES[1:]:
@@ -199,14 +208,24 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
     return labels
 
 
+def _require_unique_ids(part: str, ids: Iterable[int | str | None]) -> None:
+    counts = Counter(number for number in ids if number is not None)
+    if twice := [number for number, count in counts.items() if count > 1]:
+        raise ValueError(f"{part} have the id {twice[0]} {counts[twice[0]]} times")
+
+
 def match_image_name(file: str, names: Collection[str]) -> str | None:
     """Return the image whose name is the end of a file's path, in whole parts; None without one.
 
     Raises ValueError for an upload to Label Studio that could be either of two images.
     """
     parts = re.split(r"[/\\]", file)
-    endings = ("/".join(parts[start:]) for start in range(len(parts)))
+    endings = ["/".join(parts[start:]) for start in range(len(parts))]
     if (name := next((ending for ending in endings if ending in names), None)) is not None:
+        return name
+    spellings = {} if file.isascii() else {normalize("NFC", name): name for name in names}
+    composed = (spellings.get(normalize("NFC", ending)) for ending in endings)
+    if (name := next(filter(None, composed), None)) is not None:
         return name
     if (upload := _UPLOAD.fullmatch(parts[-1])) is None:
         return None
@@ -220,6 +239,10 @@ def _fill_region(labels: np.ndarray, segmentation: _Counts | _Polygons, number: 
     height, width = labels.shape
     if isinstance(segmentation, _Counts):
         counts = segmentation.counts
+        if segmentation.size not in (None, (height, width)):
+            rows, columns = segmentation.size or (0, 0)
+            raise ValueError(f"a region has {columns} by {rows} pixels, not {width} by {height}")
+        counts = unpack_counts(counts) if isinstance(counts, str) else counts
         if sum(counts) != height * width:
             raise ValueError(f"{sum(counts)} pixels are counted, not {width} by {height}")
         inside = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
@@ -229,6 +252,32 @@ def _fill_region(labels: np.ndarray, segmentation: _Counts | _Polygons, number: 
         if len(polygon) % 2:
             raise ValueError(f"a polygon has {len(polygon)} coordinates, an odd number")
         fill_area(np.array(polygon).reshape(-1, 2), labels, number)
+
+
+def unpack_counts(text: str) -> list[int]:
+    """Unpack compressed counts, as pycocotools' ``rleFrString`` does; ValueError for other text.
+
+    Five bits a letter, the lowest first; bit 5: more follow; bit 4 of the last: it is negative.
+    From the fourth count on it is the difference to the count before the last.
+    """
+    counts: list[int] = []
+    value, shift = 0, 0
+    for letter in text:
+        code = ord(letter) - 48
+        if not 0 <= code < 64 or shift > 30:
+            raise ValueError(f"compressed counts have {letter!r}, which pycocotools does not write")
+        value |= (code & 31) << shift
+        shift += 5
+        if code & 32:
+            continue
+        value -= (code & 16) << (shift - 4)
+        counts.append(value + (counts[-2] if len(counts) > 2 else 0))
+        if counts[-1] < 0:
+            raise ValueError("compressed counts have a negative one")
+        value, shift = 0, 0
+    if shift:
+        raise ValueError("compressed counts are cut short")
+    return counts
 
 
 def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:

@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unicodedata import normalize
 
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import DatasetError
@@ -102,7 +103,7 @@ def add_conditions(dataset: Dataset, path: Path) -> Dataset:
     columns = ["name", "file", "condition"] if dataset.groups() else ["file", "condition"]
     conditions: dict[_ItemKey, tuple[str, ...]] = {}
     for line, row in _read_rows(path, columns):
-        key = (row["name"] if dataset.groups() else "", row["file"])
+        key = (row["name"] if dataset.groups() else "", normalize("NFC", row["file"]))
         where, name = f"{path}, line {line}", _format_key(key)
         if key not in images:
             near = difflib.get_close_matches(name, map(_format_key, images), n=3, cutoff=0.5)
@@ -118,7 +119,7 @@ def add_conditions(dataset: Dataset, path: Path) -> Dataset:
 
 
 def _item_key(item: LabelledItem) -> _ItemKey:
-    return item.group or "", item.image.name
+    return item.group or "", normalize("NFC", item.image.name)
 
 
 def _format_key(key: _ItemKey) -> str:

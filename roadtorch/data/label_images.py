@@ -4,14 +4,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from unicodedata import normalize
 
 import numpy as np
 import torch
 
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import open_image, suppress_warnings
+from roadtorch.base.decoding import open_image, refuse_truncated, suppress_warnings
 from roadtorch.base.errors import ConfigError, DatasetError
-from roadtorch.base.image import IMAGE_SUFFIXES
+from roadtorch.base.image import IMAGE_SUFFIXES, UNREAD_SUFFIXES, warn_of_unread
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.layout.classes import UNLABELLED
 
@@ -103,14 +104,29 @@ def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tup
         if not folder.is_dir():
             raise DatasetError(folder, "does not exist", "check the folder's layout")
     by_label: dict[Path, Path] = {}
-    for path in filter(is_image_file, sorted(images.iterdir())):
-        first = by_label.setdefault(labels / f"{path.stem}{ending}", path)
+    files = sorted(images.iterdir())
+    warn_of_unread(images, [path.name for path in files if path.suffix.lower() in UNREAD_SUFFIXES])
+    for path in filter(is_image_file, files):
+        label = find_spelling(labels / f"{path.stem}{ending}")
+        first = by_label.setdefault(label, path)
         if first != path:
             raise DatasetError(path, f"has the name of {first.name}", "rename one of the images")
     if not by_label:
         raise DatasetError(images, "holds no images", f"known endings: {' '.join(IMAGE_SUFFIXES)}")
     require_labels(list(by_label))
     yield from ((image, label) for label, image in by_label.items())
+
+
+def find_spelling(path: Path) -> Path:
+    """Return the file of a path, or else the one whose name differs in its Unicode form alone.
+
+    macOS may have written ü as u and a mark (NFD), where others write one letter (NFC).
+    """
+    if path.name.isascii() or path.exists() or not path.parent.is_dir():
+        return path
+    name = normalize("NFC", path.name)
+    spellings = (file for file in path.parent.iterdir() if normalize("NFC", file.name) == name)
+    return next(spellings, path)
 
 
 def require_labels(paths: Sequence[Path]) -> None:
@@ -155,7 +171,7 @@ def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
 
 def _read_pixels(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> np.ndarray:
     try:
-        with open_image(read_regular(path)) as image, suppress_warnings():
+        with refuse_truncated(), open_image(read_regular(path)) as image, suppress_warnings():
             if size not in (None, (image.height, image.width)):
                 hint = f"its image has {size[1]} by {size[0]}"
                 raise DatasetError(path, f"has {image.width} by {image.height} pixels", hint)

@@ -14,7 +14,7 @@ from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings, read_settings_file
-from roadtorch.data.label_images import read_labels
+from roadtorch.data.label_images import find_spelling, read_labels
 from roadtorch.detectors.detector import DetectorSettings, decide_mask
 
 MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
@@ -126,7 +126,7 @@ def warn_of_labels(paths: Sequence[Path]) -> None:
 
 def find_maps(folder: Path, names: Sequence[str]) -> list[Path]:
     """Return the files of one image's map; names: possible stems."""
-    paths = [folder / f"{name}{ending}" for name in names for ending in MAP_ENDINGS]
+    paths = [find_spelling(folder / f"{name}{end}") for name in names for end in MAP_ENDINGS]
     return [path for path in paths if path.is_file()]
 
 

@@ -1,5 +1,6 @@
 """Resolution of a command's inputs to images and sources of frames."""
 
+import codecs
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -117,15 +118,18 @@ def expand_lists(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
         lines: Iterable[str] = names
         if argument.startswith("@"):
             try:
-                text = Path(argument[1:]).read_text(encoding="utf-8", errors="surrogateescape")
+                data = Path(argument[1:]).read_bytes()
             except OSError as error:
                 problem = f"cannot be read: {error.strerror}"
                 raise InputError(argument[1:], problem, "give @ and a text file") from None
-            lines = text.split("\n")
+            is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # PowerShell's
+            encoding = "utf-16" if is_utf_16 else "utf-8-sig"
+            lines = data.decode(encoding, "replace" if is_utf_16 else "surrogateescape").split("\n")
         elif argument != "-":
             yield argument
             continue
         for line in lines:
+            line = line.removeprefix("\ufeff")  # on standard input
             if any(letter < " " for letter in line.strip("\t\r\n")):
                 hint = "pass the file itself, or names, one a line"
                 raise InputError(argument, "expects file names, not the contents of a file", hint)

@@ -17,7 +17,14 @@ from roadtorch.base.atomic import file_digest
 from roadtorch.base.bounded import strip_password, strip_user
 from roadtorch.base.decoding import is_image_start
 from roadtorch.base.errors import InputError, RoadtorchError
-from roadtorch.base.image import IMAGE_SUFFIXES, READABLE_FORMATS, decode_image, read_image
+from roadtorch.base.image import (
+    IMAGE_SUFFIXES,
+    READABLE_FORMATS,
+    UNREAD_SUFFIXES,
+    decode_image,
+    read_image,
+    warn_of_unread,
+)
 from roadtorch.base.urls import open_url, read_chunks, read_url, slug, url_scheme
 from roadtorch.inputs.item import Item
 
@@ -55,16 +62,22 @@ def list_files(
     else:
         return ListedFile(Path(path), basename(path))
     for folder in folders:
-        files += [file for file in _files_below(folder, exclude) if accepts(basename(file))]
+        below = list(_files_below(folder, exclude))
+        files += [file for file in below if accepts(basename(file))]
+        unread = [file for file in below if file.lower().endswith((os.sep, *UNREAD_SUFFIXES))]
+        warn_of_unread(folder, [os.path.relpath(file, folder) for file in unread])
     paths = map(Path, dict.fromkeys(files))
     return [ListedFile(path, path.relative_to(root).as_posix()) for path in paths]
 
 
 def _files_below(folder: str, exclude: Path | None) -> Iterator[str]:
-    """Yield the files below a folder, sorted, except those in hidden folders and ``exclude``."""
+    """Yield the files below a folder, sorted, and links to folders elsewhere, which end in a /.
+
+    Hidden folders and ``exclude`` are left out.
+    """
     # Path.resolve raises for a link to itself.
-    left_out = os.path.realpath(exclude) if exclude else None
-    if left_out == os.path.realpath(folder):
+    left_out, root = os.path.realpath(exclude) if exclude else None, os.path.realpath(folder)
+    if left_out == root:
         left_out = None
     for top, folders, names in os.walk(folder):
         folders[:] = sorted(
@@ -72,7 +85,15 @@ def _files_below(folder: str, exclude: Path | None) -> Iterator[str]:
             for name in folders
             if name[0] != "." and os.path.realpath(os.path.join(top, name)) != left_out
         )
+        links = [link for name in folders if os.path.islink(link := os.path.join(top, name))]
+        real = {link: os.path.realpath(link) for link in links}
+        yield from (link + os.sep for link in links if not _overlap(real[link], root))
         yield from (os.path.join(top, name) for name in sorted(names))
+
+
+def _overlap(first: str, second: str) -> bool:
+    """Return whether one of two folders is, or lies in, the other."""
+    return os.path.commonpath([first, second]) in (first, second)
 
 
 def is_image_name(name: str) -> bool:

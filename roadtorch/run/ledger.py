@@ -83,7 +83,7 @@ def read_index(path: Path) -> dict[str, IndexRow]:
     if not path.exists():
         return {}
     try:
-        text = read_regular(path).decode()
+        text = read_regular(path).decode("utf-8-sig")
         whole = io.StringIO(text[: text.rfind("\n") + 1], newline="")  # a killed run may cut a row
         lines = csv.DictReader(whole)
         rows = [

@@ -15,8 +15,9 @@ import torch
 from PIL import Image, ImageFile
 
 from roadtorch.base.decoding import MEGAPIXELS_VARIABLE, check_pixels
-from roadtorch.base.errors import InputError
-from roadtorch.base.image import decode_image, read_image
+from roadtorch.base.errors import DatasetError, InputError
+from roadtorch.base.image import as_image, decode_image, read_image
+from roadtorch.data.label_images import read_labels
 
 # --- images ---------------------------------------------------------------------------
 
@@ -188,3 +189,18 @@ def test_warnings_about_images_are_no_failures(monkeypatch: pytest.MonkeyPatch) 
     for image in images:
         assert image.shape == (3, 8, 8)
         assert torch.allclose(image.mean((1, 2)) * 255, torch.tensor([200.0, 100, 50]), atol=6)
+
+
+@pytest.mark.parametrize("form", ["JPEG", "PNG", "BMP", "TIFF", "WEBP"])
+def test_half_an_image_is_refused_whatever_another_package_has_set(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ImageFile, "LOAD_TRUNCATED_IMAGES", True)
+    data = encode(noise(), form)
+    (tmp_path / "a.png").write_bytes(data[: len(data) // 2])
+
+    with pytest.raises(InputError, match="image: "):
+        as_image(data[: len(data) // 2])
+    with pytest.raises(DatasetError, match="cannot be decoded"):
+        read_labels(tmp_path / "a.png")
+    assert ImageFile.LOAD_TRUNCATED_IMAGES  # of the other package

@@ -154,6 +154,8 @@ def test_arrays_tensors_pillow_images_and_paths_give_the_same_image(tmp_path: Pa
         (PIXELS[None], "bgr", "give all of them to detect_many"),
         ([PIXELS, PIXELS], "bgr", "image: is a list, not one image (give one, or all of them to"),
         (Image.new("F", (20, 20)), None, "mode F has no defined white level"),
+        (PIXELS.astype(">f4"), "rgb", "is an array of >f4 (give uint8"),
+        (PIXELS.astype("longdouble"), "rgb", "is an array of float128 (give uint8"),
         (None, "bgr", "is None (check its path: cv2.imread gives that"),
         (PIXELS, "RGB", "RGB: unknown colour order"),
     ],

@@ -96,7 +96,7 @@ def test_written_settings_are_read_again_without_none(tmp_path: Path) -> None:
         shares: tuple[float, ...] = (0.5, 1e-05)
         texture: Texture = Texture(bins=9)
 
-    (tmp_path / "a.toml").write_text(to_toml("cpf:v2", Written()), encoding="utf-8")
+    (tmp_path / "a.toml").write_text(to_toml("cpf:v2", Written()), encoding="utf-8-sig")
 
     assert read_settings_file(tmp_path / "a.toml") == {
         "detector": "cpf:v2",

@@ -1,15 +1,18 @@
 """Export and import of corrections without loss."""
 
+import codecs
 import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.correction_formats import CORRECTION_FORMATS, match_image_name
+from roadtorch.data.correction_formats import CORRECTION_FORMATS, match_image_name, unpack_counts
 from roadtorch.data.corrections import Correction
 from roadtorch.data.events import LABEL_NAMES
 from tests.data.conftest import write
@@ -112,14 +115,38 @@ def coco(folder: Path, *segmentations: object) -> np.ndarray:
         ([[[0.6, 0, 1.6, 0, 1.6, 9, 0.6, 9]]], [[0, 1, 0, 0], [0, 1, 0, 0]]),  # centres inside
         ([[[0, 0, 1, 0, 1, 2, 0, 2], [0, 0, 2, 0, 2, 1, 0, 1]]], [[1, 1, 0, 0], [1, 0, 0, 0]]),
         ([{"counts": [1, 2, 5], "size": [2, 4]}], [[0, 1, 0, 0], [1, 0, 0, 0]]),  # by columns
+        ([{"counts": "125", "size": [2, 4]}], [[0, 1, 0, 0], [1, 0, 0, 0]]),  # [1, 2, 5] packed
         ([{"counts": [0, 8]}, [[1, 0, 2, 0, 2, 2, 1, 2]]], [[1, 4, 1, 1], [1, 4, 1, 1]]),
     ],
-    ids=["none", "polygon", "between pixels", "two are united", "counts", "later ones cover"],
+    ids=["none", "polygon", "between pixels", "two unite", "counts", "packed", "later cover"],
 )
 def test_regions_of_others(
     tmp_path: Path, segmentations: list[object], expected: list[list[int]]
 ) -> None:
     assert coco(tmp_path, *segmentations).tolist() == expected
+
+
+@settings(max_examples=50)
+@given(st.lists(st.integers(0, 2**31 - 1), max_size=9))
+def test_packed_counts_are_read_as_pycocotools_writes_them(counts: list[int]) -> None:
+    text = ""
+    for number, count in enumerate(counts):  # rleToString of its maskApi.c
+        value, more = count - (counts[number - 2] if number > 2 else 0), True
+        while more:
+            bits, value = value & 31, value >> 5
+            more = value != (-1 if bits & 16 else 0)
+            text += chr(bits + 32 * more + 48)
+
+    assert unpack_counts(text) == counts
+
+
+def test_documents_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    labels = nested(3)
+    CORRECTION_FORMATS["coco"].write([correction(labels, "a.jpg")], tmp_path)
+    file = tmp_path / "coco.json"
+    file.write_bytes(codecs.BOM_UTF8 + file.read_bytes())
+
+    assert (CORRECTION_FORMATS["coco"].read(file, {"a.jpg": SIZE})["a.jpg"] == labels).all()
 
 
 def test_a_coco_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
@@ -147,6 +174,8 @@ def test_a_coco_file_has_what_its_readers_ask_for(tmp_path: Path) -> None:
         ("/data/upload/3/1f2e3d4c-1.jpg", ["sub/1.jpg"], "sub/1.jpg"),
         ("1f2e3d4c-1.jpg", ["1f2e3d4c-1.jpg", "1.jpg"], "1f2e3d4c-1.jpg"),
         ("", ["1.jpg"], None),
+        ("images/u\u0308.jpg", ["ü.jpg"], "ü.jpg"),
+        ("ü.jpg", ["u\u0308.jpg", "u.jpg"], "u\u0308.jpg"),
     ],
 )
 def test_the_image_of_a_whole_name(file: str, names: list[str], expected: str | None) -> None:

@@ -14,7 +14,7 @@ from PIL import Image
 from roadtorch.data.correction_formats import fill_area
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
-from roadtorch.data.likelihood_maps import read_likelihood_map, warn_of_labels
+from roadtorch.data.likelihood_maps import find_maps, read_likelihood_map, warn_of_labels
 from roadtorch.data.polygons import fill_polygon
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 
@@ -76,6 +76,26 @@ def test_pairs_in_the_order_of_their_names(tmp_path):
 
     names = [(image.name, label.name) for image, label in files]
     assert names == [("a.png", "a_L.png"), ("b.jpg", "b_L.png")]
+
+
+def test_a_name_is_one_in_either_unicode_form(tmp_path: Path) -> None:
+    saved(tmp_path / "images/\u00fc.png", GREY)
+    saved(tmp_path / "labels/u\u0308.png", GREY)
+
+    ((_, label),) = pair_files(tmp_path / "images", tmp_path / "labels")
+
+    assert label.name == "u\u0308.png"
+    map_of_it = find_maps(tmp_path / "images", ["u\u0308"])
+    assert [path.name for path in map_of_it] == ["\u00fc.png"]
+
+
+def test_images_of_a_set_that_are_not_read_are_named(tmp_path: Path) -> None:
+    for name in ("images/a.png", "labels/a.png"):
+        saved(tmp_path / name, GREY)
+    (tmp_path / "images/b.HEIC").touch()
+
+    with pytest.warns(UserWarning, match=r"images: 1 left out: b.HEIC \(give"):
+        assert len(list(pair_files(tmp_path / "images", tmp_path / "labels"))) == 1
 
 
 # --- maps ----------------------------------------------------------------------------------------

@@ -117,14 +117,17 @@ def read_format(name: str, folder: Path) -> object:
     return CORRECTION_FORMATS[name].read(folder, {"a.jpg": (1, 2)})
 
 
-def coco(region: Mapping[str, object] | None = None, **more: object) -> str:
+def region(**more: object) -> dict[str, object]:
+    return {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]} | more
+
+
+def coco(changes: Mapping[str, object] | None = None, **more: object) -> str:
     """Return a COCO file for the image a.jpg of two pixels, with or without a region."""
     image = {"id": 1, "file_name": "a.jpg", "height": 1, "width": 2}
-    valid = {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]}
     parts = {
         "images": [image],
         "categories": [{"id": 1, "name": "road"}, {"id": 2, "name": "cat"}],
-        "annotations": [] if region is None else [valid | dict(region)],
+        "annotations": [] if changes is None else [region(**changes)],
     }
     return json.dumps(parts | more)
 
@@ -137,12 +140,23 @@ COCO: Rows = [
     (partial(read_format, "coco"), {"coco.json": text}, "coco.json", problem)
     for text, problem in [
         (coco(images=[image("other.jpg")]), "lists none of the images"),
-        (coco(images=[image("one/a.jpg"), image("two/a.jpg")]), r"two entries are for a\.jpg"),
+        (coco(images=[image("1/a.jpg"), image("2/a.jpg", id=8)]), r"two entries are for a\.jpg"),
         (coco(images=[image("a.jpg", width=3)]), r"a\.jpg is for 3 by 1 pixels, .* has 2 by 1"),
         (coco({"category_id": 2}), "category 'cat' on a.jpg is not a label: use road"),
         (coco({"category_id": 3}), "category ''"),
         (coco({"segmentation": []}), r"a region on a\.jpg has no area"),  # a box
         (coco({"segmentation": [[0, 0, 1, 0, 1, 1, 1]]}), "7 coordinates, an odd number"),
+        (coco(images=[image("a.jpg"), image("b.jpg")]), "images have the id 7 2 times"),
+        (coco(categories=[{"id": 1, "name": name} for name in ("road", "sky")]),
+         "categories have the id 1 2 times"),
+        (coco(annotations=[region(id=3), region(id=3)]), "annotations have the id 3 2 times"),
+        (coco({"image_id": 2}), "a region is on image 2, which is not listed"),
+        (coco({"segmentation": {"counts": [0, 2], "size": [2, 1]}}),
+         "a region has 1 by 2 pixels, not 2 by 1"),
+        (coco({"segmentation": {"counts": "1"}}), "1 pixels are counted, not 2 by 1"),
+        (coco({"segmentation": {"counts": "é"}}), "counts have 'é', which pycocotools does not"),
+        (coco({"segmentation": {"counts": "0P"}}), "compressed counts are cut short"),
+        (coco({"segmentation": {"counts": "O"}}), "compressed counts have a negative one"),
         (coco({"segmentation": {"counts": [1]}}), "1 pixels are counted, not 2 by 1"),
         (coco({"segmentation": {"counts": [0, 2**30, 2**30]}}), "are counted, not 2 by 1"),
     ]

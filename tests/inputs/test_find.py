@@ -35,6 +35,37 @@ def footage(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+def test_images_that_are_not_read_and_linked_folders_are_named(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    names = ("a.jpg", "b.jfif", "c.HEIC", "sub/d.mpo", ".e.heic", "notes.txt", "sub/deep/f.jpg")
+    for name in names:
+        (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "in" / name).touch()
+    for name, target in {"more": "../far", "up": "..", "again": "sub"}.items():
+        (tmp_path / "in" / name).symlink_to(target)
+
+    unread = r"4 left out: more, b.jfif, c.HEIC, sub/d.mpo \("
+    with pytest.warns(UserWarning, match=unread) as warnings:
+        images, _ = find_inputs([str(tmp_path / "in")])
+
+    assert [image.name for image in images] == ["a", "sub/deep/f"]
+    assert len(warnings) == 1
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_lists_of_windows_keep_their_first_name(tmp_path: Path, encoding: str) -> None:
+    paths = [str(tmp_path / name) for name in ("ü.jpg", "b.jpg")]
+    for path in paths:
+        Path(path).touch()
+    text = "".join(f"{path}\r\n" for path in paths)
+    (tmp_path / "list.txt").write_bytes(text.encode(encoding))
+
+    images, _ = find_inputs([f"@{tmp_path / 'list.txt'}"])
+    piped, _ = find_inputs(["-"], names=io.StringIO(f"\ufeff{text}"))
+
+    assert [image.origin for image in images] == [image.origin for image in piped] == paths
+
+
 ALL = ["a", "b", "c[1]", "loop", "sub/c", "sub/deep/d"]
 
 

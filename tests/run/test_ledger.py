@@ -1,5 +1,6 @@
 """index.csv row by row; caches on disk, written whole or not at all."""
 
+import codecs
 import csv
 import io
 from dataclasses import replace
@@ -62,6 +63,7 @@ def test_the_end_comes_after_an_error_too_and_a_cut_row_counts_for_nothing(path:
     for cut in range(1, len(whole) - len(HEAD)):
         path.write_bytes(whole[:-cut])
         assert [*read_index(path)] == ["a"] * (whole[:-cut].count(b"\n") > 1)
+    path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())  # by a spreadsheet
     with open_ledger(path):  # a cut row is dropped
         pass
     assert path.read_text() == HEAD
