@@ -48,14 +48,45 @@ def write_video(
     return path
 
 
-def write_sound(path: Path) -> Path:
-    """Write a file with a second of silence and no images."""
+def write_tracks(
+    path: Path, sizes: Sequence[tuple[int, int]] = (), sound: float = 0.0, begin: float = 0.0
+) -> Path:
+    """Write a track of one second, from ``begin`` on, for each size (height, width), and sound."""
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("aac", rate=8000)
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.float32), "fltp", "mono")
-        frame.rate, frame.pts = 8000, 0
-        container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
+        streams = [container.add_stream("libx264", rate=10) for _ in sizes]
+        for stream, (stream.height, stream.width) in zip(streams, sizes, strict=True):
+            stream.pix_fmt = "yuv420p"
+        tone = container.add_stream("aac", rate=8000) if sound else None
+        for stream in streams:
+            for number in range(10):
+                pixels = street_pixels(number % 3, stream.height, stream.width)
+                frame = av.VideoFrame.from_ndarray(pixels, "rgb24").reformat(format="yuv420p")
+                frame.pts, frame.time_base = number + round(begin * 10), Fraction(1, 10)
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode(None))
+        if tone is not None:
+            silence = np.zeros((1, round(sound * 8000)), np.float32)
+            frame = av.AudioFrame.from_ndarray(silence, "fltp", "mono")
+            frame.rate, frame.pts = 8000, 0
+            container.mux(tone.encode(frame))
+            container.mux(tone.encode(None))
+    return path
+
+
+def hide_frames(path: Path, source: Path, hidden: int) -> Path:
+    """Copy a video of ten frames a second to MP4, with an edit list that hides the first frames."""
+    options = {"avoid_negative_ts": "disabled"}
+    with av.open(str(source)) as video, av.open(str(path), "w", options=options) as container:
+        stream = container.add_stream_from_template(video.streams.video[0])
+        for packet in video.demux(video=0):
+            if packet.size and packet.pts is not None and packet.dts is not None:
+                shift = round(hidden / 10 / packet.time_base)
+                packet.pts, packet.dts, packet.stream = (
+                    packet.pts - shift,
+                    packet.dts - shift,
+                    stream,
+                )
+                container.mux(packet)
     return path
 
 

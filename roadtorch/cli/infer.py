@@ -113,7 +113,8 @@ def infer_command(
     NAME/000123.mask.png. For each bag: NAME.overlay.mp4 and the bag NAME.road
     (of ROS 1: NAME.road.bag). index.csv lists every image and frame, run.json
     records the command, the settings and the environment. Run the same
-    command again to resume.
+    command again to resume: what is done is skipped, and footage that was
+    interrupted starts again with its first frame.
     """
     from roadtorch.inputs.find import select_inputs
     from roadtorch.run.ledger import Method

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name_error
+from roadtorch.inputs.clock import FrameClock
 from roadtorch.inputs.image_messages import COMPRESSED_TYPE, RAW_IMAGE_TYPE, decode_message
 from roadtorch.inputs.item import Item, Selection, Source
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 RATE_MESSAGES = 16  # messages from which the rate is estimated
+DEFAULT_STEP = 0.1  # seconds between images whose stamps and times of recording are all the same
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,8 @@ def bag_source(
 ) -> Source:
     """Make a source of the images of a topic, by default of the only one.
 
-    Time stamps are those of the headers, or of the recording where a header has none. A message
+    Images come in the order of recording. Time stamps are those of the headers, or of the recording
+    where a header has none; where they step, ``seconds`` go on by the time of recording. A message
     that cannot be decoded raises when its item is read.
 
     Args:
@@ -92,7 +95,8 @@ def bag_source(
     count = None
     if not selection.start and selection.end is None:
         count = len(range(images.count)[:: selection.every][: selection.limit])
-    every = partial(_bag_frames, origin, images.name)
+    step = 1 / images.rate if images.rate else DEFAULT_STEP
+    every = partial(_bag_frames, origin, images.name, step)
     return Source(
         name=_source_name(origin),
         origin=origin,
@@ -176,23 +180,29 @@ def _choose_topic(origin: str, reader: "AnyReader", topic: str | None) -> str:
 
 
 class BagMessage(NamedTuple):
-    """A message: time stamp in nanoseconds, and its content or the reason why it has none."""
+    """A message: times in nanoseconds, and its content or the reason why it has none."""
 
     stamp: int
+    recorded: int
     content: Any
     damage: str
 
 
-def _bag_frames(origin: str, topic: str) -> Generator[Item]:
+def _bag_frames(origin: str, topic: str, step: float) -> Generator[Item]:
     with _open_bag(origin) as bag:
-        first = None
+        clock, first, recorded = FrameClock(origin, step), None, 0
         for number, message in enumerate(_read_messages(origin, bag, topic)):
             first = message.stamp if first is None else first
+            elapsed = max(0, message.recorded - recorded) / 1e9
+            seconds, recorded = (
+                clock.seconds((message.stamp - first) / 1e9, elapsed),
+                message.recorded,
+            )
             where = f"{origin}:{topic}#{number}"
             read = partial(_raise_unreadable, where, message.damage)
             if message.content is not None:
                 read = partial(decode_message, message.content, where)
-            name, seconds = f"{_source_name(origin)}/{number:06d}", (message.stamp - first) / 1e9
+            name = f"{_source_name(origin)}/{number:06d}"
             yield Item(name, where, read, number=number, seconds=seconds, stamp=message.stamp)
 
 
@@ -218,9 +228,9 @@ def _read_messages(origin: str, bag: "AnyReader", topic: str) -> Generator[BagMe
             content: Any = bag.deserialize(data, link.msgtype)
             stamp = content.header.stamp
         except Exception as error:  # damaged bytes make the deserialiser raise anything
-            yield BagMessage(time, None, reason(error))
+            yield BagMessage(time, time, None, reason(error))
         else:
-            yield BagMessage(stamp.sec * 10**9 + stamp.nanosec or time, content, "")
+            yield BagMessage(stamp.sec * 10**9 + stamp.nanosec or time, time, content, "")
     if ending or count < total:
         problem = f"only {count} of {total} frames can be read{ending}"
         raise InputError(origin, problem, "they were used")

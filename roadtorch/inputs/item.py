@@ -90,7 +90,7 @@ class Selection:
         """Yield the selected items, reading none beyond the last; close a generator of items."""
         until = float("inf") if self.end is None else self.end
         early = takewhile(lambda item: item.clock < until, items)
-        inside = (item for item in early if item.clock >= self.start)
+        inside = (item for item in early if not self.start or item.clock >= self.start)
         stepped = (item for index, item in enumerate(inside) if index % self.every == 0)
         try:
             yield from islice(stepped, self.limit)

@@ -18,7 +18,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.image import from_pixels
 from roadtorch.base.urls import encode_url
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.inputs.video import ffmpeg_reason, first_video_stream, import_av, upright_image
+from roadtorch.inputs.video import ffmpeg_reason, import_av, main_video_stream, upright_image
 
 Connection = Callable[[], Generator[Callable[[], Tensor]]]
 """Opens a connection and yields functions that read an image; InputError when it is over."""
@@ -139,7 +139,7 @@ def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
         with av.open(encode_url(url), options=options, timeout=policy.timeout) as container:
-            stream = first_video_stream(url, container)
+            stream = main_video_stream(url, container)
             decode = partial(upright_image, av.video.reformatter.VideoReformatter())
             for frame in container.decode(stream):
                 yield partial(decode, frame)

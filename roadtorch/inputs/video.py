@@ -1,5 +1,6 @@
 """Video files: upright frames in order, with their time stamps."""
 
+import re
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import partial
@@ -15,6 +16,7 @@ from roadtorch.base.decoding import check_pixels, max_megapixels
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, report_decoding_errors
 from roadtorch.base.urls import encode_url
+from roadtorch.inputs.clock import FrameClock
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
@@ -87,29 +89,42 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
 
 @contextmanager
 def open_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]]":
-    """Open a video; yield its container and first video stream, InputError if there is none."""
+    """Open a video; yield its container and main video stream, InputError if there is none."""
     av = import_av()
     if isinstance(path, Path) and not path.is_file():
         problem = "is no file" if path.exists() else "does not exist"
         raise InputError(path, problem, "check the name")
     try:
         url = f"file:{path}" if isinstance(path, Path) else encode_url(path)
-        container = av.open(url, timeout=ANSWER_TIMEOUT)
-    except (av.FFmpegError, UnicodeError) as error:
+        # FFmpeg takes stamps below the first one for those of a clock that wrapped after 26 hours.
+        options = {"correct_ts_overflow": "0"}
+        container = av.open(url, timeout=ANSWER_TIMEOUT, container_options=options)
+    except Exception as error:  # PyAV raises more than FFmpegError
         problem = f"cannot be decoded as video: {ffmpeg_reason(error)}"
         raise InputError(path, problem, "give MP4, AVI, MKV, MOV or WebM that plays") from None
     with container:
-        yield container, first_video_stream(path, container)
+        yield container, main_video_stream(path, container)
 
 
-def first_video_stream(path: Path | str, container: "InputContainer") -> "VideoStream":
-    """Return the first video stream that is no cover image; InputError if there is none."""
-    cover = import_av().stream.Disposition.attached_pic
-    videos = [stream for stream in container.streams.video if not stream.disposition & cover]
+def main_video_stream(path: Path | str, container: "InputContainer") -> "VideoStream":
+    """Return the largest video stream that is no cover image; InputError if there is none."""
+    disposition = import_av().stream.Disposition
+    videos = [
+        stream
+        for stream in container.streams.video
+        if not stream.disposition & disposition.attached_pic
+    ]
     if not videos:
         problem = "has audio but no video" if container.streams.audio else "has no video"
         raise InputError(path, problem, "give a video")
-    stream = videos[0]
+
+    def rank(stream: "VideoStream") -> tuple[bool, bool, int, bool]:
+        codec = stream.codec_context
+        area = 0 if codec is None else codec.width * codec.height
+        is_default = bool(stream.disposition & disposition.default)
+        return codec is not None, stream.frames != 1, area, is_default  # one frame: a still image
+
+    stream = max(videos, key=rank)
     if stream.codec_context is None:
         raise InputError(path, "uses a codec that FFmpeg cannot decode", "convert it to H.264")
     with report_decoding_errors(path):
@@ -126,39 +141,22 @@ def ffmpeg_reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
-class StreamClock:
-    """Seconds since the start of a stream, by time stamps or else by the frame rate."""
-
-    def __init__(self, stream: "VideoStream") -> None:
-        # In AVI with ticks finer than its frames the average is the rate of ticks.
-        rates = filter(None, (stream.average_rate, stream.base_rate))
-        rate = min(rates, default=stream.guessed_rate)
-        self._base, self._zero = stream.time_base, stream.start_time
-        self.step = float(1 / rate) if rate else 0.0
-        self._last: float | None = None
-
-    def seconds(self, pts: int | None) -> float:
-        """Return the time of the next frame."""
-        if pts is None or self._base is None:
-            self._last = 0.0 if self._last is None else self._last + self.step
-        else:
-            self._zero = pts if self._zero is None else self._zero
-            self._last = float((pts - self._zero) * self._base)
-        return self._last
-
-
 class SeekPoint(NamedTuple):
-    """Where decoding starts: packets to skip, number and time stamp of the first frame."""
+    """Where decoding starts: packets to skip, number and time stamp of the first frame.
+
+    first: time stamp of the first frame of the whole video.
+    """
 
     packets: int = 0
     number: int = 0
     pts: int | None = None
+    first: int | None = None
 
 
 def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[Item]:
     """Yield frames from the last key frame at or before ``start`` on, named NAME/NUMBER.
 
-    Packets before it are counted, not decoded, so that frame numbers do not depend on the start.
+    Packets before it are counted, not decoded; numbers and times do not depend on the start.
     Frames without a time stamp follow at the frame rate.
 
     Args:
@@ -172,11 +170,14 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
     """
     seek = _find_seek_point(path, start) if start > 0 else SeekPoint()
     with open_video(path) as (container, stream):
-        clock, number, end = StreamClock(stream), seek.number, 0.0
+        clock = FrameClock(strip_password(str(path)), frame_step(stream))
+        number, end = seek.number, 0.0
+        if seek.number:
+            clock.seconds(stream_seconds(stream, seek.first))
         decode = partial(upright_image, import_av().video.reformatter.VideoReformatter())
         try:
             for image in _decode_frames(container, stream, seek):
-                seconds = clock.seconds(image.pts)
+                seconds = clock.seconds(stream_seconds(stream, image.pts))
                 duration = float(image.duration or 0) * float(image.time_base or 0)
                 end = max(end, seconds + (duration or clock.step))
                 origin = strip_password(f"{path}: frame {number}")
@@ -189,16 +190,54 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
             problem = f"ends after {end:.1f} seconds: {ffmpeg_reason(error)}"
             raise InputError(path, problem, "copy it again, or repair it") from None
         length = declared_duration(container, stream)
-    if number > seek.number and end + END_TOLERANCE < length:
+    if number == seek.number or clock.stepped or end + END_TOLERANCE >= length:
+        return
+    if track_duration(stream) or not _other_track_lasts(path):
         problem = f"ends after {end:.1f} of {length:.1f} seconds"
         raise InputError(path, problem, "the rest was used; copy it again, or repair it")
 
 
+def frame_step(stream: "VideoStream") -> float:
+    """Return the usual seconds between frames; 0 if unknown."""
+    # In AVI with ticks finer than its frames the average is the rate of ticks.
+    rates = filter(None, (stream.average_rate, stream.base_rate))
+    rate = min(rates, default=stream.guessed_rate)
+    return float(1 / rate) if rate else 0.0
+
+
+def stream_seconds(stream: "VideoStream", pts: int | None) -> float | None:
+    """Return a time stamp in seconds since the start of the stream; None without one."""
+    if pts is None or stream.time_base is None:
+        return None
+    return float((pts - (stream.start_time or 0)) * stream.time_base)
+
+
 def declared_duration(container: "InputContainer", stream: "VideoStream") -> float:
     """Return the duration in seconds that the container declares; 0 if it declares none."""
+    duration, end = track_duration(stream), (container.duration or 0) / 1e6
+    if stream.duration:
+        return duration
+    return min(filter(None, (duration, end)), default=0.0) + (stream_seconds(stream, 0) or 0.0)
+
+
+def track_duration(stream: "VideoStream") -> float:
+    """Return the duration or, by Matroska's tag, the end of a video's own track; 0 if unknown."""
     if stream.duration:
         return float(stream.duration * (stream.time_base or 0))
-    return (container.duration or 0) / 1e6  # in microseconds
+    tags = (value for key, value in stream.metadata.items() if key.startswith("DURATION"))
+    time = re.fullmatch(r"(\d+):(\d+):(\d+\.?\d*)", next(tags, ""))
+    return int(time[1]) * 3600 + int(time[2]) * 60 + float(time[3]) if time else 0.0
+
+
+def _other_track_lasts(path: Path | str) -> bool:
+    """Return whether a track other than the video lasts to the declared end of the container."""
+    with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
+        for packet in container.demux():
+            if packet.stream is not stream and packet.pts is not None:
+                end = float((packet.pts + (packet.duration or 0)) * packet.time_base)
+                if end + END_TOLERANCE >= (container.duration or 0) / 1e6:
+                    return True
+    return False
 
 
 def _raise_damaged(origin: str) -> Tensor:
@@ -206,21 +245,33 @@ def _raise_damaged(origin: str) -> Tensor:
 
 
 def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
-    """Find the last key frame at or before ``start`` seconds without decoding."""
-    seek, leading = SeekPoint(), 0
+    """Find the last key frame at or before ``start`` seconds; only the first frame is decoded.
+
+    Where time stamps are missing or step, numbers and times need all frames: the beginning.
+    """
+    first = None
     with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
-        clock = StreamClock(stream)
+        image = next(_decode_frames(container, stream, SeekPoint()), None)
+        first = image and image.pts
+    if first is None:
+        return SeekPoint()
+    seek, stamps, last, key = SeekPoint(), list[int](), -(2**63), -(2**63)
+    with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
         for index, packet in enumerate(container.demux(stream)):
-            if packet.pts is None:
+            if not packet.size:
                 continue
-            seconds = clock.seconds(packet.pts)
-            if packet.is_keyframe and seconds > start:
-                break
+            is_step = packet.dts is not None and packet.dts < last
+            if packet.pts is None or is_step or (packet.is_keyframe and packet.pts < key):
+                return SeekPoint()
+            last = last if packet.dts is None else packet.dts
             if packet.is_keyframe:
-                seek, leading = SeekPoint(index, index, packet.pts), 0
-            elif seek.pts is not None and packet.pts < seek.pts:
-                leading += 1
-    return seek._replace(number=seek.number + leading)
+                if (stream_seconds(stream, packet.pts) or 0.0) > start:
+                    break
+                key = packet.pts
+                seek = SeekPoint(index, pts=key, first=first)
+            if not packet.is_discard:
+                stamps.append(packet.pts)
+    return seek._replace(number=sum(first <= pts < key for pts in stamps))
 
 
 def _decode_frames(
@@ -230,12 +281,15 @@ def _decode_frames(
 
     Frames shown before the key frame are dropped, as they depend on earlier ones.
     """
-    av, first = import_av(), seek.pts or 0
+    av = import_av()
     errors: list[Exception] = []
+
+    def is_shown(image: "VideoFrame") -> bool:
+        return seek.pts is None or image.pts is None or image.pts >= seek.pts
 
     def decoded(decode: Callable[[], "list[VideoFrame]"]) -> "list[VideoFrame]":
         try:
-            return [image for image in decode() if not (first and (image.pts or 0) < first)]
+            return list(filter(is_shown, decode()))
         except av.FFmpegError as error:
             errors.append(error)
             return []
@@ -255,16 +309,25 @@ def count_frames(path: Path) -> int:
     count = 0
     with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
         for packet in container.demux(stream):
-            count += packet.size > 0
+            count += packet.size > 0 and not packet.is_discard  # an edit list hides frames
     return count
 
 
 def upright_image(reformatter: "VideoReformatter", image: "VideoFrame") -> Tensor:
-    """Convert a frame to an image in [0, 1], shape (3, H, W), rotated as the metadata says.
+    """Convert a frame to an image in [0, 1], shape (3, H, W), turned and mirrored by its metadata.
+
+    The display matrix, as in ISO/IEC 14496-12, 8.3.2: x' = a x + c y, y' = b x + d y, with the
+    signs of a mirror; other angles are rounded to quarter turns.
 
     Args:
         reformatter: the stream's, which builds its tables once; a frame's own rebuilds them.
         image: the decoded frame.
     """
     pixels = reformatter.reformat(image, format="rgb24").to_ndarray()
-    return from_pixels(np.rot90(pixels, round(image.rotation / 90)))
+    matrix = image.side_data.get("DISPLAYMATRIX")
+    if matrix is not None:
+        a, b, _, c, d = np.frombuffer(matrix, np.int32)[:5].tolist()
+        if abs(b) > abs(a):
+            pixels, a, d = pixels.swapaxes(0, 1), c, b
+        pixels = pixels[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
+    return from_pixels(pixels)

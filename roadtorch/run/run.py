@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from roadtorch.base.atomic import make_folder, remove_leftovers
-from roadtorch.base.errors import RoadtorchError
+from roadtorch.base.errors import RoadtorchError, to_input_error
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest, stop_on_signals
 from roadtorch.inputs.item import Item, Source
@@ -132,6 +132,8 @@ class Run:
             stop.raise_if_requested()
         except (RoadtorchError, KeyboardInterrupt) as raised:
             error = raised
+        except Exception as raised:  # of a library: one source must not end a long run
+            error = to_input_error(source.origin, raised)
         row = task.method.mark(_source_row(source, count, error))
         row = row if row.failed else replace(row, sha256=source.digest())
         self.ledger.add(row)

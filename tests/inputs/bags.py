@@ -81,12 +81,22 @@ def write_bag(path: Path, topics: Mapping[str, Sequence[Any]], form: str = "mcap
     return path
 
 
-def write_drive(folder: Path, form: str, images: Sequence[np.ndarray], focal: float) -> Path:
-    """Write images uint8 (H, W, 3) of a pinhole to the bag ``drive`` or ``drive.bag``."""
+def write_drive(
+    folder: Path,
+    form: str,
+    images: Sequence[np.ndarray],
+    focal: float,
+    stamps: Sequence[int] | None = None,
+) -> Path:
+    """Write images uint8 (H, W, 3) of a pinhole to the bag ``drive`` or ``drive.bag``.
+
+    stamps: of the headers, by default 7 ns after the times of recording.
+    """
     store = ROS1 if form == "bag" else ROS2
+    stamps = stamps or [FIRST + STEP * number + 7 for number in range(len(images))]
     messages = [
-        raw_image(store, pixels, "rgb8", FIRST + STEP * number + 7)
-        for number, pixels in enumerate(images)
+        raw_image(store, pixels, "rgb8", stamp)
+        for pixels, stamp in zip(images, stamps, strict=True)
     ]
     info = calibration(store, FIRST, focal, images[0].shape[:2], (0.0,) * 5)
     topics = {"/camera/image_raw": messages, "/camera/camera_info": [info]}

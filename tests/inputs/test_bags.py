@@ -122,6 +122,32 @@ def test_what_is_not_there_or_has_to_be_chosen(
         read(path, topic)
 
 
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        [9000, 0, 1, 2, 3],  # the first one ahead
+        [0, 1, 2, -9000, -8999],  # a step back
+        [5 - FIRST // STEP, 6 - FIRST // STEP, 2, 3, 4],  # 1970, then today
+        [0, 1, 9000, 3, 4],  # a single wrong one
+    ],
+)
+def test_frames_come_in_the_order_of_recording_whatever_their_stamps(
+    stamps: list[int], tmp_path: Path
+) -> None:
+    images = [raw_image(ROS2, scene(n), "rgb8", FIRST + STEP * at) for n, at in enumerate(stamps)]
+    path = str(write_bag(tmp_path / "drive", {TOPIC: images}))
+
+    with pytest.warns(UserWarning, match=r"drive: the clock steps by [+-]\d+\.\d s at") as caught:
+        frames = list(bag_source(path).items())
+
+    assert len(caught) == 1
+    assert [frame.seconds for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert [frame.stamp for frame in frames] == [FIRST + STEP * at for at in stamps]
+    with pytest.warns(UserWarning, match="the clock steps"):
+        late = list(bag_source(path, selection=Selection(start=0.15, end=0.35)).items())
+    assert [frame.number for frame in late] == [2, 3]
+
+
 # --- encodings --------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.inputs import video
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import count_frames, video_frames, video_source
-from tests.videos import street_pixels, write_sound, write_video
+from tests.videos import hide_frames, street_pixels, write_tracks, write_video
 
 FORTY = [n / 10 for n in range(40)]  # seconds of frames
 
@@ -73,19 +73,114 @@ def test_frames_are_the_same_whatever_the_start(open_gop: str, tmp_path: Path) -
             assert torch.equal(frame.read(), every[frame.number].read())
 
 
-def test_rotation_is_applied(tmp_path: Path) -> None:
+TURNS = [(a, 0, 0, d) for a in (1, -1) for d in (1, -1)]
+TURNS += [(0, b, c, 0) for b in (1, -1) for c in (1, -1)]
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_all_eight_display_matrices_are_applied(
+    turn: tuple[int, int, int, int], tmp_path: Path
+) -> None:
     path = write_video(tmp_path / "drive.mp4")
-    data = bytearray(path.read_bytes())
-    matrix = data.index(b"tkhd") + 4 + 40  # ISO/IEC 14496-12, 8.3.2: version 0
-    assert struct.unpack(">9i", data[matrix : matrix + 36])[0] == 65536
-    upright_image = chosen(path)[0].read()
-    turned = struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, 0, 0, 1 << 30)  # 90° clockwise
-    data[matrix : matrix + 36] = turned
+    stored, data = chosen(path)[0].read(), bytearray(path.read_bytes())
+    at = data.index(b"tkhd") + 4 + 40  # ISO/IEC 14496-12, 8.3.2: version 0
+    assert struct.unpack(">9i", data[at : at + 36])[0] == 65536
+    a, b, c, d = (65536 * value for value in turn)
+    data[at : at + 36] = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
     path.write_bytes(data)
 
     image = chosen(path)[0].read()
 
-    assert torch.equal(image, torch.rot90(upright_image, -1, (1, 2)))
+    y, x = torch.meshgrid(*map(torch.arange, stored.shape[1:]), indexing="ij")
+    across, down = turn[0] * x + turn[2] * y, turn[1] * x + turn[3] * y
+    expected = torch.empty_like(image)
+    expected[:, down - down.min(), across - across.min()] = stored
+    assert torch.equal(image, expected)
+
+
+@pytest.mark.parametrize(("hidden", "start"), [(2, 1.0), (2, 2.0), (9, 1.5), (12, 0.5)])
+def test_numbers_are_those_of_the_whole_run_in_a_trimmed_video(
+    hidden: int, start: float, tmp_path: Path
+) -> None:
+    whole = write_video(tmp_path / "whole.mp4", FORTY, options={"g": "10", "bf": "0"})
+    path = hide_frames(tmp_path / "drive.mp4", whole, hidden)
+    every = {frame.number: frame for frame in chosen(path)}
+
+    late = chosen(path, start=start, limit=5)
+
+    assert count_frames(path) == len(every) == 40 - hidden
+    assert [frame.number for frame in late] == list(range(round(start * 10), round(start * 10) + 5))
+    for frame in late:
+        assert frame.seconds == pytest.approx(every[frame.number].seconds)
+        assert torch.equal(frame.read(), every[frame.number].read())
+
+
+def test_numbers_are_those_of_the_whole_run_where_the_first_key_frame_is_cut_off(
+    tmp_path: Path,
+) -> None:
+    options = {"g": "12", "bf": "2", "x264-params": "open-gop=1:scenecut=0"}
+    path = write_video(tmp_path / "drive.ts", FORTY, options=options)
+    with av.open(str(path)) as container:
+        cut = [packet.pos for packet in container.demux(video=0)][5]
+    data = path.read_bytes()
+    path.write_bytes(data[: 3 * 188] + data[cut:])  # tables, then the sixth frame
+    every = {frame.number: frame for frame in chosen(path)}
+
+    late = chosen(path, start=2.5, limit=5)
+
+    for frame in late:
+        assert frame.seconds == pytest.approx(every[frame.number].seconds)
+        assert torch.equal(frame.read(), every[frame.number].read())
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 0), (100, 0), (0, 0.5)])
+def test_time_goes_on_where_recordings_were_joined(
+    first: float, second: float, tmp_path: Path
+) -> None:
+    begins = {"a.ts": first, "b.ts": second}
+    parts = [write_tracks(tmp_path / name, [(48, 64)], begin=begins[name]) for name in begins]
+    path = tmp_path / "drive.ts"
+    path.write_bytes(b"".join(part.read_bytes() for part in parts))
+
+    with pytest.warns(UserWarning, match=r"drive\.ts: the clock steps by -") as caught:
+        frames = chosen(path)
+
+    assert [frame.seconds for frame in frames] == pytest.approx([n / 10 for n in range(20)])
+    assert len(caught) == 1
+    with pytest.warns(UserWarning, match="the clock steps"):
+        late = chosen(path, start=1.2)
+    assert [frame.number for frame in late] == list(range(12, 20))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "size"),
+    [
+        ([(48, 64), (96, 128)], (96, 128)),  # a preview before the main stream
+        ([(96, 128), (48, 64)], (96, 128)),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_the_largest_stream_is_read(
+    sizes: list[tuple[int, int]], size: tuple[int, int], suffix: str, tmp_path: Path
+) -> None:
+    path = write_tracks(tmp_path / f"drive{suffix}", sizes)
+
+    assert chosen(path)[0].read().shape == (3, *size)
+
+
+@pytest.mark.parametrize("begin", [0.0, 2.0])
+@pytest.mark.parametrize("suffix", [".mkv", ".flv", ".mp4", ".avi", ".ts"])
+def test_sound_may_outlast_the_images(suffix: str, begin: float, tmp_path: Path) -> None:
+    path = write_tracks(tmp_path / f"drive{suffix}", [(48, 64)], sound=4.0, begin=begin)
+
+    assert read_until_problem(path) == ([True] * 10, "")
+
+
+def test_sound_without_the_tag_of_a_track_s_duration_may_outlast_the_images(tmp_path: Path) -> None:
+    path = write_tracks(tmp_path / "drive.mkv", [(48, 64)], sound=4.0)
+    path.write_bytes(path.read_bytes().replace(b"DURATION", b"LOCATION"))
+
+    assert read_until_problem(path) == ([True] * 10, "")
 
 
 # --- what is wrong ----------------------------------------------------------------------
@@ -198,7 +293,7 @@ def test_too_many_pixels_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_what_has_no_images_to_give(name: str, start: float, problem: str, tmp_path: Path) -> None:
     path = tmp_path / name
     if name == "song.mp4":
-        write_sound(path)
+        write_tracks(path, sound=1.0)
     else:
         write_video(path, codec="mjpeg")
     if name == "codec.avi":

@@ -25,7 +25,7 @@ from tests.videos import (
     read_frame_pixels,
     read_frame_times,
     street_pixels,
-    write_sound,
+    write_tracks,
     write_video,
 )
 
@@ -130,7 +130,7 @@ def test_a_cut_video_keeps_what_is_readable(
 ) -> None:
     cut = write_video(tmp_path / "in" / "a.mp4", [n / 10 for n in range(40)], options={"crf": "1"})
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size * 6 // 10])
-    write_sound(tmp_path / "in" / "song.mp4")
+    write_tracks(tmp_path / "in" / "song.mp4", sound=1.0)
 
     result = call("infer", tmp_path / "in", *ROWS, "--out", out)
 
@@ -175,6 +175,27 @@ def test_a_video_that_cannot_be_written_on_keeps_the_finished_frames(
     rows = read_index_rows(out)
     assert len(rows) == 5 + 1
     assert rows["drive.mp4"]["status"] == f"partial: {message}"
+
+
+def test_an_error_of_a_library_costs_its_video_alone(
+    call: Call, drive: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = write_video(drive.with_name("other.mp4"))
+    write = VideoWriter.write
+
+    def fail(self: VideoWriter, item: Item, detection: Detection) -> Mapping[str, str]:
+        if self.path.name == "drive.overlay.mp4":
+            raise ValueError("a surprise")
+        return write(self, item, detection)
+
+    monkeypatch.setattr(VideoWriter, "write", fail)
+
+    result = call("infer", drive, other, *ROWS, "--out", out)
+
+    assert result.exit_code == 1
+    rows = read_index_rows(out)
+    assert rows["drive.mp4"]["status"] == f"failed: {drive}: ValueError: a surprise (report it)"
+    assert rows["other.mp4"]["status"] == "done"
 
 
 def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:

@@ -1,6 +1,7 @@
 """roadtorch grid on videos and bags: one grid per frame, one pitch per source."""
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,23 @@ def test_a_bag_gives_grids_and_messages(call: Call, tmp_path: Path, out: Path, f
     assert (out / "drive" / "000001.grid.pgm").is_file()
     row = read_index_rows(out)["drive/000001"]
     assert (row["saved"], row["seconds"]) == ("pgm yaml npy bag", "0.100")
+
+
+def test_a_bag_whose_clock_steps_gives_a_grid_for_each_frame(
+    call: Call, tmp_path: Path, out: Path
+) -> None:
+    stamps = [FIRST + STEP * at for at in (9000, 0, 1)]
+    drive = write_drive(tmp_path, "mcap", [street(seed) for seed in (3, 4, 5)], FOCAL, stamps)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")  # the command prints them
+        result = call("grid", drive, "--out", out, *MAP)
+
+    assert result.exit_code == 0, result.stderr
+    headers = [entry.message.header.stamp for entry in read_bag(out / "drive.grid")]
+    assert [stamp.sec * 10**9 + stamp.nanosec for stamp in headers] == stamps
+    assert len(read_index_rows(out)) == 4
+    assert result.stderr.count(f"warning: {drive}: the clock steps by -900.1 s at 0.0 s (") == 1
 
 
 def test_the_lens_is_that_of_the_bags_camera_info(call: Call, drive: Path, tmp_path: Path) -> None:

@@ -40,6 +40,8 @@ MASK_TOPIC, CONFIDENCE_TOPIC = "/segmentation/mask", "/segmentation/confidence"
 OVERLAY_TOPIC, LABELS_TOPIC = "/segmentation/overlay", "/segmentation/label_info"
 GRID_TOPIC = "/segmentation/grid"
 
+MAX_DRIFT = 1_000_000_000  # nanoseconds by which a camera's clock and ours may drift apart
+
 BAG_VERSION = 8  # version of the ROS 2 metadata: the newest whose QoS profiles Humble reads too
 
 
@@ -83,17 +85,18 @@ class BagWriter:
         self._folder = path.with_name(f"{path.name}.{secrets.token_hex(4)}.unfinished")
         self._writer: Any = None
         self._connections: dict[str, Any] = {}
+        self._start: int | None = None
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
         """Write mask, confidence and overlay of a frame; InputError when it cannot be written."""
         types: Any = self.types.types
-        stamp = item.nanoseconds
+        stamp, time = item.nanoseconds, self.log_time(item)
         if LABELS_TOPIC not in self._connections:
             kind = types["vision_msgs/msg/VisionClass"]
             names = [kind(class_id=n, class_name=name) for n, name in MASK_CLASS_NAMES.items()]
             header = _make_header(self.types, stamp, "")
             info = types[LABEL_INFO_TYPE](header, names, self._threshold)
-            self._add(LABELS_TOPIC, LABEL_INFO_TYPE, stamp, info)
+            self._add(LABELS_TOPIC, LABEL_INFO_TYPE, time, info)
         mask, confidence = mask_and_confidence(detection)
         images = {MASK_TOPIC: mask, CONFIDENCE_TOPIC: confidence}
         images |= {OVERLAY_TOPIC: self._draw(detection)} if self._draw else {}
@@ -107,8 +110,18 @@ class BagWriter:
                 step=pixels[0].size,
                 data=np.ascontiguousarray(pixels).reshape(-1),
             )
-            self._add(topic, IMAGE_TYPE, stamp, image)
+            self._add(topic, IMAGE_TYPE, time, image)
         return {}
+
+    def log_time(self, item: Item) -> int:
+        """Return the time of recording of an item's messages, in nanoseconds; players sort by it.
+
+        That is its stamp; where stamps step, the time since the first item.
+        """
+        stamp, elapsed = item.nanoseconds, round(1e9 * item.clock)
+        self._start = stamp - elapsed if self._start is None else self._start
+        is_regular = abs(self._start + elapsed - stamp) < MAX_DRIFT
+        return stamp if is_regular else self._start + elapsed
 
     def write_grid(
         self,
@@ -117,10 +130,11 @@ class BagWriter:
         origin: tuple[float, float],
         stamp: int,
         frame_id: str,
+        log_time: int | None = None,
     ) -> None:
-        """Write an occupancy grid; see ``occupancy_message``."""
+        """Write an occupancy grid; see ``occupancy_message``. log_time: by default the stamp."""
         message = occupancy_message(self.types, grid, resolution, origin, stamp, frame_id)
-        self._add(GRID_TOPIC, GRID_TYPE, stamp, message)
+        self._add(GRID_TOPIC, GRID_TYPE, stamp if log_time is None else log_time, message)
 
     def close(self) -> None:
         """Finish and rename a bag with messages; on InputError its unfinished folder stays."""

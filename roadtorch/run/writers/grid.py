@@ -118,7 +118,8 @@ class GridWriter:
             raise to_input_error(item.origin, error) from None
         if self.bag is not None:
             cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
-            self.bag.write_grid(cells, grid.resolution, (x, y), item.nanoseconds, self.frame_id)
+            stamp, time = item.nanoseconds, self.bag.log_time(item)
+            self.bag.write_grid(cells, grid.resolution, (x, y), stamp, self.frame_id, time)
         doubts = ", ".join(filter(None, (detection.doubt, doubt)))
         free = float((grid.cells == FREE).double().mean())
         return {"road_share": f"{free:.4f}", "status": f"{DOUBTFUL}: {doubts}" if doubts else DONE}

@@ -1,5 +1,6 @@
 """The outputs of ``infer`` and ``grid`` for a source: which writers it gets, and their files."""
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -163,7 +164,9 @@ def fix_pitch(placement: CameraPlacement, infer: Inference, source: Source) -> C
     """Set one pitch for a source, the median of some frames' estimates; InputError without any."""
     pitches: list[Pitch] = []
     error: RoadtorchError | None = None
-    with closing(detect_frames(source.subsample(MEDIAN_FRAMES), infer, Workers())) as frames:
+    frames = detect_frames(source.subsample(MEDIAN_FRAMES), infer, Workers())
+    with warnings.catch_warnings(), closing(frames):
+        warnings.simplefilter("ignore")  # of its clock: reported when all frames are read
         for frame in frames:
             try:
                 detection = frame.detection()

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from av.error import FFmpegError, InvalidDataError, PatchWelcomeError
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import to_pixels
@@ -51,6 +52,44 @@ def test_time_stamps_are_kept_from_the_first_frame_on(tmp_path: Path) -> None:
     assert read_frame_times(without) == pytest.approx([0, 0.25, 0.5])
     write(tmp_path / "none.mp4", [])
     assert not (tmp_path / "none.mp4").exists()
+
+
+@pytest.mark.parametrize("gap", [43_200, 1.7e9])
+def test_long_gaps_are_cut_and_the_first_is_reported(gap: float, tmp_path: Path) -> None:
+    seconds = [0, 0.1, gap, gap + 599, 2 * gap, 2 * gap + 0.1]
+
+    with pytest.warns(
+        UserWarning, match=r"^x\.mp4: the gap of \d+ seconds before frame 2"
+    ) as caught:
+        path = write(tmp_path / "x.mp4", seconds)
+
+    expected = [0, 0.1, 600.1, 1199.1, 1799.1, 1799.2]
+    assert read_frame_times(path) == pytest.approx(expected, abs=1e-4)
+    assert len(caught) == 1
+
+
+def test_frames_may_be_hours_apart(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mp4", [0, 500, 1000], rate=1 / 3600)
+
+    assert read_frame_times(path) == pytest.approx([0, 500, 1000])
+
+
+@pytest.mark.parametrize("error", [PatchWelcomeError, InvalidDataError])
+def test_errors_of_the_encoder_name_the_video(
+    error: type[FFmpegError], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = VideoWriter(tmp_path / "x.mp4", draw_pixels, 10)
+    writer.write(frame(0), detection(street_pixels(0)))
+
+    def fail(*_: object) -> None:
+        raise error(1, "Not yet implemented")
+
+    monkeypatch.setattr(writer, "_container", SimpleNamespace(mux=fail, close=fail))
+    message = r"x\.mp4: cannot be encoded: Not yet implemented"
+    with pytest.raises(InputError, match=message):
+        writer.write(frame(1), detection(street_pixels(1)))
+    with pytest.raises(InputError, match=message):
+        writer.close()
 
 
 @pytest.mark.parametrize("size", [(47, 64), (48, 63), (47, 63)])
