@@ -259,7 +259,7 @@ def page_rows(folder: Path) -> Iterator[str]:
             ]
             yield format_row(f"`{config}`", *cells)
     for row in products:
-        if (row["training"], row["average"]) == ("cnn7", "by groups"):
+        if (row["training"], row["average"]) == ("cnn7-paper", "by groups"):
             cells = [
                 f"{row[kind]} ({row[f'{kind}, 95 %']})"
                 for kind in ("product - texture", "product - layout")

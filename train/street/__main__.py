@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,7 +24,7 @@ from torch.nn import functional as F
 
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import VERTICAL
-from roadtorch.layout.weights import load_network, save_network, weights_path
+from roadtorch.layout.weights import load_network, read_origin, save_network, weights_path
 from roadtorch.train.config import HeadWeights
 from roadtorch.train.teachers import TARGET_PLANES, Targets
 from roadtorch.train.training_loop import MovingAverage
@@ -184,14 +184,16 @@ def learn(options: argparse.Namespace) -> None:
 def mean(options: argparse.Namespace) -> None:
     """Write the weighted mean of networks, of WEIGHT:FILE each."""
     device, total, state = torch.device("cpu"), 0.0, dict[str, Tensor]()
+    origin = dict[str, Any]()
     for part in options.parts:
         weight, _, file = part.partition(":")
         network, total = load_backbone(file, device), total + float(weight)
+        origin[part] = read_origin(weights_path(file)).get("recipe", "at the commit before")
         for key, value in network.state_dict().items():
             state[key] = state.get(key, torch.zeros(())) + float(weight) * value.double()
     first = load_backbone(options.parts[0].partition(":")[2], device)
     first.load_state_dict({key: value / total for key, value in state.items()})
-    save_network(options.out, first, {"mean": options.parts})
+    save_network(options.out, first, {"mean": origin})
 
 
 def main() -> None:
