@@ -2,6 +2,15 @@
 # Finds the road in the given images, or in rendered scenes when none are given.
 set -euo pipefail
 start=$PWD
+case ${1-} in
+"" | -* | *://* | *[*?@:]*) ;; # no input, an option, an address, a glob, a list or a camera
+*)
+  if [ ! -e "$1" ]; then # before minutes of installation
+    echo "demo.sh: $1: does not exist" >&2
+    exit 2
+  fi
+  ;;
+esac
 source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
 prepare_venv
 

@@ -99,6 +99,10 @@ def commands_of(text: str) -> Iterator[tuple[str, list[str]]]:
         yield command, output
 
 
+PROGRESS = re.compile(r"roadtorch: ((.* )?\d+ %.* left|.*\d+ \w+s in [\d:]+)")
+"""Lines of a long run, which a busy machine makes of any."""
+
+
 def printed_by(command: str) -> list[str]:
     """Run a command in a copy of this process and return the lines that it prints."""
     with tempfile.TemporaryFile() as output:
@@ -114,7 +118,8 @@ def printed_by(command: str) -> list[str]:
                 os._exit(status)
         os.waitpid(child, 0)
         output.seek(0)
-        return output.read().decode().rstrip("\n").splitlines()
+        lines = output.read().decode().rstrip("\n").splitlines()
+    return [line for line in lines if not PROGRESS.fullmatch(line)]
 
 
 def run(command: str) -> int:

@@ -16,24 +16,24 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_420,
-    "roadtorch/base": 1_915,
+    "roadtorch/base": 1_935,
     "roadtorch/camera": 1_930,
     "roadtorch/cli": 1_850,
-    "roadtorch/data": 2_190,
+    "roadtorch/data": 2_220,
     "roadtorch/detectors": 2_070,
     "roadtorch/evaluation": 3_710,
     "roadtorch/export": 850,
-    "roadtorch/imaging": 1_170,
+    "roadtorch/imaging": 1_175,
     "roadtorch/inputs": 1_500,
-    "roadtorch/layout": 1_270,
+    "roadtorch/layout": 1_275,
     "roadtorch/oneclass": 1_790,
     "roadtorch/road": 1_570,
     "roadtorch/ros": 380,
     "roadtorch/run": 2_700,
     "roadtorch/testing": 640,
-    "roadtorch/train": 3_315,
+    "roadtorch/train": 3_325,
     "roadtorch/ufl": 1_380,
-    "scripts": 5_160,
+    "scripts": 5_170,
     "tests": 26_950,
     "train": 7_050,
 }
@@ -41,7 +41,7 @@ LINES = {
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 113
+OPTIONS = 114
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

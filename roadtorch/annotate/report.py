@@ -7,6 +7,7 @@ from pathlib import Path
 import torch
 
 from roadtorch.annotate.views import VIEWS_FOLDER, read_view, view_path
+from roadtorch.base.bounded import plural
 from roadtorch.data.corrections import Correction, read_corrections
 from roadtorch.data.events import ROAD_LABEL
 from roadtorch.evaluation.metrics import count_mask, f_measure
@@ -48,9 +49,9 @@ def _totals(corrections: Sequence[Correction], scores: Sequence[float]) -> list[
     pixels = sum(int((correction.labels > 0).sum()) for correction in corrections)
     clicks = sum(correction.clicks for correction in corrections)
     lines = [
-        f"{len(corrections)} images, {confirmed} confirmed; {clicks} clicks, "
+        f"{plural(len(corrections), 'image')}, {confirmed} confirmed; {plural(clicks, 'click')}, "
         f"{seconds / 60:.1f} minutes, {pixels:,} labelled pixels",
-        f"per image: {statistics.median(entry.clicks for entry in corrections):g} clicks, "
+        f"per image: {plural(statistics.median(entry.clicks for entry in corrections), 'click')}, "
         f"{statistics.median(entry.seconds for entry in corrections):.0f} s (medians)",
     ]
     if scores:

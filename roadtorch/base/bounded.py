@@ -74,6 +74,11 @@ def to_printable(text: str) -> str:
         return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
+def plural(count: float, noun: str) -> str:
+    """Return a number with its noun: "1 click", "2 clicks"."""
+    return f"{count:g} {noun}{'s' * (count != 1)}"
+
+
 def strip_user(url: str) -> str:
     """Return a URL without user name and password."""
     return re.sub(USER_PATTERN, r"\1", url)

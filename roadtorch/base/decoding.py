@@ -34,24 +34,31 @@ BLACK_IS_ZERO, RGB, UNSIGNED, ALPHA = 1, 2, 1, 2
 
 PNG_DEPTH = 24  # offset of the bit depth in a PNG
 
-_WARNING_FILTERS = threading.Lock()
+_WARNING_FILTERS, _TRUNCATED = threading.Lock(), threading.RLock()
 
 
 class TooLargeError(ValueError):
     """An image that declares more pixels than are allowed."""
 
 
+@contextmanager
+def refuse_truncated() -> Iterator[None]:
+    """Let Pillow refuse truncated images inside the block, whatever another package has set."""
+    with _TRUNCATED:
+        allowed, ImageFile.LOAD_TRUNCATED_IMAGES = ImageFile.LOAD_TRUNCATED_IMAGES, False
+        try:
+            yield
+        finally:
+            ImageFile.LOAD_TRUNCATED_IMAGES = allowed
+
+
+@refuse_truncated()
 def decode_pixels(data: bytes) -> np.ndarray:
     """Decode an image to upright pixels: uint8 or uint16, (H, W), (H, W, 3) RGB or (H, W, 4) RGBA.
 
     OpenCV decodes 16 bits, Pillow the rest. Raises TooLargeError before anything is decoded, and
     whatever the decoders raise for other bytes.
     """
-    with refuse_truncated():
-        return _decode(data)
-
-
-def _decode(data: bytes) -> np.ndarray:
     image = open_image(data)
     if image.format == "PNG":
         image.verify()  # checks every chunk, and closes the image
@@ -115,31 +122,6 @@ def suppress_warnings() -> Iterator[None]:
         yield
 
 
-class _Truncated:
-    """Number of blocks that refuse truncated images, and what another package had set before."""
-
-    lock = threading.Lock()
-    blocks = 0
-    allowed = False
-
-
-@contextmanager
-def refuse_truncated() -> Iterator[None]:
-    """Let Pillow refuse truncated images inside the block, whatever another package has set."""
-    with _Truncated.lock:
-        if not _Truncated.blocks:
-            _Truncated.allowed = ImageFile.LOAD_TRUNCATED_IMAGES
-            ImageFile.LOAD_TRUNCATED_IMAGES = False
-        _Truncated.blocks += 1
-    try:
-        yield
-    finally:
-        with _Truncated.lock:
-            _Truncated.blocks -= 1
-            if not _Truncated.blocks:
-                ImageFile.LOAD_TRUNCATED_IMAGES = _Truncated.allowed
-
-
 @contextmanager
 def silence_opencv() -> Iterator[None]:
     """Keep OpenCV from writing warnings to stderr inside the block."""
@@ -155,13 +137,13 @@ def silence_opencv() -> Iterator[None]:
 # --- pixels -----------------------------------------------------------------------------
 
 
+@refuse_truncated()
 def pillow_pixels(image: Image.Image) -> np.ndarray:
     """Return the pixels of a Pillow image, upright: uint8 RGB or RGBA, or uint16 (H, W).
 
     Raises ValueError for 32 bits, whose white level is undefined, and whatever Pillow raises.
     """
-    with refuse_truncated():
-        image.load()
+    image.load()
     with suppress_warnings():
         try:
             upright = ImageOps.exif_transpose(image)

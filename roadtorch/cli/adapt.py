@@ -7,6 +7,7 @@ import click
 from roadtorch.cli.options import FOOTAGE_ARGUMENT, PATH, QUIET_OPTION, SETTING_OPTION, command_line
 
 ADAPT_CONFIG = "adapt"
+QUICK_FRAMES = 60
 
 
 @click.command()
@@ -19,6 +20,7 @@ ADAPT_CONFIG = "adapt"
     default=400,
     help="Training frames to sample, in groups of five 0.4 s apart if the footage is long.",
 )
+@click.option("--quick", is_flag=True, help="At most 60 frames, for a first verdict.")
 @SETTING_OPTION
 @click.option(
     "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
@@ -30,6 +32,7 @@ def adapt_command(
     footage: tuple[str, ...],
     out: Path,
     max_frames: int,
+    quick: bool,
     assignments: tuple[str, ...],
     threads: int | None,
     quiet: bool,
@@ -67,7 +70,8 @@ def adapt_command(
         message = "adaptation starts from the weights of a whole-image network"
         hint = "keep kind = images, and give initial_weights=WEIGHTS"
         raise ConfigError("kind, initial_weights", message, hint)
-    adaptation = adapt(footage, out, training, max_frames, quiet)
+    limit = min(max_frames, QUICK_FRAMES) if quick else max_frames
+    adaptation = adapt(footage, out, training, limit, quiet)
     outcome, verdict, frames = adaptation.outcome, str(adaptation.verdict), adaptation.frames
     if outcome.interrupted:
         signal = outcome.interrupted.name
@@ -81,7 +85,9 @@ def adapt_command(
     if not quiet:
         camera = f" --camera {adaptation.camera}" if adaptation.camera else ""
         use = f"roadtorch infer FOOTAGE --set weights.file={outcome.weights}{camera} --out roads"
-        lines += [*(f"wrote {file}" for file in files if file), f"to use it: {use}"]
+        is_adopted = adaptation.verdict is not None and adaptation.verdict.word == "adopt"
+        lines += [f"wrote {file}" for file in files if file]
+        lines += [f"to use it: {use}"] if is_adopted else []
     for line in lines:
         click.echo(f"roadtorch: {line}", err=True)
     click.echo(verdict)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from roadtorch.base.bounded import plural
 from roadtorch.cli.options import PATH, DetectorOptions, SectionedCommand, detector_options
 
 ORDERS = ("least-trust", "random")
@@ -63,7 +64,7 @@ def annotate_command(
         corrections = read_corrections(out, folder)
         context.with_resource(share_folder(to))
         CORRECTION_FORMATS[exported].write(corrections, to)
-        click.echo(f"{len(corrections)} images written to {to}")
+        click.echo(f"{plural(len(corrections), 'image')} written to {to}")
     elif imported:
         from roadtorch.annotate.session import import_labels
         from roadtorch.run.folder import lock_output
@@ -72,7 +73,7 @@ def annotate_command(
             raise click.UsageError("Missing option '--from'")
         context.with_resource(lock_output(out))
         count = import_labels(imported, origin, folder, out)
-        click.echo(f"{count} images imported")
+        click.echo(f"{plural(count, 'image')} imported")
     else:
         from roadtorch.annotate.next_images import ImageOrder
         from roadtorch.annotate.session import open_session

@@ -51,7 +51,8 @@ def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]
         f"at most {parity.max_difference:.1e} ({parity.location}), "
         f"mean {parity.mean_difference:.1e}; allowed {MAX_DIFFERENCE:g}"
     )
-    lacks = exported.metadata["lacks"]
-    click.echo(f"Not included: {lacks}. See docs/export.md for the cost.")
-    if kind == "web":
+    if kind == "web":  # its page has the steps that the network's file lacks
         click.echo(f"try it: python -m http.server --directory {out}")
+    else:
+        lacks = exported.metadata["lacks"]
+        click.echo(f"Not included: {lacks}. See docs/export.md for the cost.")

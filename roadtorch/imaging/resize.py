@@ -4,13 +4,14 @@ An exported graph, which has sizes known at run time only and neither OpenCV nor
 matrix products: OpenVINO's resize operator does not antialias (errors up to 0.45).
 """
 
+import re
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, field_validator
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -32,8 +33,14 @@ class WorkingSize(Settings):
         default=320 * 240,
         ge=SHORTEST**2,
         le=10**9,
-        description="largest number of pixels (320x240: the size of Álvarez 2012's timings)",
+        description="largest number of pixels, or WIDTHxHEIGHT (320x240: as Álvarez 2012 timed)",
     )
+
+    @field_validator("pixels", mode="before")
+    @classmethod
+    def _multiply_sides(cls, value: object) -> object:
+        sides = re.fullmatch(r"(\d{1,9})x(\d{1,9})", value) if isinstance(value, str) else None
+        return int(sides[1]) * int(sides[2]) if sides else value
 
 
 def working_size(height: int, width: int, working: WorkingSize) -> tuple[int, int]:

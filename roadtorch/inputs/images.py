@@ -86,14 +86,10 @@ def _files_below(folder: str, exclude: Path | None) -> Iterator[str]:
             if name[0] != "." and os.path.realpath(os.path.join(top, name)) != left_out
         )
         links = [link for name in folders if os.path.islink(link := os.path.join(top, name))]
-        real = {link: os.path.realpath(link) for link in links}
-        yield from (link + os.sep for link in links if not _overlap(real[link], root))
+        for link, target in zip(links, map(os.path.realpath, links), strict=True):
+            if os.path.commonpath([target, root]) not in (target, root):
+                yield link + os.sep
         yield from (os.path.join(top, name) for name in sorted(names))
-
-
-def _overlap(first: str, second: str) -> bool:
-    """Return whether one of two folders is, or lies in, the other."""
-    return os.path.commonpath([first, second]) in (first, second)
 
 
 def is_image_name(name: str) -> bool:

@@ -240,7 +240,9 @@ def load_configured_network(weights: WeightsFile, shipped: str, *kinds: type[Net
     if not isinstance(network, kinds):
         expected = " or ".join(dict.fromkeys(kind.title for kind in kinds))
         message = f"holds {network.title}; this detector needs {expected}"
-        raise WeightsError(path, message, "use weights of such a network")
+        detector = "layout:cnn-7" if network.kind == PatchNetwork.kind else "fusion"
+        hint = f"use weights of such a network, or --detector {detector}"
+        raise WeightsError(path, message, hint)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # stubs lack it
     return network
 

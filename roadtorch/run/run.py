@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from roadtorch.base.atomic import make_folder, remove_leftovers
+from roadtorch.base.bounded import plural
 from roadtorch.base.errors import RoadtorchError, to_input_error
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest, stop_on_signals
@@ -251,7 +252,7 @@ class _Count:
 
     def __str__(self) -> str:
         """Return the counts as text."""
-        parts = [f"{self.done} frames"]
+        parts = [plural(self.done, "frame")]
         parts += [f"{self.doubtful} doubtful"] if self.doubtful else []
         parts += [f"{self.failed} failed"] if self.failed else []
         return ", ".join(parts)

@@ -257,15 +257,13 @@ class _ProcessPool:
 @contextmanager
 def _safe_path() -> Iterator[None]:
     """Let a Python that starts in the block import no types.py from the user's folder."""
-    previous = os.environ.get("PYTHONSAFEPATH")
+    previous = os.environ.copy()
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield
     finally:
-        if previous is None:
-            del os.environ["PYTHONSAFEPATH"]
-        else:
-            os.environ["PYTHONSAFEPATH"] = previous
+        del os.environ["PYTHONSAFEPATH"]
+        os.environ.update(previous)
 
 
 def _initialise_worker(threads: Threads, task: Callable[[Any], Any] | None) -> None:

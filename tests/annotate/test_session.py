@@ -169,7 +169,7 @@ def test_the_report_says_what_the_time_bought(session: Session) -> None:
     session.add(NAME, Confirm(kind="right", id="b", seconds=30.0))
     lines = corrections_report(session.out).splitlines()
     assert lines[1].split()[:3] == [NAME, "1", "60"]
-    assert "1 images, 1 confirmed; 1 clicks, 1.0 minutes" in lines[3]
+    assert "1 image, 1 confirmed; 1 click, 1.0 minutes" in lines[3]
     assert "mean F" in lines[5]
     assert lines[6].startswith("per ten minutes: 10.0 confirmed images, 10 clicks")
 

@@ -1,16 +1,21 @@
 """roadtorch adapt: weights, camera, page and verdict from real footage."""
 
 from pathlib import Path
+from typing import NoReturn
 from unittest.mock import Mock
 
 import pytest
 from click.testing import CliRunner, Result
 
+from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image, write_rgb_png
+from roadtorch.base.settings import find_config, read_settings_file
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import load_network
+from roadtorch.train.adaptation.adapt import limit_samples
+from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.run import TrainingRun
 
 SETTINGS = (
@@ -40,6 +45,7 @@ def test_halves_teach_and_their_mean_is_judged(street: Path, adapted: tuple[Path
     assert done.stdout.strip().splitlines()[-1] in page
     assert f"roadtorch adapt {street} --out {out} --set {SETTINGS[0]}" in page
     assert "images have no time stamps" in done.stderr
+    assert ("to use it: roadtorch infer" in done.stderr) == done.stdout.startswith("adopt")
     files = [out / name / "weights.safetensors" for name in ("", "first", "second")]
     mean, first, second = (next(iter(load_network(file).state_dict().values())) for file in files)
     assert not first.equal(second)
@@ -54,6 +60,28 @@ def test_halves_teach_and_their_mean_is_judged(street: Path, adapted: tuple[Path
     refused = adapt(street, "--out", out, "--frames", "4", *SHORT)
     assert refused.exit_code == 2
     assert "holds frames of other footage" in refused.stderr
+
+
+@pytest.mark.parametrize(("frames", "samples"), [(400, 384), (22, 22), (3, 16)])
+def test_steps_follow_the_footage(frames: int, samples: int) -> None:
+    training = build_training(read_settings_file(find_config("adapt")))
+    assert isinstance(training, ImageTraining)
+
+    assert limit_samples(training, frames).samples_per_epoch == samples
+
+
+def test_a_quick_run_takes_fewer_frames(street: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limits: list[int] = []
+
+    def take_limit(_: object, __: object, ___: object, limit: int, ____: bool) -> NoReturn:
+        limits.append(limit)
+        raise InputError("a", "b", "c")
+
+    monkeypatch.setattr("roadtorch.train.adaptation.adapt.adapt", take_limit)
+    for words in ((), ("--quick",), ("--quick", "--frames", "9")):
+        assert adapt(street, "--out", "out", *words).exit_code == 2
+
+    assert limits == [400, 60, 9]
 
 
 def test_a_run_cut_short_before_its_first_checkpoint_goes_on(

@@ -128,7 +128,7 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
 
 
 def test_weights_for_patches_are_refused() -> None:
-    with pytest.raises(WeightsError, match="holds a patch network"):
+    with pytest.raises(WeightsError, match=r"holds a patch network .* or --detector layout:cnn-7"):
         load_detector("fusion", weights={"file": "cnn-7"})
 
 

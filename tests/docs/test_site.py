@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 import roadtorch
+from roadtorch.base.progress import Progress
 from roadtorch.cli.group import COMMANDS
 from roadtorch.detectors.catalogue import ENTRIES
 from roadtorch.oneclass import CLASSIFIERS
 from scripts.build_site import broken_links
-from scripts.tutorials import executed_pages, run_page, same, same_line
+from scripts.tutorials import PROGRESS, executed_pages, run_page, same, same_line
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -102,6 +103,22 @@ def test_lines_same_but_for_spaces_times_and_digits(
     expected: str, line: str, is_same: bool
 ) -> None:
     assert same_line(expected, line) is is_same
+
+
+def test_progress_of_a_busy_machine_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    counted, titled = (
+        Progress(unit="frame", total=9),
+        Progress(unit="frame", total=9, desc="half 1"),
+    )
+    for progress in (counted, titled, Progress(unit="frame")):
+        progress.update(3)
+        progress.display()
+        progress.close()
+
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert all(PROGRESS.fullmatch(line) for line in lines), lines
+    assert not PROGRESS.fullmatch("roadtorch: 6 done; results in roads")
 
 
 def test_an_ellipsis_is_any_lines_and_nothing_else_is() -> None:

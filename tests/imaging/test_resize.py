@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
+from roadtorch.base.errors import ConfigError
+from roadtorch.base.settings import build_settings
 from roadtorch.imaging.motion import dense_flow, flow_image, forward_backward_error, warp
 from roadtorch.imaging.resize import (
     SHORTEST,
@@ -32,6 +34,15 @@ def test_the_working_size_keeps_shape_and_bound(height: int, width: int, pixels:
         assert abs(tall / height - wide / width) <= 0.5 / height + 0.5 / width
     if height * width <= pixels:
         assert (tall, wide) == (height, width)
+
+
+def test_a_working_size_may_be_written_as_its_help_writes_it() -> None:
+    settings = build_settings(WorkingSize, {"pixels": "320x240"})
+
+    assert settings.pixels == 320 * 240
+    for wrong in ("320", "320x", "4x4", "0x0"):
+        with pytest.raises(ConfigError, match="pixels"):
+            build_settings(WorkingSize, {"pixels": wrong})
 
 
 # --- sizes of maps ------------------------------------------------------------------------

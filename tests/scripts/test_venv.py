@@ -24,6 +24,21 @@ def test_the_address_of_the_index_stands_in_one_script() -> None:
     assert having == [SCRIPT]
 
 
+def test_a_missing_input_is_told_before_the_installation(tmp_path: Path) -> None:
+    done = subprocess.run(
+        ["bash", SCRIPT.with_name("demo.sh"), "none.jpg"],
+        cwd=tmp_path,
+        env={"PATH": "/usr/bin:/bin", "VENV": str(tmp_path / "venv")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "demo.sh: none.jpg: does not exist\n"
+    assert not (tmp_path / "venv").exists()
+
+
 def answer(handler: BaseHTTPRequestHandler) -> None:
     """Serve torch and nothing else; delay answers below /silent."""
     if handler.path.startswith("/silent"):

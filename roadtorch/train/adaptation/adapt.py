@@ -97,7 +97,7 @@ def adapt(
         folders = (out / TEACHER_LABELS, out / PREPARED)
         if stopped := write_smoothed_labels(frames, *folders, training, quiet):
             return result(Outcome(None, stopped, 0))
-        skipped = 0
+        training, skipped = limit_samples(training, frames.count), 0
         for number, half in enumerate(HALVES, 1):
             pattern, part = frames.glob(half), (number, len(HALVES))
             request = TrainingRequest(pattern, out / half, out / PREPARED, quiet, part=part)
@@ -118,6 +118,15 @@ def adapt(
                 judged.append(count_masks(images, weights, out / PREPARED, training, quiet))
             verdict = decide_verdict(judged)
         return result(Outcome(out / WEIGHTS, None, skipped), verdict)
+
+
+def limit_samples(training: ImageTraining, frames: int) -> ImageTraining:
+    """Return the training of a half with at most two samples a frame and epoch. Ours.
+
+    Few frames are learned by heart in the steps that many need.
+    """
+    samples = min(training.samples_per_epoch, max(frames, training.descent.batch))
+    return training.model_copy(update={"samples_per_epoch": samples})
 
 
 def write_smoothed_labels(
