@@ -63,14 +63,14 @@ def test_two_at_once_are_refused(call: Call, footage: Path) -> None:
 def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -> None:
     result = call("annotate", corrected, "--report")
     assert result.exit_code == 0, result.stderr
-    assert "1 images, 1 confirmed; 0 clicks, 0.2 minutes" in result.stdout
+    assert "1 image, 1 confirmed; 0 clicks, 0.2 minutes" in result.stdout
     result = call("annotate", corrected, "--export", "coco", "--to", tmp_path / "coco")
-    assert result.stdout == f"1 images written to {tmp_path / 'coco'}\n"
+    assert result.stdout == f"1 image written to {tmp_path / 'coco'}\n"
     second = tmp_path / "second"
     words = ("--out", second, "--import", "coco", "--from", tmp_path / "coco")
     for _ in range(2):  # the same labels a second time are no event
         result = call("annotate", corrected, *words)
-        assert result.stdout == "1 images imported\n", result.stderr
+        assert result.stdout == "1 image imported\n", result.stderr
     (exported,), (imported,) = read_corrections(corrected / "corrections"), read_corrections(second)
     assert (exported.labels == imported.labels).all()
     assert imported.image == exported.image
