@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from roadtorch.cli.infer import infer_command
@@ -110,6 +110,7 @@ STAMPS = st.lists(
 
 @settings(max_examples=8)
 @given(STAMPS, st.sampled_from(["bag", "mcap"]))
+@example([FIRST + STEP, FIRST, FIRST + STEP], "mcap")  # less than a second back
 def test_every_frame_has_a_row_an_image_and_a_mask_whatever_its_stamp(
     stamps: list[int], form: str
 ) -> None:

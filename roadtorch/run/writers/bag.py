@@ -86,6 +86,7 @@ class BagWriter:
         self._writer: Any = None
         self._connections: dict[str, Any] = {}
         self._start: int | None = None
+        self._latest = 0
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
         """Write mask, confidence and overlay of a frame; InputError when it cannot be written."""
@@ -121,7 +122,8 @@ class BagWriter:
         stamp, elapsed = item.nanoseconds, round(1e9 * item.clock)
         self._start = stamp - elapsed if self._start is None else self._start
         is_regular = abs(self._start + elapsed - stamp) < MAX_DRIFT
-        return stamp if is_regular else self._start + elapsed
+        self._latest = max(self._latest, stamp if is_regular else self._start + elapsed)
+        return self._latest
 
     def write_grid(
         self,
