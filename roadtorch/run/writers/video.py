@@ -23,7 +23,8 @@ MAX_GAP = 600
 """Seconds that a frame lasts at most; ours: between a slow time lapse and the pause of a recording.
 MP4 has 32 bits for the ticks of a frame, ten hours."""
 
-MIN_RATE = Fraction(1, 1001)  # frames per second that a stream may declare
+MIN_RATE, MAX_RATE = Fraction(1, 1001), Fraction(1000)
+"""Frames per second that a stream declares: a video written at a rate of 1e6 has no frames."""
 
 DEFAULT_RATE = 10.0  # frames per second of a source without time stamps or rate
 
@@ -120,7 +121,8 @@ class VideoWriter:
         if name != "libx264":
             message = f"{self.path.name}: PyAV has no libx264 here; written as {name}"
             warnings.warn(message, stacklevel=2)
-        rate = max(Fraction(self._rate).limit_denominator(1001), MIN_RATE)
+        rate = Fraction(self._rate).limit_denominator(1001)
+        rate = min(max(rate, MIN_RATE), MAX_RATE)
         stream = self._container.add_stream(name, rate=rate, options=ENCODERS[name])
         stream.width, stream.height = width + width % 2, height + height % 2
         stream.pix_fmt = "yuv420p"
