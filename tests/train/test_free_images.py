@@ -1,6 +1,7 @@
 """Free images: gathered by their bytes, taken from the recordings in turn."""
 
 from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from roadtorch.layout.weights import read_origin, shipped_weights
 from train import free_images
 from train.free_images import main, recordings, round_robin
+
+STREET_IMAGES = Path(free_images.__file__).parent / "street/images.csv"
 
 
 @pytest.fixture
@@ -54,3 +57,19 @@ def test_fifteen_of_them_are_images_of_the_fourteen_cameras(data_root: Path) -> 
     ]
     assert counts == [6, 5, 4]
     assert len(shared) == 15
+
+
+@pytest.mark.data
+def test_the_images_of_the_street_runs_are_those_listed_and_none_of_the_fourteen_cameras(
+    data_root: Path,
+) -> None:
+    listed = chain(*recordings().values(), *recordings(STREET_IMAGES).values())
+    hashes = {row["sha256"] for row in listed if row["licence"]}
+    cameras = {sha256(path.read_bytes()).hexdigest() for path in data_root.glob("many/*/images/*")}
+
+    learned = {
+        sha256(path.read_bytes()).hexdigest() for path in data_root.glob("unlabelled_free/*.jpg")
+    }
+
+    assert learned <= hashes
+    assert not learned & cameras
