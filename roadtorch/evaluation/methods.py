@@ -164,7 +164,7 @@ def contender_from_name(
     entry = detector_entry(name)
     if camera is not None:
         values = merge(camera.settings_for(entry.settings), values)
-    settings = entry.make_settings(values).model_dump(mode="json")
+    settings = entry.make_settings(values).model_dump(mode="json", exclude_none=True)
     threshold = settings.pop("threshold")
     return Contender(
         name,

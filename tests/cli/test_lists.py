@@ -83,7 +83,7 @@ def test_a_detectors_config_is_found_by_name(call: Call, footage: Path, tmp_path
 
     assert result.exit_code == 0, result.stderr
     config = (out / "config.toml").read_text()
-    assert config.startswith('detector = "cpf:v2"\nthreshold = 0.517\n')
+    assert config.startswith('detector = "cpf:v2"\nthreshold = 0.565\n')
 
 
 # --- export -----------------------------------------------------------------------------
