@@ -6,7 +6,7 @@ import pytest
 
 from roadtorch.detectors.catalogue import detector_groups, list_detectors
 from roadtorch.detectors.detector import Detector
-from roadtorch.export import export
+from roadtorch.export import export, folders
 from roadtorch.export.export import ExportResult, Parity
 from roadtorch.imaging.color import PLANES, REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
@@ -113,3 +113,10 @@ def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.M
         "mean 1.0e-07; allowed 0.0001",
         "Not included: a soul, trust. See docs/export.md for the cost.",
     ]
+
+    monkeypatch.setattr(folders, "export_page", lambda detector, out: written(detector, out / "a"))
+    page = call("export", "prior:rows", "--format", "web", "--out", tmp_path / "page")
+
+    assert page.exit_code == 0, page.stderr
+    assert "Not included" not in page.stdout  # the page has these steps
+    assert page.stdout.splitlines()[-1].startswith("try it: python -m http.server")
