@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_325,
     "roadtorch/ufl": 1_380,
     "scripts": 5_170,
-    "tests": 26_950,
+    "tests": 26_980,
     "train": 7_050,
 }
 """The lines of source code that each folder may have."""
