@@ -20,12 +20,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from PIL import Image
 from sklearn.linear_model import LogisticRegression, Ridge
 from torch import Tensor
 from tqdm import tqdm
 
-from roadtorch import Detection, load_detector, read_image
+from roadtorch import Detection, load_detector
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detectors.detector import Detector
@@ -44,6 +43,7 @@ from roadtorch.evaluation.trust_measures import (
     rank_correlation,
 )
 from roadtorch.road.trust import FULL_TRUST_PROBABILITY, TrustFeatures, trust_features
+from train.worlds.reader import read_world
 
 CAMVID_STEP = 4
 """Step between the frames of CamVid."""
@@ -56,9 +56,6 @@ EXCLUDED = ("india_zed",)
 
 PLACES = ("room", "things", "wall", "field", "water")
 """Kinds of ``train.worlds`` without road."""
-
-ROAD, VOID = 3, 255
-"""Codes in the truth of worlds."""
 
 LEVELS = np.arange(-40, 40.01, 0.25)
 """Edges of the histograms of log odds."""
@@ -77,10 +74,8 @@ def detect_images(root: Path, detector: Detector) -> Iterator[tuple[str, Detecti
 def detect_worlds(root: Path, detector: Detector) -> Iterator[tuple[str, Detection, Truth]]:
     """Yield the same for worlds of ``train.worlds``, whose kinds are the cameras."""
     for file in tqdm(sorted((root / "images").glob("*.jpg")), disable=None):
-        code = np.asarray(Image.open(root / "truth" / f"{file.stem}.png"))
-        road, valid = (torch.from_numpy(part) for part in (code == ROAD, code != VOID))
-        kind = file.stem.split("_")[1]
-        yield f"world {kind}", detector.detect(read_image(file)), Truth(road, valid)
+        image, truth = read_world(file)
+        yield f"world {file.stem.split('_')[1]}", detector.detect(image), truth
 
 
 # --- calibration ------------------------------------------------------------------------

@@ -11,6 +11,7 @@ many) count the same. The intervals are of 95 % over images, drawn within their 
 
 import argparse
 import csv
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -27,20 +28,21 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.evaluate import tally_images
 from roadtorch.evaluation.methods import Contender, contender_from_name
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.tally import ImageTable
+from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
     REPLICATES,
     bootstrap_weights,
     percentile_interval,
+    pool_replicates,
 )
 from scripts.figures.p2_layout import PRINTED_ORDER
+from train.calibrate import EXCLUDED
 from train.claim import CONFIGS, RUNS, SEEDS, TEACHERS, run_name
 
 SETS = {"idd": "IDD", "camvid": "CamVid", "many": "many"}
 TEACHER_DETECTORS = {"untuned": "labeller:untuned", "tuned": "labeller"}
 TEXTURE, ROWS = "cpf", "prior:rows"
-LEFT_OUT = {"india_zed"}
 
 
 def open_sets(data: Path) -> dict[str, Dataset]:
@@ -90,7 +92,7 @@ def score(data: Path, out: Path) -> None:
         for failure in failures:
             raise RuntimeError(f"{failure.image}: {failure.reason}")
         for entry in entries:
-            torch.save(tallies[entry.name].table(), folder / f"{name} {entry.name}")
+            torch.save(tallies[entry.name], folder / f"{name} {entry.name}")
 
 
 # --- measures -----------------------------------------------------------------------------
@@ -104,26 +106,17 @@ class Scores(NamedTuple):
     pooled_auc: Tensor
 
 
-def replicate_weights(table: ImageTable) -> dict[str, Tensor]:
-    """Return by group how often each image counts, (replicates + 1, n); each once in the first."""
-    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
-    weights = {}
-    for group in sorted(set(table.groups) - LEFT_OUT):
-        draws = bootstrap_weights(int(table.group_mask(group).sum()), generator)
-        weights[group] = torch.cat([torch.ones_like(draws[:1]), draws]).double()
-    return weights
-
-
-def measure(table: ImageTable) -> Scores:
+def measure(tally: Tally) -> Scores:
     """Compute the measures of a contender for every replicate; all contenders have the same."""
+    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
     recalls, roads = [], []
-    for group, counts in replicate_weights(table).items():
-        rows = table.group_mask(group)
-        parts = (table.road.road, table.road.background)
-        roads.append(RoadCounts(*(counts @ part[rows].double() for part in parts)))
-        if table.layout is not None and bool(table.layout[rows, 0].any()):
-            confusion = counts @ table.layout[rows].flatten(1).double()
-            recalls.append(metrics.mean_class_recall(confusion.unflatten(1, (4, 4))))
+    for group in sorted(tally.road.keys() - set(EXCLUDED)):
+        table = tally.table([group])
+        draws = bootstrap_weights(len(table.names), generator)
+        part = pool_replicates(table, math.nan, torch.cat([torch.ones_like(draws[:1]), draws]))
+        roads.append(part.road)
+        if part.layout is not None and bool(part.layout[0, 0].any()):
+            recalls.append(metrics.mean_class_recall(part.layout))
     undefined = torch.full((REPLICATES + 1,), torch.nan, dtype=torch.float64)
     areas = torch.stack([metrics.auc(road) for road in roads])
     pooled = reduce(RoadCounts.__add__, roads)
@@ -154,20 +147,20 @@ def difference_columns(title: str, values: Tensor) -> dict[str, str]:
 
 def write_tables(out: Path, folder: Path) -> None:
     """Write claim.csv, claim_fusion.csv (products with the texture) and claim_confusion.csv."""
-    tables: dict[str, dict[str, ImageTable]] = {name: {} for name in SETS}
+    tallies: dict[str, dict[str, Tally]] = {name: {} for name in SETS}
     for file in sorted((out / "scores").iterdir()):
         name, _, contender = file.name.partition(" ")
-        tables[name][contender] = torch.load(file, weights_only=False)
+        tallies[name][contender] = torch.load(file, weights_only=False)
     scores = {
-        name: {contender: measure(table) for contender, table in part.items()}
-        for name, part in tables.items()
+        name: {contender: measure(tally) for contender, tally in part.items()}
+        for name, part in tallies.items()
     }
     studies = [(teacher, config) for config in CONFIGS for teacher in TEACHERS]
     studies = [s for s in studies if run_name(*s, SEEDS[-1]) in scores["many"]]
     write_csv(folder / "claim.csv", [row for s in studies for row in claim_rows(out, scores, *s)])
     rows = [row for s in studies for row in fusion_rows(scores, *s)]
     write_csv(folder / "claim_fusion.csv", rows)
-    rows = [row for s in studies for row in confusion_rows(tables["camvid"], *s)]
+    rows = [row for s in studies for row in confusion_rows(tallies["camvid"], *s)]
     write_csv(folder / "claim_confusion.csv", rows)
 
 
@@ -221,7 +214,7 @@ def fusion_rows(
 
 
 def confusion_rows(
-    tables: Mapping[str, ImageTable], teacher: str, config: str
+    tallies: Mapping[str, Tally], teacher: str, config: str
 ) -> Iterator[dict[str, str]]:
     """Yield P2's Figs. 4b and 4c on CamVid, its drives pooled: void counts as vertical.
 
@@ -229,7 +222,7 @@ def confusion_rows(
     """
     students = [run_name(teacher, config, seed) for seed in SEEDS]
     for title, names in (("students", students), ("teacher", [TEACHER_DETECTORS[teacher]])):
-        confusions = [tables[name].layout for name in names]
+        confusions = [tallies[name].table().layout for name in names]
         counts = [metrics.void_as_vertical(part.sum(0)) for part in confusions if part is not None]
         ratios = torch.stack([metrics.normalised_confusion(part) for part in counts]).mean(0)
         recalls = ratios.diagonal()

@@ -19,7 +19,7 @@ import torch
 from roadtorch import Detection, load_detector
 from roadtorch.base.image import write_pixels
 from roadtorch.evaluation.uncertainty import BOOTSTRAP_SEED, bootstrap_weights, percentile_interval
-from train.street.compare import read_world
+from train.worlds.reader import read_world
 
 COLUMNS = 6  # of the sheet
 ALL = "all"

@@ -70,13 +70,11 @@ class Student:
         self.loss += loss
         if self.chunk < self.samples.chunks:
             return
-        stopping, mean = self.training.stopping, self.loss / self.count
-        fall = self.rows[-1]["loss"] - mean if self.rows else math.inf
-        epoch = len(self.rows) + 1
+        mean, epoch = self.loss / self.count, len(self.rows) + 1
         self.rows.append({"round": 1, "epoch": epoch, "loss": mean, "samples": self.count})
         self.chunk, self.count, self.loss = 0, 0, 0.0
-        plateau = stopping.rule == "plateau" and fall <= stopping.min_delta
-        self.finished = plateau or epoch >= stopping.epochs or not math.isfinite(mean)
+        is_reached = self.training.stopping.is_reached([row["loss"] for row in self.rows])
+        self.finished = is_reached or not math.isfinite(mean)
         self.write()
 
     def write(self) -> None:

@@ -1,7 +1,7 @@
 """Settings of a training run: one TOML file for one kind of network."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field, create_model
@@ -64,6 +64,11 @@ class Stopping(Settings):
         le=10,
         description="largest fall of the mean loss that counts as a plateau",
     )
+
+    def is_reached(self, losses: Sequence[float]) -> bool:
+        """Return whether training ends after epochs with these mean losses, in their order."""
+        fall = losses[-2] - losses[-1] if len(losses) > 1 else math.inf
+        return (self.rule == "plateau" and fall <= self.min_delta) or len(losses) >= self.epochs
 
 
 class PatchAugmentation(Settings):

@@ -202,20 +202,15 @@ EXTRACTION_BLOCK = 128
 
 
 class PatchChunk(NamedTuple):
-    """The patches of a chunk, before they are extracted, in the order of their images.
+    """The patches of a chunk, before they are extracted, in the order of their images."""
 
-    members: indices of the prepared files. image: index into ``members``, (n,). params, noise: of
-    ``sample_variation`` and ``sample_noise``. classes, counts: class and count of each patch in the
-    loss, (n,). steps: the patches of each step.
-    """
-
-    members: list[int]
-    image: Tensor
+    members: list[int]  # indices of the prepared files
+    image: Tensor  # index into ``members``, (n,), ascending
     params: Variation
-    noise: Tensor
-    classes: Tensor
-    counts: Tensor
-    steps: tuple[Tensor, ...]
+    noise: Tensor  # of ``sample_noise``
+    classes: Tensor  # (n,)
+    counts: Tensor  # of each patch in the loss, (n,)
+    steps: tuple[Tensor, ...]  # the patches of each step
 
 
 class PatchSamples:

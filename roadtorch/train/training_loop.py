@@ -251,15 +251,14 @@ class Loop:
             "learning_rate": self._optimiser.param_groups[0]["lr"],
             "seconds": round(progress.seconds, 1),
         }
-        fall = progress.rows[-1]["loss"] - row["loss"] if progress.rows else math.inf
         progress.rows.append(row)
         progress.epoch += 1
         progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
-        plateau = self.stopping.rule == "plateau" and fall <= self.stopping.min_delta
-        progress.finished = plateau or progress.epoch >= self.stopping.epochs
+        losses = [entry["loss"] for entry in progress.rows]
+        progress.finished = self.stopping.is_reached(losses)
         self.folder.write_log(progress.rows)
         if not self.quiet:
-            change = f" ({-fall:+.4f})" if math.isfinite(fall) else ""
+            change = f" ({-(losses[-2] - losses[-1]):+.4f})" if len(losses) > 1 else ""
             speed = f"{row['samples']} samples in {row['seconds']:.0f} s"
             title = self._title(row["epoch"])
             text = f"roadtorch: {title}: loss {row['loss']:.4f}{change}, {speed}"

@@ -19,7 +19,6 @@ from train.street.pack import (
     NOT_ROAD,
     SIMULATED,
     SIZE,
-    VOID,
     Example,
     Pack,
     decode_label,
@@ -32,6 +31,7 @@ from train.street.pack import (
 )
 from train.street.recipes import CONTROL, RECIPES, THIN
 from train.street.scores import score_held_worlds
+from train.worlds.truth import VOID
 
 CPU = torch.device("cpu")
 

@@ -10,7 +10,6 @@ that no run learns from are written, so that a stopped command leaves finished r
 
 import argparse
 import csv
-import math
 import random
 import time
 from collections.abc import Sequence
@@ -25,7 +24,7 @@ from torch.nn import functional as F
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import VERTICAL
 from roadtorch.layout.weights import load_network, read_origin, save_network, weights_path
-from roadtorch.train.config import HeadWeights
+from roadtorch.train.config import Descent, HeadWeights
 from roadtorch.train.teachers import TARGET_PLANES, Targets
 from roadtorch.train.training_loop import MovingAverage
 from roadtorch.train.whole_images import target_loss
@@ -92,11 +91,11 @@ def learn_network(
     for size in sorted(set(recipe.sizes)):  # kernels are chosen before the clock starts
         optimise(network, sampler.sample(size), recipe, optimiser, 0.0)
     average, losses = MovingAverage(network, EMA), list[Loss]()
+    descent = Descent(learning_rate=recipe.learning_rate, schedule="cosine")
     recent, step, progress, start = list[Tensor](), 0, 0.0, time.monotonic()
     while progress < 1:
         batch = sampler.sample(choice.choice(recipe.sizes))
-        rate = recipe.learning_rate * (1 + math.cos(math.pi * progress)) / 2
-        rate *= min(1.0, (progress + 1e-3) / WARM_UP)
+        rate = descent.learning_rate_at(progress) * min(1.0, (progress + 1e-3) / WARM_UP)
         recent.append(optimise(network, batch, recipe, optimiser, rate))
         step += 1
         average.update(network, step)

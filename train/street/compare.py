@@ -16,13 +16,12 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from roadtorch import load_detector, read_image
+from roadtorch import load_detector
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detectors.detector import Detector
@@ -30,12 +29,12 @@ from roadtorch.evaluation.metrics import RoadCounts, count_levels, max_f
 from roadtorch.evaluation.uncertainty import bootstrap_weights, percentile_interval
 from roadtorch.layout.classes import VERTICAL
 from roadtorch.run.memo import cache_key, read_cached, write_cached
-from train.street.pack import ROAD, VOID, obstacle_mask, world_kind
+from train.calibrate import EXCLUDED
+from train.street.pack import obstacle_mask, world_kind
+from train.worlds.reader import read_world
+from train.worlds.truth import VOID
 
 SHIPPED = "ships=backbone-free+rendered-free"
-
-EXCLUDED = ("india_zed",)
-"""Folders of many/ that its README excludes from means."""
 
 LEFT_HAND = ("dn_idd", "dn_makassar")
 RIGHT_HAND = ("cityscapes", "dn_cityscapes", "kitti_semantics", "dn_mapillary")
@@ -96,13 +95,6 @@ def read_worlds(roots: list[Path]) -> Iterator[Sample]:
     """Yield worlds, whose kinds are the cameras."""
     for file in chain(*(sorted((root / "images").glob("*.jpg")) for root in roots)):
         yield Sample(world_kind(file.stem), (), partial(read_world, file))
-
-
-def read_world(file: Path) -> tuple[Tensor, Truth]:
-    """Return the image and the truth of a world."""
-    path = file.parents[1] / "truth" / f"{file.stem}.png"
-    code = torch.from_numpy(np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
-    return read_image(file), Truth(code == ROAD, code != VOID, code)
 
 
 def count_image(sample: Sample, detector: Detector) -> tuple[Tensor, Tensor]:

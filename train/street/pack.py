@@ -29,6 +29,7 @@ from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
 from roadtorch.layout.weights import resize_network
 from roadtorch.road.bayes import log_odds
 from roadtorch.train.prepared import to_uint8
+from train.worlds.truth import EGO, ROAD, THIN, VOID
 
 SIZE = (288, 384)
 """Height and width of the packed images; most worlds are rendered at it."""
@@ -48,14 +49,10 @@ EGO_BOUNDS = (0.3, 0.7)
 HELD = 9000
 """Remainder of 10,000 from which the number of a world keeps it out of training."""
 
-MIN_VERTICAL = 1 / 3
-"""Least fraction of a pixel that makes it vertical."""
-
 REAL, SIMULATED, HELD_GROUP = "real", "simulated", "held"
 
-ROAD, EGO, NOT_ROAD, VOID = 3, 4, 5, 255
-"""Codes of truth after those of the layout (0 sky, 1 vertical, 2 ground): NOT_ROAD has no layout,
-and void is unknown."""
+NOT_ROAD = 5
+"""Code beside those of ``train.worlds.truth``: not road, of no known layout."""
 
 
 class Example(NamedTuple):
@@ -141,15 +138,16 @@ def encode(suffix: str, pixels: np.ndarray, option: int, value: int) -> bytes:
 def read_real(root: Path, labels: Path, quality: int) -> Iterator[Example]:
     """Yield the real images that have labels, at ``SIZE``."""
     for file in sorted(root.glob("*.jpg")):
-        pixels = shrink(np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR)))
-        image = encode(".webp", pixels, cv2.IMWRITE_WEBP_QUALITY, quality)
+        image = encode_image(file, quality)
         yield Example(REAL, file.stem, image, (labels / f"{file.stem}.png").read_bytes())
 
 
-def shrink(pixels: np.ndarray) -> np.ndarray:
-    """Resize pixels (H, W, 3) to ``SIZE``, antialiased."""
-    image = torch.from_numpy(pixels).permute(2, 0, 1).float()
-    return resize_maps(image, SIZE).round().clamp(0, 255).byte().permute(1, 2, 0).numpy()
+def encode_image(file: Path, quality: int) -> bytes:
+    """Return an image as WebP at ``SIZE``, antialiased."""
+    pixels = np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR))
+    image = resize_maps(torch.from_numpy(pixels).permute(2, 0, 1).float(), SIZE)
+    small = image.round().clamp(0, 255).byte().permute(1, 2, 0).numpy()
+    return encode(".webp", small, cv2.IMWRITE_WEBP_QUALITY, quality)
 
 
 def read_worlds(root: Path, quality: int) -> Iterator[Example]:
@@ -163,8 +161,7 @@ def read_worlds(root: Path, quality: int) -> Iterator[Example]:
         image, label = file.read_bytes(), truth.read_bytes()
         code = np.asarray(cv2.imread(str(truth), cv2.IMREAD_UNCHANGED))
         if code.shape != SIZE:
-            pixels = shrink(np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR)))
-            image = encode(".webp", pixels, cv2.IMWRITE_WEBP_QUALITY, quality)
+            image = encode_image(file, quality)
             label = encode(".png", shrink_code(code), cv2.IMWRITE_PNG_COMPRESSION, 9)
         yield Example(group, file.stem, image, label)
 
@@ -178,7 +175,7 @@ def shrink_code(code: np.ndarray) -> np.ndarray:
     planes = torch.stack([torch.from_numpy(code == value) for value in values]).float()
     fractions = resize_maps(planes, SIZE).numpy()
     largest = values[fractions.argmax(0)]
-    is_vertical = (fractions * (values == VERTICAL)[:, None, None]).sum(0) >= MIN_VERTICAL
+    is_vertical = (fractions * (values == VERTICAL)[:, None, None]).sum(0) >= THIN
     return np.where(is_vertical, np.uint8(VERTICAL), largest)
 
 
@@ -196,8 +193,7 @@ def read_simulated(root: Path, quality: int) -> Iterator[Example]:
             code = np.where(layout == VOID, code, layout)
         code = np.where(road == 1, np.uint8(ROAD), np.where(road == VOID, np.uint8(VOID), code))
         code = cv2.resize(code, SIZE[::-1], interpolation=cv2.INTER_NEAREST)
-        pixels = shrink(np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR)))
-        image = encode(".webp", pixels, cv2.IMWRITE_WEBP_QUALITY, quality)
+        image = encode_image(file, quality)
         name = f"{file.parents[1].name}_{file.stem}"
         yield Example(SIMULATED, name, image, encode(".png", code, cv2.IMWRITE_PNG_COMPRESSION, 9))
 
