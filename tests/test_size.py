@@ -27,14 +27,14 @@ LINES = {
     "roadtorch/inputs": 1_500,
     "roadtorch/layout": 1_275,
     "roadtorch/oneclass": 1_790,
-    "roadtorch/road": 1_570,
+    "roadtorch/road": 1_600,
     "roadtorch/ros": 380,
     "roadtorch/run": 2_700,
     "roadtorch/testing": 640,
     "roadtorch/train": 3_325,
     "roadtorch/ufl": 1_380,
     "scripts": 5_170,
-    "tests": 26_980,
+    "tests": 26_996,
     "train": 7_050,
 }
 """The lines of source code that each folder may have."""

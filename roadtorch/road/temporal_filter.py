@@ -54,6 +54,19 @@ class TemporalFilterSettings(Settings):
     )
 
 
+class Motion(NamedTuple):
+    """Motion of a frame, which needs neither the likelihood nor earlier frames.
+
+    previous, grey: the frame before and the frame, uint8 (h, w). flow: from the frame to the one
+    before, float32 (h, w, 2). confidence: in the flow, see ``flow_confidence``, float32 (h, w).
+    """
+
+    previous: Tensor
+    grey: Tensor
+    flow: Tensor
+    confidence: Tensor
+
+
 class FilterState(NamedTuple):
     """State of the filter after a frame.
 
@@ -91,17 +104,25 @@ class TemporalFilter:
         """Ego car in half of the frames so far, bool (H, W); None before the first frame."""
         return None if self._ego is None else self._ego.hidden
 
-    def __call__(self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None) -> Tensor:
+    def __call__(
+        self,
+        image: Tensor,
+        likelihood: Tensor,
+        hidden: Tensor | None = None,
+        motion: Motion | None = None,
+    ) -> Tensor:
         """Return the smoothed likelihood (H, W) of the next frame, an image (3, H, W) in [0, 1].
 
         likelihood: of this frame alone, (H, W). hidden: its ego car, bool (H, W); the result is 0
         where half of the last frames have one. A frame of another size restarts the filter.
+        motion: see ``update_state``.
         """
         if hidden is None:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
         self._ego = update_ego(self._ego, hidden, self.settings.ego_frames)
-        grey, unseen = flow_image(image, self.settings.width), hidden | self._ego.hidden
-        self._state = update_state(self._state, grey, log_odds(likelihood), unseen, self.settings)
+        grey = flow_image(image, self.settings.width) if motion is None else motion.grey
+        odds, unseen = log_odds(likelihood), hidden | self._ego.hidden
+        self._state = update_state(self._state, grey, odds, unseen, self.settings, motion)
         return self._state.odds.sigmoid().masked_fill(self._ego.hidden, 0.0)
 
 
@@ -120,10 +141,12 @@ def update_state(
     odds: Tensor,
     hidden: Tensor,
     settings: TemporalFilterSettings,
+    motion: Motion | None = None,
 ) -> FilterState:
     """Update the state of the filter by a frame, grey uint8 (h, w), with its log odds (H, W).
 
-    hidden: pixels without evidence, bool (H, W). A cut or another size starts anew.
+    hidden: pixels without evidence, bool (H, W). A cut or another size starts anew. motion: of the
+    frame, by ``estimate_motion``; estimated here where it starts at a frame other than the past's.
     """
     height, width = grey.shape
     covered = hidden.to(torch.float32).numpy()
@@ -131,8 +154,9 @@ def update_state(
     initial = FilterState(grey, odds, fresh)
     if past is None or past.odds.shape != odds.shape or past.grey.shape != grey.shape:
         return initial
-    flow = dense_flow(grey, past.grey, FAST_FLOW)
-    confidence = flow_confidence(past.grey, grey, flow, settings)
+    if motion is None or not torch.equal(motion.previous, past.grey):
+        motion = estimate_motion(past.grey, grey, settings)
+    flow, confidence = motion.flow, motion.confidence
     if confidence.mean() < settings.min_confidence:
         return initial
     weight = warp(past.frames, flow).clamp_max(settings.memory) * confidence
@@ -174,6 +198,12 @@ def _filter_states(
         frames = resize_maps(state.frames[None], spatial_size(frame))[0]
         states.append(state._replace(frames=frames))
     return states
+
+
+def estimate_motion(previous: Tensor, grey: Tensor, settings: TemporalFilterSettings) -> Motion:
+    """Estimate the motion from a frame to the previous one, both uint8 (h, w), with confidence."""
+    flow = dense_flow(grey, previous, FAST_FLOW)
+    return Motion(previous, grey, flow, flow_confidence(previous, grey, flow, settings))
 
 
 def flow_confidence(

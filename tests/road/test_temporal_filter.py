@@ -11,6 +11,7 @@ from roadtorch.road.bayes import log_odds
 from roadtorch.road.temporal_filter import (
     TemporalFilter,
     TemporalFilterSettings,
+    estimate_motion,
     flow_confidence,
     smooth_log_odds,
 )
@@ -104,6 +105,22 @@ def test_what_looks_different_is_not_believed_and_a_change_of_light_is_no_differ
     assert belief[66:94, 66:94].mean() < 0.2
     assert belief[:40].mean() > 0.8
     assert flow_confidence(grey, grey + 20, still, TemporalFilterSettings()).mean() > 0.95
+
+
+@pytest.mark.parametrize("previous", [0, 1])
+def test_a_motion_estimated_elsewhere_changes_nothing(previous: int) -> None:
+    """A filter that missed the frame before (``previous`` 1) does not follow its motion."""
+    wide = render_scene(1, 120, 240, noise=0.0).image
+    frames = [wide[..., 6 * n : 6 * n + 160].contiguous() for n in (0, 1, 2)]
+    greys = [flow_image(frame, TemporalFilterSettings().width) for frame in frames]
+    motion = estimate_motion(greys[previous], greys[2], TemporalFilterSettings())
+    alone, given = make_filter(), make_filter()
+
+    first, last = noisy(2)
+    alone(frames[0], first)
+    given(frames[0], first)
+
+    assert torch.equal(alone(frames[2], last), given(frames[2], last, motion=motion))
 
 
 # --- the ego car ------------------------------------------------------------------------------
