@@ -17,7 +17,7 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_420,
     "roadtorch/base": 1_935,
-    "roadtorch/camera": 1_930,
+    "roadtorch/camera": 2_000,
     "roadtorch/cli": 1_850,
     "roadtorch/data": 2_220,
     "roadtorch/detectors": 2_070,
@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_325,
     "roadtorch/ufl": 1_380,
     "scripts": 5_170,
-    "tests": 26_996,
+    "tests": 27_130,
     "train": 7_050,
 }
 """The lines of source code that each folder may have."""

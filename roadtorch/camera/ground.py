@@ -230,6 +230,13 @@ def pixel_rays(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     return np.column_stack([plane, np.ones(len(plane))])
 
 
+def visible_rays(lens: Lens, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rays (n, 3) of pixels (n, 2), and which of them the lens sees, bool (n,)."""
+    rays = pixel_rays(lens, pixels)
+    projected, visible = project_rays(lens, rays)
+    return rays, visible & (np.abs(projected - pixels).max(1) < MAX_DISTORTION_ERROR)
+
+
 def _fisheye_table(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Return angles from the axis, radians, and their radii over the focal length, both rising.
 

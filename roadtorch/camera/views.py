@@ -19,13 +19,13 @@ from torch.nn import functional as F
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import Settings
 from roadtorch.camera.ground import (
-    MAX_DISTORTION_ERROR,
     MAX_PITCH,
     MIN_PITCH,
     Lens,
     camera_pose,
     pixel_rays,
     project_rays,
+    visible_rays,
 )
 from roadtorch.imaging.resize import SHORTEST
 
@@ -78,7 +78,7 @@ def rectified_views(lens: Lens, pitch: float) -> tuple[View, ...]:
 @lru_cache(maxsize=4)
 def _plan_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     sides = (np.linspace(-0.499, end - 0.501, MESH_POINTS) for end in (lens.width, lens.height))
-    rays, visible = _rays_and_seen(lens, np.stack(np.meshgrid(*sides), -1).reshape(-1, 2))
+    rays, visible = visible_rays(lens, np.stack(np.meshgrid(*sides), -1).reshape(-1, 2))
     if not visible.any():
         raise ConfigError("lens", "sees nothing", "check its focal lengths and its centre")
     rays = rays[visible] / np.linalg.norm(rays[visible], axis=1, keepdims=True)
@@ -112,13 +112,6 @@ def view_ahead(lens: Lens) -> View:
     """Return a view along the axis of a lens, ``MAX_WIDTH`` from side to side and up and down."""
     corner = np.full(2, SLOPE_AHEAD)
     return _make_view(np.eye(3), -corner, corner, lens)
-
-
-def _rays_and_seen(lens: Lens, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rays (n, 3) of pixels (n, 2), and which of them the lens sees, bool (n,)."""
-    rays = pixel_rays(lens, pixels)
-    projected, visible = project_rays(lens, rays)
-    return rays, visible & (np.abs(projected - pixels).max(1) < MAX_DISTORTION_ERROR)
 
 
 def _make_view(axes: np.ndarray, low: np.ndarray, high: np.ndarray, lens: Lens) -> View:
@@ -192,7 +185,7 @@ def _view_grid(lens: Lens, view: View) -> Tensor:
 @lru_cache(maxsize=8)
 def _image_grid(lens: Lens, view: View, size: tuple[int, int]) -> Tensor:
     """Return the positions in a view of the pixels of an image of a size, (1, H, W, 2)."""
-    rays, visible = _rays_and_seen(lens, _pixel_centres(lens, *size))
+    rays, visible = visible_rays(lens, _pixel_centres(lens, *size))
     pixels, inside = project_rays(view.lens, rays @ np.array(view.axes).T)
     return _to_grid(view.lens, pixels, inside & visible).reshape(1, *size, 2)
 

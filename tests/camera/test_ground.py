@@ -31,7 +31,10 @@ from roadtorch.camera.ground import (
     project_rays,
 )
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
+from roadtorch.camera.ground_points import ground_points
+from roadtorch.run.writers.bag import MASK_CLASS_NAMES
 from tests.reference import bev as reference
+from tests.reference.semantic_layer import NAV2_PARAMETERS, mark_tiles
 
 LENS = pinhole_lens(640, 480, 60)
 DISTORTIONS = {
@@ -50,7 +53,7 @@ def distorted_lens(model: str) -> Lens:
     return build_settings(Lens, values)
 
 
-def ground_points(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
+def unproject_to_ground(camera: GroundCamera, pixels: np.ndarray) -> np.ndarray:
     """Return the ground points (n, 2), metres, of pixels (n, 2); NaN at and above the horizon."""
     rays = camera.unproject(pixels)
     far = camera.pose.position[2] / np.where(rays[:, 2] < -1e-6, -rays[:, 2], np.nan)
@@ -66,7 +69,7 @@ def test_a_level_camera_by_hand() -> None:
     assert pixels[1, 0] == pytest.approx(319.5 - LENS.focal_x * 0.2)  # left is left
     assert inside.tolist() == [True, True, False, False]
     sky = np.array([[300.0, 100.0], [300.0, 239.5]])
-    assert np.isnan(ground_points(camera, sky)).all()
+    assert np.isnan(unproject_to_ground(camera, sky)).all()
     # A lower right side lifts the horizon there.
     rolled = GroundCamera(LENS, camera_pose(1.4, 0, roll=10))
     right_ray, left_ray = rolled.unproject(np.array([[600.0, 239.5], [40.0, 239.5]]))
@@ -79,7 +82,7 @@ def test_pixels_come_back_to_their_ground(pitch: float, roll: float, x: float, y
     pixels, inside = camera.project(ground((x, y)))
 
     if inside.all():
-        assert ground_points(camera, pixels)[0] == pytest.approx([x, y], abs=1e-6)
+        assert unproject_to_ground(camera, pixels)[0] == pytest.approx([x, y], abs=1e-6)
 
 
 def opencv_pixels(lens: Lens, rays: np.ndarray) -> np.ndarray:
@@ -102,7 +105,7 @@ def test_distortion_is_undone_and_distorted_ground_comes_back(model: str) -> Non
     expected = opencv_pixels(camera.lens, rays)
     assert project_rays(camera.lens, 7 * rays)[0] == pytest.approx(expected, abs=1e-3)
     assert inside.all()
-    assert ground_points(camera, projected) == pytest.approx(points[:, :2], abs=1e-4)
+    assert unproject_to_ground(camera, projected) == pytest.approx(points[:, :2], abs=1e-4)
 
 
 def test_distortion_that_turns_back_shows_nothing() -> None:
@@ -246,15 +249,20 @@ UP = GroundCamera(CAMERA.lens, camera_pose(1.4, -30))
 SETTINGS = GridSettings(resolution=0.2, range=16, side=6)
 
 
+def ground_of_pixels(camera: GroundCamera) -> np.ndarray:
+    """Return x and y (2, H, W) of the ground that the pixels show; NaN above the horizon."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    pixels = np.stack([columns.ravel(), rows.ravel()], 1).astype(float)
+    return unproject_to_ground(camera, pixels).T.reshape(2, HEIGHT, WIDTH)
+
+
 def draw_mask(inside: str | None = None, camera: GroundCamera = CAMERA) -> Tensor:
     """Return a mask bool (H, W) of the ground where ``inside`` (of x, y, metres) is false."""
-    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
-    ground = ground_points(camera, np.stack([columns.ravel(), rows.ravel()], 1).astype(float))
-    x, y = ground.T
+    x, y = ground_of_pixels(camera)
     road = np.isfinite(x)
     if inside is not None:
         road &= ~eval(inside, {"x": x, "y": y, "np": np})
-    return torch.from_numpy(road.reshape(HEIGHT, WIDTH))
+    return torch.from_numpy(road)
 
 
 def cell(grid: Grid, x: float, y: float) -> int:
@@ -352,3 +360,89 @@ def test_a_mount_moves_the_grid_with_the_camera() -> None:
     assert moved.origin == pytest.approx((0.6, -6.4))
     assert cell(moved, 9.1, -0.4) == FREE
     assert OCCUPIED in [cell(moved, x, -0.4) for x in (9.5, 9.7, 9.9)]
+
+
+# --- ground points ----------------------------------------------------------------------
+
+
+SCENES = {
+    "a road with sides": "abs(y) > 2",
+    "a wall ahead": "x > 3.5",
+    "a box on the road": "(abs(y) > 2) | (x > 3) & (x < 3.6) & (abs(y) < .5)",
+    "a bend": "abs(y - x * x / 20) > 1.5",
+}
+
+
+def wide_camera(model: str, pitch: float = 15.0, roll: float = 0.0) -> GroundCamera:
+    values = pinhole_lens(WIDTH, HEIGHT, 70).model_dump()
+    if model in DISTORTIONS:
+        values |= {"model": model, "coefficients": DISTORTIONS[model]}
+    return GroundCamera(build_settings(Lens, values), camera_pose(1.2, pitch, roll))
+
+
+def dilate(cells: np.ndarray) -> np.ndarray:
+    """Return the cells and their eight neighbours."""
+    return cv2.dilate(cells.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+
+
+@pytest.mark.parametrize("model", ["pinhole", *DISTORTIONS])
+@pytest.mark.parametrize(("pitch", "roll"), [(15, 0), (0, 0), (-3, 8), (60, -5)])
+def test_points_lie_on_the_ground_below_their_pixels(model: str, pitch: float, roll: float) -> None:
+    camera = wide_camera(model, pitch, roll)
+    everywhere = Grid(torch.zeros(60, 80, dtype=torch.int8), torch.zeros(60, 80), 0.2, (0, -6))
+
+    points = ground_points(camera, everywhere)
+
+    x, y = ground_of_pixels(camera)
+    finite = np.isfinite(points).all(-1)
+    assert (finite == ((x >= 0) & (x < 16) & (abs(y) < 6))).mean() > 0.999  # but for rounding
+    robot = points[finite] @ np.array(camera.pose.axes) + camera.pose.position
+    assert np.abs(robot - ground(*zip(x[finite], y[finite], strict=True))).max() < 1e-3
+
+
+@pytest.mark.parametrize("model", ["pinhole", *DISTORTIONS])
+@pytest.mark.parametrize("scene", SCENES)
+def test_nav2_marks_the_cells_of_the_grid(model: str, scene: str) -> None:
+    camera = wide_camera(model)
+    mask = draw_mask(SCENES[scene], camera)
+    grid = ground_grid(mask, camera, SETTINGS)
+    reach = math.sqrt(0.2 * camera.lens.focal_y * 1.2)  # a pixel is r² / (f h) metres long
+    layer = NAV2_PARAMETERS | {"max_obstacle_distance": reach}
+    pose = np.array(camera.pose.axes), np.array(camera.pose.position)
+    confidence = np.full(mask.shape, 255, np.uint8)
+
+    points = ground_points(camera, grid)
+    tiles = mark_tiles(mask.numpy(), confidence, points, MASK_CLASS_NAMES, layer, pose, 0.2)
+
+    marked = np.full(grid.cells.shape, UNKNOWN)
+    for (column, row), cost in tiles.items():
+        marked[row + 30, column] = {0: FREE, 254: OCCUPIED}[cost]
+    rows, columns = np.indices(marked.shape) * 0.2
+    near = np.hypot(columns, rows - 6) < reach - 0.5
+    for value in (FREE, OCCUPIED):
+        assert (marked == value).sum() > 20
+        assert dilate(grid.cells.numpy() == value)[marked == value].all()
+        assert dilate(marked == value)[(grid.cells.numpy() == value) & near].all()
+
+
+@pytest.mark.parametrize("distance", [3.5, 5.5, 9.0, 12.0])
+def test_a_wall_keeps_its_first_point_in_every_column_and_no_other(distance: float) -> None:
+    camera = wide_camera("pinhole")
+    mask = draw_mask(f"x > {distance}", camera)
+
+    points = ground_points(camera, ground_grid(mask, camera, SETTINGS))[:, 80:160]
+
+    wall = np.isfinite(points[..., 2]) & ~mask.numpy()[:, 80:160]
+    first = mask.numpy().argmax(0)[80:160] - 1  # the row above the uppermost of the road
+    assert wall[first, range(80)].all()
+    length = np.square(distance + 0.5) / camera.lens.focal_y / 1.2  # of a pixel on the ground
+    assert ground_of_pixels(camera)[0][:, 80:160][wall].max() < distance + length + 0.4  # two cells
+
+
+def test_pixels_outside_a_fisheye_circle_have_no_point() -> None:
+    lens = wide_camera("equidistant").lens.model_copy(update={"field_of_view": 50.0})
+    camera = GroundCamera(lens, camera_pose(1.2, 30))
+
+    finite = np.isfinite(ground_points(camera, ground_grid(draw_mask(), camera, SETTINGS))[..., 2])
+
+    assert (finite[130, WIDTH // 2], finite[130, 20]) == (True, False)
