@@ -14,11 +14,12 @@ from roadtorch.base.image import decode_image, from_pixels, report_decoding_erro
 RAW_IMAGE_TYPE = "sensor_msgs/msg/Image"
 COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
 
-PLAIN = {  # channels, bits, indices of red, green and blue
-    **{"mono8": (1, 8, (0, 0, 0)), "8UC1": (1, 8, (0, 0, 0)), "mono16": (1, 16, (0, 0, 0))},
-    **{"rgb8": (3, 8, (0, 1, 2)), "bgr8": (3, 8, (2, 1, 0)), "8UC3": (3, 8, (2, 1, 0))},
-    **{"rgba8": (4, 8, (0, 1, 2)), "bgra8": (4, 8, (2, 1, 0)), "8UC4": (4, 8, (2, 1, 0))},
-    **{"rgb16": (3, 16, (0, 1, 2)), "bgr16": (3, 16, (2, 1, 0))},
+RGB_ORDER, BGR_ORDER = slice(0, 3), slice(2, None, -1)  # of three or four channels
+PLAIN = {  # channels, bits, index of red, green and blue
+    **{"mono8": (1, 8, 0), "8UC1": (1, 8, 0), "mono16": (1, 16, 0)},
+    **{"rgb8": (3, 8, RGB_ORDER), "bgr8": (3, 8, BGR_ORDER), "8UC3": (3, 8, BGR_ORDER)},
+    **{"rgba8": (4, 8, RGB_ORDER), "bgra8": (4, 8, BGR_ORDER), "8UC4": (4, 8, BGR_ORDER)},
+    **{"rgb16": (3, 16, RGB_ORDER), "bgr16": (3, 16, BGR_ORDER)},
 }
 """Encodings of sensor_msgs/image_encodings.hpp; the fourth channel is padding and is dropped."""
 
@@ -69,17 +70,21 @@ def decode_message(message: Any, origin: str) -> Tensor:
 
 
 def _read_rows(message: Any, channels: int, bits: int) -> np.ndarray:
-    """Return the samples (H, W, C) of a message in native byte order, without row padding."""
+    """Return the samples (H, W, C) of a message in native byte order, a view of 8-bit ones."""
     row = message.width * channels * bits // 8
     step = message.step or row
     needed = step * (message.height - 1) + row  # the last row may lack its padding
     if step < row or not message.width or not message.height or len(message.data) < needed:
         size = f"{message.width} by {message.height} {message.encoding}, {message.step} a row"
         raise ValueError(f"it has {len(message.data)} bytes for {size}")
-    whole = np.zeros(step * message.height, np.uint8)
-    data = message.data[: len(whole)]
-    whole[: len(data)] = data
-    samples = np.ascontiguousarray(whole.reshape(message.height, step)[:, :row])
+    data = np.frombuffer(message.data, np.uint8)
+    if len(data) < step * message.height:
+        data = np.pad(data, (0, step * message.height - len(data)))
+    samples = data[: step * message.height].reshape(message.height, step)[:, :row]
     if bits == 16:
-        samples = samples.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
+        samples = (
+            np.ascontiguousarray(samples)
+            .view(">u2" if message.is_bigendian else "<u2")
+            .astype(np.uint16)
+        )
     return samples.reshape(message.height, message.width, channels)

@@ -56,14 +56,11 @@ def label_info_message(threshold: float) -> Any:
     return kinds.LabelInfo(class_map=classes, threshold=float(threshold))
 
 
-def diagnostics_message(stamp: Any, warning: str, values: Mapping[str, object]) -> Any:
-    """Return a diagnostic_msgs/DiagnosticArray with one status, OK without a warning."""
+def diagnostic_status(name: str, warning: str, values: Mapping[str, object]) -> Any:
+    """Return a diagnostic_msgs/DiagnosticStatus, OK without a warning."""
     kinds = import_ros("diagnostic_msgs.msg")
     pairs = [kinds.KeyValue(key=key, value=str(value)) for key, value in values.items()]
     level = bytes([WARN if warning else OK])
-    status = kinds.DiagnosticStatus(
-        level=level, name="roadtorch: road", message=warning or "OK", values=pairs
+    return kinds.DiagnosticStatus(
+        level=level, name=f"roadtorch: {name}", message=warning or "OK", values=pairs
     )
-    message = kinds.DiagnosticArray(status=[status])
-    message.header.stamp = stamp
-    return message

@@ -1,6 +1,7 @@
 """A ROS 2 talker: publishes images of every encoding and prints the node's answers as JSON.
 
     python talker.py SECONDS [--rate HZ] [--size WIDTHxHEIGHT] [--encodings rgb8,mono8]
+        [--image FILE] [--ros-args -r __ns:=/front]
 
 One line of JSON: by encoding the stamps and frames that came back, the shapes of masks and
 confidences, and the ages of the answers in milliseconds; labels, grids and diagnostics.
@@ -58,10 +59,14 @@ def main():
     parser.add_argument("--rate", type=float, default=10)
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--encodings", default=",".join(ENCODINGS))
-    options = parser.parse_args()
+    parser.add_argument("--image", help="instead of noise")
+    options, ros_args = parser.parse_known_args()
     width, height = map(int, options.size.split("x"))
     pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
-    rclpy.init()
+    if options.image:
+        pixels = np.asarray(cv2.imread(options.image))[..., ::-1]
+        pixels = cv2.resize(np.ascontiguousarray(pixels), (width, height))
+    rclpy.init(args=ros_args)
     node, sent, results = rclpy.create_node("talker"), {}, defaultdict[str, Any](list)
     late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -80,17 +85,18 @@ def main():
         results["cells"] = sorted(values_of(message))
 
     def diagnostics(message):
-        status = message.status[0]
+        name = node.get_namespace().strip("/") or "road"
+        status = next(status for status in message.status if status.name.endswith(name))
         results["diagnostics"] = {pair.key: pair.value for pair in status.values}
         results["words"] = [*dict.fromkeys([*results["words"], status.message])]
 
-    node.create_subscription(Image, "/segmentation/mask", mask, qos_profile_sensor_data)
-    node.create_subscription(Image, "/segmentation/confidence", confidence, qos_profile_sensor_data)
-    node.create_subscription(OccupancyGrid, "/segmentation/grid", grid, late)
+    node.create_subscription(Image, "segmentation/mask", mask, qos_profile_sensor_data)
+    node.create_subscription(Image, "segmentation/confidence", confidence, qos_profile_sensor_data)
+    node.create_subscription(OccupancyGrid, "segmentation/grid", grid, late)
     node.create_subscription(DiagnosticArray, "/diagnostics", diagnostics, 10)
-    raw = node.create_publisher(Image, "/image", qos_profile_sensor_data)
-    packed = node.create_publisher(CompressedImage, "/image/compressed", qos_profile_sensor_data)
-    lens = node.create_publisher(CameraInfo, "/camera_info", qos_profile_sensor_data)
+    raw = node.create_publisher(Image, "image", qos_profile_sensor_data)
+    packed = node.create_publisher(CompressedImage, "image/compressed", qos_profile_sensor_data)
+    lens = node.create_publisher(CameraInfo, "camera_info", qos_profile_sensor_data)
     info = CameraInfo(width=width, height=height, distortion_model="plumb_bob")
     info.k = [float(width), 0, width / 2, 0, float(width), height / 2, 0, 0, 1.0]
     end, number, due = time.monotonic() + options.seconds, 0, time.monotonic()

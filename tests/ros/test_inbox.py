@@ -1,52 +1,67 @@
-"""The queue of the newest message, without ROS."""
+"""Queues of images, confidences and missing packages, without ROS."""
 
 import sys
 import threading
-from itertools import islice
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.base.signals import StopRequest
 from roadtorch.cli.ros import ros_command
 from roadtorch.detectors.detection import Detection
-from roadtorch.ros.node import Inbox
+from roadtorch.ros.inbox import BURST, POLL_PERIOD, Inbox
 from roadtorch.run.writers.bag import mask_and_confidence
 from tests.command import invoke_command
 
 
-def message(number: int) -> Any:
-    header = SimpleNamespace(stamp=SimpleNamespace(sec=number, nanosec=5), frame_id="camera")
-    pixels = np.full((16, 16), number, np.uint8)
-    return SimpleNamespace(
-        header=header, encoding="mono8", height=16, width=16, step=16, data=pixels.reshape(-1)
-    )
+def fill(inbox: Inbox, *numbers: int, camera: str = "") -> None:
+    for number in numbers:
+        inbox.put(camera, number)
 
 
-def test_the_newest_message_is_taken_and_the_others_are_counted() -> None:
-    inbox, stop = Inbox(), StopRequest()
-    for number in range(3):
-        inbox.put(message(number))
-    frames = inbox.source("/image", stop).items()
-
-    first = next(frames)
-    inbox.put(message(7))
-    second = next(frames)
-
-    assert (inbox.dropped, first.stamp, second.stamp) == (2, 2 * 10**9 + 5, 7 * 10**9 + 5)
-    assert first.read().mul(255).round().unique().tolist() == [2]
-    assert inbox.header.frame_id == "camera"
+def taken(inbox: Inbox, count: int) -> list[Any]:
+    return [arrival.message for _ in range(count) if (arrival := inbox.take())]
 
 
-def test_frames_end_when_somebody_asks_to_stop() -> None:
-    inbox, stop = Inbox(), StopRequest()
-    threading.Timer(0.2, stop.request, (15,)).start()
+def test_a_burst_is_processed_in_order() -> None:
+    inbox = Inbox([""])
 
-    assert [*islice(inbox.source("/image", stop).items(), 1)] == []
+    fill(inbox, *range(BURST))
+
+    assert taken(inbox, BURST + 1) == [*range(BURST)]
+    assert inbox.dropped == {"": 0}
+
+
+def test_lasting_overload_keeps_the_newest_image_until_none_waits() -> None:
+    inbox = Inbox([""])
+
+    fill(inbox, *range(BURST + 1))
+    first = taken(inbox, 1)
+    fill(inbox, 10, 11)
+    second = taken(inbox, 2)  # the second finds none, and a burst is kept again
+    fill(inbox, 20, 21)
+
+    assert (first, second, taken(inbox, 2)) == ([BURST], [11], [20, 21])
+    assert inbox.dropped == {"": BURST + 1}
+
+
+def test_cameras_take_turns_and_a_slow_one_is_not_starved() -> None:
+    inbox = Inbox(["front", "rear"])
+
+    fill(inbox, *range(BURST), camera="front")
+    fill(inbox, 10, 11, camera="rear")
+
+    assert taken(inbox, BURST + 2) == [0, 10, 1, 11, 2]
+    fill(inbox, *range(9), camera="front")
+    assert inbox.dropped["rear"] == 0
+
+
+def test_a_message_is_waited_for() -> None:
+    inbox = Inbox([""])
+    threading.Timer(POLL_PERIOD / 2, fill, (inbox, 7)).start()
+
+    assert taken(inbox, 1) == [7]
 
 
 def test_confidence_is_of_each_pixels_own_class() -> None:

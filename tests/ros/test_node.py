@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,37 @@ def test_the_talker_may_leave_and_come_back_with_another_size(start: Start, talk
     for width, height in ((160, 120), (64, 48), (320, 240)):
         results = talk(4, "--size", f"{width}x{height}", "--encodings", "rgb8")
         assert results["mask"][1:3] == [height, width]
+
+
+def test_two_cameras_have_topics_and_parameters_of_their_own(start: Start, talk: Talk) -> None:
+    values = ("cameras:=['front','rear']", "detector:=prior:triangle", "pitch:=5.0")
+    values += ("rear.height:=1.5", "rear.base_frame:=rear_link")
+    start(*(word for value in values for word in ("-p", value)))
+
+    def run(name: str, size: str) -> dict[str, Any]:
+        words = ("--encodings", "rgb8", "--size", size, "--ros-args", "-r", f"__ns:=/{name}")
+        return talk(6, *words)
+
+    with ThreadPoolExecutor(2) as pool:
+        front, rear = pool.map(run, ("front", "rear"), ("160x120", "64x48"))
+
+    assert (front["mask"][1:3], rear["mask"][1:3]) == ([120, 160], [48, 64])
+    assert all(0 < len(camera["rgb8"]) <= camera["sent"] for camera in (front, rear))
+    assert "grid" not in front
+    assert rear["grid"] == ["rear_link", 300, 300]
+
+
+@pytest.mark.parametrize("words", ["cameras:=['9']", "height:=-1.0"])
+def test_impossible_parameters_are_refused_in_a_line(
+    environment: dict[str, str], words: str
+) -> None:
+    command = [sys.executable, "-m", "roadtorch", "ros", "--ros-args", "-p", words]
+
+    node = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+    assert node.returncode == 2
+    assert node.stderr.startswith(f"roadtorch: error: {words.partition(':')[0]}")
+    assert node.stderr.count("\n") == 1
 
 
 def test_an_unknown_encoding_is_refused_and_the_others_go_on(start: Start, talk: Talk) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from roadtorch.base.version import __version__
-from roadtorch.ros.node import NodeParameters
+from roadtorch.ros.parameters import NodeParameters
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros" / "roadtorch_ros"
 

@@ -1,0 +1,225 @@
+"""The topics of one camera: subscriptions, publishers, and the steps between them."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Generator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from roadtorch.base.errors import ConfigError, RoadtorchError, to_input_error
+from roadtorch.base.settings import build_settings
+from roadtorch.camera.calibration import lens_from_camera_info
+from roadtorch.camera.ground_grid import GridSettings, ground_grid
+from roadtorch.camera.mounting import CameraPlacement, Mounting, build_placement
+from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detector import Evidence
+from roadtorch.imaging.motion import flow_image
+from roadtorch.road.temporal_filter import (
+    Motion,
+    TemporalFilter,
+    TemporalFilterSettings,
+    estimate_motion,
+)
+from roadtorch.ros.inbox import Arrival, Inbox
+from roadtorch.ros.messages import (
+    diagnostic_status,
+    grid_message,
+    image_message,
+    import_ros,
+    label_info_message,
+)
+from roadtorch.ros.parameters import NodeParameters
+from roadtorch.run.loop import Inference
+from roadtorch.run.writers.bag import (
+    CONFIDENCE_TOPIC,
+    GRID_TOPIC,
+    LABELS_TOPIC,
+    MASK_TOPIC,
+    OVERLAY_TOPIC,
+    mask_and_confidence,
+)
+
+STALE_AFTER = 2.0  # seconds without an image after which diagnostics warn
+
+
+class CameraTopics:
+    """Subscriptions, publishers and state of a camera; topics are relative to its name, if any."""
+
+    def __init__(
+        self, node: Any, name: str, parameters: NodeParameters, inference: Inference, inbox: Inbox
+    ) -> None:
+        self.node, self.name, self.parameters, self.inbox = node, name, parameters, inbox
+        self.inference = inference
+        self.filter = TemporalFilter(TemporalFilterSettings()) if parameters.smoothing else None
+        self._grey: Tensor | None = None  # of the last image
+        self.times, self.failures, self.last_warning = deque[float](maxlen=30), 0, ""
+        self.last_detection: Detection | None = None
+        self.latency = 0.0  # seconds from the arrival of the last image to its results
+        self.placement, self.grid_settings = self._make_placement()
+        self._subscribe()
+        kinds, qos = import_ros("sensor_msgs.msg"), import_ros("rclpy.qos")
+        latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+        self.images = {
+            topic: node.create_publisher(kinds.Image, self._relative(topic), 1)
+            for topic in (MASK_TOPIC, CONFIDENCE_TOPIC, OVERLAY_TOPIC)
+        }
+        occupancy = import_ros("nav_msgs.msg").OccupancyGrid
+        self.grids = node.create_publisher(occupancy, self._relative(GRID_TOPIC), latched)
+        self.labels = self._publish_labels(latched)
+
+    def _relative(self, topic: str) -> str:
+        """Return a topic relative to the node's namespace and the camera's name."""
+        return f"{self.name}/{topic.lstrip('/')}".lstrip("/")
+
+    def _subscribe(self) -> None:
+        """Create the subscriptions: sensor data, best effort."""
+        kinds = import_ros("sensor_msgs.msg")
+        newest = import_ros("rclpy.qos").qos_profile_sensor_data
+        put = partial(self.inbox.put, self.name)
+        for kind, topic, callback in (
+            (kinds.Image, "image", put),
+            (kinds.CompressedImage, "image/compressed", put),
+            (kinds.CameraInfo, "camera_info", self._take_lens),
+        ):
+            self.node.create_subscription(kind, self._relative(topic), callback, newest)
+        self.topic = self.node.resolve_topic_name(self._relative("image"))
+
+    # --- steps --------------------------------------------------------------------------------
+
+    @contextmanager
+    def report_errors(self) -> Generator[None]:
+        """Count and log an error of an image instead of raising it."""
+        try:
+            yield
+        except Exception as error:  # one image that breaks a detector must not end the node
+            self.failures += 1
+            self._warn(str(to_input_error(self.topic, error)))
+
+    def estimate_motion(self, image: Tensor) -> Motion | None:
+        """Estimate the motion from an image to the last one; None without smoothing or a last."""
+        if self.filter is None:
+            return None
+        previous, self._grey = self._grey, flow_image(image, self.filter.settings.width)
+        if previous is None or previous.shape != self._grey.shape:
+            return None
+        return estimate_motion(previous, self._grey, self.filter.settings)
+
+    def finish(self, arrival: Arrival, evidence: Evidence, motion: "Future[Motion | None]") -> None:
+        """Decide on the mask of an image, after temporal smoothing, and publish it."""
+        with self.report_errors():
+            if self.filter is None:
+                likelihood, ego = evidence.likelihood, evidence.ego
+            else:
+                past = motion.result()
+                likelihood = self.filter(evidence.image, evidence.likelihood, evidence.ego, past)
+                ego = self.filter.hidden
+            self._publish(arrival, self.inference.detector.conclude(evidence, likelihood, ego))
+
+    def _publish(self, arrival: Arrival, detection: Detection) -> None:
+        """Publish mask, confidence and grid, and the overlay where it has subscribers."""
+        header = arrival.message.header
+        mask, confidence = mask_and_confidence(detection)
+        self.images[MASK_TOPIC].publish(image_message(header, mask))
+        self.images[CONFIDENCE_TOPIC].publish(image_message(header, confidence))
+        if self.images[OVERLAY_TOPIC].get_subscription_count():
+            self.images[OVERLAY_TOPIC].publish(image_message(header, detection.overlay()))
+        if self.placement is not None and not self.placement.needs_lens:
+            self._publish_grid(header, detection)
+        self.last_detection = detection
+        self.latency = time.monotonic() - arrival.time
+        self.times.append(time.monotonic())
+
+    def _publish_grid(self, header: Any, detection: Detection) -> None:
+        """Publish the ground grid; warn where the pitch of the image is unknown."""
+        assert self.placement is not None
+        assert detection.image is not None
+        likelihood, settings = detection.likelihood, self.grid_settings
+        try:
+            camera, _ = self.placement(detection.image, detection.cues.get("layout"))
+            road = likelihood * (detection.mask | (likelihood < settings.threshold))
+            grid = ground_grid(road, camera, settings, detection.cues.get("ego"))
+        except RoadtorchError as error:
+            self._warn(str(error))
+            return
+        self.grids.publish(grid_message(header, grid, self.parameters.base_frame))
+
+    # --- camera -----------------------------------------------------------------------------
+
+    def _make_placement(self) -> tuple[CameraPlacement | None, GridSettings]:
+        """Return the pose of the camera, None without a height, and the settings of the grid."""
+        values = self.parameters
+        cells = {name: getattr(values, name) for name in ("resolution", "range", "side")}
+        threshold = self.inference.detector.settings.threshold
+        settings = build_settings(GridSettings, {**cells, "threshold": threshold})
+        if not values.height:
+            return None, settings
+        mounting = Mounting(
+            height=values.height,
+            pitch=None if math.isnan(values.pitch) else values.pitch,
+            roll=values.roll,
+            fov=values.fov or None,
+            camera=Path(values.camera) if values.camera else None,
+        )
+        return build_placement(mounting, of_bags=True), settings
+
+    def _take_lens(self, message: Any) -> None:
+        """Take the lens from the first CameraInfo message."""
+        if self.placement is None or not self.placement.needs_lens:
+            return
+        size = message.width, message.height
+        topic = self.node.resolve_topic_name(self._relative("camera_info"))
+        try:
+            if not message.k[0] > 0:
+                raise ConfigError(topic, "has no calibration", "calibrate the camera, or set fov")
+            lens = lens_from_camera_info(
+                topic, size, [*message.k], [*message.d], message.distortion_model
+            )
+            self.placement = self.placement.with_lens(lens)
+        except RoadtorchError as error:
+            self._warn(str(error))
+
+    # --- labels and diagnostics -------------------------------------------------------------
+
+    def _publish_labels(self, latched: Any) -> Any:
+        """Publish the latched label info; None where vision_msgs is not installed."""
+        try:
+            kind = import_ros("vision_msgs.msg").LabelInfo
+        except ConfigError:
+            self._warn(f"vision_msgs is not installed: {LABELS_TOPIC} is not published")
+            return None
+        publisher = self.node.create_publisher(kind, self._relative(LABELS_TOPIC), latched)
+        publisher.publish(label_info_message(self.inference.detector.settings.threshold))
+        return publisher
+
+    def _warn(self, message: str) -> None:
+        """Log a warning, unless it repeats the last one."""
+        if message != self.last_warning:
+            self.last_warning = message
+            self.node.get_logger().warning(message)
+
+    def diagnostics(self) -> Any:
+        """Return the diagnostic_msgs/DiagnosticStatus of the camera."""
+        detection, times = self.last_detection, [*self.times]
+        silence = time.monotonic() - times[-1] if times else math.inf
+        warning = detection.doubt if detection else ""
+        if detection is not None and not detection.mask.any():
+            warning = "no road found: nothing is free"
+        if silence > STALE_AFTER:
+            warning = f"no image on {self.topic}"
+        rate = (len(times) - 1) / max(times[-1] - times[0], 1e-9) if len(times) > 1 else 0.0
+        trust = detection.trust if detection else None
+        values = {
+            "trust": "" if trust is None else f"{trust:.2f}",
+            "doubt": detection.doubt if detection else "",
+            "rate": f"{rate if silence <= STALE_AFTER else 0.0:.1f} Hz",
+            "age": f"{1000 * self.latency:.0f} ms",
+            "dropped": self.inbox.dropped[self.name],
+            "refused": self.failures,
+        }
+        return diagnostic_status(self.name or "road", warning, values)
