@@ -75,6 +75,7 @@ def main() -> None:
         print(f"{known - without:+.3f} ({low:+.3f} to {high:+.3f})", end="  ")
         print(f"trust {trust[0]:.2f} {trust[1]:.2f}")
     if options.sheet:
+        pairs = [cv2.resize(pair, pairs[0].shape[1::-1]) for pair in pairs]  # of worlds of any size
         empty = [np.zeros_like(pairs[0])] * (-len(pairs) % COLUMNS)
         sheet = [*pairs, *empty]
         lines = [np.hstack(sheet[at : at + COLUMNS]) for at in range(0, len(sheet), COLUMNS)]
