@@ -33,8 +33,8 @@ LINES = {
     "roadtorch/testing": 640,
     "roadtorch/train": 3_325,
     "roadtorch/ufl": 1_380,
-    "scripts": 5_170,
-    "tests": 27_180,
+    "scripts": 5_240,
+    "tests": 27_280,
     "train": 7_050,
 }
 """The lines of source code that each folder may have."""
