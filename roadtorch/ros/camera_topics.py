@@ -16,6 +16,7 @@ from roadtorch.base.errors import ConfigError, RoadtorchError, to_input_error
 from roadtorch.base.settings import build_settings
 from roadtorch.camera.calibration import lens_from_camera_info
 from roadtorch.camera.ground_grid import GridSettings, ground_grid
+from roadtorch.camera.ground_points import ground_points
 from roadtorch.camera.mounting import CameraPlacement, Mounting, build_placement
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import Evidence
@@ -33,6 +34,7 @@ from roadtorch.ros.messages import (
     image_message,
     import_ros,
     label_info_message,
+    points_message,
 )
 from roadtorch.ros.parameters import NodeParameters
 from roadtorch.run.loop import Inference
@@ -42,6 +44,7 @@ from roadtorch.run.writers.bag import (
     LABELS_TOPIC,
     MASK_TOPIC,
     OVERLAY_TOPIC,
+    POINTS_TOPIC,
     mask_and_confidence,
 )
 
@@ -71,6 +74,7 @@ class CameraTopics:
         }
         occupancy = import_ros("nav_msgs.msg").OccupancyGrid
         self.grids = node.create_publisher(occupancy, self._relative(GRID_TOPIC), latched)
+        self.clouds = node.create_publisher(kinds.PointCloud2, self._relative(POINTS_TOPIC), 1)
         self.labels = self._publish_labels(latched)
 
     def _relative(self, topic: str) -> str:
@@ -136,7 +140,7 @@ class CameraTopics:
         self.times.append(time.monotonic())
 
     def _publish_grid(self, header: Any, detection: Detection) -> None:
-        """Publish the ground grid; warn where the pitch of the image is unknown."""
+        """Publish the grid, and its points where somebody subscribes; warn without a pitch."""
         assert self.placement is not None
         assert detection.image is not None
         likelihood, settings = detection.likelihood, self.grid_settings
@@ -148,6 +152,8 @@ class CameraTopics:
             self._warn(str(error))
             return
         self.grids.publish(grid_message(header, grid, self.parameters.base_frame))
+        if self.clouds.get_subscription_count():
+            self.clouds.publish(points_message(header, ground_points(camera, grid)))
 
     # --- camera -----------------------------------------------------------------------------
 

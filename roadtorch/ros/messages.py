@@ -48,6 +48,20 @@ def grid_message(header: Any, grid: Grid, frame_id: str) -> Any:
     return message
 
 
+def points_message(header: Any, points: np.ndarray) -> Any:
+    """Return an organised sensor_msgs/PointCloud2 of points, float32, shape (H, W, 3)."""
+    kinds = import_ros("sensor_msgs.msg")
+    message = kinds.PointCloud2(header=header, point_step=12, is_dense=False)
+    message.height, message.width = points.shape[:2]
+    message.row_step = 12 * points.shape[1]
+    message.fields = [
+        kinds.PointField(name=name, offset=offset, datatype=kinds.PointField.FLOAT32, count=1)
+        for name, offset in (("x", 0), ("y", 4), ("z", 8))
+    ]
+    message.data.frombytes(np.ascontiguousarray(points, "<f4").tobytes())
+    return message
+
+
 def label_info_message(threshold: float) -> Any:
     """Return a vision_msgs/LabelInfo with the names of the mask's classes."""
     kinds = import_ros("vision_msgs.msg")

@@ -1,16 +1,18 @@
 """A ROS 2 talker: publishes images of every encoding and prints the node's answers as JSON.
 
     python talker.py SECONDS [--rate HZ] [--size WIDTHxHEIGHT] [--encodings rgb8,mono8]
-        [--image FILE] [--ros-args -r __ns:=/front]
+        [--image FILE] [--save FILE.npz] [--ros-args -r __ns:=/front]
 
 One line of JSON: by encoding the stamps and frames that came back, the shapes of masks and
-confidences, and the ages of the answers in milliseconds; labels, grids and diagnostics.
+confidences, and the ages of the answers in milliseconds; labels, grids and diagnostics. FILE.npz
+gets mask, confidence, points, grid and labels of one stamp, as Nav2's layer matches them.
 """
 
 import argparse
 import json
 import time
 from collections import defaultdict
+from functools import partial
 from typing import Any
 
 import cv2
@@ -19,7 +21,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+
+try:
+    from vision_msgs.msg import LabelInfo
+except ImportError:  # the node publishes no labels then
+    LabelInfo = None
 
 CHANNELS = {
     **dict.fromkeys(("mono8", "mono16", "bayer_rggb8"), 1),
@@ -28,6 +35,7 @@ CHANNELS = {
     **dict.fromkeys(("rgba8", "bgra8"), 4),
 }
 ENCODINGS = (*CHANNELS, "compressed")
+MATCHED = {"mask": Image, "confidence": Image, "points": PointCloud2, "grid": OccupancyGrid}
 
 
 def message_of(encoding, pixels, number):
@@ -53,6 +61,18 @@ def values_of(message):
     return {*np.unique(np.asarray(message.data)[::7]).tolist()}
 
 
+def save_topics(path, messages):
+    """Save the values of messages of one stamp, and the frame of the points."""
+    cloud, arrays = messages.pop("points"), {}
+    rows = np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, cloud.width, cloud.point_step)
+    starts = {field.name: field.offset for field in cloud.fields}
+    values = [np.ascontiguousarray(rows[..., starts[n] : starts[n] + 4]) for n in "xyz"]
+    for name, message in messages.items():
+        arrays[name] = np.array(message.data).reshape(getattr(message, "info", message).height, -1)
+    points = np.concatenate([value.view(np.float32) for value in values], -1)
+    np.savez(path, frame=cloud.header.frame_id, points=points, **arrays)
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("seconds", type=float)
@@ -60,6 +80,7 @@ def main():
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--encodings", default=",".join(ENCODINGS))
     parser.add_argument("--image", help="instead of noise")
+    parser.add_argument("--save", help="file for the topics of one stamp")
     options, ros_args = parser.parse_known_args()
     width, height = map(int, options.size.split("x"))
     pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
@@ -68,6 +89,7 @@ def main():
         pixels = cv2.resize(np.ascontiguousarray(pixels), (width, height))
     rclpy.init(args=ros_args)
     node, sent, results = rclpy.create_node("talker"), {}, defaultdict[str, Any](list)
+    matched = defaultdict[int, dict[str, Any]](dict)
     late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
     def mask(message):
@@ -84,6 +106,12 @@ def main():
         results["grid"] = [message.header.frame_id, message.info.height, message.info.width]
         results["cells"] = sorted(values_of(message))
 
+    def match(name, message):
+        matched[message.header.stamp.sec][name] = message
+
+    def labels(message):
+        results["labels"] = [[kind.class_id, kind.class_name] for kind in message.class_map]
+
     def diagnostics(message):
         name = node.get_namespace().strip("/") or "road"
         status = next(status for status in message.status if status.name.endswith(name))
@@ -93,6 +121,14 @@ def main():
     node.create_subscription(Image, "segmentation/mask", mask, qos_profile_sensor_data)
     node.create_subscription(Image, "segmentation/confidence", confidence, qos_profile_sensor_data)
     node.create_subscription(OccupancyGrid, "segmentation/grid", grid, late)
+    if options.save:
+        for name, kind in MATCHED.items():
+            callback = partial(match, name)
+            node.create_subscription(
+                kind, f"segmentation/{name}", callback, qos_profile_sensor_data
+            )
+        if LabelInfo is not None:
+            node.create_subscription(LabelInfo, "segmentation/label_info", labels, late)
     node.create_subscription(DiagnosticArray, "/diagnostics", diagnostics, 10)
     raw = node.create_publisher(Image, "image", qos_profile_sensor_data)
     packed = node.create_publisher(CompressedImage, "image/compressed", qos_profile_sensor_data)
@@ -111,6 +147,8 @@ def main():
         (packed if encoding == "compressed" else raw).publish(message_of(encoding, pixels, number))
         lens.publish(info)
         due = max(due + 1 / options.rate, time.monotonic() - 1 / options.rate)
+    if options.save:
+        save_topics(options.save, next(m for m in matched.values() if m.keys() == MATCHED.keys()))
     print(json.dumps({**results, "sent": number}), flush=True)
     rclpy.try_shutdown()
 

@@ -1,6 +1,7 @@
 """The node, with a ROS 2 talker in another process on localhost."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -11,7 +12,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from roadtorch.camera.ground import camera_pose
+from roadtorch.camera.ground_grid import GridSettings
+from roadtorch.run.writers.bag import MASK_CLASS_NAMES
+from tests.reference.semantic_layer import NAV2_PARAMETERS, count_stray_cells, mark_cells
 
 pytest.importorskip("rclpy", reason="rclpy is not installed (docs/ros.md)")
 
@@ -80,6 +87,27 @@ def test_every_encoding_is_answered_with_its_stamp_and_frame(start: Start, talk:
     assert results["grid"] == ["base_link", 300, 300]
     assert {-1, 0} <= {*results["cells"]} <= {-1, 0, 100}
     assert results["diagnostics"].keys() == {"trust", "doubt", "rate", "age", "dropped", "refused"}
+
+
+def test_nav2_marks_the_cells_of_the_published_grid(
+    start: Start, talk: Talk, tmp_path: Path
+) -> None:
+    """The layer of tests/reference/semantic_layer.py reads topics of one stamp."""
+    values = ("height:=1.2", "pitch:=15.0", "resolution:=0.2", "detector:=prior:triangle")
+    start(*(word for value in values for word in ("-p", value)))
+    settings, pose = GridSettings(resolution=0.2), camera_pose(1.2, 15)
+    reach = math.sqrt(0.2 * 240 * 1.2)  # a pixel is r² / (f h) metres long
+    layer = NAV2_PARAMETERS | {"max_obstacle_distance": reach}
+
+    results = talk(5, "--encodings", "rgb8", "--size", "240x180", "--save", tmp_path / "topics.npz")
+
+    names = dict(results.get("labels", MASK_CLASS_NAMES.items()))
+    topics = np.load(tmp_path / "topics.npz")
+    mask, confidence, points = (topics[name] for name in ("mask", "confidence", "points"))
+    marked = mark_cells(mask, confidence, points, names, layer, pose, settings)
+    assert topics["frame"] == "camera_optical"
+    assert min((marked == 0).sum(), (marked == 254).sum()) > 20
+    assert count_stray_cells(marked, topics["grid"], settings, reach - 0.5) == 0
 
 
 def test_the_talker_may_leave_and_come_back_with_another_size(start: Start, talk: Talk) -> None:

@@ -6,6 +6,8 @@ from xml.etree import ElementTree
 
 from roadtorch.base.version import __version__
 from roadtorch.ros.parameters import NodeParameters
+from roadtorch.run.writers.bag import LABELS_TOPIC, MASK_TOPIC, POINTS_TOPIC
+from tests.reference.semantic_layer import NAV2_PARAMETERS
 
 PACKAGE = Path(__file__).resolve().parents[2] / "ros" / "roadtorch_ros"
 
@@ -39,3 +41,10 @@ def test_what_the_launch_file_sets_are_parameters_of_the_node() -> None:
 
     assert keys_of(launch, "PARAMETERS") <= NodeParameters.model_fields.keys()
     assert keys_of(launch, "TOPICS") == {"image", "camera_info"}
+
+
+def test_nav2_reads_the_topics_of_the_node() -> None:
+    topics = [NAV2_PARAMETERS[f"{name}_topic"] for name in ("segmentation", "labels", "pointcloud")]
+
+    assert topics == [MASK_TOPIC, LABELS_TOPIC, POINTS_TOPIC]
+    assert "config/nav2.yaml" in (PACKAGE / "setup.py").read_text("utf-8")

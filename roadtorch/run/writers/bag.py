@@ -38,7 +38,7 @@ VISION_MESSAGES = {
 
 MASK_TOPIC, CONFIDENCE_TOPIC = "/segmentation/mask", "/segmentation/confidence"
 OVERLAY_TOPIC, LABELS_TOPIC = "/segmentation/overlay", "/segmentation/label_info"
-GRID_TOPIC = "/segmentation/grid"
+GRID_TOPIC, POINTS_TOPIC = "/segmentation/grid", "/segmentation/points"
 
 MAX_DRIFT = 1_000_000_000  # nanoseconds by which a camera's clock and ours may drift apart
 
