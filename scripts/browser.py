@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
-PATIENCE = 60_000  # milliseconds
+PATIENCE = 300_000  # milliseconds
 
 
 @contextmanager

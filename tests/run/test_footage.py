@@ -208,7 +208,7 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
         time.sleep(0.02)
 
     process.send_signal(signal.SIGINT)
-    message = process.communicate(timeout=60)[1]
+    message = process.communicate(timeout=600)[1]
 
     assert process.returncode == ExitCode.INTERRUPTED
     assert message.endswith("roadtorch: interrupted; finished results are kept\n")

@@ -21,7 +21,7 @@ from tests.command import bytes_in, read_index_rows
 COMMAND = [sys.executable, "-m", "roadtorch", "infer"]
 WORK = ("--detector", "cpf", "--threads", "1", "--save", "likelihood,mask,overlay,json")
 RAY = ("--engine", "ray", "--jobs", "2")
-LONGEST = 180.0  # seconds for what takes ten on an idle machine
+LONGEST = 900.0  # seconds for what takes ten on an idle machine
 
 
 @pytest.fixture(scope="module")

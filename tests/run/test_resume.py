@@ -119,16 +119,19 @@ def test_what_is_in_hand_is_finished_when_a_signal_ends_the_run(
     code: int,
     jobs: int,
 ) -> None:
-    process, started = os.getpid(), tmp_path / "both"
+    process, started, sent = os.getpid(), tmp_path / "both", tmp_path / "sent"
 
     def send(item: Item) -> None:  # in a worker, if there are several
         if item.name == "b":
             started.touch()
+            while not sent.exists():
+                time.sleep(0.01)
         if item.name == "a":
             while jobs == 2 and not started.exists():
                 time.sleep(0.01)
             os.kill(process, number)
-        time.sleep(0.2)
+            sent.touch()
+        time.sleep(0.2)  # until the other process has handled it
 
     with before_each(send):
         stopped = run("--jobs", jobs)
@@ -191,7 +194,7 @@ def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "roadtorch", "infer", footage.name, *ROWS, "--out", "out"]
     words = ["sh", "-c", f"{' '.join(command)} 0<&- 1>&- 2>&-"]
 
-    ended = subprocess.run(words, cwd=tmp_path, timeout=120, check=False)
+    ended = subprocess.run(words, cwd=tmp_path, timeout=600, check=False)
 
     assert ended.returncode == 0
     assert [row["status"] for row in read_index_rows(tmp_path / "out").values()] == ["done"] * 3

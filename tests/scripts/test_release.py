@@ -62,7 +62,7 @@ def test_what_is_not_in_order_is_refused_before_the_build(
         env={"PATH": str(tools)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
     )
 
     assert done.returncode == (2 if "--dry" in words else 1)

@@ -3,9 +3,9 @@
 import re
 import subprocess
 import sys
-import time
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -39,10 +39,13 @@ def test_a_missing_input_is_told_before_the_installation(tmp_path: Path) -> None
     assert not (tmp_path / "venv").exists()
 
 
+ended = Event()
+
+
 def answer(handler: BaseHTTPRequestHandler) -> None:
-    """Serve torch and nothing else; delay answers below /silent."""
+    """Serve torch and nothing else; below /silent after the test alone."""
     if handler.path.startswith("/silent"):
-        time.sleep(4)
+        ended.wait(60)
     handler.send_response(200 if handler.path == "/torch/" else 404)
     handler.end_headers()
 
@@ -59,6 +62,7 @@ def answer(handler: BaseHTTPRequestHandler) -> None:
     ],
 )
 def test_an_index_is_taken_where_it_answers_soon(address: str, is_taken: bool) -> None:
+    ended.clear()
     with serving(answer) as host:
         address = address.format(index=f"http://{host}")
         code = f'source "{SCRIPT}"; PYTHON={sys.executable}; choose_index; echo "${{INDEX[@]}}"'
@@ -68,8 +72,9 @@ def test_an_index_is_taken_where_it_answers_soon(address: str, is_taken: bool) -
             capture_output=True,
             text=True,
             check=True,
-            timeout=60,
+            timeout=600,
         )
+        ended.set()
 
     assert done.stdout.strip() == (f"--extra-index-url {address}" if is_taken else "")
     message = "CPU wheels from" if is_taken else "does not answer within 3 seconds"
