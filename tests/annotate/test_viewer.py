@@ -61,7 +61,7 @@ def test_who_has_the_newest_waits_for_the_next_and_is_told_of_the_end() -> None:
         first = request_frame(viewer)[1]["X-Number"]
         Timer(0.2, lambda: viewer.write(frame(1), detection(0))).start()
         second = request_frame(viewer, first)[1]
-        ending = Timer(0.2, viewer.__exit__)
+        ending = Timer(1, viewer.__exit__)  # when the request has been sent
         ending.start()
 
         status, *_ = request_frame(viewer, second["X-Number"])

@@ -10,7 +10,7 @@ import torch
 from roadtorch.base.errors import ConfigError
 from roadtorch.cli.ros import ros_command
 from roadtorch.detectors.detection import Detection
-from roadtorch.ros.inbox import BURST, POLL_PERIOD, Inbox
+from roadtorch.ros.inbox import BURST, Inbox
 from roadtorch.run.writers.bag import mask_and_confidence
 from tests.command import invoke_command
 
@@ -57,9 +57,10 @@ def test_cameras_take_turns_and_a_slow_one_is_not_starved() -> None:
     assert inbox.dropped["rear"] == 0
 
 
-def test_a_message_is_waited_for() -> None:
+def test_a_message_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("roadtorch.ros.inbox.POLL_PERIOD", 60)
     inbox = Inbox([""])
-    threading.Timer(POLL_PERIOD / 2, fill, (inbox, 7)).start()
+    threading.Timer(0.05, fill, (inbox, 7)).start()
 
     assert taken(inbox, 1) == [7]
 
