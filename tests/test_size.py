@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_325,
     "roadtorch/ufl": 1_380,
     "scripts": 5_240,
-    "tests": 27_370,
+    "tests": 27_390,
     "train": 7_050,
 }
 """The lines of source code that each folder may have."""
