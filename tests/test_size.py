@@ -17,7 +17,7 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_420,
     "roadtorch/base": 1_935,
-    "roadtorch/camera": 2_000,
+    "roadtorch/camera": 2_025,
     "roadtorch/cli": 1_850,
     "roadtorch/data": 2_220,
     "roadtorch/detectors": 2_070,
@@ -28,13 +28,13 @@ LINES = {
     "roadtorch/layout": 1_275,
     "roadtorch/oneclass": 1_790,
     "roadtorch/road": 1_600,
-    "roadtorch/ros": 554,
+    "roadtorch/ros": 560,
     "roadtorch/run": 2_700,
     "roadtorch/testing": 640,
     "roadtorch/train": 3_325,
     "roadtorch/ufl": 1_380,
     "scripts": 5_240,
-    "tests": 27_390,
+    "tests": 27_400,
     "train": 7_050,
 }
 """The lines of source code that each folder may have."""

@@ -151,7 +151,7 @@ class RaySamples:
     inside: Tensor
 
 
-@lru_cache(maxsize=2)  # some 10 MB each; the images of one camera come one after the other
+@lru_cache(maxsize=4)  # some 10 MB each: the cameras of a robot
 def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
     """Return the pixels at which a camera sees its rays' samples; InputError without ground."""
     low, high = _azimuth_range(camera)

@@ -33,7 +33,7 @@ def ground_points(camera: GroundCamera, grid: Grid) -> np.ndarray:
     return np.where(visible[..., None], points, np.float32(np.nan))
 
 
-@lru_cache(maxsize=2)  # some 6 MB each at 640×480; the images of one camera have one pose
+@lru_cache(maxsize=4)  # some 6 MB each at 640×480: the cameras of a robot
 def _pixel_points(
     camera: GroundCamera, size: float, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +60,7 @@ def _pixel_points(
     return rays * length[..., None], cells
 
 
-@lru_cache(maxsize=2)  # 4 MB each at 640×480; undistorted once, whatever the pitch
+@lru_cache(maxsize=4)  # 4 MB each at 640×480; undistorted once, whatever the pitch
 def _lens_rays(lens: Lens) -> np.ndarray:
     """Return the rays of all pixels, float32, shape (H, W, 3); NaN where the lens sees nothing."""
     pixels = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1)

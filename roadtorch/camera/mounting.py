@@ -3,6 +3,7 @@
 import json
 import math
 import statistics
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -27,6 +28,9 @@ from roadtorch.camera.ground import (
     pinhole_lens,
     pitch_from_horizon,
 )
+
+MEDIAN_FRAMES = 9  # whose median is the pitch of a source, or of the last ones of a live camera
+MIN_PITCH_CHANGE = 0.3  # degrees; an estimate is .4 off in the median
 
 
 @dataclass(frozen=True)
@@ -160,3 +164,22 @@ def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
     reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"
     reason += f" by the layout, unsure by {deviation:.1f} degrees"
     return Pitch(statistics.median(degrees), reason, deviation)
+
+
+class PitchFilter:
+    """Pitch of a live camera: the median of the last estimates, held while it changes little.
+
+    Estimates of single images jitter, and a new pitch costs new rays of the grid. Ours.
+    """
+
+    def __init__(self) -> None:
+        self._estimates = deque[float](maxlen=MEDIAN_FRAMES)
+        self._degrees = math.inf
+
+    def __call__(self, degrees: float) -> float:
+        """Add the estimate of an image, and return the pitch, degrees."""
+        self._estimates.append(degrees)
+        median = statistics.median(self._estimates)
+        if abs(median - self._degrees) > MIN_PITCH_CHANGE:
+            self._degrees = median
+        return self._degrees

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Generator
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from roadtorch.base.settings import build_settings
 from roadtorch.camera.calibration import lens_from_camera_info
 from roadtorch.camera.ground_grid import GridSettings, ground_grid
 from roadtorch.camera.ground_points import ground_points
-from roadtorch.camera.mounting import CameraPlacement, Mounting, build_placement
+from roadtorch.camera.mounting import CameraPlacement, Mounting, PitchFilter, build_placement
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import Evidence
 from roadtorch.imaging.motion import flow_image
@@ -65,6 +66,7 @@ class CameraTopics:
         self.last_detection: Detection | None = None
         self.latency = 0.0  # seconds from the arrival of the last image to its results
         self.placement, self.grid_settings = self._make_placement()
+        self.pitch_filter = PitchFilter()
         self._subscribe()
         kinds, qos = import_ros("sensor_msgs.msg"), import_ros("rclpy.qos")
         latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
@@ -145,7 +147,10 @@ class CameraTopics:
         assert detection.image is not None
         likelihood, settings = detection.likelihood, self.grid_settings
         try:
-            camera, _ = self.placement(detection.image, detection.cues.get("layout"))
+            camera, pitch = self.placement(detection.image, detection.cues.get("layout"))
+            if self.placement.needs_layout:
+                pose = self.placement.mounting.pose(self.pitch_filter(pitch.degrees))
+                camera = replace(camera, pose=pose)
             road = likelihood * (detection.mask | (likelihood < settings.threshold))
             grid = ground_grid(road, camera, settings, detection.cues.get("ego"))
         except RoadtorchError as error:

@@ -32,7 +32,7 @@ class NodeParameters(Settings):
     pitch: float = Field(
         default=math.nan,
         allow_inf_nan=True,
-        description="pitch of the camera, degrees; NaN: from each image",
+        description="pitch of the camera, degrees; NaN: from the images",
     )
     roll: float = Field(default=0.0, description="roll of the camera, degrees")
     fov: float = Field(

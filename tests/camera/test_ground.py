@@ -32,6 +32,7 @@ from roadtorch.camera.ground import (
 )
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
 from roadtorch.camera.ground_points import ground_points
+from roadtorch.camera.mounting import PitchFilter
 from roadtorch.run.writers.bag import MASK_CLASS_NAMES
 from tests.reference import bev as reference
 from tests.reference.semantic_layer import NAV2_PARAMETERS, count_stray_cells, mark_cells
@@ -124,6 +125,17 @@ def test_the_horizon_gives_the_pitch(pitch: float, roll: float) -> None:
     row = (239.5 - LENS.focal_y * level + 0.5) / 480
 
     assert pitch_from_horizon(LENS, row, roll) == pytest.approx(pitch, abs=1e-9)
+
+
+def test_the_pitch_of_a_live_camera_follows_the_median_and_ignores_jitter() -> None:
+    pitch_filter = PitchFilter()
+
+    jitter = [pitch_filter(5 + 0.1 * (-1) ** number) for number in range(20)]
+    outlier = pitch_filter(12)
+    slope = [pitch_filter(8) for _ in range(9)]
+
+    assert {*jitter, outlier} == {jitter[0]}
+    assert slope[-1] == 8
 
 
 @pytest.mark.parametrize(

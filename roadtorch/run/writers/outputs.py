@@ -11,7 +11,7 @@ import numpy as np
 
 from roadtorch.base.errors import RoadtorchError, to_input_error
 from roadtorch.camera.calibration import lens_from_camera_info
-from roadtorch.camera.mounting import CameraPlacement, Pitch, median_pitch
+from roadtorch.camera.mounting import MEDIAN_FRAMES, CameraPlacement, Pitch, median_pitch
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.bags import camera_info, image_topic, is_bag
 from roadtorch.inputs.item import Source
@@ -31,9 +31,6 @@ DEFAULT_IMAGE_KINDS, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
 """Kinds of results without ``--save``, for images, footage and bags."""
 
 CAMERA_FRAME = "camera"  # frame_id in bags written from footage, which has none
-
-MEDIAN_FRAMES = 9
-"""Number of frames whose median is the pitch of a source; ours: robust to a few wrong ones."""
 
 
 def mask_pixels(detection: Detection) -> np.ndarray:
