@@ -1,7 +1,7 @@
 """Learn the networks of `fusion` on one GPU, in minutes: the recipes one after another.
 
     python -m train.street learn PACK --out RUNS --minutes 5.5
-    python -m train.street learn PACK --out RUNS --device cpu --steps 3 --batch 8     # a test
+    python -m train.street learn PACK --out RUNS --device cpu --steps 900 --batch 32 --only streets
     python -m train.street mean 0.5:backbone-free 0.5:RUNS/thin.safetensors --out MEAN
 
 PACK is of ``train.street.pack``. After each run its weights, the losses and the scores of worlds
@@ -127,7 +127,8 @@ def optimise(
         group["lr"] = rate
     optimiser.zero_grad()
     images = batch.images.contiguous(memory_format=torch.channels_last)
-    with torch.autocast(images.device.type, torch.bfloat16):
+    is_cuda = images.is_cuda  # on a CPU a step in bfloat16 takes longer
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=is_cuda):
         loss = street_loss(network, batch._replace(images=images), recipe)
     loss.backward()
     optimiser.step()
