@@ -18,8 +18,8 @@ LINES = {
     "roadtorch/annotate": 2_420,
     "roadtorch/base": 1_935,
     "roadtorch/camera": 2_025,
-    "roadtorch/cli": 1_850,
-    "roadtorch/data": 2_220,
+    "roadtorch/cli": 1_890,
+    "roadtorch/data": 2_390,
     "roadtorch/detectors": 2_070,
     "roadtorch/evaluation": 3_710,
     "roadtorch/export": 850,
@@ -31,17 +31,17 @@ LINES = {
     "roadtorch/ros": 560,
     "roadtorch/run": 2_700,
     "roadtorch/testing": 640,
-    "roadtorch/train": 3_325,
+    "roadtorch/train": 3_475,
     "roadtorch/ufl": 1_380,
     "scripts": 5_240,
-    "tests": 27_400,
-    "train": 7_050,
+    "tests": 27_655,
+    "train": 7_360,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 114
+OPTIONS = 117
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

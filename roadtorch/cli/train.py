@@ -1,5 +1,6 @@
 """roadtorch train: train a layout network on unlabelled footage."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -11,8 +12,8 @@ from roadtorch.cli.options import PATH, SETTING_OPTION, ConfigFile, command_line
 @click.option(
     "--config",
     type=ConfigFile(),
-    required=True,
-    help="TOML file of the training, or the name of a shipped one, such as adapt.",
+    help="TOML file of the training, or the name of a shipped one, such as adapt; by default "
+    "masks with --masks, corrections with --corrections.",
 )
 @click.option(
     "--images",
@@ -21,6 +22,19 @@ from roadtorch.cli.options import PATH, SETTING_OPTION, ConfigFile, command_line
     help="Training images: a folder, file or quoted glob.",
 )
 @click.option("--out", type=PATH, required=True, help="Folder of this run; run again to resume.")
+@click.option("--masks", type=PATH, help="Masks of road: a folder of PNGs, or a COCO file.")
+@click.option(
+    "--road",
+    multiple=True,
+    metavar="VALUE",
+    help="Value or COCO category that is road; may be repeated. [1, 255 or road]",
+)
+@click.option(
+    "--void",
+    multiple=True,
+    metavar="VALUE",
+    help="Value or COCO category without label; may be repeated.",
+)
 @click.option("--corrections", type=PATH, help="Folder of corrections by roadtorch annotate.")
 @click.option("--corrected-images", type=PATH, help="Folder of the corrected images, if it moved.")
 @SETTING_OPTION
@@ -36,9 +50,12 @@ from roadtorch.cli.options import PATH, SETTING_OPTION, ConfigFile, command_line
 @click.pass_context
 def train_command(
     context: click.Context,
-    config: Path,
+    config: Path | None,
     images: str,
     out: Path,
+    masks: Path | None,
+    road: tuple[str, ...],
+    void: tuple[str, ...],
     corrections: Path | None,
     corrected_images: Path | None,
     assignments: tuple[str, ...],
@@ -48,8 +65,10 @@ def train_command(
 ) -> None:
     """Train a layout network on machine labels of unlabelled images.
 
-    With --corrections, labels corrected by hand are the truth where they exist; the weights and
-    their card record that, and the network is not label-free.
+    With --masks, or --corrections, labels by hand are the truth where they exist, and images
+    without them keep their machine labels; the weights and their card record that, and the network
+    is not label-free. A tenth of the masks is held out; it decides when to stop and scores the
+    result.
 
     \b
     Written to the folder --out:
@@ -58,22 +77,41 @@ def train_command(
       images.csv           images that were used, and why others were not
       checkpoint.pt        state to resume from; also written on Ctrl-C and SIGTERM
       prepared/            small copies of the images with their machine labels
-      weights.md           with --corrections: card of the weights
+      weights.md           with labels by hand: card of the weights
       adaptation.html      with initial_weights: masks, trust, agreement before and after
     """
     import torch
 
-    from roadtorch.base.settings import merge, parse_assignments, read_settings_file
-    from roadtorch.data.corrections import read_corrections
-    from roadtorch.train.comparison_page import write_page
+    from roadtorch.base.errors import ConfigError
+    from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
+    from roadtorch.data.corrections import HumanLabels, read_corrections
+    from roadtorch.data.masks import read_masks
+    from roadtorch.inputs.images import find_images
+    from roadtorch.train.comparison_page import score_held_out, write_page
     from roadtorch.train.config import build_training
+    from roadtorch.train.prepared import image_file_name
     from roadtorch.train.run import TrainingRequest, train
     from roadtorch.train.run_folder import ADAPTATION_PAGE
 
     if threads:
         torch.set_num_threads(threads)
-    training = build_training(merge(read_settings_file(config), parse_assignments(assignments)))
-    corrected = read_corrections(corrections, corrected_images) if corrections else []
+    if masks and corrections:
+        raise ConfigError("--masks", "is given with --corrections", "leave one of them out")
+    if not (config or masks or corrections):
+        raise ConfigError("--config", "is missing", "give it, or --masks, or --corrections")
+    path = config or find_config("masks" if masks else "corrections")
+    training = build_training(merge(read_settings_file(path), parse_assignments(assignments)))
+    corrected: Sequence[HumanLabels] = ()
+    if corrections:
+        corrected = read_corrections(corrections, corrected_images)
+    if masks:
+        if Path(images).is_dir() and masks.resolve().is_relative_to(Path(images).resolve()):
+            hint = "give the folder of the images alone, or a quoted glob"
+            raise ConfigError(masks, f"lies in --images {images}", hint)
+        files = {image_file_name(item): item.path for item in find_images([images], exclude=out)}
+        corrected, summary = read_masks(masks, files, road, void)
+        if not quiet:
+            click.echo(f"roadtorch: {summary}", err=True)
     request = TrainingRequest(images, out, prepared, quiet, corrected)
     outcome = train(training, request)
     if outcome.interrupted:
@@ -88,4 +126,9 @@ def train_command(
         is_written = write_page(training, request, outcome, command=command_line(context))
         if is_written and not quiet:
             click.echo(f"roadtorch: masks before and after in {out / ADAPTATION_PAGE}", err=True)
+    if masks and not quiet:
+        weights = {"before": training.initial_weights, "after": str(outcome.weights)}
+        click.echo(f"roadtorch: {score_held_out(weights, outcome.held_out)}", err=True)
+        use = f"roadtorch infer {images} --set weights.file={outcome.weights} --out roads"
+        click.echo(f"roadtorch: to use it: {use}", err=True)
     context.exit(1 if outcome.skipped else 0)

@@ -96,7 +96,7 @@ def read_label_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
 # list of polygons, of pixel edges: column x reaches from x to x + 1. Or it is a list of counts,
 # pixels outside and inside in turn, column by column. Pixels without a region are untouched.
 
-_COCO_FILE = "coco.json"
+_COCO_FILE, NO_REGION = "coco.json", "no region"
 
 _UPLOAD = re.compile(r"[0-9a-f]{8}-(.+)")
 """File name of an image uploaded to Label Studio, which drops sub-folders."""
@@ -163,12 +163,25 @@ class _CocoFile(ForeignDocument):
 
 
 def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
-    """Read labels uint8 (H, W) by the name of the image, for the images of ``sizes``.
+    """Read labels uint8 (H, W) by the name of the image, as ``read_coco_categories`` does.
 
-    path: a folder with coco.json, or a file of any name. Later regions cover earlier ones.
-    Raises DatasetError for any other file, one without an image of ``sizes``, two entries for one
-    image or id, an image of another size, a region that does not fit its image or has none, and a
-    category that is not one of ``LABEL_NAMES``.
+    Raises DatasetError for a category that is not one of ``LABEL_NAMES``.
+    """
+    numbers, categories = read_coco_categories(path, sizes)
+    if unknown := [name for name in categories[1:] if name not in LABEL_NAMES[1:]]:
+        message = f"cannot be read: the category {unknown[0]!r} is not a label"
+        raise DatasetError(path, message, f"use {', '.join(LABEL_NAMES[1:])}")
+    labels = np.array([0, *map(LABEL_NAMES.index, categories[1:])], np.uint8)
+    return {name: labels[values] for name, values in numbers.items()}
+
+
+def read_coco_categories(path: Path, sizes: ImageSizes) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Read category numbers uint16 (H, W) by image, of those of ``sizes``, and their names.
+
+    path: a folder with coco.json, or a file of any name. Later regions cover earlier ones; 0 is
+    outside of all. Raises DatasetError for any other file, one without an image of ``sizes``, two
+    entries for one image or id, an image of another size, and a region that does not fit its image
+    or has none.
     """
     path = path / _COCO_FILE if path.is_dir() else path
     with read_document(path, "export it again as COCO") as data:
@@ -190,22 +203,19 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
             names[image.id] = name
         if not names:
             raise ValueError("it lists none of the images")
-        labels = {name: np.zeros(sizes[name], np.uint8) for name in names.values()}
+        numbers = {name: np.zeros(sizes[name], np.uint16) for name in names.values()}
+        used = [NO_REGION]
         categories = {category.id: category.name for category in document.categories}
         for region in document.annotations:
             if region.image_id not in listed:
                 raise ValueError(f"a region is on image {region.image_id}, which is not listed")
             if (name := names.get(region.image_id)) is not None:
                 category = categories.get(region.category_id, "")
-                if category not in LABEL_NAMES[1:]:
-                    raise ValueError(
-                        f"the category {category!r} on {name} is not a label: "
-                        f"use {', '.join(LABEL_NAMES[1:])}"
-                    )
+                used += [category] if category not in used else []
                 if not region.segmentation:
                     raise ValueError(f"a region on {name} has no area: draw it as a polygon")
-                _fill_region(labels[name], region.segmentation, LABEL_NAMES.index(category))
-    return labels
+                _fill_region(numbers[name], region.segmentation, used.index(category))
+    return numbers, used
 
 
 def _require_unique_ids(part: str, ids: Iterable[int | str | None]) -> None:

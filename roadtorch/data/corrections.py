@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from io import FileIO
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Self
+from typing import Annotated, Protocol, Self
 
 import numpy as np
 import torch
@@ -199,6 +199,30 @@ def read_logs(folder: Path) -> list[EventLog]:
 # --- corrections ------------------------------------------------------------------------
 
 
+class HumanLabels(Protocol):
+    """Human labels of one image."""
+
+    @property
+    def image(self) -> Path:
+        """File of the image."""
+        ...
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Indices in ``LABEL_NAMES``, uint8, shape (H, W)."""
+        ...
+
+
+def labels_to_truth(labels: np.ndarray) -> Truth:
+    """Return indices in ``LABEL_NAMES``, uint8 (H, W), as ground truth."""
+    road, layout = road_layer(labels), layout_layer(labels)
+    return Truth(
+        torch.from_numpy(road == ROAD_LABEL),
+        torch.from_numpy((road == ROAD_LABEL) | (road == NOT_ROAD)),
+        torch.from_numpy(layout) if (layout != UNLABELLED).any() else None,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Correction:
     """Human labels of one image.
@@ -283,12 +307,7 @@ class CorrectionLabels:
         log = read_log(item.label)
         if log is None:
             raise DatasetError(item.label, "holds no corrections", "correct the image again")
-        road, layout = road_layer(log.labels), layout_layer(log.labels)
-        return Truth(
-            torch.from_numpy(road == ROAD_LABEL),
-            torch.from_numpy((road == ROAD_LABEL) | (road == NOT_ROAD)),
-            torch.from_numpy(layout) if (layout != UNLABELLED).any() else None,
-        )
+        return labels_to_truth(log.labels)
 
 
 def open_corrections(folder: Path, split: str = "all") -> Dataset:

@@ -62,8 +62,9 @@ class LightAugmentation(Settings):
 
 
 class GeometryAugmentation(Settings):
-    """Random geometry of whole images, half of which are mirrored as well."""
+    """Random geometry of whole images."""
 
+    mirror: Fraction = Field(default=0.5, description="fraction of the images that are mirrored")
     scale: float = Field(default=0.25, ge=0, le=2, description="zoom from e^-scale to e^scale")
     stretch: float = Field(
         default=0.1, ge=0, le=2, description="stretch of the width from e^-stretch to e^stretch"
@@ -179,9 +180,9 @@ def sample_affine(
     """Sample affine maps (n, 2, 3) from augmented to original coordinates, both in [-1, 1].
 
     Each shows the whole image zoomed, stretched, rotated and shifted, or a crop at its lower edge;
-    half of them are mirrored. size: height and width.
+    some of them are mirrored. size: height and width.
     """
-    mirror = _sample_mirrors(count, rng)
+    mirror = _sample_mirrors(count, rng, geometry.mirror)
     zoom = torch.exp(uniform(rng, count, -geometry.scale, geometry.scale))
     width = zoom * torch.exp(uniform(rng, count, -geometry.stretch, geometry.stretch))
     angle = uniform(rng, count, -geometry.rotation, geometry.rotation) * (math.pi / 180)
@@ -192,7 +193,7 @@ def sample_affine(
     down = torch.stack([mirror * sin * aspect / width, cos / zoom, shift[1]], 1)
     whole = torch.stack([across, down], 1)
     is_lower = uniform(rng, count, 0, 1) < geometry.crop_probability
-    mirror = _sample_mirrors(count, rng)
+    mirror = _sample_mirrors(count, rng, geometry.mirror)
     crop = uniform(rng, count, 0, geometry.max_crop)
     width = 1 - crop * uniform(rng, count, 0.3, 1)
     offset = (1 - width) * uniform(rng, count, -1, 1)
@@ -202,8 +203,9 @@ def sample_affine(
     return torch.where(is_lower[:, None, None], lower, whole)
 
 
-def _sample_mirrors(count: int, rng: torch.Generator) -> Tensor:
-    return torch.randint(2, (count,), generator=rng, device=rng.device) * 2 - 1
+def _sample_mirrors(count: int, rng: torch.Generator, probability: float = 0.5) -> Tensor:
+    """Sample -1, mirrored, or 1: int64 (count,)."""
+    return 1 - 2 * (uniform(rng, count, 0, 1) < probability).long()
 
 
 def warp_affine(maps: Tensor, transforms: Tensor, padding: str) -> Tensor:

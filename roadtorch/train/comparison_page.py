@@ -1,8 +1,14 @@
 """Page that compares the network of a training run with its initial weights."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import torch
+
+from roadtorch.base.image import read_image
+from roadtorch.data.corrections import HumanLabels, labels_to_truth
 from roadtorch.data.dataset import subsample_dataset
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.disagreement import (
     TeacherAgreement,
     compare_masks,
@@ -10,7 +16,9 @@ from roadtorch.evaluation.disagreement import (
     unlabelled_dataset,
 )
 from roadtorch.evaluation.methods import parse_reference
+from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
 from roadtorch.evaluation.report.adaptation import Adaptation, write_adaptation
+from roadtorch.evaluation.uncertainty import BOOTSTRAP_SEED, bootstrap_weights, percentile_interval
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_path
@@ -20,8 +28,43 @@ from roadtorch.train.run import FUSION_CONFIG, PREPARED, Outcome, TrainingReques
 from roadtorch.train.run_folder import ADAPTATION_PAGE, RunFolder
 from roadtorch.train.teachers import teacher_agreement
 
+MIN_INTERVAL = 5
+"""Held-out images from which an interval is given."""
+
 MAX_COMPARED, MAX_SHOWN = 60, 10
 """Images that are compared, evenly spaced, and those on the page, half of them the most changed."""
+
+
+def score_held_out(weights: Mapping[str, str], held_out: Sequence[HumanLabels]) -> str:
+    """Compare two networks of `fusion`, by title, on held-out images; return the result in words.
+
+    The interval is a bootstrap of the images.
+    """
+    if not held_out:
+        return "no image was held out, so nothing shows what the masks bring"
+    detectors = {name: load_detector("fusion", weights={"file": weights[name]}) for name in weights}
+    detectors["prior:rows"] = load_detector("prior:rows")
+    images = [read_image(labels.image) for labels in held_out]
+    truths = [labels_to_truth(labels.labels) for labels in held_out]
+    draws = bootstrap_weights(len(images), torch.Generator().manual_seed(BOOTSTRAP_SEED))
+    draws = torch.cat([torch.ones_like(draws[:1]), draws]).double()
+    scores = {}
+    for name, detector in detectors.items():
+        masks = [detector.detect(image).mask for image in images]
+        counts = [
+            count_mask(mask, truth.road, truth.valid)
+            for mask, truth in zip(masks, truths, strict=True)
+        ]
+        table = torch.stack([torch.stack(row) for row in counts]).double()
+        scores[name] = f_measure(ConfusionCounts(*(draws @ table).unbind(1)))
+    first, second = (scores[name] for name in weights)
+    interval = percentile_interval(second[1:] - first[1:])
+    texts = [f"{values[0]:.3f} {name}" for name, values in scores.items()]
+    text = f"{len(images)} held out: F of the mask {', '.join(texts)}"
+    text += f"; difference {second[0] - first[0]:+.3f}"
+    if len(images) >= MIN_INTERVAL:
+        text += f" (95 % {interval.low:+.3f} to {interval.high:+.3f})"
+    return text + ("" if second[0] > first[0] else "; no gain: use fusion as it is, or add masks")
 
 
 def write_page(

@@ -64,6 +64,9 @@ class Stopping(Settings):
         le=10,
         description="largest fall of the mean loss that counts as a plateau",
     )
+    patience: int = Field(
+        default=3, ge=1, description="epochs without a higher F on held-out images, then stop"
+    )
 
     def is_reached(self, losses: Sequence[float]) -> bool:
         """Return whether training ends after epochs with these mean losses, in their order."""
@@ -111,6 +114,11 @@ class CorrectionWeight(Settings):
         ge=0,
         le=10**6,
         description="n corrected images scale the learning rate by n / (n + half_rate_images)",
+    )
+    held_out: Fraction = Field(
+        default=0.0,
+        description="fraction of the corrected images that does not train a whole-image network, "
+        "but decides when to stop: whole recordings where they fit",
     )
 
 
@@ -209,6 +217,13 @@ class HeadWeights(Settings):
 
     road: float = Field(default=1.0, ge=0, le=100, description="weight of the road's loss")
     ego: float = Field(default=0.5, ge=0, le=100, description="weight of the ego car's loss")
+    dice: float = Field(
+        default=0.0,
+        ge=0,
+        le=100,
+        description="weight of the road's Dice loss (Milletari et al. 2016) beside its "
+        "cross-entropy",
+    )
 
 
 class Rounds(Settings):

@@ -11,8 +11,7 @@ import tomli_w
 
 from roadtorch.base.atomic import make_folder, write_text
 from roadtorch.base.errors import InputError
-from roadtorch.data.corrections import Correction, read_image_size
-from roadtorch.data.events import NOT_ROAD, ROAD_LABEL
+from roadtorch.data.corrections import HumanLabels, labels_to_truth, read_image_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.weights import read_correction_runs, weights_path
 from roadtorch.run.memo import Arrays, write_arrays
@@ -25,8 +24,8 @@ WRONG_IMAGES = "give the images that were corrected"
 
 
 def corrections_by_image(
-    images: Sequence[Item], corrections: Sequence[Correction]
-) -> dict[str, Correction]:
+    images: Sequence[Item], corrections: Sequence[HumanLabels]
+) -> dict[str, HumanLabels]:
     """Return the correction of each corrected image, by the image's name with suffix.
 
     Raises InputError if none of them is of these images, or an image has changed its size.
@@ -48,20 +47,18 @@ def corrections_by_image(
     return by_name
 
 
-def corrections_summary(corrections: Mapping[str, Correction]) -> dict[str, Any] | None:
+def corrections_summary(corrections: Mapping[str, HumanLabels]) -> dict[str, Any] | None:
     """Summarise the corrections of a run: images, pixels, hash of all labels; None without any."""
     if not corrections:
         return None
     digest = sha256()
+    pixels = 0
     for name, correction in sorted(corrections.items()):
-        digest.update(json.dumps([name, correction.labels.shape]).encode())
-        digest.update(np.ascontiguousarray(correction.labels).tobytes())
-    labels = [correction.labels for correction in corrections.values()]
-    return {
-        "images": len(corrections),
-        "pixels": sum(int((label_map > 0).sum()) for label_map in labels),
-        "sha256": digest.hexdigest(),
-    }
+        labels = correction.labels
+        digest.update(json.dumps([name, labels.shape]).encode())
+        digest.update(np.ascontiguousarray(labels).tobytes())
+        pixels += int((labels > 0).sum())
+    return {"images": len(corrections), "pixels": pixels, "sha256": digest.hexdigest()}
 
 
 def scale_learning_rate(descent: Descent, half_rate_images: float, images: int) -> Descent:
@@ -76,7 +73,7 @@ def scale_learning_rate(descent: Descent, half_rate_images: float, images: int) 
 
 
 def write_corrections(
-    folder: Path, files: Mapping[Path, Correction], encode: Callable[[Correction], Arrays]
+    folder: Path, files: Mapping[Path, HumanLabels], encode: Callable[[HumanLabels], Arrays]
 ) -> dict[Path, Path]:
     """Write the encoded corrections of prepared images; return the written file by prepared one."""
     make_folder(folder)
@@ -89,13 +86,12 @@ def write_corrections(
 # --- config of fusion -------------------------------------------------------------------
 
 
-def write_fusion_config(path: Path, weights: Path, corrections: Sequence[Correction]) -> bool:
+def write_fusion_config(path: Path, weights: Path, corrections: Sequence[HumanLabels]) -> bool:
     """Write a config of ``fusion`` with the weights beside it; return False without road labels.
 
     Its calibration has the centre 0, as log odds learned from true labels need no shift.
     """
-    roads = [correction.road for correction in corrections]
-    if not any(((road == ROAD_LABEL) | (road == NOT_ROAD)).any() for road in roads):
+    if not any(bool(labels_to_truth(entry.labels).valid.any()) for entry in corrections):
         return False
     comment = f"# Trained with {len(corrections)} human-corrected images: not label-free."
     values = {

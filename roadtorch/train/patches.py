@@ -16,8 +16,8 @@ from torch.nn import functional as F
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import StopRequest
-from roadtorch.data.corrections import Correction
-from roadtorch.data.events import VOID_LABEL
+from roadtorch.data.corrections import HumanLabels
+from roadtorch.data.events import VOID_LABEL, layout_layer, road_layer
 from roadtorch.imaging.resize import resize_to_image, resize_to_work, working_size
 from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
@@ -350,16 +350,17 @@ class PatchRecipe:
             "classes": classes[is_labelled].to(torch.uint8),
         }
 
-    def encode_correction(self, correction: Correction) -> Arrays:
+    def encode_correction(self, correction: HumanLabels) -> Arrays:
         """Return a correction at working size: ``layout`` and ``known``, uint8 (h, w).
 
         layout: 0, 1, 2, or 255 where uncorrected, "not road" or void. known: 1 where the machine
         label is dropped: at corrected layouts and void.
         """
-        height, width = correction.labels.shape
+        labels = correction.labels
+        height, width = labels.shape
         size = working_size(height, width, self._training.network.working)
-        layout = resize_to_image(torch.from_numpy(correction.layout), size)
-        void = resize_to_image(torch.from_numpy(correction.road == VOID_LABEL), size)
+        layout = resize_to_image(torch.from_numpy(layout_layer(labels)), size)
+        void = resize_to_image(torch.from_numpy(road_layer(labels) == VOID_LABEL), size)
         return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
 
     def make_network(self, initial: LayoutNetwork | None) -> LayoutNetwork:

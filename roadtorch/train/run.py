@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from signal import SIGTERM, Signals
 from typing import Any
@@ -14,7 +15,7 @@ from roadtorch.base.errors import InputError, WeightsError
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest, stop_on_signals
 from roadtorch.base.version import __version__
-from roadtorch.data.corrections import Correction
+from roadtorch.data.corrections import HumanLabels
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
 from roadtorch.layout.weights import (
@@ -37,6 +38,7 @@ from roadtorch.train.corrections import (
 )
 from roadtorch.train.patches import PatchRecipe
 from roadtorch.train.prepared import Preparation, PreparedImage, prepare
+from roadtorch.train.recordings import select_held_out
 from roadtorch.train.run_folder import (
     BAD_CHECKPOINT,
     CHECKPOINT,
@@ -47,7 +49,7 @@ from roadtorch.train.run_folder import (
     make_record,
 )
 from roadtorch.train.training_loop import Loop, TrainingInputs, TrainingProgress
-from roadtorch.train.whole_images import ImageRecipe
+from roadtorch.train.whole_images import ImageRecipe, held_out_f
 
 Recipe = PatchRecipe | ImageRecipe
 
@@ -70,17 +72,21 @@ class TrainingRequest:
     out: Path
     prepared: Path | None = None
     quiet: bool = False
-    corrections: Sequence[Correction] = ()
+    corrections: Sequence[HumanLabels] = ()
     part: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a run: the weights, or the signal that interrupted it."""
+    """The result of a run: the weights, or the signal that interrupted it.
+
+    held_out: labels of the images that did not train, but decided when training stopped.
+    """
 
     weights: Path | None
     interrupted: Signals | None
     skipped: int
+    held_out: Sequence[HumanLabels] = ()
 
 
 def train(training: Training, request: TrainingRequest) -> Outcome:
@@ -148,7 +154,7 @@ class TrainingRun:
     request: TrainingRequest
     folder: RunFolder
     stop: StopRequest
-    corrections: Mapping[str, Correction]
+    corrections: Mapping[str, HumanLabels]
 
     def run(self, images: Sequence[Item]) -> Outcome:
         """Prepare the images and train the remaining epochs."""
@@ -162,19 +168,26 @@ class TrainingRun:
         prepared_folder = self.request.prepared or folder.path / PREPARED
         prepared = prepare_folder(self.recipe, images, prepared_folder, stop, self.request.quiet)
         skipped = sum(item.file is None for item in prepared)
-        if stop.requested or not self._train(prepared, state, inherited):
+        held_out: list[str] = []
+        if isinstance(self.training, ImageTraining):
+            names = [item.name for item in prepared if item.file and item.name in self.corrections]
+            separator = self.training.recordings.separator
+            held_out = select_held_out(names, self.training.corrections.held_out, separator)
+        if stop.requested or not self._train(prepared, state, inherited, held_out):
             return Outcome(None, stop.signal or SIGTERM, skipped)
-        return Outcome(folder.path / WEIGHTS, None, skipped)
+        labels = [self.corrections[name] for name in held_out]
+        return Outcome(folder.path / WEIGHTS, None, skipped, labels)
 
     def _train(
         self,
         prepared: Sequence[PreparedImage],
         state: dict[str, Any] | None,
         inherited: Sequence[Mapping[str, Any]],
+        held_out: Sequence[str],
     ) -> bool:
         """Train the remaining epochs; return whether the last one was reached."""
         path = self.folder.path
-        self.folder.write_images(prepared)
+        self.folder.write_images(prepared, held_out)
         files = {item.file: item.name for item in prepared if item.file is not None}
         if not files:
             raise InputError(self.request.images, "holds no usable image", "see the messages above")
@@ -186,18 +199,25 @@ class TrainingRun:
         }
         encode = self.recipe.encode_correction
         corrected = write_corrections(path / CORRECTIONS, human, encode) if human else {}
+        validation = {file: corrected.pop(file) for file in human if files[file] in held_out}
+        files = {file: name for file, name in files.items() if name not in held_out}
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
         inputs = TrainingInputs(list(files), corrected, self.initial, path / INITIAL_LABELS)
-        loop = self._train_epochs(inputs, progress, state)
+        loop = self._train_epochs(inputs, progress, state, validation)
+        loop.average.network.load_state_dict(loop.best)
         self._write(loop.average.network.eval(), progress, len(files), inherited)
         if human and progress.finished and isinstance(self.training, ImageTraining):
             write_fusion_config(path / FUSION_CONFIG, path / WEIGHTS, list(human.values()))
         return progress.finished
 
     def _train_epochs(
-        self, inputs: TrainingInputs, progress: TrainingProgress, state: dict[str, Any] | None
+        self,
+        inputs: TrainingInputs,
+        progress: TrainingProgress,
+        state: dict[str, Any] | None,
+        held_out: Mapping[Path, Path],
     ) -> Loop:
-        """Train all epochs, or those after a checkpoint."""
+        """Train all epochs, or those after a checkpoint; held_out: corrections that judge it."""
         training = self.training
         stop, quiet = self.stop, self.request.quiet
         samples = self.recipe.make_samples(inputs, stop, quiet)
@@ -208,6 +228,8 @@ class TrainingRun:
         parts = (network, samples.chunks, samples.batches, self.recipe.loss)
         rules = (descent, training.stopping)
         loop = Loop(*parts, *rules, progress, self.folder, stop, quiet, self.request.part)
+        if held_out:
+            loop.validate = partial(held_out_f, corrected=held_out)
         if state:
             loop.restore(state)
         else:

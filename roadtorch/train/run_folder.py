@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
@@ -147,9 +147,17 @@ class RunFolder:
 
     # --- results ----------------------------------------------------------------------------
 
-    def write_images(self, prepared: Iterable[PreparedImage]) -> None:
-        """Write the list of images with the reason where one was skipped."""
-        rows = ({"file": item.name, "status": item.error or "used"} for item in prepared)
+    def write_images(
+        self, prepared: Iterable[PreparedImage], held_out: Container[str] = ()
+    ) -> None:
+        """Write the list of images: used, held out, or the reason why one was skipped."""
+        rows = (
+            {
+                "file": item.name,
+                "status": item.error or ("held out" if item.name in held_out else "used"),
+            }
+            for item in prepared
+        )
         write_text(self.path / IMAGES, csv_text(["file", "status"], rows))
 
     def write_log(self, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -120,6 +120,7 @@ class Loop:
     chunks: number of parts of an epoch, between which a run can be interrupted and resumed.
     batches: yields the batches of an epoch and a chunk, always the same. loss: of a network, summed
     over a batch. part: number of this training, from 1, and count of those that share the bar.
+    validate: F of a network on held-out images.
     """
 
     network: LayoutNetwork
@@ -133,11 +134,13 @@ class Loop:
     stop: StopRequest
     quiet: bool = False
     part: tuple[int, int] = (1, 1)
+    validate: Callable[[Any], float] | None = None
 
     def __post_init__(self) -> None:
         """Create the averaged network and the optimizer."""
         descent = self.descent
         self.average = MovingAverage(self.network, descent.ema)
+        self.best = self.average.network.state_dict()  # the current weights, without ``validate``
         rate, decay = descent.learning_rate, descent.weight_decay
         weights = self.network.parameters()
         self._optimiser: torch.optim.Optimizer = (
@@ -152,6 +155,8 @@ class Loop:
         try:
             load_tensors(self.network, state["network"], path)
             load_tensors(self.average.network, state["average"], path)
+            if self.validate:
+                self.best = state["best"]
             self._optimiser.load_state_dict(state["optimiser"])
         except (KeyError, TypeError, ValueError, AttributeError):
             raise WeightsError(path, *BAD_CHECKPOINT) from None
@@ -176,6 +181,7 @@ class Loop:
             {
                 "network": self.network.state_dict(),
                 "average": self.average.network.state_dict(),
+                **({"best": self.best} if self.validate else {}),
                 "optimiser": self._optimiser.state_dict(),
                 "progress": asdict(self.progress),
             }
@@ -256,10 +262,18 @@ class Loop:
         progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
         losses = [entry["loss"] for entry in progress.rows]
         progress.finished = self.stopping.is_reached(losses)
+        if self.validate:
+            row["held_out_f"] = round(self.validate(self.average.network.eval()), 5)
+            scores = [entry["held_out_f"] for entry in progress.rows]
+            best_epoch = scores.index(max(scores)) + 1
+            if best_epoch == progress.epoch:
+                self.best = copy.deepcopy(self.average.network.state_dict())
+            progress.finished |= progress.epoch - best_epoch >= self.stopping.patience
         self.folder.write_log(progress.rows)
         if not self.quiet:
             change = f" ({-(losses[-2] - losses[-1]):+.4f})" if len(losses) > 1 else ""
             speed = f"{row['samples']} samples in {row['seconds']:.0f} s"
             title = self._title(row["epoch"])
             text = f"roadtorch: {title}: loss {row['loss']:.4f}{change}, {speed}"
+            text += f", held-out F {row['held_out_f']:.3f}" if self.validate else ""
             Progress.write(text, file=sys.stderr)

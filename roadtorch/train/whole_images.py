@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.base.signals import StopRequest
-from roadtorch.data.corrections import Correction
-from roadtorch.data.events import NOT_ROAD, ROAD_LABEL, VOID_LABEL
+from roadtorch.data.corrections import HumanLabels
+from roadtorch.data.events import NOT_ROAD, ROAD_LABEL, VOID_LABEL, layout_layer, road_layer
+from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
@@ -26,7 +27,7 @@ from roadtorch.layout.image_network import (
 )
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
-from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader
+from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
 from roadtorch.train import augmentation
 from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.prepared import from_uint8, to_uint8
@@ -38,6 +39,7 @@ from roadtorch.train.teachers import (
     label_with_network,
     load_teacher,
     make_targets,
+    network_maps,
     prepare_image,
     shows_ego_car,
 )
@@ -205,6 +207,25 @@ def reweight_corrected(weights: Tensor, corrected: Tensor, fraction: float) -> T
     return weights * torch.where(corrected, fraction / corrected_sum, (1 - fraction) / rest_sum)
 
 
+# --- held-out images --------------------------------------------------------------------
+
+
+def held_out_f(network: WholeImageNetwork, corrected: Mapping[Path, Path]) -> float:
+    """Compute F of a network's road at its own size against corrections, by prepared image.
+
+    0 where nobody labelled road. Raises InputError for a damaged file.
+    """
+    counts = []
+    for file, correction in corrected.items():
+        image = from_uint8(read_arrays(file, "image")["image"])
+        planes = from_uint8(read_arrays(correction, "planes")["planes"])
+        road, not_road = planes[0], planes[1]
+        mask = network_maps(network, image)[ROAD_OUTPUT] >= 0.5
+        is_labelled = road + not_road >= MIN_CORRECTED
+        counts.append(torch.stack(count_mask(mask, road > not_road, is_labelled)))
+    return float(f_measure(ConfusionCounts(*torch.stack(counts).sum(0))).nan_to_num())
+
+
 # --- loss -------------------------------------------------------------------------------
 
 
@@ -221,16 +242,27 @@ def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Ten
 
 
 def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tensor:
-    """Compute the cross-entropy of scores (B, 5, H, W): mean over pixels, summed over images."""
+    """Compute the loss of scores (B, 5, H, W): mean over pixels, summed over images.
+
+    It is the cross-entropy and, with the weight ``dice``, the road's Dice loss (Milletari et al.,
+    "V-Net", 3DV 2016).
+    """
 
     def binary(scores: Tensor, targets: Tensor) -> Tensor:
         return F.binary_cross_entropy_with_logits(scores, targets, reduction="none")
 
     layout = -(targets.layout * scores[:, :NUM_CLASSES].log_softmax(1)).sum(1, keepdim=True)
-    road = binary(scores[:, ROAD_OUTPUT : ROAD_OUTPUT + 1], targets.road) * targets.road_weight
+    road_scores = scores[:, ROAD_OUTPUT : ROAD_OUTPUT + 1]
+    road = binary(road_scores, targets.road) * targets.road_weight
     ego = binary(scores[:, EGO_OUTPUT:], targets.ego) * targets.ego_weight
     loss = layout * targets.layout_weight + weights.road * road + weights.ego * ego
-    return loss.mean((1, 2, 3)).sum()
+    loss = loss.mean((1, 2, 3))
+    if weights.dice:
+        predicted, true, weight = road_scores.sigmoid(), targets.road, targets.road_weight
+        overlap = (predicted * true * weight).sum((1, 2, 3))
+        areas = ((predicted.square() + true.square()) * weight).sum((1, 2, 3))
+        loss = loss + weights.dice * (1 - 2 * overlap / areas.clamp_min(1e-6))
+    return loss.sum()
 
 
 # --- recipe -----------------------------------------------------------------------------
@@ -270,13 +302,14 @@ class ImageRecipe:
         ego = read_ego(self._recordings.get(name), image)
         return prepare_image(image, ego, self._teacher, self._training)
 
-    def encode_correction(self, correction: Correction) -> Arrays:
+    def encode_correction(self, correction: HumanLabels) -> Arrays:
         """Return a correction at the network's size: ``planes``, uint8 (6, h, w).
 
         255 times the fraction of a pixel labelled road, not road, void, sky, vertical, horizontal.
         """
         network = self._training.network
-        road, layout = torch.from_numpy(correction.road), torch.from_numpy(correction.layout)
+        labels = correction.labels
+        road, layout = map(torch.from_numpy, (road_layer(labels), layout_layer(labels)))
         planes = [road == value for value in (ROAD_LABEL, NOT_ROAD, VOID_LABEL)]
         planes += [layout == number for number in range(NUM_CLASSES)]
         stacked = torch.stack(planes).to(torch.float32)
