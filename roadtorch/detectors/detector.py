@@ -42,6 +42,7 @@ from roadtorch.road.ego import (
 )
 from roadtorch.road.outlines import Outlines, refine
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
+from roadtorch.road.temporal_filter import Motion
 from roadtorch.road.trust import Judgement
 
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
@@ -100,7 +101,7 @@ class Evidence(NamedTuple):
 
     outputs: likelihood and cues at the working size. likelihood: float32 (H, W), 0 on the ego car.
     ego: bool (H, W), of settings and analysis; None if neither has one. cues: without these two.
-    image: (3, H, W) in [0, 1].
+    image: (3, H, W) in [0, 1]. motion: of a frame, for smoothing.
     """
 
     outputs: Mapping[str, Tensor]
@@ -108,6 +109,7 @@ class Evidence(NamedTuple):
     ego: Tensor | None
     cues: Cues
     image: Tensor
+    motion: Motion | None = None
 
 
 @dataclass(frozen=True)

@@ -121,9 +121,9 @@ class TemporalFilter:
             hidden = torch.zeros(likelihood.shape, dtype=torch.bool)
         self._ego = update_ego(self._ego, hidden, self.settings.ego_frames)
         grey = flow_image(image, self.settings.width) if motion is None else motion.grey
-        odds, unseen = log_odds(likelihood), hidden | self._ego.hidden
-        self._state = update_state(self._state, grey, odds, unseen, self.settings, motion)
-        return self._state.odds.sigmoid().masked_fill(self._ego.hidden, 0.0)
+        odds, ego = log_odds(likelihood), self._ego.hidden
+        self._state = update_state(self._state, grey, odds, hidden | ego, self.settings, motion)
+        return self._state.odds.sigmoid().masked_fill_(ego, 0.0)
 
 
 def update_ego(history: EgoHistory | None, hidden: Tensor, max_frames: float) -> EgoHistory:
@@ -132,7 +132,8 @@ def update_ego(history: EgoHistory | None, hidden: Tensor, max_frames: float) ->
     if history is None or history.fraction.shape != current.shape:
         return EgoHistory(current, 1.0)
     frames = min(history.frames + 1, max_frames)
-    return EgoHistory(history.fraction + (current - history.fraction) / frames, frames)
+    current.sub_(history.fraction).div_(frames).add_(history.fraction)  # its running mean
+    return EgoHistory(current, frames)
 
 
 def update_state(
@@ -161,11 +162,11 @@ def update_state(
         return initial
     weight = warp(past.frames, flow).clamp_max(settings.memory) * confidence
     warped = warp(past.odds, flow)
-    current = odds.where(~hidden, warped)
+    current = warped.where(hidden, odds)
     # Mean of both, weighted by their numbers of frames.
     ratio = (weight / (weight + fresh).clamp_min(1e-6)).numpy()
     larger = cv2.resize(ratio, current.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    smooth = current + torch.from_numpy(larger) * (warped - current)
+    smooth = warped.sub_(current).mul_(torch.from_numpy(larger)).add_(current)
     return FilterState(grey, smooth, weight + fresh)
 
 

@@ -8,12 +8,13 @@ frames in order. Results do not depend on the number of workers.
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from torch import Tensor
 
@@ -23,14 +24,20 @@ from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.detectors.detector import Detector, Evidence
+from roadtorch.imaging.motion import flow_image
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
+from roadtorch.road.temporal_filter import (
+    TemporalFilter,
+    TemporalFilterSettings,
+    estimate_motion,
+)
 from roadtorch.run.folder import OUT_HINT
 from roadtorch.run.ledger import DONE, DOUBTFUL, IndexRow, Method, failed_row
 from roadtorch.run.workers import WORKER_CRASH, Workers
 
 Value = TypeVar("Value")
+Result = TypeVar("Result")
 
 # --- single images ------------------------------------------------------------------------
 
@@ -175,20 +182,27 @@ def _time_step(where: str, step: Callable[[], Value]) -> tuple[Value | Roadtorch
 
 @dataclass(frozen=True)
 class _EvidenceTask:
-    """The workers' part of the work on a frame; cues: whether to return full-size cues."""
+    """The workers' part of the work on a frame: image, grey image before it, and of it, or errors.
+
+    cues: whether to return full-size cues. smoothing: what motion is estimated for, if anything.
+    """
 
     inference: Inference
     cues: bool
+    smoothing: TemporalFilterSettings | None
 
-    def __call__(self, image: Tensor | RoadtorchError) -> tuple[Evidence | RoadtorchError, float]:
-        return _time_step("image", partial(self._evidence, image))
+    def __call__(self, frame: tuple[Any, Any, Any]) -> tuple[Evidence | RoadtorchError, float]:
+        return _time_step("image", partial(self._evidence, *frame))
 
-    def _evidence(self, image: Tensor | RoadtorchError) -> Evidence:
+    def _evidence(self, image: Any, previous: Any, grey: Any) -> Evidence:
         if isinstance(image, RoadtorchError):
             raise image
-        evidence = self.inference.find_evidence(image)
+        evidence, motion = self.inference.find_evidence(image), None
+        is_pair = isinstance(previous, Tensor) and isinstance(grey, Tensor)
+        if self.smoothing and is_pair and previous.shape == grey.shape:
+            motion = estimate_motion(previous, grey, self.smoothing)
         cues = evidence.cues if self.cues else Cues({}, evidence.cues.size)
-        return evidence._replace(cues=cues, image=None)
+        return evidence._replace(cues=cues, image=None, motion=motion)
 
 
 def detect_frames(
@@ -214,17 +228,24 @@ def detect_frames(
     """
     waiting: deque[tuple[Item, Tensor | RoadtorchError, float]] = deque()
 
-    def images(items: Iterable[Item]) -> Iterator[Tensor | RoadtorchError]:
+    smoothing = None if temporal_filter is None else temporal_filter.settings
+
+    def read_frames(items: Iterable[Item]) -> Iterator[tuple[Any, Any, Any]]:
+        grey: Any = None
         for item in items:
             image, ms = _time_step(item.origin, item.read)
             waiting.append((item, image, ms))
-            yield image
+            previous, grey = grey, None
+            if smoothing and isinstance(image, Tensor):
+                grey, _ = _time_step(item.origin, partial(flow_image, image, smoothing.width))
+            yield image, previous, grey
 
     items = source.items()
     frames = items if stop is None else until_stopped(items, stop, source.live)
     with closing(items) if isinstance(items, Generator) else nullcontext():
         crashed = InputError("image", *WORKER_CRASH), 0.0
-        results = workers.map(_EvidenceTask(inference, cues), images(frames), lambda _: crashed)
+        task = _EvidenceTask(inference, cues, smoothing)
+        results = workers.map(task, read_frames(frames), lambda _: crashed, source.live)
         with closing(results):
             for evidence, find_ms in results:
                 item, image, read_ms = waiting.popleft()
@@ -249,9 +270,26 @@ def _conclude(
     if temporal_filter is None:
         detection = detector.conclude(evidence)
     else:
-        likelihood = temporal_filter(image, evidence.likelihood, evidence.ego)
+        likelihood = temporal_filter(image, evidence.likelihood, evidence.ego, evidence.motion)
         detection = detector.conclude(evidence, likelihood, temporal_filter.hidden)
     return replace(detection, name=item.name, seconds=item.seconds)
+
+
+def run_behind(step: Callable[[Value], Result], values: Iterable[Value]) -> Iterator[Result]:
+    """Yield the results of a step, which runs in a thread while the value after its own is made."""
+    error = running = None
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            for value in values:
+                if running is not None:
+                    yield running.result()
+                running = thread.submit(step, value)
+        except Exception as raised:  # re-raised after the last result
+            error = raised
+        if running is not None:
+            yield running.result()
+        if error is not None:
+            raise error
 
 
 def until_stopped(

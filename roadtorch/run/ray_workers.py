@@ -17,7 +17,7 @@ from typing import Any
 
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError
-from roadtorch.run.workers import Workers, pickle_value
+from roadtorch.run.workers import Workers, convert_result, pickle_value
 
 CONNECT_TIMEOUT = 10.0  # seconds to wait for a cluster; ours
 OBJECT_STORE_BYTES = 100 * 2**20  # of a local cluster; rows and weights are small
@@ -38,7 +38,7 @@ class Actor:
 
     def work(self, item: bytes) -> bytes:
         """Apply the task to a pickled item and return the pickled result."""
-        return pickle_value(self._task(pickle.loads(item)))
+        return pickle_value(self._task(pickle.loads(item)))[0]
 
 
 class RayPool:
@@ -64,9 +64,9 @@ class RayPool:
         """Start an actor."""
         return self._actor_class.remote(self._task, self._threads)
 
-    def submit(self, worker: Any, item: bytes) -> Future[bytes]:
+    def submit(self, worker: Any, item: object) -> Future[Any]:
         """Send an item to an actor."""
-        return worker.work.remote(item).future()
+        return convert_result(worker.work.remote(pickle_value(item)[0]).future(), pickle.loads)
 
     def stop(self, workers: Sequence[Any]) -> None:
         """Kill actors."""

@@ -32,11 +32,13 @@ from roadtorch.run.ledger import (
     open_ledger,
 )
 from roadtorch.run.loop import (
+    FrameResult,
     Inference,
     Task,
     crashed_row,
     detect_frames,
     elapsed_ms,
+    run_behind,
     until_stopped,
     write_row,
 )
@@ -161,14 +163,18 @@ class Run:
         temporal_filter = TemporalFilter(TemporalFilterSettings()) if steady else None
         assert isinstance(task.infer, Inference)
         results = detect_frames(source, task.infer, self.workers, temporal_filter, cues, stop)
+
+        def write(frame: FrameResult) -> IndexRow:
+            row = write_row(frame.item, frame.detection, writers.files, task.method, frame.ms)
+            start = perf_counter()
+            if not isinstance(frame.outcome, RoadtorchError):
+                for writer in writers.streams:
+                    writer.write(frame.item, frame.outcome)
+            return row if row.failed else replace(row, ms=elapsed_ms(start, float(row.ms)))
+
+        is_alone = self.workers == Workers() or source.live  # a camera's rows are due at once
         with closing(results) as frames:
-            for frame in frames:
-                row = write_row(frame.item, frame.detection, writers.files, task.method, frame.ms)
-                start = perf_counter()
-                if not isinstance(frame.outcome, RoadtorchError):
-                    for writer in writers.streams:
-                        writer.write(frame.item, frame.outcome)
-                yield row if row.failed else replace(row, ms=elapsed_ms(start, float(row.ms)))
+            yield from map(write, frames) if is_alone else run_behind(write, frames)
 
     # --- output on the terminal ---------------------------------------------------------
 

@@ -1,6 +1,7 @@
 """Detection in the frames of a source: order, temporal smoothing, and closing of the source."""
 
 import signal
+import threading
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
-from roadtorch.run.loop import FrameResult, Inference, detect_frames
+from roadtorch.run.loop import FrameResult, Inference, detect_frames, run_behind
 from roadtorch.run.workers import Workers
 from tests.command import Call, save_image
 from tests.streets import scene
@@ -161,13 +162,12 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
         """A temporal filter that removes all road, and hides an ego car on the left."""
 
         def __init__(self) -> None:
+            self.settings = TemporalFilterSettings()
             self.images: list[Tensor] = []
             self.hidden = torch.zeros(48, 64, dtype=torch.bool)
             self.hidden[:, :8] = True
 
-        def __call__(
-            self, image: Tensor, likelihood: Tensor, hidden: Tensor | None = None
-        ) -> Tensor:
+        def __call__(self, image: Tensor, likelihood: Tensor, *_: object) -> Tensor:
             self.images.append(image)
             return torch.zeros_like(likelihood)
 
@@ -217,6 +217,22 @@ def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) ->
     second = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
     for number, frame in enumerate(detect_frames(source, second, workers)):
         assert str(frame.outcome).startswith(f"frame {number}: is ")
+
+
+def test_a_step_behind_keeps_order_and_its_results_come_before_an_error() -> None:
+    def values() -> Iterator[int]:
+        yield from range(3)
+        raise InputError("drive.mp4", "ends early", "copy it again")
+
+    results = run_behind(lambda number: (number, threading.get_ident()), values())
+
+    first, *later = [next(results) for _ in range(3)]
+    assert [first[0], *(number for number, _ in later)] == [0, 1, 2]
+    assert first[1] != threading.get_ident()
+    with pytest.raises(InputError, match="ends early"):
+        next(results)
+    with pytest.raises(ZeroDivisionError):
+        list(run_behind(lambda number: 1 / number, iter([1, 0, 2])))
 
 
 def test_stopping_ends_the_frames() -> None:

@@ -6,8 +6,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -78,6 +78,35 @@ def test_reading_ahead_is_bounded() -> None:
             assert len(read) <= count + MAX_AHEAD * 2
             if count == 9:
                 break
+
+
+class PromptPool:
+    """A pool whose results are there at once."""
+
+    crashes = ()
+
+    def __init__(self, task: Callable[[int], int]) -> None:
+        self.task = task
+
+    def start(self) -> object:
+        return object()
+
+    def submit(self, _: object, item: int) -> Future[int]:
+        future = Future[int]()
+        future.set_result(self.task(item))
+        return future
+
+    def stop(self, _: object) -> None: ...
+
+
+@pytest.mark.parametrize(("live", "ahead"), [(True, 1), (False, MAX_AHEAD * 2)])
+def test_results_of_a_live_source_come_before_its_next_item(live: bool, ahead: int) -> None:
+    items = iter(range(9))
+
+    results = Workers(2, PromptPool).map(abs, items, abs, live)
+
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    assert next(items) == 2 + ahead
 
 
 def failing_behind(count: int) -> Iterator[int]:
@@ -216,11 +245,35 @@ def test_how_many_workers(jobs: int | None, count: int | None, device: str, expe
     ],
     ids=["image", "turned", "mask", "half", "learning", "number"],
 )
-def test_tensors_reach_another_process_as_they_are(tensor: torch.Tensor) -> None:
-    copy = pickle.loads(workers.pickle_value(("name", tensor)))[1]
+@pytest.mark.parametrize("room", [0, 100, 10**6])
+def test_tensors_reach_another_process_as_they_are(tensor: torch.Tensor, room: int) -> None:
+    memory = memoryview(bytearray(room))
 
+    data, places = workers.pickle_value(("name", tensor, tensor), memory)
+    _, first, copy = pickle.loads(data, buffers=[memory[place] for place in places])
+
+    assert all(place.stop <= room for place in places)
+    assert torch.equal(first, tensor)
     assert torch.equal(copy, tensor)
     assert (copy.dtype, copy.stride()) == (tensor.dtype, tensor.stride())
     assert copy.requires_grad == tensor.requires_grad
     copy.detach().zero_()  # it is nobody else's
     assert not torch.equal(copy, tensor)
+
+
+def add_up(tensor: torch.Tensor) -> torch.Tensor:
+    return tensor.cumsum(0)
+
+
+@pytest.mark.parametrize("shared", [workers.SHARED_BYTES, 4096])
+def test_results_stay_as_they_are_while_workers_go_on(
+    shared: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "SHARED_BYTES", shared)
+    items = [torch.full((1000,), float(number)) for number in range(12)]
+
+    results = list(Workers(2).map(add_up, items, add_up))
+
+    assert all(
+        torch.equal(result, add_up(item)) for result, item in zip(results, items, strict=True)
+    )
