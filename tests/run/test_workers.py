@@ -6,11 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -83,20 +84,20 @@ def test_reading_ahead_is_bounded() -> None:
 class PromptPool:
     """A pool whose results are there at once."""
 
-    crashes = ()
+    crashes: tuple[type[Exception], ...] = ()
 
-    def __init__(self, task: Callable[[int], int]) -> None:
+    def __init__(self, task: Callable[[Any], Any]) -> None:
         self.task = task
 
     def start(self) -> object:
         return object()
 
-    def submit(self, _: object, item: int) -> Future[int]:
-        future = Future[int]()
+    def submit(self, worker: object, item: Any) -> Future[Any]:
+        future = Future[Any]()
         future.set_result(self.task(item))
         return future
 
-    def stop(self, _: object) -> None: ...
+    def stop(self, workers: Sequence[object]) -> None: ...
 
 
 @pytest.mark.parametrize(("live", "ahead"), [(True, 1), (False, MAX_AHEAD * 2)])
