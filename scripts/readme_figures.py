@@ -74,8 +74,9 @@ def evaluate(data: Path, out: Path, runs: Sequence[str], jobs: int) -> None:
                 cwd=ROOT,
                 stdout=subprocess.DEVNULL,
             )
-        metrics = json.loads((out / run / "metrics.json").read_text(encoding="utf-8"))
-        keep_records(run, command, records_of(run, metrics))
+        if (metrics := out / run / "metrics.json").is_file():  # others keep theirs
+            scores = json.loads(metrics.read_text(encoding="utf-8"))
+            keep_records(run, command, records_of(run, scores))
 
 
 def keep_records(run: str, command: str, values: Records) -> None:

@@ -2,15 +2,17 @@
 
     python -m train.street.compare DATA --worlds HELD… --cache DIR NAME=FIRST[+SECOND]…
     python -m train.street.compare DATA --cache DIR --large --sets many camvid idd NAME=…
+    python -m train.street.compare DATA --cache DIR --keep    # docs/figures/street.json
 
 FIRST and SECOND are files of `fusion`'s networks, or names of shipped ones; SECOND counts with
---large alone, which compares `fusion:large`. DATA holds many/, camvid/ and idd_lite/; HELD is a
-folder of ``train.worlds`` that nothing learned from. Cached, so that it goes on where it was. An
-interval is of the difference, with 1,000 draws of images within their cameras or kinds.
+--large alone, which compares `fusion:large`. --keep records figures of what ships instead. DATA
+holds many/, camvid/ and idd_lite/; HELD is a folder of ``train.worlds`` that nothing learned from.
+Cached, so that it goes on where it was. An interval is of the difference, with 1,000 draws of
+images within their cameras or kinds.
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -29,6 +31,7 @@ from roadtorch.evaluation.metrics import RoadCounts, count_levels, max_f
 from roadtorch.evaluation.uncertainty import bootstrap_weights, percentile_interval
 from roadtorch.layout.classes import VERTICAL
 from roadtorch.run.memo import cache_key, read_cached, write_cached
+from scripts.readme_figures import keep_records
 from train.calibrate import EXCLUDED
 from train.street.pack import obstacle_mask, world_kind
 from train.worlds.reader import read_world
@@ -228,10 +231,10 @@ def mean_wrong_halves(records: Records, weights: Tensor) -> Tensor:
     return torch.stack([wrong_halves(name)(records, weights) for name in cameras]).mean(0)
 
 
-def obstacles_taken(records: Records, weights: Tensor) -> Tensor:
-    """Compute how much of what stands before road is called road, as mean over cameras."""
+def obstacles_taken(records: Records, weights: Tensor, cameras: Sequence[str] = ()) -> Tensor:
+    """Compute how much of what stands before road is called road, as mean over cameras (or all)."""
     parts = []
-    for camera in np.unique(records.cameras):
+    for camera in cameras or np.unique(records.cameras):
         taken, total = pool(records, weights, records.cameras == camera)[:, TAKEN].unbind(1)
         if total[0] > MIN_OBSTACLES:
             parts.append(taken / total.clamp_min(1))
@@ -287,17 +290,37 @@ def print_table(name: str, records: Mapping[str, Records]) -> None:
         print(f"| {label} | {' | '.join(cells)} |", flush=True)
 
 
+def keep_shipped(options: argparse.Namespace) -> None:
+    """Record wrong halves and what stands before road called road of what ships, with intervals."""
+    scores: dict[str, Score] = {"halves": mean_wrong_halves, "obstacles": obstacles_taken}
+    for camera in LEFT_HAND + RIGHT_HAND:
+        scores[f"halves@{camera}"] = wrong_halves(camera)
+        scores[f"obstacles@{camera}"] = partial(obstacles_taken, cameras=[camera])
+    values = dict[str, float]()
+    for name in ("fusion", "fusion:large"):
+        records = record("many", load_candidate(SHIPPED, name != "fusion")[1], options)
+        weights = draw_weights(records.cameras)
+        for label, score in scores.items():
+            key, draws = f"street.{name}.{label}", score(records, weights)
+            ends = zip((".low", ".high"), percentile_interval(draws[1:]), strict=True)
+            values |= {key: float(draws[0]), **{key + end: float(value) for end, value in ends}}
+    keep_records("street", "python -m train.street.compare DATA --cache OUT --keep", values)
+
+
 def main() -> None:
     """Print a table for each set."""
     parser = argparse.ArgumentParser(description="Compare weights with those that ship.")
     parser.add_argument("data", type=Path)
-    parser.add_argument("candidates", nargs="+", metavar="NAME=FIRST[+SECOND]")
+    parser.add_argument("candidates", nargs="*", metavar="NAME=FIRST[+SECOND]")
     parser.add_argument("--worlds", type=Path, nargs="*", default=[])
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--sets", nargs="*", default=["many", "worlds"])
     parser.add_argument("--large", action="store_true")
+    parser.add_argument("--keep", action="store_true")
     options = parser.parse_args()
     torch.set_num_threads(1)
+    if options.keep:
+        return keep_shipped(options)
     detectors = [load_candidate(text, options.large) for text in (SHIPPED, *options.candidates)]
     for name in options.sets:
         records = {title: record(name, detector, options) for title, detector in detectors}
