@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/ufl": 1_380,
     "scripts": 5_240,
     "tests": 27_725,
-    "train": 7_360,
+    "train": 7_380,
 }
 """The lines of source code that each folder may have."""
 
