@@ -6,12 +6,13 @@ matrix products: OpenVINO's resize operator does not antialias (errors up to 0.4
 
 import re
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from pydantic import Field, field_validator
+from scipy.sparse import block_diag, csr_array
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -21,9 +22,6 @@ from roadtorch.base.settings import Settings
 SHORTEST = 16  # pixels: least side of an analysed image
 
 LONGEST = 10**9  # pixels: torch.export needs a bound
-
-ROWS, COLUMNS = 32, 64
-"""Input rows and columns in one matrix product, approximately: few weights are zero."""
 
 
 class WorkingSize(Settings):
@@ -100,43 +98,27 @@ def _enlarge(maps: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _shrink(maps: Tensor, size: tuple[int, int]) -> Tensor:
-    """Shrink maps (N, H, W) by matrix products: torch's but for rounding, twice as fast."""
+    """Shrink maps (N, H, W) by sparse matrices: torch's but for rounding, 2 to 4 times as fast."""
     count, height, width = maps.shape
-    rows = maps.new_empty(count, size[0], width)
-    for band in resize_bands(height, size[0], ROWS):
-        weights = band.weights.expand(count, -1, -1)
-        torch.bmm(weights, maps[:, band.inputs], out=rows[:, band.outputs])
-    averaged = maps.new_empty(count * size[0], size[1])
-    flat = rows.reshape(-1, width)
-    for band in resize_bands(width, size[1], COLUMNS):
-        torch.mm(flat[:, band.inputs], band.weights.T, out=averaged[:, band.outputs])
-    return averaged.reshape(count, *size)
+    rows = sparse_matrix(height, size[0], count) @ maps.reshape(-1, width).numpy()
+    columns = sparse_matrix(width, size[1]) @ cv2.transpose(rows)
+    return torch.from_numpy(cv2.transpose(columns)).reshape(count, *size)
 
 
-class Band(NamedTuple):
-    """Adjacent output pixels of a side, their input pixels, and the weights (out, in)."""
-
-    outputs: slice
-    inputs: slice
-    weights: Tensor
-
-
-@lru_cache(maxsize=256)  # an image of a new size needs eight
-@torch.inference_mode(False)  # kept for callers in any mode
-def resize_bands(inputs: int, outputs: int, width: int) -> tuple[Band, ...]:
-    """Return the bands that resize a side; about ``width`` input pixels in each."""
-    scale = inputs / outputs
-    reach = max(scale, 1.0)
-    most = max(1, round(width / scale))
-    bands = []
-    for start in range(0, outputs, most):
-        pixels = torch.arange(start, min(start + most, outputs), dtype=torch.float64)
-        centre = (pixels + 0.5) * scale
-        low = max(0, int(centre[0] - reach))
-        high = min(inputs, int(centre[-1] + reach) + 1)
-        weights = triangle_weights(torch.arange(low, high), centre, reach).to(torch.float32)
-        bands.append(Band(slice(start, start + len(centre)), slice(low, high), weights))
-    return tuple(bands)
+@lru_cache(maxsize=256)  # an image of a new size needs a dozen
+def sparse_matrix(inputs: int, outputs: int, count: int = 1) -> csr_array:
+    """Return the matrix (count · out, count · in) that resizes a side of ``count`` stacked maps."""
+    reach = max(inputs / outputs, 1.0)
+    centre = (torch.arange(outputs, dtype=torch.float64) + 0.5) * (inputs / outputs)
+    taps = min(inputs, int(2 * reach) + 2)
+    first = (centre - reach).to(torch.int64).clamp(0, inputs - taps)
+    pixels = first[:, None] + torch.arange(taps)
+    weights = triangle_weights(pixels, centre, reach).to(torch.float32)
+    rows = np.arange(outputs + 1) * taps
+    entries = weights.numpy().ravel(), pixels.numpy().ravel(), rows
+    matrix = csr_array(entries, shape=(outputs, inputs))
+    matrix.eliminate_zeros()
+    return csr_array(block_diag([matrix] * count))
 
 
 def resize_matrix(inputs: int, outputs: int) -> Tensor:
@@ -147,7 +129,7 @@ def resize_matrix(inputs: int, outputs: int) -> Tensor:
 
 
 def triangle_weights(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
-    """Return the weights (out, in) of input pixels (in,) for output pixels with centres (out,).
+    """Return the weights (out, in) of pixels, (in,) or (out, in), for outputs with centres (out,).
 
     A triangle ``reach`` wide on either side of each centre, of sum 1: the antialiased bilinear
     filter of Pillow and torch.

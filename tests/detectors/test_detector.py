@@ -22,7 +22,7 @@ from roadtorch.base.image import overlay_pixels, read_image
 from roadtorch.detectors.detection import to_pandas
 from roadtorch.detectors.detector import Detection, use_inference_mode
 from roadtorch.imaging import slic as superpixels
-from roadtorch.imaging.resize import resize_bands, resize_to_image
+from roadtorch.imaging.resize import resize_to_image
 from roadtorch.oneclass import base
 from roadtorch.oneclass.axes import make_axes
 from roadtorch.oneclass.density import variance_floor
@@ -80,7 +80,6 @@ def test_what_is_kept_for_later_calls_is_no_tensor_of_inference_mode() -> None:
     grid, axes = superpixels._grid(17, 23, 6), make_axes(("R", "G"))  # nobody has asked for these
     with torch.inference_mode():
         kept = [
-            *(band.weights for band in resize_bands(41, 23, 8)),
             superpixels._positions(grid, 1),
             *superpixels._distance_maps(grid, 0.0123, 1),
             base._quantum_steps(axes),
