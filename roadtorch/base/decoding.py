@@ -153,7 +153,8 @@ def pillow_pixels(image: Image.Image) -> np.ndarray:
             raise ValueError(f"Pillow mode {upright.mode} has no defined white level")
         if upright.mode.startswith("I;16"):
             return np.array(upright).astype(np.uint16)
-        return np.array(upright.convert("RGBA" if upright.has_transparency_data else "RGB"))
+        mode = "RGBA" if upright.has_transparency_data else "RGB"
+        return np.asarray(upright if upright.mode == mode else upright.convert(mode))
 
 
 def _decode_with_opencv(data: bytes) -> np.ndarray:

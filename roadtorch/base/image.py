@@ -5,6 +5,7 @@ import os
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, Literal, get_args
 
@@ -56,6 +57,9 @@ JPEG_OPTIONS = (cv2.IMWRITE_JPEG_QUALITY, 92)
 
 PNG_MAP_OPTIONS = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 """For smooth maps: a quarter smaller than OpenCV's default, and written faster."""
+
+PNG_MASK_OPTIONS = (*PNG_MAP_OPTIONS, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
+"""For masks: unfiltered, 40 % smaller than filtered."""
 
 ColourOrder = Literal["rgb", "bgr"]
 """Order of the colour channels of an array: OpenCV's is ``bgr``, most others' is ``rgb``."""
@@ -153,9 +157,10 @@ def from_pixels(pixels: np.ndarray) -> Tensor:
     levels = 1 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
     if pixels.ndim == 2:
         pixels = np.broadcast_to(pixels[..., None], (*pixels.shape, 3))
-    planes = torch.from_numpy(np.array(pixels.transpose(2, 0, 1), order="C"))
-    image = planes[:3].to(torch.float32).div_(levels)
-    return image if len(planes) == 3 else image.mul_(planes[3].to(torch.float32).div_(levels))
+    planes = torch.empty(pixels.shape[2], *pixels.shape[:2])
+    for plane, channel in zip(planes, cv2.split(np.ascontiguousarray(pixels)), strict=True):
+        plane.copy_(torch.from_numpy(channel)).div_(levels)  # while it is in the cache
+    return planes if len(planes) == 3 else planes[:3].mul_(planes[3])
 
 
 def as_image(image: ImageLike, order: ColourOrder | None = None) -> Tensor:
@@ -252,13 +257,13 @@ def _as_rgb(pixels: np.ndarray, order: ColourOrder | None) -> np.ndarray:
 def write_map(path: str | os.PathLike[str], likelihood: Tensor, depth: Literal[8, 16] = 8) -> None:
     """Write a map in [0, 1], shape (H, W), as grey PNG of 8 or 16 bits: round(x · 255 or 65535)."""
     levels, kind = {8: (255, np.uint8), 16: (65535, np.uint16)}[depth]
-    grey = likelihood.detach().cpu().to(torch.float64).mul(levels).round()
+    grey = likelihood.detach().cpu().to(torch.float64, copy=True).mul_(levels).round_()
     _write_encoded(path, ".png", grey.numpy().astype(kind), *PNG_MAP_OPTIONS)
 
 
 def write_mask(path: str | os.PathLike[str], mask: Tensor) -> None:
     """Write a mask, bool, shape (H, W), as grey PNG: road 255, the rest 0."""
-    _write_encoded(path, ".png", mask.cpu().numpy().astype(np.uint8) * 255, *PNG_MAP_OPTIONS)
+    _write_encoded(path, ".png", mask.cpu().numpy().astype(np.uint8) * 255, *PNG_MASK_OPTIONS)
 
 
 def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
@@ -301,8 +306,8 @@ def overlay_pixels(
         RGB pixels, uint8, shape (H, W, 3).
     """
     pixels = to_pixels(image)
-    if ego is not None and ego.any():
-        pixels[ego.cpu().numpy()] //= 2
+    if ego is not None:
+        pixels = cv2.copyTo(pixels // 2, ego.cpu().numpy().astype(np.uint8), pixels)
     return draw_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
 
 
@@ -342,26 +347,34 @@ def tint_mask(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def draw_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
-    """Draw white text with a dark rim, sized with the image, on RGB pixels, uint8 (H, W, 3)."""
+    """Draw white text with a dark rim, sized with the image, into RGB pixels, uint8 (H, W, 3)."""
     if not caption:
         return pixels
     size = max(MIN_FONT_SIZE, round(min(pixels.shape[:2]) / 22))
-    band = Image.fromarray(pixels[: 2 * size])
-    ImageDraw.Draw(band).text(
-        (size // 2, size // 2),
-        caption,
-        "white",
-        ImageFont.load_default(size),
-        stroke_width=max(1, size // 12),
-        stroke_fill="black",
-    )
-    return np.concatenate([np.asarray(band), pixels[2 * size :]])
+    rim, letters = render_caption(caption, size)
+    corner = pixels[: rim.shape[0], : rim.shape[1]]
+    for opacity, level in ((rim, 0), (letters, 255)):
+        opacity = opacity[: corner.shape[0], : corner.shape[1]]
+        blend = (255 - opacity) * corner + opacity * level + np.uint16(128)
+        corner[:] = (blend + (blend >> 8)) >> 8  # divided by 255, as Pillow does
+    return pixels
+
+
+@lru_cache(maxsize=256)
+def render_caption(caption: str, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the opacity, uint16 (h, w, 1), 0 to 255, of a caption's rim and of its letters."""
+    layers, font = [], ImageFont.load_default(size)
+    for rim in (max(1, size // 12), 0):
+        layer = Image.new("L", (size * (len(caption) + 1), 2 * size))
+        ImageDraw.Draw(layer).text((size // 2, size // 2), caption, 255, font, stroke_width=rim)
+        layers.append(np.asarray(layer, np.uint16)[..., None])
+    return layers[0], layers[1]
 
 
 def to_pixels(image: Tensor) -> np.ndarray:
     """Convert an image in [0, 1], shape (3, H, W), to RGB pixels, uint8, shape (H, W, 3)."""
-    planes = image.detach().mul(255).round_().to(torch.uint8).cpu().numpy()
-    return cv2.merge(list(planes))  # three times as fast as a permutation
+    planes = image.detach().cpu().to(torch.float32).numpy()
+    return cv2.merge([cv2.convertScaleAbs(plane, alpha=255) for plane in planes])  # fast
 
 
 def _to_bgr(pixels: np.ndarray) -> np.ndarray:

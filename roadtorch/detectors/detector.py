@@ -240,6 +240,7 @@ class Detector(nn.Module):
             return list(self.detect_many(images, order))
         return self.detect(cast("ImageLike", images), order)
 
+    @one_torch_thread()  # once for both halves: it takes a millisecond
     def detect(self, image: ImageLike, order: ColourOrder | None = None) -> Detection:
         """Detect the road in one image of at least 16×16 pixels.
 

@@ -55,7 +55,7 @@ def appearance_log_odds(features: Tensor, log_odds: Tensor) -> Tensor:
     weighted = features * weights.sum(-2, keepdim=True)
     scatter = (weighted @ features.mT - means.mT @ means) / 2
     road, background = means.unbind(-2)
-    direction = invert(add_ridge(scatter)) @ (road - background).unsqueeze(-1)
+    direction = solve(add_ridge(scatter), (road - background).unsqueeze(-1))
     middle = (direction.squeeze(-1) * (road + background)).sum(-1, keepdim=True) / 2
     scores = (direction.mT @ features).squeeze(-2) - middle
     spread = log_odds.std(-1, keepdim=True) / (scores.std(-1, keepdim=True) + 1e-6)
@@ -70,17 +70,27 @@ def standardise(features: Tensor) -> Tensor:
 
 
 def add_ridge(scatter: Tensor) -> Tensor:
-    """Add ``RELATIVE_RIDGE`` times the mean variance to the diagonal of covariances (…, C, C)."""
+    """Add ``RELATIVE_RIDGE`` times the mean variance to the diagonal of covariances (…, C, C).
+
+    A little more, so that those of a flat image can be inverted.
+    """
     identity = torch.eye(scatter.shape[-1]).to(scatter)
     mean = (scatter * identity).sum((-2, -1), keepdim=True) / scatter.shape[-1]
-    return scatter + RELATIVE_RIDGE * mean * identity
+    return scatter + (RELATIVE_RIDGE * mean + 1e-12) * identity
+
+
+def solve(matrix: Tensor, vector: Tensor) -> Tensor:
+    """Solve A x = v, (…, C, 1), for symmetric positive definite matrices A (…, C, C)."""
+    if torch.compiler.is_exporting():  # ONNX has no operator for it
+        return invert(matrix) @ vector
+    return torch.linalg.solve(matrix, vector)
 
 
 def invert(matrix: Tensor) -> Tensor:
     """Invert symmetric positive definite matrices (…, C, C) by matrix products.
 
     Schulz's iteration X ← X (2 I - A X), Z. Angew. Math. Mech. 13, 1933, doubles the correct
-    digits in each step. ONNX has no operator that solves equations.
+    digits in each step.
     """
     identity = torch.eye(matrix.shape[-1]).to(matrix)
     inverse = identity / matrix.abs().sum(-1).amax(-1)[..., None, None].clamp_min(1e-12)

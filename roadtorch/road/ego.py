@@ -65,7 +65,7 @@ class Ego(Settings):
 
 def has_ego_car(ego: Ego) -> bool:
     """Return whether any setting of the ego car differs from its default."""
-    return ego != Ego()
+    return bool(ego.bottom or ego.mask or ego.outline)  # comparing models takes .2 ms
 
 
 def read_ego_mask(path: str) -> Tensor:

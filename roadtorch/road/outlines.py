@@ -1,6 +1,6 @@
 """Refinement of a likelihood at full size: edges of the image, no thin holes in the road."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 import cv2
@@ -18,6 +18,7 @@ from roadtorch.imaging.resize import (
     side_length,
     spatial_size,
 )
+from roadtorch.road.ego import any_pixel
 from roadtorch.road.seed_area import remove_isolated
 
 Outlines = Annotated[
@@ -71,11 +72,11 @@ def snap_to_edges(
 
     In an exported graph the result has the size of the image, and may be a batch.
     """
-    more = working.model_copy(update={"pixels": MAX_ENLARGEMENT * working.pixels})
-    is_small = torch.compiler.is_exporting() or image[0].numel() <= more.pixels
-    larger = image if is_small else resize_to_work(image, more)
+    larger, most = image, MAX_ENLARGEMENT * working.pixels
+    if not torch.compiler.is_exporting() and image[0].numel() > most:
+        larger = resize_to_work(image, WorkingSize(pixels=most))
     likelihood = maps["likelihood"]
-    if "ego" in maps:
+    if "ego" in maps and any_pixel(maps["ego"]):
         likelihood = likelihood.masked_fill(maps["ego"], 0)
     fine = guided_filter(likelihood, small, larger)
     smooth = resize_maps(likelihood, spatial_size(larger))
@@ -102,7 +103,7 @@ def guided_filter(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
     for guide in [*[small] * (PASSES - 1), larger]:
         joint = resize_maps(_stack(likelihood, small * likelihood[..., None, :, :]), cells)
         road, joint = joint.split([1, 3], -3)
-        slope = inverse(joint - mean * road)
+        slope = (inverse * (joint - mean * road).unsqueeze(-4)).sum(-3)
         offset = road.squeeze(-3) - (slope * mean).sum(-3)
         slopes, likelihood = (resize_maps(part, spatial_size(guide)) for part in (slope, offset))
         for weight, plane in zip(slopes.unbind(-3), guide.unbind(-3), strict=True):
@@ -114,28 +115,23 @@ def guided_filter(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
 UPPER_TRIANGLE = tuple(torch.triu_indices(3, 3))
 """Rows and columns of the upper triangle of a symmetric matrix (3, 3)."""
 
+SYMMETRIC = torch.tensor([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Position of each element of the matrix in its upper triangle."""
+
 
 def _stack(map: Tensor, planes: Tensor) -> Tensor:
     return torch.cat([map[..., None, :, :], planes], -3)
 
 
-def _inverse(covariance: Tensor) -> Callable[[Tensor], Tensor]:
-    """Return a function that multiplies vectors (…, 3, h, w) by (Σ + εU)⁻¹, for Σ (…, 6, h, w)."""
-    if torch.compiler.is_exporting():  # ONNX cannot invert matrices: use minors
-        a, b, c, d, e, f = covariance.unbind(-3)
-        a, d, f = a + RIDGE, d + RIDGE, f + RIDGE
-        first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
-        fourth, fifth, sixth = a * f - c * c, b * c - a * e, a * d - b * b
-        minors = torch.stack([first, second, third, fourth, fifth, sixth], -3)
-        six = (minors / (a * first + b * second + c * third)[..., None, :, :]).unbind(-3)
-        rows = [torch.stack([six[n] for n in row], -3) for row in ((0, 1, 2), (1, 3, 4), (2, 4, 5))]
-        return lambda vectors: torch.stack([(row * vectors).sum(-3) for row in rows], -3)
-    first, second = UPPER_TRIANGLE
-    matrix = covariance.new_empty(3, 3, *spatial_size(covariance))
-    matrix[first, second] = matrix[second, first] = covariance
-    ridge = RIDGE * torch.eye(3, dtype=covariance.dtype, device=covariance.device)
-    inverse = torch.linalg.inv(matrix.permute(2, 3, 0, 1) + ridge)
-    return lambda vectors: (inverse @ vectors.permute(1, 2, 0)[..., None])[..., 0].permute(2, 0, 1)
+def _inverse(covariance: Tensor) -> Tensor:
+    """Return (Σ + εU)⁻¹, (…, 3, 3, h, w), for covariances Σ (…, 6, h, w), from their minors."""
+    a, b, c, d, e, f = covariance.unbind(-3)
+    a, d, f = a + RIDGE, d + RIDGE, f + RIDGE
+    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+    fourth, fifth, sixth = a * f - c * c, b * c - a * e, a * d - b * b
+    minors = torch.stack([first, second, third, fourth, fifth, sixth], -3)
+    determinant = a * first + b * second + c * third
+    return (minors / determinant.unsqueeze(-3))[..., SYMMETRIC, :, :]
 
 
 def _reduced_size(map: Tensor, factor: int) -> tuple[int, int]:
@@ -173,7 +169,6 @@ def fill_thin_holes(likelihood: Tensor, threshold: float) -> Tensor:
     opened = remove_isolated(full, torch.from_numpy(wide))
     if opened is full:
         return likelihood
-    closed = likelihood.clone()
-    holes = (full & ~opened).to(likelihood.device)
-    closed[below].masked_fill_(holes, min(1.0, threshold + HOLE_MARGIN))
-    return closed
+    closed = likelihood.cpu().numpy().copy()
+    np.copyto(closed[below], min(1.0, threshold + HOLE_MARGIN), where=full.numpy() > opened.numpy())
+    return torch.from_numpy(closed).to(likelihood.device)

@@ -123,6 +123,8 @@ def remove_isolated(mask: Tensor, seed: Tensor) -> Tensor:
     filled = slice(int(rows[0]), int(rows[-1]) + 1)  # skips the sky, to save time
     pixels = pixels[filled].view(np.uint8)
     count, numbers = cv2.connectedComponents(pixels, connectivity=4)
+    if count == 2:  # one region
+        return mask
     regions, within = np.asarray(numbers, dtype=np.int32), seed[filled].cpu().numpy()
     keep = np.zeros(count, dtype=bool)
     strips = [slice(row, row + STRIP_ROWS) for row in range(0, len(regions), STRIP_ROWS)]

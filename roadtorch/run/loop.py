@@ -16,6 +16,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 from torch import Tensor
 
 from roadtorch.base.atomic import make_folder
@@ -53,13 +54,17 @@ class Inference:
     camera: Camera | None = None
     device: str = "cpu"
 
+    def __post_init__(self) -> None:
+        """Move the detector to the device once: that takes half a millisecond."""
+        self.detector.to(self.device)
+
     def __call__(self, image: Tensor) -> Detection:
         """Detect the road in an image (3, H, W)."""
-        return self.detector.to(self.device).detect(self.move(image))
+        return self.detector.detect(self.move(image))
 
     def find_evidence(self, image: Tensor) -> Evidence:
         """Compute the evidence of a frame, the part of detection that needs no other frame."""
-        return self.detector.to(self.device).find_evidence(self.move(image))
+        return self.detector.find_evidence(self.move(image))
 
     def move(self, image: Tensor) -> Tensor:
         """Move an image to the device; InputError where it does not fit the camera."""
@@ -131,7 +136,7 @@ def write_row(
             str(width),
             str(height),
             elapsed_ms(start, ms),
-            road_share=f"{float(detection.mask.double().mean()):.4f}",
+            road_share=f"{np.count_nonzero(detection.mask.cpu().numpy()) / (width * height):.4f}",
             trust="" if detection.trust is None else f"{detection.trust:.2f}",
             status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
             sha256=item.digest() if item.digest else "",
