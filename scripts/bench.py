@@ -5,6 +5,7 @@
     python scripts/bench.py fusion ufl --against ../before       # another checkout's beside them
     python scripts/bench.py --write                              # and keep what documents show
     python scripts/bench.py --commands DATA --against ../before  # images a second, 1 and 2 jobs
+    python scripts/bench.py infer --commands DATA                # and its share of two detectors
     python scripts/bench.py --suite -n 2                         # CPU seconds of the tests
 
 Each round runs every contestant once, every other round in the reverse order. Times are medians
@@ -13,7 +14,8 @@ while slows both sides of it. Other work on the same cores does not; measure on 
 
 A command runs as a process of its own, on few images and on all of them. Its rate is that of the
 images between, so that imports, weights and the start of workers do not count. Training gets as
-many processors instead of jobs. ``--suite`` hands the words behind it to pytest.
+many processors instead of jobs, and ``detect`` (read an image, detect, write nothing) as many
+processes; in the same rounds as ``infer``. ``--suite`` hands the words behind it to pytest.
 """
 
 import argparse
@@ -158,7 +160,16 @@ def suite(words: Sequence[str]) -> str:
 
 # --- commands -----------------------------------------------------------------------------
 
+DETECT = """
+import sys, torch
+from roadtorch import load_detector
+torch.set_num_threads(1)
+detector = load_detector("fusion")
+for path in sys.argv[1:]:
+    detector.detect(path)
+"""
 COMMANDS = {
+    "detect": DETECT,
     "infer": "infer images",
     "video": "infer clip.mp4 --limit {count}",
     "bag": "infer drive",
@@ -186,48 +197,61 @@ def make_inputs(data: Path, folder: Path, count: int) -> None:
 def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
     """Time a command of a checkout in a folder of inputs."""
     words = [sys.executable, "-m", "roadtorch", *line.split(), "--out", "out"]
-    if line.startswith("train"):
+    lines = [[*words, "--jobs", str(jobs)]]
+    if line == DETECT:
+        images = sorted(map(str, folder.glob("images/*")))
+        lines = [[sys.executable, "-c", DETECT, *images[n::jobs]] for n in range(jobs)]
+    elif line.startswith("train"):
         processors = sorted(os.sched_getaffinity(0))[:jobs]
-        words = ["taskset", "--cpu-list", ",".join(map(str, processors)), *words]
-    else:
-        words += ["--jobs", str(jobs)]
+        lines = [["taskset", "--cpu-list", ",".join(map(str, processors)), *words]]
     start = time.perf_counter()
-    environment = {**os.environ, "PYTHONPATH": str(checkout.resolve())}
-    subprocess.run(words, cwd=folder, env=environment, capture_output=True, check=True)
+    environment, quiet = {**os.environ, "PYTHONPATH": str(checkout.resolve())}, subprocess.DEVNULL
+    processes = [
+        subprocess.Popen(words, cwd=folder, env=environment, stdout=quiet, stderr=quiet)
+        for words in lines
+    ]
+    if any([process.wait() for process in processes]):
+        raise subprocess.SubprocessError(line)
     elapsed = time.perf_counter() - start
-    shutil.rmtree(folder / "out")
+    shutil.rmtree(folder / "out", ignore_errors=True)
     return elapsed
 
 
-def rates(data: Path, checkouts: Sequence[Path], rounds: int) -> Iterator[str]:
-    """Yield rows with the images a second of each command and checkout, with one job and two."""
-    yield "| command | checkout | 1 job | 2 jobs | ratio |\n|---|---|---:|---:|---:|"
-    ways = list(product(checkouts, (1, 2), (FEW, ALL)))
+def rates(
+    data: Path, checkouts: Sequence[Path], rounds: int, names: Sequence[str]
+) -> Iterator[str]:
+    """Yield rows with the images a second of each command and checkout, with one job and two.
+
+    ``detect`` is timed in the rounds of ``infer``, whose fraction of it, with two jobs, comes last.
+    """
+    yield "| command | checkout | 1 job | 2 jobs | ratio | of detect |"
+    yield "|---|---|---:|---:|---:|---:|"
     with tempfile.TemporaryDirectory() as folder:
         for count in (FEW, ALL):
             make_inputs(data.resolve(), Path(folder, str(count)), count)
-        for name, line in COMMANDS.items():
-            times: dict[tuple[Path, int, int], list[float]] = {way: [] for way in ways}
+        for group in (["detect", "infer"] if name == "infer" else [name] for name in names):
+            ways = list(product(group, checkouts, (1, 2), (FEW, ALL)))
+            times: dict[tuple[str, Path, int, int], list[float]] = {way: [] for way in ways}
             for turn in range(rounds):
                 for way in ways[turn % len(ways) :] + ways[: turn % len(ways)]:
-                    checkout, jobs, count = way
-                    words = line.format(count=count)
-                    times[way].append(seconds(checkout, words, jobs, Path(folder, str(count))))
-            for checkout in checkouts:
-                single, double = (
-                    (ALL - FEW)
-                    / (median(times[checkout, n, ALL]) - median(times[checkout, n, FEW]))
-                    for n in (1, 2)
+                    name, checkout, jobs, count = way
+                    line = COMMANDS[name].format(count=count)
+                    times[way].append(seconds(checkout, line, jobs, Path(folder, str(count))))
+            for name, checkout in product(group, checkouts):
+                single, double, reference = (
+                    (ALL - FEW) / (median(times[*way, ALL]) - median(times[*way, FEW]))
+                    for way in ((name, checkout, 1), (name, checkout, 2), (group[0], checkout, 2))
                 )
-                where = checkout.resolve().name
-                yield f"| {name} | {where} | {single:.1f} | {double:.1f} | {double / single:.2f} |"
+                share = f"{double / reference:.2f}" if len(group) > 1 else ""
+                cells = f"{single:.1f} | {double:.1f} | {double / single:.2f} | {share}"
+                yield f"| {name} | {checkout.resolve().name} | {cells} |"
 
 
 def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("detectors", nargs="*", help="all but the grid of one-class detectors")
+    parser.add_argument("detectors", nargs="*", help="or commands; by default nearly all")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures/bench.json")
@@ -240,7 +264,8 @@ def main(words: Sequence[str] | None = None) -> None:
         return
     if options.commands:
         checkouts = [ROOT, options.against] if options.against else [ROOT]
-        for row in rates(options.commands, checkouts, options.rounds):
+        names = options.detectors or [name for name in COMMANDS if name != "detect"]
+        for row in rates(options.commands, checkouts, options.rounds, names):
             print(row, flush=True)
         return
     names = options.detectors or [name for name in list_detectors() if "<" not in name]

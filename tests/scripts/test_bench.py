@@ -47,11 +47,13 @@ def test_a_checkout_has_its_own_package_and_others_stay_loaded() -> None:
 
 def test_rates_are_those_behind_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
-        return 2 + int(folder.name) / (10 * jobs)
+        return 2 + int(folder.name) / (10 * jobs) * (0.8 if line == bench.DETECT else 1)
 
     monkeypatch.setattr(bench, "make_inputs", lambda *_: None)
     monkeypatch.setattr(bench, "seconds", seconds)
 
-    _, row, *_ = bench.rates(CHECKOUT, [CHECKOUT], 2)
+    _, _, detect, infer, video = bench.rates(CHECKOUT, [CHECKOUT], 2, ["infer", "video"])
 
-    assert row == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 |"
+    assert detect == f"| detect | {CHECKOUT.name} | 12.5 | 25.0 | 2.00 | 1.00 |"
+    assert infer == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 | 0.80 |"
+    assert video == f"| video | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 |  |"
