@@ -13,7 +13,16 @@ from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.teachers import TARGET_PLANES, Targets
 from train.street.__main__ import find_recipe, learn_network, load_backbone, mean, street_loss
 from train.street.batches import Batch, Sampler, make_planes, resize
-from train.street.compare import LEFT, RIGHT, Records, draw_weights, half_errors, mean_f
+from train.street.compare import (
+    LEFT,
+    RIGHT,
+    Records,
+    draw_weights,
+    half_errors,
+    mean_f,
+    obstacles_taken,
+    wrong_halves,
+)
 from train.street.pack import (
     HELD_GROUP,
     NOT_ROAD,
@@ -251,3 +260,17 @@ def test_errors_of_a_half_are_fractions_of_the_true_road() -> None:
     assert first(half_errors("a", RIGHT, 1)) == pytest.approx(20 / 100)
     assert first(mean_f) == pytest.approx((160 / 205 + 1) / 2)
     assert torch.equal(mean_f(records, weights), mean_f(records, weights[:1]).expand(1001))
+
+
+def test_wrong_halves_follow_the_side_of_traffic_and_few_pixels_that_stand_are_no_figure() -> None:
+    counts = [[60, 5, 10, 20, 4, 10, 30, 300], [60, 5, 10, 20, 4, 10, 400, 500]]
+    counts += [[60, 5, 10, 20, 4, 10, 0, 200]]
+    cameras = np.array(["cityscapes", "dn_idd", "kitti_semantics"])
+    records = Records(cameras, [()] * 3, torch.tensor(counts), torch.zeros(3, 2, 4))
+    weights = draw_weights(cameras)[:1]
+
+    assert wrong_halves("cityscapes")(records, weights) == pytest.approx((10 + 4) / 100)
+    assert wrong_halves("dn_idd")(records, weights) == pytest.approx((5 + 10) / 100)
+    assert obstacles_taken(records, weights) == pytest.approx((0.1 + 0.8) / 2)
+    assert obstacles_taken(records, weights, ["dn_idd"]) == pytest.approx(0.8)
+    assert obstacles_taken(records, weights, ["kitti_semantics"]).isnan()
