@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_475,
     "roadtorch/ufl": 1_380,
     "scripts": 5_240,
-    "tests": 27_725,
+    "tests": 27_745,
     "train": 7_380,
 }
 """The lines of source code that each folder may have."""
