@@ -6,6 +6,7 @@
     python scripts/bench.py --write                              # and keep what documents show
     python scripts/bench.py --commands DATA --against ../before  # images a second, 1 and 2 jobs
     python scripts/bench.py infer --commands DATA                # and its share of two detectors
+    python scripts/bench.py video video-hd bag grid-bag --commands DATA --against ../before --write
     python scripts/bench.py --suite -n 2                         # CPU seconds of the tests
 
 Each round runs every contestant once, every other round in the reverse order. Times are medians
@@ -20,6 +21,7 @@ processes; in the same rounds as ``infer``. ``--suite`` hands the words behind i
 
 import argparse
 import importlib
+import json
 import os
 import resource
 import shutil
@@ -44,10 +46,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.imaging.slic import slic
 from roadtorch.testing.scenes import render_scene
-from scripts.readme_figures import keep_records
+from scripts.readme_figures import FIGURES, keep_records
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python scripts/bench.py --write"
+COMMANDS_COMMAND = "python scripts/bench.py --commands DATA --against BEFORE --write"
 LRASPP = "LRASPP (torchvision)"
 SEGMENTS = 400
 SLIC, SKIMAGE = f"slic, {SEGMENTS} segments", f"slic, {SEGMENTS} segments (scikit-image)"
@@ -172,8 +175,10 @@ COMMANDS = {
     "detect": DETECT,
     "infer": "infer images",
     "video": "infer clip.mp4 --limit {count}",
+    "video-hd": "infer hd.mp4 --limit {count}",
     "bag": "infer drive",
     "grid": "grid images --height 1.5 --pitch 3 --fov 60",
+    "grid-bag": "grid drive --height 1.5 --pitch 3",
     "label": "label images",
     "evaluate": "evaluate camvid camvid --limit {count}",
     "train": "train --config adapt --images images --set stopping.epochs=1 "
@@ -183,15 +188,28 @@ FEW, ALL = 4, 100
 
 
 def make_inputs(data: Path, folder: Path, count: int) -> None:
-    """Link or write ``count`` images, alone and as frames of a bag; a video, and CamVid."""
+    """Link or write ``count`` images; a drive in two sizes and as a bag; CamVid."""
     from scripts.freeze import write_bags
 
     (folder / "images").mkdir(parents=True)
     for file in sorted((data / "camvid/train").glob("*.jpg"))[:count]:
         (folder / "images" / file.name).symlink_to(file)
     (folder / "camvid").symlink_to(data / "camvid")
-    (folder / "clip.mp4").symlink_to(data / "clips/us_rural_damp.mp4")
+    for name, size in {"clip.mp4": (640, 480), "hd.mp4": (1280, 720)}.items():
+        resize_video(data / "clips/us_rural_damp.mp4", folder / name, size)
     write_bags(folder, slice(count))
+
+
+def resize_video(path: Path, target: Path, size: tuple[int, int]) -> None:
+    """Write a video in another size, width and height."""
+    import av
+
+    with av.open(str(path)) as source, av.open(str(target), "w") as container:
+        stream = container.add_stream("libx264", rate=source.streams.video[0].average_rate)
+        stream.width, stream.height = size
+        for frame in source.decode(video=0):
+            container.mux(stream.encode(frame.reformat(*size, interpolation="BICUBIC")))
+        container.mux(stream.encode(None))
 
 
 def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
@@ -218,11 +236,16 @@ def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
 
 
 def rates(
-    data: Path, checkouts: Sequence[Path], rounds: int, names: Sequence[str]
+    data: Path,
+    checkouts: Sequence[Path],
+    rounds: int,
+    names: Sequence[str],
+    records: dict[str, float],
 ) -> Iterator[str]:
     """Yield rows with the images a second of each command and checkout, with one job and two.
 
     ``detect`` is timed in the rounds of ``infer``, whose fraction of it, with two jobs, comes last.
+    records: gets the rates, those of the second checkout with ``before``.
     """
     yield "| command | checkout | 1 job | 2 jobs | ratio | of detect |"
     yield "|---|---|---:|---:|---:|---:|"
@@ -242,6 +265,9 @@ def rates(
                     (ALL - FEW) / (median(times[*way, ALL]) - median(times[*way, FEW]))
                     for way in ((name, checkout, 1), (name, checkout, 2), (group[0], checkout, 2))
                 )
+                record = f"commands.{name}" + (".before" if checkout != checkouts[0] else "")
+                values = {"1": single, "2": double, "ratio": double / single}
+                records.update({f"{record}.{key}": value for key, value in values.items()})
                 share = f"{double / reference:.2f}" if len(group) > 1 else ""
                 cells = f"{single:.1f} | {double:.1f} | {double / single:.2f} | {share}"
                 yield f"| {name} | {checkout.resolve().name} | {cells} |"
@@ -254,7 +280,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("detectors", nargs="*", help="or commands; by default nearly all")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--write", action="store_true", help="into docs/figures/bench.json")
+    parser.add_argument("--write", action="store_true", help="into docs/figures")
     parser.add_argument("--against", type=Path, help="another checkout")
     parser.add_argument("--commands", type=Path, metavar="DATA", help="the development data")
     parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
@@ -265,8 +291,11 @@ def main(words: Sequence[str] | None = None) -> None:
     if options.commands:
         checkouts = [ROOT, options.against] if options.against else [ROOT]
         names = options.detectors or [name for name in COMMANDS if name != "detect"]
-        for row in rates(options.commands, checkouts, options.rounds, names):
+        records = json.loads((FIGURES / "commands.json").read_text(encoding="utf-8"))["values"]
+        for row in rates(options.commands, checkouts, options.rounds, names, records):
             print(row, flush=True)
+        if options.write:
+            keep_records("commands", COMMANDS_COMMAND, records)
         return
     names = options.detectors or [name for name in list_detectors() if "<" not in name]
     width, height = options.size

@@ -52,7 +52,11 @@ def test_rates_are_those_behind_the_start(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(bench, "make_inputs", lambda *_: None)
     monkeypatch.setattr(bench, "seconds", seconds)
 
-    _, _, detect, infer, video = bench.rates(CHECKOUT, [CHECKOUT], 2, ["infer", "video"])
+    records: dict[str, float] = {}
+
+    _, _, detect, infer, video = bench.rates(CHECKOUT, [CHECKOUT], 2, ["infer", "video"], records)
+
+    assert records["commands.video.2"] == pytest.approx(20)
 
     assert detect == f"| detect | {CHECKOUT.name} | 12.5 | 25.0 | 2.00 | 1.00 |"
     assert infer == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 | 0.80 |"
