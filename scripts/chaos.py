@@ -15,7 +15,6 @@
     locks    the folder has no locks
     fault    the n-th open, write, fsync, rename or close below --out fails, as SQLite is tested (a
              full disk, which stays full; EIO; EINTR; a short write; KILL right behind the call)
-    ros      the node of docs/ros.md: talkers that come and go for minutes, then nodes that do
 
 No run may end in a traceback, hang, or have an exit status that docs/performance.md does not name,
 and what the correction page acknowledged is in its logs. Once the trouble is over the same command
@@ -36,7 +35,6 @@ import random
 import re
 import shutil
 import signal
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -420,35 +418,6 @@ def disturb(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
     return wrong
 
 
-# --- the node -----------------------------------------------------------------------------
-
-
-def ros(options: argparse.Namespace, folder: Path) -> list[str]:
-    """Let talkers come and go before one node, twelve seconds each, then nodes before talkers."""
-    os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "77"}
-    case = Case(partial(main, ["ros"]), folder, random.Random(options.seed))
-    script, wrong, ages = Path(__file__).parents[1] / "tests/ros/talker.py", [], []
-    talker = [sys.executable, script, "12", "--rate", "30", "--size", "640x480"]
-    for talkers in (options.times, *[1] * (options.times // 3)):
-        (folder / case.log).write_text("")
-        node = case.start()
-        while node.is_alive() and "subscribes to" not in (folder / case.log).read_text():
-            time.sleep(0.1)
-        for _ in range(talkers):
-            output = subprocess.check_output([*talker, "--encodings", "rgb8"], timeout=PATIENCE)
-            report = json.loads(output.splitlines()[-1])
-            ages += report.get("rgb8", [])
-            wrong += [] if report.get("rgb8") else ["a talker was not answered"]
-        memory = re.findall(r"VmRSS:.*|VmHWM:.*", Path(f"/proc/{node.pid}/status").read_text())
-        print(f"{talkers} talkers: {report.get('diagnostics')}; memory {memory}", flush=True)
-        number = case.chance.choice(SIGNALS)
-        os.kill(node.pid or 0, number)
-        wrong += case.finish(node, {-number, 128 + number})
-    late = statistics.quantiles(ages, n=100)
-    print(f"{len(ages)} answers; age {late[49]:.1f} ms, 99th percentile {late[98]:.1f} ms")
-    return wrong
-
-
 # --- the command line ---------------------------------------------------------------------
 
 
@@ -460,7 +429,7 @@ def load(kind: str) -> None:
             with suppress(ImportError):  # of an extra that is not installed
                 importlib.import_module(module.name)
     training_loop.SAVE_INTERVAL = 0.0  # save as often as that can be done
-    if kind not in ("clock", "ros"):
+    if kind != "clock":
         time.time = lambda: 1e9
 
 
@@ -475,7 +444,7 @@ def run_preloaded() -> int:
 def run() -> int | str:
     """Try a class of trouble on commands; return the problems."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("trouble", choices=[*TROUBLE, "fault", "ros"])
+    parser.add_argument("trouble", choices=[*TROUBLE, "fault"])
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=[])
     parser.add_argument("--times", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
@@ -487,11 +456,11 @@ def run() -> int | str:
         return run_preloaded()
     load(options.trouble)
     wrong = list[str]()
-    for name in ["ros"] if options.trouble == "ros" else options.commands or COMMANDS:
+    for name in options.commands or COMMANDS:
         if (options.trouble, name) not in NOT_TRIED:
             with tempfile.TemporaryDirectory() as temporary:
                 folder = Path(temporary)
-                wrong += ros(options, folder) if name == "ros" else disturb(name, options, folder)
+                wrong += disturb(name, options, folder)
     return "\n".join(wrong)
 
 

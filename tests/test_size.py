@@ -33,8 +33,8 @@ LINES = {
     "roadtorch/testing": 640,
     "roadtorch/train": 3_475,
     "roadtorch/ufl": 1_380,
-    "scripts": 5_240,
-    "tests": 27_745,
+    "scripts": 5_365,
+    "tests": 27_810,
     "train": 7_380,
 }
 """The lines of source code that each folder may have."""

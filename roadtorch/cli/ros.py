@@ -6,15 +6,16 @@ import click
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("words", metavar="[--ros-args …]", nargs=-1, type=click.UNPROCESSED)
 def ros_command(words: tuple[str, ...]) -> None:
-    """Run a ROS 2 node that finds the road in the newest image.
+    """Run a ROS 2 node that finds the road in the images of one or several cameras.
 
     \b
     in   image (sensor_msgs/Image), image/compressed, camera_info
-    out  /segmentation/mask, /segmentation/confidence   mono8, with the image's stamp and frame
-         /segmentation/label_info                       latched: names of the mask's values
-         /segmentation/overlay                          only with a subscriber
-         /segmentation/grid                             only with camera height and lens
+    out  segmentation/mask, segmentation/confidence     mono8, with the image's stamp and frame
+         segmentation/label_info                        latched: names of the mask's values
+         segmentation/overlay                           only with a subscriber
+         segmentation/grid, segmentation/points         only with camera height and lens
          /diagnostics                                   trust, doubt, rate, age, dropped
+    With -p cameras:="['front','rear']" the topics are front/image, front/segmentation/mask, ….
     Give parameters and topic names as for any node:
       roadtorch ros --ros-args -p detector:=fusion -p height:=1.2 -r image:=/front/image_raw
     """

@@ -67,8 +67,15 @@ class CameraTopics:
         self.latency = 0.0  # seconds from the arrival of the last image to its results
         self.placement, self.grid_settings = self._make_placement()
         self.pitch_filter = PitchFilter()
-        self._subscribe()
+        self.topic = node.resolve_topic_name(self._relative("image"))
         kinds, qos = import_ros("sensor_msgs.msg"), import_ros("rclpy.qos")
+        for kind, topic, callback in (
+            (kinds.Image, "image", partial(inbox.put, name)),
+            (kinds.CompressedImage, "image/compressed", partial(inbox.put, name)),
+            (kinds.CameraInfo, "camera_info", self._take_lens),
+        ):
+            newest = qos.qos_profile_sensor_data
+            node.create_subscription(kind, self._relative(topic), callback, newest)
         latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self.images = {
             topic: node.create_publisher(kinds.Image, self._relative(topic), 1)
@@ -82,19 +89,6 @@ class CameraTopics:
     def _relative(self, topic: str) -> str:
         """Return a topic relative to the node's namespace and the camera's name."""
         return f"{self.name}/{topic.lstrip('/')}".lstrip("/")
-
-    def _subscribe(self) -> None:
-        """Create the subscriptions: sensor data, best effort."""
-        kinds = import_ros("sensor_msgs.msg")
-        newest = import_ros("rclpy.qos").qos_profile_sensor_data
-        put = partial(self.inbox.put, self.name)
-        for kind, topic, callback in (
-            (kinds.Image, "image", put),
-            (kinds.CompressedImage, "image/compressed", put),
-            (kinds.CameraInfo, "camera_info", self._take_lens),
-        ):
-            self.node.create_subscription(kind, self._relative(topic), callback, newest)
-        self.topic = self.node.resolve_topic_name(self._relative("image"))
 
     # --- steps --------------------------------------------------------------------------------
 

@@ -6,16 +6,17 @@ decides and publishes their masks while the next image is analysed.
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from threading import Thread
 from typing import Any
 
 import torch
 
+from roadtorch.base.errors import InputError
 from roadtorch.base.settings import parse_assignments
 from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.image_messages import decode_message
 from roadtorch.ros.camera_topics import CameraTopics
 from roadtorch.ros.inbox import Inbox
@@ -27,7 +28,6 @@ NODE_NAME = "roadtorch"
 
 DIAGNOSTICS_PERIOD = 1.0  # seconds
 STOP_TIMEOUT = 0.5  # seconds for running callbacks when the node stops
-WARM_UP_SIZE = (480, 640)
 
 
 def spin(arguments: Sequence[str], stop: StopRequest) -> None:
@@ -110,14 +110,10 @@ def load_inferences(parameters: Mapping[str, NodeParameters]) -> dict[str, Infer
         camera = Camera.read(values.camera) if values.camera else None
         settings = parse_assignments(values.settings)
         detector = load_detector(values.detector, camera=camera, **settings)
-        for earlier in inferences.values():
-            _share_networks(earlier.detector, detector)
-        detector.detect(torch.zeros(3, *WARM_UP_SIZE))  # the first image takes several times longer
+        for first in list(inferences.values())[:1]:
+            for name, network in first.detector.analysis.named_children():
+                setattr(detector.analysis, name, network)
+        with suppress(InputError):  # of another aspect ratio than the camera's
+            detector.detect(torch.zeros(3, 480, 640))  # the first image takes several times longer
         inferences[values.camera] = Inference(detector, camera)
     return inferences
-
-
-def _share_networks(source: Detector, target: Detector) -> None:
-    """Replace the networks of a detector by those, with the same weights, of another."""
-    for name, network in source.analysis.named_children():
-        setattr(target.analysis, name, network)

@@ -12,7 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", ["launch/road.launch.py"]),
-        (f"share/{NAME}/config", ["config/nav2.yaml"]),
+        (f"share/{NAME}/config", ["config/nav2.yaml", "config/large_messages.xml"]),
     ],
     install_requires=["setuptools"],
     zip_safe=True,
