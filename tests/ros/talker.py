@@ -34,6 +34,7 @@ CHANNELS = {
     **dict.fromkeys(("rgb8", "bgr8", "rgb16"), 3),
     **dict.fromkeys(("rgba8", "bgra8"), 4),
 }
+SETTLING = 1.2  # seconds for discovery before the first image, for answers after the last
 ENCODINGS = (*CHANNELS, "compressed")
 MATCHED = {"mask": Image, "confidence": Image, "points": PointCloud2, "grid": OccupancyGrid}
 
@@ -135,11 +136,13 @@ def main():
     lens = node.create_publisher(CameraInfo, "camera_info", qos_profile_sensor_data)
     info = CameraInfo(width=width, height=height, distortion_model="plumb_bob")
     info.k = [float(width), 0, width / 2, 0, float(width), height / 2, 0, 0, 1.0]
-    end, number, due = time.monotonic() + options.seconds, 0, time.monotonic()
-    encodings = options.encodings.split(",")
-    while time.monotonic() < end:
-        rclpy.spin_once(node, timeout_sec=max(0.0, due - time.monotonic()))
-        if time.monotonic() < due or not raw.get_subscription_count():
+    while not raw.get_subscription_count() or not node.count_publishers("segmentation/mask"):
+        rclpy.spin_once(node, timeout_sec=0.1)
+    encodings, number, due = options.encodings.split(","), 0, time.monotonic() + SETTLING
+    end = due + options.seconds
+    while time.monotonic() < end + SETTLING:  # for the last answers and diagnostics
+        rclpy.spin_once(node, timeout_sec=max(0.0, min(due, end + SETTLING) - time.monotonic()))
+        if time.monotonic() < due or due > end:
             continue
         number += 1
         encoding = encodings[number % len(encodings)]
