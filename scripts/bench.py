@@ -4,6 +4,7 @@
     python scripts/bench.py fusion ufl --size 960 720
     python scripts/bench.py fusion ufl --against ../before       # another checkout's beside them
     python scripts/bench.py --write                              # and keep what documents show
+    python scripts/bench.py --runtimes --against ../before       # the networks by each runtime
     python scripts/bench.py --commands DATA --against ../before  # images a second, 1 and 2 jobs
     python scripts/bench.py infer --commands DATA                # and its share of two detectors
     python scripts/bench.py video video-hd bag grid-bag --commands DATA --against ../before --write
@@ -29,6 +30,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
@@ -36,15 +38,21 @@ from pathlib import Path
 from statistics import median
 from types import ModuleType
 from typing import Any
+from unittest.mock import patch
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
+import roadtorch.detectors.detector as stages
+from roadtorch.base.image import to_pixels
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.imaging.slic import slic
+from roadtorch.layout.runtimes import OPENERS, REFERENCE, RUNTIMES, ExportGraph, trace_onnx
+from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.testing.scenes import render_scene
 from scripts.readme_figures import FIGURES, keep_records
 
@@ -84,13 +92,17 @@ def ratio(times: Sequence[float], reference: Sequence[float]) -> float:
     return median(a / b for a, b in zip(times, reference, strict=True))
 
 
-def lraspp(image: Tensor) -> Callable[[], Any]:
+def lraspp(image: Tensor, runtime: str = REFERENCE) -> Callable[[], Any]:
     """Return torchvision's small network for segmentation on this image, with random weights."""
     from roadtorch.base.vision import import_torchvision
 
     torch.manual_seed(0)
     segmentation = import_torchvision().models.segmentation
     network = segmentation.lraspp_mobilenet_v3_large(weights=None, weights_backbone=None).eval()
+    if runtime != REFERENCE:
+        program = trace_onnx(ExportGraph(network, network, ("out",)), image[None], "image")
+        compiled = OPENERS[runtime](program.model_proto.SerializeToString(), 1)
+        return partial(compiled, image[None].numpy())
 
     @torch.inference_mode()
     def run() -> Any:
@@ -99,7 +111,7 @@ def lraspp(image: Tensor) -> Callable[[], Any]:
     return run
 
 
-def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Tensor], Any]]:
+def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Any], Any]]:
     """Return ``detect`` of another checkout's detectors; modules that are loaded stay loaded."""
 
     def loaded() -> dict[str, ModuleType]:
@@ -159,6 +171,76 @@ def suite(words: Sequence[str]) -> str:
     cpu = used.ru_utime + used.ru_stime
     speed = f"{LRASPP}: {milliseconds:.1f} ms; {cpu / milliseconds:.2f} s per ms"
     return f"tests: {cpu:.0f} s of CPU; {speed}"
+
+
+# --- runtimes -----------------------------------------------------------------------------
+
+STAGES = ("decode", "network", "outlines", "rest")
+RUNTIME_COLUMNS = (*STAGES, "detect", "of_lraspp", "of_before")
+LARGE_AND_SMALL = ("fusion", "fusion:large")
+
+
+def staged(name: str, runtime: str, data: bytes, rows: list[dict[str, float]]) -> Callable[[], Any]:
+    """Return ``detect`` of a JPEG by a runtime; each call appends its stages' milliseconds."""
+    detector, spent = load_detector(name, runtime=runtime), dict[str, float]()
+
+    def timed(function: Callable[..., Any], stage: str) -> Callable[..., Any]:
+        def run(*arguments: Any, **named: Any) -> Any:
+            start = time.perf_counter()
+            result = function(*arguments, **named)
+            spent[stage] += (time.perf_counter() - start) * 1000
+            return result
+
+        return run
+
+    for network in detector.modules():
+        if isinstance(network, WholeImageNetwork):
+            setattr(network, "encode", timed(network.encode, "network"))  # noqa: B010
+    decode, refine = timed(stages.as_image, "decode"), timed(stages.refine, "outlines")
+
+    def detect() -> None:
+        spent.update(dict.fromkeys(STAGES, 0.0))
+        with patch.object(stages, "as_image", decode), patch.object(stages, "refine", refine):
+            timed(detector.detect, "rest")(data)
+        spent["rest"] -= spent["decode"] + spent["network"] + spent["outlines"]
+        rows.append(dict(spent))
+
+    return detect
+
+
+def time_runtimes(image: Tensor, checkout: Path | None, rounds: int) -> dict[str, dict[str, float]]:
+    """Time `fusion`, `fusion:large` and LRASPP by each runtime, and stages, all in turn.
+
+    of_before: ratio to ``detect`` of another checkout by torch, for the same JPEG.
+    """
+    data = cv2.imencode(".jpg", to_pixels(image)[..., ::-1])[1].tobytes()
+    before = detects_of(checkout.resolve(), LARGE_AND_SMALL) if checkout else {}
+    rows: dict[str, list[dict[str, float]]] = defaultdict(list)
+    calls: dict[str, Callable[[], Any]] = {}
+    for name in LARGE_AND_SMALL:
+        calls |= {f"{name}{BEFORE}": partial(before[name], data)} if before else {}
+        calls |= {f"{name}:{by}": staged(name, by, data, rows[f"{name}:{by}"]) for by in RUNTIMES}
+    calls |= {f"LRASPP:{by}": lraspp(image, by) for by in RUNTIMES}
+    times, results = interleaved(calls, rounds), dict[str, dict[str, float]]()
+    for key, values in times.items():
+        name, _, runtime = key.rpartition(":")
+        counted = rows[key][WARM_UP:]
+        results[key] = {stage: median(row[stage] for row in counted) for stage in STAGES if counted}
+        results[key]["detect"] = median(values)
+        if runtime in RUNTIMES:
+            results[key]["of_lraspp"] = ratio(values, times[f"LRASPP:{runtime}"])
+        if runtime in RUNTIMES and name in before:
+            results[key]["of_before"] = ratio(values, times[f"{name}{BEFORE}"])
+    return results
+
+
+def runtime_table(results: Mapping[str, Mapping[str, float]]) -> str:
+    """Format milliseconds by stage, and the ratios."""
+    lines = [f"| | {' | '.join(RUNTIME_COLUMNS)} |", f"|---|{'---:|' * len(RUNTIME_COLUMNS)}"]
+    for key, values in results.items():
+        cells = [f"{values[name]:.2f}" if name in values else "" for name in RUNTIME_COLUMNS]
+        lines.append(f"| {key} | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 # --- commands -----------------------------------------------------------------------------
@@ -282,6 +364,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures")
     parser.add_argument("--against", type=Path, help="another checkout")
+    parser.add_argument("--runtimes", action="store_true", help="torch, ONNX Runtime, OpenVINO")
     parser.add_argument("--commands", type=Path, metavar="DATA", help="the development data")
     parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
     options = parser.parse_args(words)
@@ -300,6 +383,17 @@ def main(words: Sequence[str] | None = None) -> None:
     names = options.detectors or [name for name in list_detectors() if "<" not in name]
     width, height = options.size
     image = render_scene(0, height, width).image.contiguous()
+    if options.runtimes:
+        results = time_runtimes(image, options.against, options.rounds)
+        print(runtime_table(results))
+        if options.write:
+            figures = {
+                f"runtimes.{key}.{name}": value
+                for key, row in results.items()
+                for name, value in row.items()
+            }
+            keep_records("runtimes", f"{COMMAND} --runtimes --against BEFORE", figures)
+        return
     calls = contestants(names, image, options.against)
     times = interleaved(calls, options.rounds)
     print(table(times))

@@ -16,32 +16,32 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_420,
-    "roadtorch/base": 1_935,
+    "roadtorch/base": 1_950,
     "roadtorch/camera": 2_025,
-    "roadtorch/cli": 1_890,
+    "roadtorch/cli": 1_950,
     "roadtorch/data": 2_390,
-    "roadtorch/detectors": 2_070,
-    "roadtorch/evaluation": 3_710,
-    "roadtorch/export": 850,
+    "roadtorch/detectors": 2_085,
+    "roadtorch/evaluation": 3_730,
+    "roadtorch/export": 795,
     "roadtorch/imaging": 1_175,
     "roadtorch/inputs": 1_500,
-    "roadtorch/layout": 1_275,
+    "roadtorch/layout": 1_525,
     "roadtorch/oneclass": 1_790,
-    "roadtorch/road": 1_600,
-    "roadtorch/ros": 560,
-    "roadtorch/run": 2_805,
+    "roadtorch/road": 1_610,
+    "roadtorch/ros": 565,
+    "roadtorch/run": 2_810,
     "roadtorch/testing": 640,
-    "roadtorch/train": 3_475,
+    "roadtorch/train": 3_480,
     "roadtorch/ufl": 1_380,
-    "scripts": 5_391,
-    "tests": 27_810,
+    "scripts": 5_515,
+    "tests": 28_040,
     "train": 7_380,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 117
+OPTIONS = 123
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

@@ -4,7 +4,14 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import FOOTAGE_ARGUMENT, PATH, QUIET_OPTION, SETTING_OPTION, command_line
+from roadtorch.cli.options import (
+    FOOTAGE_ARGUMENT,
+    PATH,
+    QUIET_OPTION,
+    RUNTIME_OPTION,
+    SETTING_OPTION,
+    command_line,
+)
 
 ADAPT_CONFIG = "adapt"
 QUICK_FRAMES = 60
@@ -22,6 +29,7 @@ QUICK_FRAMES = 60
 )
 @click.option("--quick", is_flag=True, help="At most 60 frames, for a first verdict.")
 @SETTING_OPTION
+@RUNTIME_OPTION
 @click.option(
     "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
 )
@@ -34,6 +42,7 @@ def adapt_command(
     max_frames: int,
     quick: bool,
     assignments: tuple[str, ...],
+    runtime: str,
     threads: int | None,
     quiet: bool,
 ) -> None:
@@ -65,6 +74,7 @@ def adapt_command(
     if threads:
         torch.set_num_threads(threads)
     values = merge(read_settings_file(find_config(ADAPT_CONFIG)), parse_assignments(assignments))
+    values = merge({"teacher": {"runtime": runtime}}, values)
     training = build_training(values)
     if not isinstance(training, ImageTraining) or not training.initial_weights:
         message = "adaptation starts from the weights of a whole-image network"

@@ -7,10 +7,14 @@ import os
 import platform
 import re
 import statistics
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
+from itertools import product
+from pathlib import Path
 from time import perf_counter
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import click
 
@@ -18,10 +22,14 @@ from roadtorch.base.bounded import reason
 from roadtorch.base.compute import peak_memory_mib
 from roadtorch.base.version import __version__
 
+if TYPE_CHECKING:
+    from roadtorch.detectors.detector import Detector
+
 DEVELOPER_EXTRAS = ("docs", "test")  # not reported as missing
 VIDEO_CODECS = ("h264", "hevc", "vp9", "av1", "mpeg4", "mjpeg")  # of cameras and archives
-STREET_HEIGHT, STREET_WIDTH = 360, 480  # of the self-test, as in the README's table of times
-ROUNDS = 9  # timed runs of the self-test
+STREET_HEIGHT, STREET_WIDTH = 360, 480  # of the self-test
+ROUNDS = 9  # timed runs of each runtime
+BENCH_DETECTORS = ("fusion", "fusion:large")
 MIN_F = 0.85
 """F-score below which the self-test fails; ours: the shipped weights have .95 on this street."""
 
@@ -47,9 +55,11 @@ def check_machine() -> list[Check]:
     limit = os.environ.get("OMP_NUM_THREADS", "not set")
     threads = f"processors {count_processors()}, torch {torch.get_num_threads()}, "
     threads += f"opencv {cv2.getNumThreads()}, OMP_NUM_THREADS {limit}"
+    board = Path("/proc/device-tree/model")  # such as Raspberry Pi 5 Model B
+    model = board.read_text().strip("\0") if board.exists() else platform.machine()
     return [
         Check("python", "ok", f"{platform.python_version()}, {platform.python_implementation()}"),
-        Check("system", "ok", f"{platform.system()} {platform.release()}, {platform.machine()}"),
+        Check("system", "ok", f"{platform.system()} {platform.release()}, {model}"),
         Check("threads", "ok", threads),
     ]
 
@@ -125,7 +135,7 @@ def check_weights() -> list[Check]:
 
 
 def check_self_test() -> list[Check]:
-    """Run ``fusion`` on a rendered street: F-score, time, peak memory, determinism."""
+    """Run ``fusion`` on a rendered street: F-score, peak memory, determinism."""
     import torch
 
     from roadtorch.detectors.catalogue import load_detector
@@ -133,18 +143,10 @@ def check_self_test() -> list[Check]:
     from roadtorch.testing.scenes import render_scene
 
     scene, detector = render_scene(0, STREET_HEIGHT, STREET_WIDTH), load_detector("fusion")
-    first = detector.detect(scene.image)  # not timed: it builds what it needs
-    times: list[float] = []
-    is_deterministic = True
-    for _ in range(ROUNDS):
-        start = perf_counter()
-        repeat = detector.detect(scene.image)
-        times.append(1000 * (perf_counter() - start))
-        is_deterministic &= torch.equal(first.likelihood, repeat.likelihood)
+    first, repeat = detector.detect(scene.image), detector.detect(scene.image)
+    is_deterministic = torch.equal(first.likelihood, repeat.likelihood)
     f = float(f_measure(count_mask(first.mask, scene.road, ~scene.void)))
-    ms = statistics.median(times)
-    details = f"F {f:.3f}, {ms:.0f} ms at {STREET_WIDTH}×{STREET_HEIGHT} (median of {ROUNDS}), "
-    details += f"{peak_memory_mib():.0f} MiB at most"
+    details = f"F {f:.3f} at {STREET_WIDTH}×{STREET_HEIGHT}, {peak_memory_mib():.0f} MiB at most"
     fault = "" if is_deterministic else "; not deterministic: two results for one image"
     if not f >= MIN_F:  # also true of NaN
         fault = f"; F should be at least {MIN_F}"
@@ -153,28 +155,60 @@ def check_self_test() -> list[Check]:
     return [Check("fusion", "ok", details)]
 
 
+def check_runtimes(names: Sequence[str] = ("fusion",)) -> list[Check]:
+    """Time detectors by each runtime on one thread, in turn: medians."""
+    from roadtorch.base.errors import ConfigError
+    from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.layout.runtimes import RUNTIMES
+    from roadtorch.testing.scenes import render_scene
+
+    detectors: dict[str, Detector] = {}
+    checks: list[Check] = []
+    for name, runtime in product(names, RUNTIMES):
+        title = f"{name}, {runtime}"
+        try:
+            detectors[title] = load_detector(name, runtime=runtime)
+        except ConfigError as error:
+            state = "missing" if "not installed" in error.problem else "broken"
+            checks.append(Check(title, state, error.problem, error.hint))
+    image, times = render_scene(0, 480, 640).image, defaultdict[str, list[float]](list)
+    for _, (title, detector) in product(range(1 + ROUNDS), detectors.items()):
+        start = perf_counter()
+        detector.detect(image)
+        times[title].append(1000 * (perf_counter() - start))
+    for title, (_, *counted) in times.items():
+        ms = statistics.median(counted)
+        checks.append(Check(title, "ok", f"{ms:.1f} ms, {1000 / ms:.1f} fps at 640×480"))
+    return checks
+
+
 CHECKS: dict[str, Callable[[], list[Check]]] = {
     "machine": check_machine,
     "packages": check_packages,
     "video": check_video,
     "weights": check_weights,
     "self-test": check_self_test,
+    "runtimes": check_runtimes,
 }
 """Checks by section of the report, in order."""
 
+BENCH = {"machine": check_machine, "runtimes": partial(check_runtimes, BENCH_DETECTORS)}
+"""The sections with ``--bench``."""
+
 
 @click.command()
+@click.option("--bench", is_flag=True, help="Print only the machine, and speeds by runtime.")
 @click.pass_context
-def doctor_command(context: click.Context) -> None:
-    """Check this installation and run it on a rendered street, in about five seconds.
+def doctor_command(context: click.Context, bench: bool) -> None:
+    """Check this installation and run it on a rendered street, in about ten seconds.
 
-    Prints versions, threads, video codecs, extras, hashes of the weights, and F-score, time and
-    memory on the street. Paste the output into a bug report. The exit code is 1 if something is
-    broken; missing extras are listed with the command that installs them.
+    Prints versions, threads, video codecs, extras, hashes of the weights, F-score and memory on the
+    street, and the time with each runtime. Paste the output into a bug report. The exit code
+    is 1 if something is broken; missing extras are listed with the command that installs them.
     """
     click.echo(f"roadtorch {__version__}")
     is_sound = True
-    for section, run_checks in CHECKS.items():
+    for section, run_checks in (BENCH if bench else CHECKS).items():
         try:
             checks = run_checks()
         except Exception as error:  # an installation can be broken in any way

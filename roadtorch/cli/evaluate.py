@@ -10,6 +10,7 @@ from roadtorch.cli.options import (
     CAMERA_OPTION,
     JOBS_OPTION,
     PATH,
+    RUNTIME_OPTION,
     SETTING_OPTION,
     command_line,
     config_text,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 @click.option("--threshold-from", type=PATH, help="Take thresholds from an earlier metrics.json.")
 @click.option("--limit", type=click.IntRange(min=1), help="Evaluate at most this many images.")
 @JOBS_OPTION
+@RUNTIME_OPTION
 @click.option("--out", type=PATH, help="Folder for metrics.json, report.html and tables.")
 @click.option(
     "--montage",
@@ -84,6 +86,7 @@ def evaluate_command(
     threshold_from: Path | None,
     limit: int | None,
     jobs: int | None,
+    runtime: str,
     out: Path | None,
     montage: int,
 ) -> None:
@@ -104,7 +107,7 @@ def evaluate_command(
     from roadtorch.data.kitti_road import use_birds_eye_view
     from roadtorch.data.label_folders import add_conditions
     from roadtorch.evaluation.evaluate import evaluate
-    from roadtorch.evaluation.methods import parse_reference
+    from roadtorch.evaluation.methods import compute_with, parse_reference
     from roadtorch.evaluation.report.tables import SCREEN_WIDTH, format_tables
     from roadtorch.evaluation.tuning import choice_table, tune_thresholds
     from roadtorch.run.folder import lock_output
@@ -119,7 +122,8 @@ def evaluate_command(
         assert out is not None
         if len(names) != 1 or dataset != "kitti-road":
             raise click.UsageError("--submit is for kitti-road and one --detector")
-        write_submission(context, parse_reference(names[0], settings, camera), root, out, jobs)
+        contender = compute_with(parse_reference(names[0], settings, camera), runtime)
+        write_submission(context, contender, root, out, jobs)
     if out is not None:
         context.with_resource(lock_output(out))  # fail before the long run
     labelled = leave_out(open_dataset(dataset, root, split), left_out)
@@ -135,6 +139,7 @@ def evaluate_command(
         threshold_from=threshold_from,
         against=against,
         jobs=jobs,
+        runtime=runtime,
         quiet=False,
     )
     click.echo(format_tables(evaluation))
@@ -212,7 +217,8 @@ def write_submission(
     )
 
     threshold = contender.threshold
-    detector = load_detector(contender.detector, threshold=threshold, **contender.settings)
+    values = {"threshold": threshold, "runtime": contender.runtime, **contender.settings}
+    detector = load_detector(contender.detector, **values)
     base = find_kitti_folder(root, "testing")
     maps = BirdsEyeWriter(out, find_calibration_folder(base))
     images = find_submission_images(base / "image_2", maps.calib, out)

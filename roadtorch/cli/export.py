@@ -27,8 +27,9 @@ def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]
     """
     from roadtorch.base.settings import parse_assignments
     from roadtorch.detectors.catalogue import load_detector
-    from roadtorch.export.export import MAX_DIFFERENCE, export_detector
+    from roadtorch.export.export import export_detector
     from roadtorch.export.folders import export_hub, export_page
+    from roadtorch.layout.runtimes import MAX_DIFFERENCE
     from roadtorch.run.folder import lock_output
 
     detector = load_detector(name, **parse_assignments(assignments))

@@ -117,6 +117,7 @@ def infer_command(
     interrupted starts again with its first frame.
     """
     from roadtorch.inputs.find import select_inputs
+    from roadtorch.layout.runtimes import check_runtime
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
     from roadtorch.run.memo import cache_key
@@ -129,6 +130,7 @@ def infer_command(
     from roadtorch.run.writers.outputs import DEFAULT_IMAGE_KINDS, MapOutput
 
     configure_threads(options.threads, options.device)
+    check_runtime(choice.runtime, options.device)
     detector, camera = choice.load(camera_file, threshold)
     effective = config_text(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)

@@ -27,11 +27,12 @@ RUN_OPTIONS_CLASS = "roadtorch.run.plan:RunOptions"
 
 @dataclass(frozen=True)
 class DetectorOptions:
-    """A detector by name, with assignments ``KEY=VALUE`` and a TOML file of settings."""
+    """A detector by name, with assignments ``KEY=VALUE``, a TOML file of settings and a runtime."""
 
     detector: str | None = None
     assignments: tuple[str, ...] = ()
     config: Path | None = None
+    runtime: str = "torch"
 
     def name_and_values(self, threshold: float | None = None) -> tuple[str, dict[str, Any]]:
         """Return the detector's name and the values of its settings.
@@ -60,7 +61,7 @@ class DetectorOptions:
 
         name, values = self.name_and_values(threshold)
         camera = None if camera_file is None else Camera.read(camera_file)
-        return load_detector(name, camera=camera, **values), camera
+        return load_detector(name, camera=camera, runtime=self.runtime, **values), camera
 
 
 def config_text(detector: str, settings: "Settings") -> str:
@@ -103,7 +104,7 @@ OPTION_SECTIONS = {
     **dict.fromkeys(("detector", "assignments", "config", "camera_file", "threshold"), "Detector"),
     **dict.fromkeys(("every", "start", "end", "limit", "topic"), "Footage"),
     **dict.fromkeys(("steady", "view"), "Footage"),
-    **dict.fromkeys(("jobs", "engine", "threads", "device"), "Computing"),
+    **dict.fromkeys(("jobs", "engine", "threads", "device", "runtime"), "Computing"),
     **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }
 """Sections of ``--help``, by option."""
@@ -125,6 +126,11 @@ SETTING_OPTION = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     help="Override a setting; may be repeated.",
+)
+RUNTIME_OPTION = click.option(
+    "--runtime",
+    default="torch",
+    help="Library for the network: torch, onnxruntime (extra: onnx), openvino (extra: openvino).",
 )
 INPUTS_ARGUMENT = click.argument(
     "inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path()
@@ -203,6 +209,7 @@ detector_options = _group_options(
         type=ConfigFile(),
         help="TOML file with the detector and its settings, or the name of a shipped one.",
     ),
+    RUNTIME_OPTION,
 )
 """Options of ``DetectorOptions``, passed as ``choice``."""
 

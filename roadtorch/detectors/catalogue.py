@@ -21,6 +21,7 @@ from roadtorch.base.settings import merge, read_settings_file
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors import baselines, fusion, illuminant, layout, oneclass, texture, ufl
 from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
+from roadtorch.layout.runtimes import REFERENCE, check_runtime
 
 Build = TypeVar("Build", bound=Callable[[Any], nn.Module])
 
@@ -47,6 +48,7 @@ def load_detector(
     camera: Camera | None = None,
     order: ColourOrder | None = None,
     device: str | None = None,
+    runtime: str = REFERENCE,
     **settings: Any,
 ) -> Detector:
     """Load a detector.
@@ -58,11 +60,15 @@ def load_detector(
             car and, where the detector has one, the horizon.
         order: colour order of NumPy arrays: ``"bgr"`` for OpenCV's, else ``"rgb"``.
         device: torch device, such as ``"cuda"``; images are moved there, and results stay there.
+        runtime: library that computes the network on the CPU: ``"torch"``, ``"onnxruntime"`` or
+            ``"openvino"`` (extras ``onnx`` and ``openvino``). Of the detector's weights when it is
+            loaded, without gradients.
         **settings: changes of the defaults. Nested ones are dictionaries:
             ``load_detector("cpf", texture={"bins": 64})``.
 
     Raises:
-        ConfigError: Unknown name or key, value that is not allowed, or unavailable device.
+        ConfigError: Unknown name or key, value that is not allowed, or unavailable device; runtime
+            that is unknown or not installed, or a detector without a network for it.
 
     >>> from roadtorch import load_detector
     >>> detector = load_detector("fusion", threshold=0.6)
@@ -84,7 +90,8 @@ def load_detector(
         settings = merge(camera.settings_for(entry.settings), settings)
     if device is not None:
         check_device(device, "device")
-    return Detector(entry, entry.make_settings(settings), order, device).eval()
+    check_runtime(runtime, device)
+    return Detector(entry, entry.make_settings(settings), order, device, runtime).eval()
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:

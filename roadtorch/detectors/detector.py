@@ -32,6 +32,7 @@ from roadtorch.imaging.resize import (
     spatial_size,
     working_size,
 )
+from roadtorch.layout.runtimes import REFERENCE, use_runtime
 from roadtorch.road.ego import (
     Ego,
     any_pixel,
@@ -199,9 +200,10 @@ class Detector(nn.Module):
         settings: DetectorSettings,
         order: ColourOrder | None = None,
         device: str | None = None,
+        runtime: str = REFERENCE,
     ) -> None:
         super().__init__()
-        self.device = device
+        self.device, self.runtime = device, runtime
         self.order: ColourOrder | None = None if order is None else check_order(order)
         self.name = entry.name
         self.settings = settings
@@ -214,6 +216,7 @@ class Detector(nn.Module):
             hint = "build an nn.Module whose forward(image) gives the cues"
             raise ConfigError(entry.name, problem, hint)
         self.analysis = analysis.to(device)
+        use_runtime(entry.name, analysis, runtime)
 
     @overload
     def __call__(self, images: Tensor, order: ColourOrder | None = None) -> Any: ...
@@ -435,7 +438,8 @@ class Detector(nn.Module):
         """Return one line: the name, and the settings that differ from the detector's defaults."""
         defaults = type(self.settings).model_construct().model_dump(warnings=False)
         settings = _changes(self.settings.model_dump(), merge(defaults, self._defaults))
-        values = {**dict(settings), "order": self.order, "device": self.device}
+        runtime = None if self.runtime == REFERENCE else self.runtime
+        values = {**dict(settings), "order": self.order, "device": self.device, "runtime": runtime}
         changes = [f", {k}={reprlib.repr(v)}" for k, v in values.items() if v is not None]
         return f"<Detector {self.name}{''.join(changes)}>"
 

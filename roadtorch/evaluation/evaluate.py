@@ -16,12 +16,14 @@ from roadtorch.evaluation.methods import (
     Contender,
     apply_thresholds,
     collect_contenders,
+    compute_with,
     parse_reference,
 )
 from roadtorch.evaluation.result import Evaluation, Failure, summarise
 from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import bootstrap, compare_detectors, score_intervals
+from roadtorch.layout.runtimes import REFERENCE
 
 
 def evaluate(
@@ -37,6 +39,7 @@ def evaluate(
     with_baselines: bool = True,
     measures: Sequence[Measure] = MEASURES,
     jobs: int | None = 1,
+    runtime: str = REFERENCE,
     quiet: bool = True,
 ) -> Evaluation:
     """Score detectors and the baselines ``prior:rows``, ``prior:triangle`` and ``prior:mean``.
@@ -54,6 +57,7 @@ def evaluate(
         with_baselines: whether the baselines are scored as well.
         measures: measures to compute.
         jobs: processes, None for as many as help; the scores do not depend on it.
+        runtime: library that computes the networks of the detectors, as in ``load_detector``.
         quiet: whether the progress bar is hidden.
 
     Returns:
@@ -71,6 +75,7 @@ def evaluate(
         against = entries[-1].name
     if threshold_from is not None:
         entries = apply_thresholds(entries, threshold_from)
+    entries = [compute_with(entry, runtime) for entry in entries]
     images = subsample_dataset(dataset, limit)
     conditions = images.items_by_condition()
     tallies, failures = tally_images(images, entries, jobs, quiet)

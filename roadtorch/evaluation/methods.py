@@ -30,6 +30,7 @@ from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.runtimes import REFERENCE
 from roadtorch.layout.weights import load_network
 
 BASELINES = ("prior:rows", "prior:triangle")  # always scored; prior:mean where it can be computed
@@ -62,6 +63,7 @@ class Contender:
     is_baseline: bool = False  # whether it ignores the image
     earlier_threshold: float | None = None  # that an earlier run chose
     detector: str = ""  # name in the catalogue; empty for likelihood maps and prior:mean
+    runtime: str = REFERENCE  # that computes its network
 
 
 def collect_contenders(
@@ -174,6 +176,15 @@ def contender_from_name(
         entry.baseline,
         detector=name,
     )
+
+
+def compute_with(entry: Contender, runtime: str) -> Contender:
+    """Return a detector whose network a runtime computes; baselines and maps are unchanged."""
+    if runtime == REFERENCE or entry.is_baseline or not entry.detector:
+        return entry
+    values = {**entry.settings, "threshold": entry.threshold, "runtime": runtime}
+    load = partial(load_detector, entry.detector, **values)
+    return replace(entry, prepare=lambda _: partial(_detect, load()), runtime=runtime)
 
 
 def _detect(detector: Detector, image: Tensor, _: LabelledItem) -> Detection:

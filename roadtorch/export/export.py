@@ -1,16 +1,11 @@
 """Export of detectors as ONNX files that run without Python."""
 
-import logging
 import shutil
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import torch
@@ -26,6 +21,17 @@ from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
 from roadtorch.imaging.resize import resize_maps, resize_to_image, resize_to_work, spatial_size
 from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.runtimes import (
+    MAX_DIFFERENCE,
+    REFERENCE,
+    TRACING_PACKAGES,
+    ExportGraph,
+    GraphFunction,
+    MapFunction,
+    open_onnxruntime,
+    require_packages,
+    trace_onnx,
+)
 from roadtorch.layout.weights import DEFAULT_WEIGHTS, read_terms, weights_path
 from roadtorch.road.outlines import snap_to_edges
 from roadtorch.testing.scenes import render_scene
@@ -37,9 +43,6 @@ EXPORTABLE_DETECTORS = ("fusion", "layout:cnn-7")
 ISOLATED_ROAD_STEP = "removal of isolated road"
 
 UNKNOWN_TERMS = "those of the author of the weights"
-
-MapFunction = Callable[[Tensor], Mapping[str, Tensor]]
-"""An image (3, H, W) in [0, 1] → maps by name; can be traced."""
 
 OUTPUT_DESCRIPTIONS: Mapping[str, str] = {
     "likelihood": "float32 (N, H, W): likelihood of road, 0 to 1",
@@ -80,6 +83,8 @@ def exportable_part(detector: Detector) -> ExportPart:
     for key, value in detector.settings.model_dump().items():
         if key not in part.settings and value != defaults[key]:
             raise ConfigError(key, "has no effect on the exported file", "leave it out")
+    if detector.runtime != REFERENCE:
+        raise ConfigError("runtime", "has no effect on the exported file", "leave it out")
     return part
 
 
@@ -171,12 +176,6 @@ def describe_terms(weights: Path) -> str:
 
 # --- parity with Python ------------------------------------------------------------------
 
-Runner = Callable[[np.ndarray], Mapping[str, np.ndarray]]
-"""Images uint8 (N, H, W, 3) RGB → maps by name, by a runtime that has loaded a file."""
-
-MAX_DIFFERENCE = 1e-4
-"""Largest difference to Python allowed. Ours: a fortieth of the step between two grey levels."""
-
 PARITY_SIZES = ((48, 64), (121, 317), (360, 480))
 """Height and width of the rendered images for the check: below the size of the network, above it,
 and above the working size of detectors."""
@@ -202,7 +201,9 @@ def render_batches() -> Iterator[np.ndarray]:
         yield np.stack([to_pixels(scene.image) for scene in scenes])
 
 
-def measure_parity(run: Runner, compute: MapFunction, batches: Iterable[np.ndarray]) -> Parity:
+def measure_parity(
+    run: GraphFunction, compute: MapFunction, batches: Iterable[np.ndarray]
+) -> Parity:
     """Compare ``run`` with the computation in Python on batches of images uint8 (N, H, W, 3).
 
     NaN counts as an infinite difference.
@@ -226,85 +227,28 @@ def measure_parity(run: Runner, compute: MapFunction, batches: Iterable[np.ndarr
 
 # --- ONNX --------------------------------------------------------------------------------
 
-OPSET = 18
-
 EXAMPLE_SHAPE = (2, 240, 320, 3)
 """Shape of the images that the graph is traced with; all but the 3 are dynamic."""
 
 
-class ExportGraph(nn.Module):
-    """Module for the exporter: images uint8 (N, H, W, 3) RGB → the outputs, in order.
+def write_onnx(
+    analysis: nn.Module, part: ExportPart, metadata: Mapping[str, str], path: Path
+) -> None:
+    """Write a graph from images uint8 (N, H, W, 3) RGB to the outputs; needs onnx and onnxscript.
 
-    analysis: the module that holds the weights.
+    The same part and metadata give the same bytes on every machine.
     """
 
-    def __init__(self, analysis: nn.Module, compute: MapFunction, outputs: Sequence[str]) -> None:
-        super().__init__()
-        self.analysis = analysis
-        self.compute = compute
-        self.outputs = outputs
+    def compute(image: Tensor) -> Mapping[str, Tensor]:
+        return part.compute(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
 
-    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Return the outputs of a batch."""
-        maps = self.compute(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
-        return tuple(maps[name] for name in self.outputs)
-
-
-def write_onnx(module: ExportGraph, metadata: Mapping[str, str], path: Path) -> None:
-    """Write a graph with its metadata; needs onnx and onnxscript.
-
-    The same module and metadata give the same bytes on every machine.
-    """
-    with silence_exporter(), torch.no_grad():
-        program = torch.onnx.export(
-            module,
-            (torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8),),
-            input_names=["image"],
-            output_names=list(module.outputs),
-            dynamic_shapes=({0: "N", 1: "H", 2: "W"},),
-            opset_version=OPSET,
-            dynamo=True,
-            verbose=False,
-        )
-    assert program is not None
+    graph, sizes = ExportGraph(analysis, compute, part.outputs), {0: "N", 1: "H", 2: "W"}
+    program = trace_onnx(graph, torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8), "image", sizes)
     program.model.producer_name, program.model.producer_version = "roadtorch", __version__
     program.model.metadata_props.update(metadata)
     for node in program.model.graph.all_nodes():
         node.metadata_props.clear()  # paths of source files on this machine
     program.save(str(path))
-
-
-def open_onnx(path: Path, threads: int) -> Runner:
-    """Return a function that runs an ONNX file with ONNX Runtime."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # errors
-    options.intra_op_num_threads = threads
-    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    names = [output.name for output in session.get_outputs()]
-
-    def run(images: np.ndarray) -> dict[str, np.ndarray]:
-        maps: list[Any] = list(session.run(names, {"image": images}))
-        return dict(zip(names, maps, strict=True))
-
-    return run
-
-
-@contextmanager
-def silence_exporter() -> Iterator[None]:
-    """Suppress the log messages and warnings of torch's exporter."""
-    disabled = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            yield
-    finally:
-        logging.disable(disabled)
-
-
-REQUIRED_PACKAGES = ("onnx", "onnxscript", "onnxruntime")
-"""Packages of the extra ``onnx``."""
 
 
 @dataclass(frozen=True)
@@ -326,16 +270,14 @@ def export_detector(detector: Detector, out: Path) -> ExportResult:
     if out.suffix != ".onnx":
         problem = "does not end in .onnx"
         raise ConfigError(out, problem, f"name it {out.stem or 'road'}.onnx")
-    if missing := [name for name in REQUIRED_PACKAGES if find_spec(name) is None]:
-        problem = f"needs {', '.join(missing)}: not installed"
-        raise ConfigError("export", problem, "pip install 'roadtorch[onnx]'")
+    require_packages("export", "onnx", *TRACING_PACKAGES, "onnxruntime")
     part = exportable_part(detector)
     make_folder(out.parent)
     metadata = describe_export(detector, part)
     with TemporaryDirectory(prefix="roadtorch.") as folder:
         path = Path(folder) / out.name
-        write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), metadata, path)
-        run = open_onnx(path, torch.get_num_threads())
+        write_onnx(detector.analysis, part, metadata, path)
+        run = open_onnxruntime(path, torch.get_num_threads())
         parity = measure_parity(run, part.compute, render_batches())
         if not parity.max_difference <= MAX_DIFFERENCE:
             difference = f"{parity.max_difference:.2g} in {parity.location}"

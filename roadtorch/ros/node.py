@@ -109,7 +109,7 @@ def load_inferences(parameters: Mapping[str, NodeParameters]) -> dict[str, Infer
             continue
         camera = Camera.read(values.camera) if values.camera else None
         settings = parse_assignments(values.settings)
-        detector = load_detector(values.detector, camera=camera, **settings)
+        detector = load_detector(values.detector, camera=camera, runtime=values.runtime, **settings)
         for first in list(inferences.values())[:1]:
             for name, network in first.detector.analysis.named_children():
                 setattr(detector.analysis, name, network)

@@ -21,6 +21,9 @@ class NodeParameters(Settings):
     settings: tuple[str, ...] = Field(
         default=(), strict=False, description="settings of the detector, KEY=VALUE"
     )
+    runtime: str = Field(
+        default="torch", description="library for the network: torch, onnxruntime or openvino"
+    )
     cameras: tuple[TopicName, ...] = Field(
         default=(), strict=False, description="names of several cameras, prefixes of their topics"
     )

@@ -30,8 +30,8 @@ def cache_key(*parts: object) -> str:
     """Return a cache key of all inputs of a result and roadtorch's version: 32 hexadecimal digits.
 
     A path is hashed by its bytes, a folder by those of all files below it; a detector by its
-    settings, the files that they name, and its weights; anything else by its ``repr``. Used for
-    results of ``infer``, prepared training images, frames of an adaptation, views of ``annotate``.
+    settings, the files that they name, its weights and runtime; anything else by its ``repr``. Used
+    for results of ``infer``, prepared training images, frames of an adaptation, and ``annotate``.
     """
     digest = hashlib.sha256(__version__.encode())
     for part in parts:
@@ -41,7 +41,8 @@ def cache_key(*parts: object) -> str:
             text = repr([(str(file.relative_to(part)), file_digest(file)) for file in files])
         if isinstance(part, Detector):
             settings, weights = part.settings, hash_tensors(part.state_dict())
-            text = repr((part.name, settings, file_digests(settings.model_dump()), weights))
+            files = file_digests(settings.model_dump())
+            text = repr((part.name, settings, files, weights, part.runtime))
         digest.update(f"{len(text)} {text}".encode("utf-8", "surrogateescape"))
     return digest.hexdigest()[:32]
 

@@ -5,6 +5,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
 import cv2
@@ -52,6 +53,7 @@ def record_run(
         document = {
             "versions": {  # results may depend on these
                 "roadtorch": __version__,
+                detector.runtime: version(detector.runtime),
                 "torch": torch.__version__,
                 "numpy": np.__version__,
                 "opencv": cv2.__version__,
@@ -60,6 +62,7 @@ def record_run(
             },
             "command": command,
             "detector": detector.name,
+            "runtime": detector.runtime,
             "settings": settings,
             "corrected_images": count_corrected_images(settings),
             "weights_sha256": hash_tensors(detector.state_dict()),

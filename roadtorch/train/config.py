@@ -168,6 +168,9 @@ class Teacher(Settings):
     weights: str = Field(
         default="", description="weights of the teacher's network; empty for the shipped ones"
     )
+    runtime: str = Field(
+        default="torch", description="library for its network: torch, onnxruntime or openvino"
+    )
     views: Literal["one", "mirrored"] = Field(
         default="one", description="the image alone, or averaged with its mirror (mirrored)"
     )

@@ -146,7 +146,8 @@ def shows_ego_car(file: Path) -> bool:
 def load_teacher(teacher: Teacher) -> Detector:
     """Load the teacher; ConfigError for an unknown name or a detector without a working size."""
     settings: dict[str, Any] = {"weights": {"file": teacher.weights}} if teacher.weights else {}
-    return load_detector(teacher.detector, working={"pixels": teacher.working.pixels}, **settings)
+    settings["working"] = {"pixels": teacher.working.pixels}
+    return load_detector(teacher.detector, runtime=teacher.runtime, **settings)
 
 
 def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor:

@@ -268,7 +268,7 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 # --- recipe -----------------------------------------------------------------------------
 
 
-TEACHER_KEYS = {"detector", "weights", "views", "working"}
+TEACHER_KEYS = {"detector", "weights", "runtime", "views", "working"}
 """Settings of a teacher on which its maps depend."""
 
 

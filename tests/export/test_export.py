@@ -19,16 +19,15 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image, to_pixels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.export.export import (
-    MAX_DIFFERENCE,
-    ExportGraph,
     ExportResult,
     describe_export,
     export_detector,
     exportable_part,
     measure_parity,
-    open_onnx,
     write_onnx,
 )
+from roadtorch.layout import runtimes
+from roadtorch.layout.runtimes import MAX_DIFFERENCE, open_onnxruntime
 from roadtorch.layout.weights import shipped_weights
 from roadtorch.testing import street
 from tests.export.conftest import NAME
@@ -63,7 +62,7 @@ def test_a_file_agrees_with_python_at_any_size_and_batch(fusion: ExportResult) -
     steps = exportable_part(load_detector(NAME)).compute
     batches = [images(*size, count=2) for size in SIZES]
 
-    apart = measure_parity(open_onnx(fusion.files[0], 1), steps, batches)
+    apart = measure_parity(open_onnxruntime(fusion.files[0], 1), steps, batches)
 
     assert apart.max_difference < MAX_DIFFERENCE
     assert apart.mean_difference < apart.max_difference
@@ -72,7 +71,7 @@ def test_a_file_agrees_with_python_at_any_size_and_batch(fusion: ExportResult) -
 
 def test_a_file_of_cnn7_agrees_with_the_detector(cnn7: ExportResult) -> None:
     detector = load_detector("layout:cnn-7")
-    run = open_onnx(cnn7.files[0], 1)
+    run = open_onnxruntime(cnn7.files[0], 1)
 
     for height, width in (*SIZES, (300, 400)):  # the last above the size at which it thinks
         maps = run(images(height, width))
@@ -99,7 +98,7 @@ def test_one_detector_gives_one_file(cnn7: ExportResult, tmp_path: Path) -> None
     again, detector = tmp_path / "again.onnx", load_detector("layout:cnn-7")
 
     part = exportable_part(detector)
-    write_onnx(ExportGraph(detector.analysis, part.compute, part.outputs), cnn7.metadata, again)
+    write_onnx(detector.analysis, part, cnn7.metadata, again)
 
     assert again.read_bytes() == cnn7.files[0].read_bytes()
 
@@ -166,7 +165,7 @@ def test_what_cannot_be_exported_is_refused_before_any_work(
 def test_a_file_that_differs_from_python_is_not_written(
     fusion: ExportResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def write(module: object, notes: object, path: Path) -> None:
+    def write(module: object, part: object, notes: object, path: Path) -> None:
         shutil.copyfile(fusion.files[0], path)
 
     monkeypatch.setattr(export_module, "write_onnx", write)
@@ -188,7 +187,7 @@ def test_nan_counts_as_an_infinite_difference() -> None:
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(export_module, "find_spec", lambda name: None if "script" in name else 1)
+    monkeypatch.setattr(runtimes, "find_spec", lambda name: None if "script" in name else 1)
 
     with pytest.raises(ConfigError, match=r"needs onnxscript: .*pip install 'roadtorch\[onnx\]'"):
         export_detector(load_detector("fusion"), tmp_path / "a.onnx")
@@ -254,7 +253,7 @@ def test_the_example_in_cpp_agrees_with_python(fusion: ExportResult, tmp_path: P
     environment = {**os.environ, "LD_LIBRARY_PATH": str(tmp_path)}
     result = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
 
-    outputs = open_onnx(fusion.files[0], 1)(image[None])
+    outputs = open_onnxruntime(fusion.files[0], 1)(image[None])
     share, trust = (outputs["likelihood"] >= 0.5).mean(), float(outputs["trust"][0])
     assert result.stdout == f"160x120, road {int(100 * share)} %, trust {round(trust, 2):g}\n"
     read = np.asarray(Image.open(map_)) / 255

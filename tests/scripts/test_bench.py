@@ -61,3 +61,21 @@ def test_rates_are_those_behind_the_start(monkeypatch: pytest.MonkeyPatch) -> No
     assert detect == f"| detect | {CHECKOUT.name} | 12.5 | 25.0 | 2.00 | 1.00 |"
     assert infer == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 | 0.80 |"
     assert video == f"| video | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 |  |"
+
+
+def test_runtimes_have_their_stages_and_ratios(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    records: dict[str, float] = {}
+    monkeypatch.setattr(bench, "keep_records", lambda *words: records.update(words[-1]))
+    monkeypatch.setattr(bench, "LARGE_AND_SMALL", ("fusion",))
+    monkeypatch.setattr(bench, "RUNTIMES", ("torch",))
+
+    size = ("--size", "64", "48", "--rounds", "1", "--write")
+    bench.main(["--runtimes", "--against", str(CHECKOUT), *size])
+
+    rows = [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert rows == ["| fusion, before", "| fusion:torch", "| LRASPP:torch"]
+    row = {name: records[f"runtimes.fusion:torch.{name}"] for name in bench.RUNTIME_COLUMNS}
+    assert all(milliseconds > 0 for milliseconds in row.values())
+    assert sum(row[stage] for stage in bench.STAGES) <= row["detect"]

@@ -136,6 +136,7 @@ def _detector(scores: DetectorScores, measures: Sequence[Measure]) -> dict[str, 
         **content,
         "threshold_default": scores.contender.threshold,
         "settings": scores.contender.settings,
+        "runtime": scores.contender.runtime,
         "baseline": scores.is_baseline,
     }
 
