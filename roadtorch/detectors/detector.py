@@ -460,7 +460,7 @@ def use_inference_mode(
 ) -> Callable[..., dict[str, Tensor]]:
     """Decorate an analysis to run in inference mode, on the CPU and if gradients are disabled.
 
-    Saves a fifteenth of the time. The maps are cloned, so that they are ordinary tensors.
+    Saves a fifteenth of the time. The maps go through NumPy, which makes them ordinary tensors.
     """
 
     @wraps(run)
@@ -470,7 +470,10 @@ def use_inference_mode(
         on_cpu = all(item.device.type == "cpu" for item in arguments if isinstance(item, Tensor))
         with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
             maps = run(*arguments)
-        return {name: map.clone() if map.is_inference() else map for name, map in maps.items()}
+        return {
+            name: torch.from_numpy(map.numpy()) if map.is_inference() else map
+            for name, map in maps.items()
+        }
 
     return wrapped
 

