@@ -55,7 +55,7 @@ def side_length(pixels: int) -> Tensor:
 def round_to_pixels(length: Tensor, least: int = SHORTEST) -> int:
     """Round a length, a scalar tensor, to whole pixels, ``least`` or more."""
     pixels: Any = length.round().clamp(min=least).to(torch.int64).item()
-    if torch.compiler.is_exporting():  # elsewhere a check would import SymPy: a second
+    if torch.compiler.is_exporting():  # a check imports SymPy
         torch._check(pixels >= least)
         torch._check(pixels <= LONGEST)
     return pixels
