@@ -106,27 +106,18 @@ def ground_grid(
     visible = rays.inside
     if ego is not None:
         visible = visible & (_sample_bilinear(ego.float(), rays) < 0.5)
-    likelihood, visible = _cell_means(likelihood, visible, rays, settings)
+    likelihood, visible = _cell_means(likelihood, visible, rays)
     distance = (rays.distance[1:] + rays.distance[:-1]) / 2
     ends = visible & (likelihood < settings.threshold)
     free = distance[ends.int().argmax(0)] - size / (2 * SAMPLES_ALONG)
     free = torch.where(ends.any(0), free, math.inf)  # start of a ray's first cell without road
-    # Polar coordinates of the cells' centres around the camera's foot.
-    columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
-    x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
-    y = ((torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size)[:, None]
-    radius, azimuth = torch.hypot(x, y), torch.atan2(y, x)
-    index = ((radius - distance[0]) / (distance[1] - distance[0])).round().long()
-    turn = rays.azimuth[1] - rays.azimuth[0]
-    ray = ((azimuth - rays.azimuth[0]) / turn).round().long()
-    inside = (index >= 0) & (index < len(distance)) & (ray >= 0) & (ray < len(rays.azimuth))
-    index, ray = index.clamp(0, len(distance) - 1), ray.clamp(0, len(rays.azimuth) - 1)
-    is_free = inside & visible[index, ray] & (radius < free[ray])
+    index, ray, inside = rays.index, rays.ray, rays.shown
+    is_free = inside & visible[index, ray] & (rays.radius < free[ray])
     cells = torch.where(is_free, FREE, UNKNOWN).to(torch.int8)
     edge = _edge_cells(free, rays.azimuth, size, cells.shape)
     cells[edge] = OCCUPIED
     foot = camera.pose.position
-    origin = (foot[0], foot[1] - rows / 2 * size)
+    origin = (foot[0], foot[1] - len(cells) / 2 * size)
     likelihood = likelihood[index, ray].where(is_free | (edge & inside), math.nan)
     return Grid(cells, likelihood, size, origin)
 
@@ -140,7 +131,9 @@ class RaySamples:
 
     azimuth (B,), radians, and distance (K+1,), metres, of samples. columns, rows: float32 (K+1, B).
     halvings: (K+1,), how often the image is halved for them, so that no pixel between them is left
-    out. inside: bool (K+1, B), in the image and fine enough.
+    out. inside: bool (K+1, B), in the image and fine enough. start, end: rays of a cell's width,
+    (K+1, B). Of each cell of the grid, (R, C): radius, metres, index of the distance (0 to K-1),
+    ray, and whether both are among those sampled.
     """
 
     azimuth: Tensor
@@ -149,9 +142,15 @@ class RaySamples:
     rows: np.ndarray
     halvings: np.ndarray
     inside: Tensor
+    start: Tensor
+    end: Tensor
+    radius: Tensor
+    index: Tensor
+    ray: Tensor
+    shown: Tensor
 
 
-@lru_cache(maxsize=4)  # some 10 MB each: the cameras of a robot
+@lru_cache(maxsize=4)  # some 25 MB each: the cameras of a robot
 def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
     """Return the pixels at which a camera sees its rays' samples; InputError without ground."""
     low, high = _azimuth_range(camera)
@@ -175,14 +174,34 @@ def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
     mean_spacing = (spacing * inside).sum(1) / np.maximum(inside.sum(1), 1)
     halvings = np.floor(np.log2(np.clip(mean_spacing, 1, 2**MAX_HALVINGS))).astype(int)
     columns, rows = (np.ascontiguousarray(pixels[..., axis], np.float32) for axis in (0, 1))
-    return RaySamples(
-        torch.from_numpy(azimuth),
-        torch.from_numpy(distance),
-        columns,
-        rows,
-        halvings,
-        torch.from_numpy(inside),
-    )
+    samples = torch.from_numpy(azimuth), torch.from_numpy(distance)
+    pixels = columns, rows, halvings, torch.from_numpy(inside)
+    widths, polar = _ray_widths(*samples, settings), _cells_in_rays(*samples, settings)
+    return RaySamples(*samples, *pixels, *widths, *polar)
+
+
+def _ray_widths(azimuth: Tensor, distance: Tensor, settings: GridSettings) -> tuple[Tensor, Tensor]:
+    """Return the first and one past the last ray within a cell's width of each sample, (K+1, B)."""
+    turn = float(azimuth[1] - azimuth[0])
+    half = (settings.resolution / 2 / distance / turn).round().long()[:, None]
+    ray = torch.arange(len(azimuth))
+    return (ray - half).clamp_min(0), (ray + half + 1).clamp_max(len(azimuth))
+
+
+def _cells_in_rays(
+    azimuth: Tensor, distance: Tensor, settings: GridSettings
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return polar coordinates of the cells' centres around the camera's foot: ``RaySamples``."""
+    distance, size = (distance[1:] + distance[:-1]) / 2, settings.resolution
+    columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
+    x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
+    y = ((torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size)[:, None]
+    radius = torch.hypot(x, y)
+    index = ((radius - distance[0]) / (distance[1] - distance[0])).round().long()
+    ray = ((torch.atan2(y, x) - azimuth[0]) / (azimuth[1] - azimuth[0])).round().long()
+    inside = (index >= 0) & (index < len(distance)) & (ray >= 0) & (ray < len(azimuth))
+    index, ray = index.clamp(0, len(distance) - 1), ray.clamp(0, len(azimuth) - 1)
+    return radius, index, ray, inside
 
 
 def _azimuth_range(camera: GroundCamera) -> tuple[float, float]:
@@ -223,9 +242,7 @@ def _sample_bilinear(values: Tensor, rays: RaySamples) -> Tensor:
     return torch.from_numpy(samples)
 
 
-def _cell_means(
-    values: Tensor, visible: Tensor, rays: RaySamples, settings: GridSettings
-) -> tuple[Tensor, Tensor]:
+def _cell_means(values: Tensor, visible: Tensor, rays: RaySamples) -> tuple[Tensor, Tensor]:
     """Return means of samples (K+1, B) over a cell's length and width, (K, B), and visible ones.
 
     Near the camera a cell is wide compared with the rays, far off narrower than a pixel.
@@ -233,14 +250,11 @@ def _cell_means(
     weight = visible.double()
     sums = torch.stack([values * weight, weight]).cumsum(2)
     sums = torch.nn.functional.pad(sums, (1, 0))
-    turn = float(rays.azimuth[1] - rays.azimuth[0])
-    half = (settings.resolution / 2 / rays.distance / turn).round().long()[:, None]
-    ray = torch.arange(values.shape[1])
-    end = (ray + half + 1).clamp_max(values.shape[1])
-    start = (ray - half).clamp_min(0)
-    total = sums.gather(2, end.expand(2, -1, -1)) - sums.gather(2, start.expand(2, -1, -1))
+    total = sums.gather(2, rays.end.expand(2, -1, -1))
+    total -= sums.gather(2, rays.start.expand(2, -1, -1))
     total = total[:, 1:] + total[:, :-1]
-    width = (end - start)[1:] + (end - start)[:-1]
+    width = rays.end - rays.start
+    width = width[1:] + width[:-1]
     mean = total[0] / total[1].clamp_min(1e-9)
     return mean.float(), total[1] >= MIN_VISIBLE_FRACTION * width
 

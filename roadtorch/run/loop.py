@@ -28,11 +28,7 @@ from roadtorch.detectors.detector import Detector, Evidence
 from roadtorch.imaging.motion import flow_image
 from roadtorch.inputs.find import open_source
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.road.temporal_filter import (
-    TemporalFilter,
-    TemporalFilterSettings,
-    estimate_motion,
-)
+from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings, estimate_motion
 from roadtorch.run.folder import OUT_HINT
 from roadtorch.run.ledger import DONE, DOUBTFUL, IndexRow, Method, failed_row
 from roadtorch.run.workers import WORKER_CRASH, Workers
@@ -232,7 +228,6 @@ def detect_frames(
         A result for each frame, with an error where it cannot be read or processed.
     """
     waiting: deque[tuple[Item, Tensor | RoadtorchError, float]] = deque()
-
     smoothing = None if temporal_filter is None else temporal_filter.settings
 
     def read_frames(items: Iterable[Item]) -> Iterator[tuple[Any, Any, Any]]:

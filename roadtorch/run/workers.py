@@ -291,9 +291,8 @@ class _ProcessPool:
     def stop(self, workers: Sequence[ProcessPoolExecutor]) -> None:
         """Shut executors down, and kill processes that take too long."""
         processes = set[BaseProcess]().union(*(self._processes.pop(worker) for worker in workers))
-        for worker in workers:
-            del self._memories[worker]
         starts = [start for worker in workers if (start := self._starts.pop(worker)).done()]
+        self._memories = {worker: self._memories[worker] for worker in self._starts}
         self._dies_at_start = any(isinstance(start.exception(), self.crashes) for start in starts)
 
         def kill() -> None:
