@@ -1,24 +1,28 @@
 """Fine-tuning on masks: held-out images decide when it stops, and score it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from torch import Tensor
 
 from roadtorch.cli.train import train_command
-from roadtorch.layout.weights import read_correction_runs
+from roadtorch.data.masks import Mask
+from roadtorch.layout.weights import load_network, read_correction_runs
 from roadtorch.testing.scenes import ROAD
 from roadtorch.train.augmentation import GeometryAugmentation, sample_affine
 from roadtorch.train.config import HeadWeights
 from roadtorch.train.recordings import select_held_out
+from roadtorch.train.run import Outcome
 from roadtorch.train.teachers import Targets
 from roadtorch.train.training_loop import make_generator
 from roadtorch.train.whole_images import target_loss
 from tests.streets import scene
+from tests.train.conftest import Trained
 from tests.train.runs import IMAGES, rows_of, write_config
 
 NAMES = [f"{drive}_{number:02d}.png" for drive in "abc" for number in range(4)]
@@ -65,41 +69,54 @@ def test_a_fraction_of_the_images_is_mirrored(mirror: float, signs: set[int]) ->
     assert set(maps[:, 0, 0].sign().int().tolist()) == signs
 
 
+def test_the_weights_of_the_best_epoch_are_kept_and_training_stops_after_it(
+    trained: Trained, streets: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    labels = np.ones((60, 80), np.uint8)
+    masks = [Mask(path, labels.copy, (1,), ()) for path in sorted(streets.iterdir())]
+    settings = ("corrections.held_out=0.2", "stopping.patience=2", "stopping.epochs={}")
+
+    def run(scores: Sequence[float], epochs: int) -> tuple[Outcome, list[Tensor]]:
+        values = iter(scores)
+        monkeypatch.setattr("roadtorch.train.run.held_out_f", lambda *_, **__: next(values))
+        changes = [setting.format(epochs) for setting in settings]
+        outcome = trained("images", *changes, out=f"best-{epochs}", corrections=masks)
+        assert outcome.weights
+        return outcome, list(load_network(outcome.weights).state_dict().values())
+
+    outcome, weights = run([0.5, 0.9, 0.7, 0.8], 8)
+    assert [labels.image.name for labels in outcome.held_out] == ["street_4.png"]
+    assert outcome.weights
+    assert len(rows_of(outcome.weights.parent)) == 4
+    assert all(map(torch.equal, weights, run([], 8)[1]))  # resumed after the end
+    assert all(map(torch.equal, weights, run([0.1, 0.2], 2)[1]))
+    assert not all(map(torch.equal, weights, run([0.2, 0.1, 0.3], 3)[1]))
+
+
 # --- the command ------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def masks(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write the road of the images ``streets``, 0 and 1, as many programs do."""
-    folder = tmp_path_factory.mktemp("masks")
+def test_masks_train_and_the_held_out_image_scores(
+    streets: Path, cache: Path, tmp_path: Path
+) -> None:
+    masks, out = tmp_path / "masks", tmp_path / "run"
+    masks.mkdir()
     for seed in range(5):
         road = scene(seed, 60, 80).classes.numpy() == ROAD
-        cv2.imwrite(str(folder / f"street_{seed}_mask.png"), road.astype(np.uint8))
-    return folder
+        cv2.imwrite(str(masks / f"street_{seed}_mask.png"), road.astype(np.uint8))
+    config = write_config(tmp_path / "train.toml", IMAGES)
+    words = ["--config", config, "--masks", masks, "--images", streets, "--out", out]
+    words += ["--prepared", cache / "images", "--set", "corrections.held_out=0.2"]
 
-
-def train(out: Path, masks: Path, streets: Path, cache: Path, *words: object) -> Result:
-    config = write_config(out.parent / "train.toml", IMAGES)
-    arguments = ["--config", config, "--masks", masks, "--images", streets, "--out", out, *words]
-    arguments += ["--prepared", cache / "images", "--set", "corrections.held_out=0.2"]
-    return CliRunner().invoke(train_command, [str(word) for word in arguments])
-
-
-def test_masks_train_and_the_held_out_image_scores(
-    masks: Path, streets: Path, cache: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "run"
-    result = train(out, masks, streets, cache)
+    result = CliRunner().invoke(train_command, [str(word) for word in words])
 
     assert result.exit_code == 0, result.output
-    first, *_, last = result.stderr.splitlines()
+    first, *_, score, last = result.stderr.splitlines()
     assert first.startswith("roadtorch: 5 of 5 images have a mask; road is 1 (")
-    assert last == (
-        f"roadtorch: to use it: roadtorch infer {streets} "
-        f"--set weights.file={out}/weights.safetensors --out roads"
-    )
+    assert score.startswith("roadtorch: 1 held out: F of the mask 0.")
+    use = f"infer {streets} --set weights.file={out}/weights.safetensors --out roads"
+    assert last == f"roadtorch: to use it: roadtorch {use}"
     rows = (out / "images.csv").read_text().splitlines()
     assert [row.endswith(",held out") for row in rows] == [False] * 5 + [True]
-    assert all(0 <= float(row["held_out_f"]) <= 1 for row in rows_of(out))
     (summary,) = read_correction_runs(out / "weights.safetensors")
     assert summary["images"] == 5
