@@ -237,22 +237,23 @@ def save_cell(scored: Dataset, labelled: int, file: Path, seconds: float, predic
 
 
 def write_table(out: Path, root: Path, sets: Sequence[str], path: Path) -> None:
-    """Write a row for each set and number of labelled images, of the folds that are scored.
+    """Write a row for each set and number of labelled images of which all folds are scored.
 
     F is the mean over the folds; an interval is of a difference, with 1,000 draws of the scored
     images of each fold.
     """
     rows = []
     for name in sets:
+        names = [fold.name for fold in open_folds(name, root)]
         for count in (5, 20, 100, 0):
             folds = []
-            for fold in open_folds(name, root):
-                file = partial(cell_file, out, name, fold.name)
+            for fold in names:
                 counts = {SHIPPED: 0, MEAN: 0, TUNED: count, LRASPP: count}
-                cells = {key: read_cached(file(value, key), None) for key, value in counts.items()}
-                if complete := {key: cell for key, cell in cells.items() if cell is not None}:
-                    folds += [complete] if len(complete) == len(cells) else []
-            rows += [{"set": name, **format_folds(folds)}] if folds else []
+                files = {key: cell_file(out, name, fold, counts[key], key) for key in counts}
+                cells = {key: read_cached(file, None) for key, file in files.items()}
+                folds.append({key: cell for key, cell in cells.items() if cell is not None})
+            if all(len(cells) == 4 for cells in folds):
+                rows.append({"set": name, **format_folds(folds)})
     write_csv(path, rows)
 
 
@@ -286,7 +287,7 @@ def format_folds(folds: Sequence[Mapping[str, Arrays]]) -> dict[str, str]:
 def page_rows(path: Path) -> Iterator[str]:
     """Yield the rows of the page's table."""
     for row in read_csv(path):
-        cells = [row["set"], row["labelled"], row["scored"]]
+        cells = [row["set"], row["labelled"]]
         cells += [row[method] for method in (MEAN, LRASPP, SHIPPED, TUNED)]
         change = row[f"{TUNED} - {SHIPPED}"], row[f"{TUNED} - {SHIPPED}, 95 %"]
         yield format_row(*cells, "{} ({})".format(*change))

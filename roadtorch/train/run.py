@@ -175,7 +175,7 @@ class TrainingRun:
             held_out = select_held_out(names, self.training.corrections.held_out, separator)
         if stop.requested or not self._train(prepared, state, inherited, held_out):
             return Outcome(None, stop.signal or SIGTERM, skipped)
-        labels = [self.corrections[name] for name in held_out]
+        labels = tuple(self.corrections[name] for name in held_out)
         return Outcome(folder.path / WEIGHTS, None, skipped, labels)
 
     def _train(
