@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_480,
     "roadtorch/ufl": 1_380,
     "scripts": 5_515,
-    "tests": 28_040,
+    "tests": 28_060,
     "train": 7_380,
 }
 """The lines of source code that each folder may have."""
