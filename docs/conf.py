@@ -32,7 +32,7 @@ smartquotes = False  # --out is two hyphens
 nitpicky = True
 nitpick_ignore_regex = [
     # Other packages: their documentation is not available without a network.
-    ("py:.*", r"(torch|np|numpy|pydantic|click|cv2|PIL|av|rosbags|safetensors|onnx)(\..*)?"),
+    ("py:.*", r"(torch|np|numpy|pydantic|click|cv2|PIL|av|rosbags|safetensors|onnx|scipy)(\..*)?"),
     ("py:.*", r"(collections|typing|pathlib|os|enum|datetime|types|fractions|subprocess)(\..*)?"),
     ("py:.*", r"(AnyReader|Typestore|InputContainer|VideoFrame|VideoReformatter|VideoStream)"),
     ("py:class", r"(dict|list)\[.*"),  # halves of aliases
