@@ -111,7 +111,7 @@ def ground_grid(
     ends = visible & (likelihood < settings.threshold)
     free = distance[ends.int().argmax(0)] - size / (2 * SAMPLES_ALONG)
     free = torch.where(ends.any(0), free, math.inf)  # start of a ray's first cell without road
-    index, ray, inside = rays.index, rays.ray, rays.shown
+    index, ray, inside = rays.index, rays.ray, rays.visible
     is_free = inside & visible[index, ray] & (rays.radius < free[ray])
     cells = torch.where(is_free, FREE, UNKNOWN).to(torch.int8)
     edge = _edge_cells(free, rays.azimuth, size, cells.shape)
@@ -147,7 +147,7 @@ class RaySamples:
     radius: Tensor
     index: Tensor
     ray: Tensor
-    shown: Tensor
+    visible: Tensor
 
 
 @lru_cache(maxsize=4)  # some 25 MB each: the cameras of a robot

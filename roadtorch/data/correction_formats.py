@@ -167,21 +167,25 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
 
     Raises DatasetError for a category that is not one of ``LABEL_NAMES``.
     """
-    numbers, categories = read_coco_categories(path, sizes)
-    if unknown := [name for name in categories[1:] if name not in LABEL_NAMES[1:]]:
-        message = f"cannot be read: the category {unknown[0]!r} is not a label"
-        raise DatasetError(path, message, f"use {', '.join(LABEL_NAMES[1:])}")
-    labels = np.array([0, *map(LABEL_NAMES.index, categories[1:])], np.uint8)
+    path = path / _COCO_FILE if path.is_dir() else path
+    numbers, (_, *categories) = read_coco_categories(path, sizes)
+    for category, image in categories:
+        if category not in LABEL_NAMES[1:]:
+            message = f"cannot be read: the category {category!r} on {image} is not a label"
+            raise DatasetError(path, message, f"use {', '.join(LABEL_NAMES[1:])}")
+    labels = np.array([0, *(LABEL_NAMES.index(category) for category, _ in categories)], np.uint8)
     return {name: labels[values] for name, values in numbers.items()}
 
 
-def read_coco_categories(path: Path, sizes: ImageSizes) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Read category numbers uint16 (H, W) by image, of those of ``sizes``, and their names.
+def read_coco_categories(
+    path: Path, sizes: ImageSizes
+) -> tuple[dict[str, np.ndarray], list[tuple[str, str]]]:
+    """Read category numbers uint16 (H, W) by image, of those of ``sizes``.
 
-    path: a folder with coco.json, or a file of any name. Later regions cover earlier ones; 0 is
-    outside of all. Raises DatasetError for any other file, one without an image of ``sizes``, two
-    entries for one image or id, an image of another size, and a region that does not fit its image
-    or has none.
+    Returns also the name of each category, and the first image with it. path: a folder with
+    coco.json, or a file of any name. Later regions cover earlier ones; 0 is outside of all. Raises
+    DatasetError for any other file, one without an image of ``sizes``, two entries for one image or
+    id, an image of another size, and a region that does not fit its image or has none.
     """
     path = path / _COCO_FILE if path.is_dir() else path
     with read_document(path, "export it again as COCO") as data:
@@ -204,18 +208,18 @@ def read_coco_categories(path: Path, sizes: ImageSizes) -> tuple[dict[str, np.nd
         if not names:
             raise ValueError("it lists none of the images")
         numbers = {name: np.zeros(sizes[name], np.uint16) for name in names.values()}
-        used = [NO_REGION]
+        used = {NO_REGION: ""}
         categories = {category.id: category.name for category in document.categories}
         for region in document.annotations:
             if region.image_id not in listed:
                 raise ValueError(f"a region is on image {region.image_id}, which is not listed")
             if (name := names.get(region.image_id)) is not None:
                 category = categories.get(region.category_id, "")
-                used += [category] if category not in used else []
+                used.setdefault(category, name)
                 if not region.segmentation:
                     raise ValueError(f"a region on {name} has no area: draw it as a polygon")
-                _fill_region(numbers[name], region.segmentation, used.index(category))
-    return numbers, used
+                _fill_region(numbers[name], region.segmentation, list(used).index(category))
+    return numbers, list(used.items())
 
 
 def _require_unique_ids(part: str, ids: Iterable[int | str | None]) -> None:

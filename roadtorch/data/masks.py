@@ -133,5 +133,6 @@ def _open_coco(
 ) -> tuple[dict[Path, Callable[[], np.ndarray]], list[str]]:
     """Return the reader of each image's regions, and the categories."""
     sizes = {name: read_image_size(image) for name, image in images.items()}
-    numbers, names = read_coco_categories(path, sizes)
+    numbers, categories = read_coco_categories(path, sizes)
+    names = [name for name, _ in categories]
     return {images[name]: partial(np.asarray, values) for name, values in numbers.items()}, names

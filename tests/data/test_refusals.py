@@ -142,7 +142,7 @@ COCO: Rows = [
         (coco(images=[image("other.jpg")]), "lists none of the images"),
         (coco(images=[image("1/a.jpg"), image("2/a.jpg", id=8)]), r"two entries are for a\.jpg"),
         (coco(images=[image("a.jpg", width=3)]), r"a\.jpg is for 3 by 1 pixels, .* has 2 by 1"),
-        (coco({"category_id": 2}), "category 'cat' on a.jpg is not a label: use road"),
+        (coco({"category_id": 2}), r"category 'cat' on a\.jpg is not a label \(use road"),
         (coco({"category_id": 3}), "category ''"),
         (coco({"segmentation": []}), r"a region on a\.jpg has no area"),  # a box
         (coco({"segmentation": [[0, 0, 1, 0, 1, 1, 1]]}), "7 coordinates, an odd number"),
