@@ -32,9 +32,9 @@ from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
     REPLICATES,
-    bootstrap_weights,
     percentile_interval,
     pool_replicates,
+    sample_weights,
 )
 from scripts.figures.p2_layout import PRINTED_ORDER
 from train.calibrate import EXCLUDED
@@ -112,8 +112,8 @@ def measure(tally: Tally) -> Scores:
     recalls, roads = [], []
     for group in sorted(tally.road.keys() - set(EXCLUDED)):
         table = tally.table([group])
-        draws = bootstrap_weights(len(table.names), generator)
-        part = pool_replicates(table, math.nan, torch.cat([torch.ones_like(draws[:1]), draws]))
+        weights = sample_weights(len(table.names), generator)
+        part = pool_replicates(table, math.nan, weights)
         roads.append(part.road)
         if part.layout is not None and bool(part.layout[0, 0].any()):
             recalls.append(metrics.mean_class_recall(part.layout))

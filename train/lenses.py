@@ -18,7 +18,7 @@ import torch
 
 from roadtorch import Detection, load_detector
 from roadtorch.base.image import write_pixels
-from roadtorch.evaluation.uncertainty import BOOTSTRAP_SEED, bootstrap_weights, percentile_interval
+from roadtorch.evaluation.uncertainty import mean_interval
 from train.worlds.reader import read_world
 
 COLUMNS = 6  # of the sheet
@@ -68,9 +68,7 @@ def main() -> None:
         chosen = [row for row, name in zip(rows, kinds, strict=True) if kind in (name, ALL)]
         table = torch.tensor(chosen)
         without, known, *trust = table.mean(0).tolist()
-        weights = bootstrap_weights(len(table), torch.Generator().manual_seed(BOOTSTRAP_SEED))
-        means = weights.float() @ (table[:, 1] - table[:, 0]) / len(table)
-        low, high = percentile_interval(means)
+        low, high = mean_interval(table[:, 1] - table[:, 0])
         print(f"{kind:13} {len(table):4}  F {without:.3f} {known:.3f}", end="  ")
         print(f"{known - without:+.3f} ({low:+.3f} to {high:+.3f})", end="  ")
         print(f"trust {trust[0]:.2f} {trust[1]:.2f}")

@@ -32,7 +32,12 @@ from roadtorch.data.dataset import Dataset, LabelledItem, subsample_dataset
 from roadtorch.data.masks import Mask
 from roadtorch.evaluation.methods import resize_map, road_frequencies
 from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
-from roadtorch.evaluation.uncertainty import BOOTSTRAP_SEED, bootstrap_weights, percentile_interval
+from roadtorch.evaluation.uncertainty import (
+    BOOTSTRAP_SEED,
+    percentile_interval,
+    pooled_f,
+    sample_weights,
+)
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.images import find_images
 from roadtorch.run.memo import Arrays, read_cached, write_cached
@@ -262,11 +267,9 @@ def format_folds(folds: Sequence[Mapping[str, Arrays]]) -> dict[str, str]:
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
     scores: dict[str, list[Tensor]] = {}
     for cells in folds:
-        draws = bootstrap_weights(len(cells[SHIPPED]["counts"]), generator)
-        weights = torch.cat([torch.ones_like(draws[:1]), draws]).double()
+        weights = sample_weights(len(cells[SHIPPED]["counts"]), generator)
         for method, cell in cells.items():
-            counts = ConfusionCounts(*(weights @ cell["counts"].double()).unbind(1))
-            scores.setdefault(method, []).append(f_measure(counts))
+            scores.setdefault(method, []).append(pooled_f(cell["counts"], weights))
     means = {method: torch.stack(values).mean(0) for method, values in scores.items()}
     numbers = torch.stack([cells[TUNED]["numbers"] for cells in folds])
     row = {

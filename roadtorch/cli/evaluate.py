@@ -202,7 +202,7 @@ def write_submission(
     them submission.zip once every image is done. Another run resumes.
     """
     from roadtorch.data.kitti_road import find_calibration_folder, find_kitti_folder
-    from roadtorch.detectors.catalogue import load_detector
+    from roadtorch.evaluation.methods import load_contender
     from roadtorch.inputs.find import Inputs
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
@@ -216,9 +216,7 @@ def write_submission(
         pack_submission,
     )
 
-    threshold = contender.threshold
-    values = {"threshold": threshold, "runtime": contender.runtime, **contender.settings}
-    detector = load_detector(contender.detector, **values)
+    detector = load_contender(contender)
     base = find_kitti_folder(root, "testing")
     maps = BirdsEyeWriter(out, find_calibration_folder(base))
     images = find_submission_images(base / "image_2", maps.calib, out)

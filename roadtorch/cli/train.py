@@ -2,10 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from roadtorch.cli.options import PATH, SETTING_OPTION, ConfigFile, command_line
+
+if TYPE_CHECKING:
+    from roadtorch.data.corrections import HumanLabels
 
 
 @click.command()
@@ -84,12 +88,9 @@ def train_command(
 
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
-    from roadtorch.data.corrections import HumanLabels, read_corrections
-    from roadtorch.data.masks import read_masks
-    from roadtorch.inputs.images import find_images
+    from roadtorch.data.corrections import read_corrections
     from roadtorch.train.comparison_page import score_held_out, write_page
     from roadtorch.train.config import build_training
-    from roadtorch.train.prepared import image_file_name
     from roadtorch.train.run import TrainingRequest, train
     from roadtorch.train.run_folder import ADAPTATION_PAGE
 
@@ -105,11 +106,7 @@ def train_command(
     if corrections:
         corrected = read_corrections(corrections, corrected_images)
     if masks:
-        if Path(images).is_dir() and masks.resolve().is_relative_to(Path(images).resolve()):
-            hint = "give the folder of the images alone, or a quoted glob"
-            raise ConfigError(masks, f"lies in --images {images}", hint)
-        files = {image_file_name(item): item.path for item in find_images([images], exclude=out)}
-        corrected, summary = read_masks(masks, files, road, void)
+        corrected, summary = read_masks_of_images(masks, images, out, road, void)
         if not quiet:
             click.echo(f"roadtorch: {summary}", err=True)
     request = TrainingRequest(images, out, prepared, quiet, corrected)
@@ -132,3 +129,19 @@ def train_command(
         use = f"roadtorch infer {images} --set weights.file={outcome.weights} --out roads"
         click.echo(f"roadtorch: to use it: {use}", err=True)
     context.exit(1 if outcome.skipped else 0)
+
+
+def read_masks_of_images(
+    masks: Path, images: str, out: Path, road: Sequence[str], void: Sequence[str]
+) -> "tuple[Sequence[HumanLabels], str]":
+    """Read the masks of --images, and what they hold in words; ConfigError if they lie there."""
+    from roadtorch.base.errors import ConfigError
+    from roadtorch.data.masks import read_masks
+    from roadtorch.inputs.images import find_images
+    from roadtorch.train.prepared import image_file_name
+
+    if Path(images).is_dir() and masks.resolve().is_relative_to(Path(images).resolve()):
+        hint = "give the folder of the images alone, or a quoted glob"
+        raise ConfigError(masks, f"lies in --images {images}", hint)
+    files = {image_file_name(item): item.path for item in find_images([images], exclude=out)}
+    return read_masks(masks, files, road, void)

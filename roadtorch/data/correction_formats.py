@@ -165,7 +165,8 @@ class _CocoFile(ForeignDocument):
 def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
     """Read labels uint8 (H, W) by the name of the image, as ``read_coco_categories`` does.
 
-    Raises DatasetError for a category that is not one of ``LABEL_NAMES``.
+    path: a folder with coco.json, or a file of any name. Raises DatasetError for a category that
+    is not one of ``LABEL_NAMES``.
     """
     path = path / _COCO_FILE if path.is_dir() else path
     numbers, (_, *categories) = read_coco_categories(path, sizes)
@@ -182,12 +183,11 @@ def read_coco_categories(
 ) -> tuple[dict[str, np.ndarray], list[tuple[str, str]]]:
     """Read category numbers uint16 (H, W) by image, of those of ``sizes``.
 
-    Returns also the name of each category, and the first image with it. path: a folder with
-    coco.json, or a file of any name. Later regions cover earlier ones; 0 is outside of all. Raises
-    DatasetError for any other file, one without an image of ``sizes``, two entries for one image or
-    id, an image of another size, and a region that does not fit its image or has none.
+    Returns also the name of each category, and the first image with it. Later regions cover
+    earlier ones; 0 is outside of all. Raises DatasetError for a file that is no COCO, one without
+    an image of ``sizes``, two entries for one image or id, an image of another size, and a region
+    that does not fit its image or has none.
     """
-    path = path / _COCO_FILE if path.is_dir() else path
     with read_document(path, "export it again as COCO") as data:
         document = _CocoFile.model_validate_json(data)
         _require_unique_ids("images", [image.id for image in document.images])

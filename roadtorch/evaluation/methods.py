@@ -182,9 +182,14 @@ def compute_with(entry: Contender, runtime: str) -> Contender:
     """Return a detector whose network a runtime computes; baselines and maps are unchanged."""
     if runtime == REFERENCE or entry.is_baseline or not entry.detector:
         return entry
-    values = {**entry.settings, "threshold": entry.threshold, "runtime": runtime}
-    load = partial(load_detector, entry.detector, **values)
-    return replace(entry, prepare=lambda _: partial(_detect, load()), runtime=runtime)
+    entry = replace(entry, runtime=runtime)
+    return replace(entry, prepare=lambda _: partial(_detect, load_contender(entry)))
+
+
+def load_contender(entry: Contender) -> Detector:
+    """Load a detector of the catalogue with its settings, threshold and runtime."""
+    values = {**entry.settings, "threshold": entry.threshold, "runtime": entry.runtime}
+    return load_detector(entry.detector, **values)
 
 
 def _detect(detector: Detector, image: Tensor, _: LabelledItem) -> Detection:

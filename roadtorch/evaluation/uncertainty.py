@@ -16,7 +16,7 @@ from torch import Tensor
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
+from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts, f_measure
 from roadtorch.evaluation.result import Comparison, DetectorScores, Difference, Interval
 from roadtorch.evaluation.tally import ImageTable, PooledCounts, Tally
 
@@ -32,6 +32,17 @@ def bootstrap_weights(
     return torch.zeros_like(indices).scatter_add_(1, indices, torch.ones_like(indices))
 
 
+def sample_weights(images: int, generator: torch.Generator) -> Tensor:
+    """Return weights of images, float64 (1 + ``REPLICATES``, images): ones, then replicates'."""
+    draws = bootstrap_weights(images, generator)
+    return torch.cat([torch.ones_like(draws[:1]), draws]).to(torch.float64)
+
+
+def pooled_f(counts: Tensor, weights: Tensor) -> Tensor:
+    """Compute F of counts (n, 4) as in ``ConfusionCounts``, pooled by weights (replicates, n)."""
+    return f_measure(ConfusionCounts(*(weights @ counts.to(weights)).unbind(1)))
+
+
 def percentile_interval(values: Tensor) -> Interval:
     """Return the 95 % percentile interval of a score over replicates, float64 (replicates,).
 
@@ -43,6 +54,12 @@ def percentile_interval(values: Tensor) -> Interval:
         return Interval()
     low, high = torch.quantile(values, torch.tensor([0.025, 0.975], dtype=values.dtype))
     return Interval(float(low), float(high))
+
+
+def mean_interval(values: Tensor) -> Interval:
+    """Return the 95 % interval of the mean of values (n,), each of one image."""
+    weights = bootstrap_weights(len(values), torch.Generator().manual_seed(BOOTSTRAP_SEED))
+    return percentile_interval(weights.double() @ values.double() / len(values))
 
 
 # --- the scores of an evaluation -----------------------------------------------------------------

@@ -16,9 +16,14 @@ from roadtorch.evaluation.disagreement import (
     unlabelled_dataset,
 )
 from roadtorch.evaluation.methods import parse_reference
-from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
+from roadtorch.evaluation.metrics import count_mask
 from roadtorch.evaluation.report.adaptation import Adaptation, write_adaptation
-from roadtorch.evaluation.uncertainty import BOOTSTRAP_SEED, bootstrap_weights, percentile_interval
+from roadtorch.evaluation.uncertainty import (
+    BOOTSTRAP_SEED,
+    percentile_interval,
+    pooled_f,
+    sample_weights,
+)
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_path
@@ -46,17 +51,15 @@ def score_held_out(weights: Mapping[str, str], held_out: Sequence[HumanLabels]) 
     detectors["prior:rows"] = load_detector("prior:rows")
     images = [read_image(labels.image) for labels in held_out]
     truths = [labels_to_truth(labels.labels) for labels in held_out]
-    draws = bootstrap_weights(len(images), torch.Generator().manual_seed(BOOTSTRAP_SEED))
-    draws = torch.cat([torch.ones_like(draws[:1]), draws]).double()
+    draws = sample_weights(len(images), torch.Generator().manual_seed(BOOTSTRAP_SEED))
     scores = {}
     for name, detector in detectors.items():
         masks = [detector.detect(image).mask for image in images]
         counts = [
-            count_mask(mask, truth.road, truth.valid)
+            torch.stack(count_mask(mask, truth.road, truth.valid))
             for mask, truth in zip(masks, truths, strict=True)
         ]
-        table = torch.stack([torch.stack(row) for row in counts]).double()
-        scores[name] = f_measure(ConfusionCounts(*(draws @ table).unbind(1)))
+        scores[name] = pooled_f(torch.stack(counts), draws)
     first, second = (scores[name] for name in weights)
     interval = percentile_interval(second[1:] - first[1:])
     texts = [f"{values[0]:.3f} {name}" for name, values in scores.items()]

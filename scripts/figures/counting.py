@@ -15,7 +15,7 @@ from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.methods import Contender, collect_contenders
 from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
-from roadtorch.evaluation.result import Interval, pool_groups
+from roadtorch.evaluation.result import pool_groups
 from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import ImageResult, PooledCounts, Tally
 from roadtorch.evaluation.uncertainty import (
@@ -132,9 +132,3 @@ def with_interval(value: Tensor, replicates: Tensor, style: str = ".3f") -> str:
     ends = (float(value), *percentile_interval(replicates))
     score, low, high = (f"{end:{style}}".replace("0.", ".", 1) for end in ends)
     return f"{score} ({low} to {high})" if "+" in style else f"{score} ({low}–{high})"
-
-
-def mean_interval(values: Tensor) -> Interval:
-    """Return the 95 % interval of the mean of values (n,), each of one image."""
-    weights = bootstrap_weights(len(values), torch.Generator().manual_seed(BOOTSTRAP_SEED))
-    return percentile_interval(weights.double() @ values.double() / len(values))

@@ -19,6 +19,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.ufl import UflSettings
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.evaluation.report.montage import apply_colormap
+from roadtorch.evaluation.uncertainty import mean_interval
 from roadtorch.ufl.feature_maps import dictionary_image, learn_features, make_encoder, mean_map
 from roadtorch.ufl.hierarchy import (
     RegionTree,
@@ -30,7 +31,6 @@ from roadtorch.ufl.hierarchy import (
 from roadtorch.ufl.preprocess import WorkingShape, equalise, resize_bicubic
 from roadtorch.ufl.road import Round, dilate, find_road, mask_to_image
 from scripts.figures.chart import chart, show_table
-from scripts.figures.counting import mean_interval
 from scripts.figures.p1 import open_small, resize_as_p1, score_variants
 from scripts.figures.sheets import write_sheet
 

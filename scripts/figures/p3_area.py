@@ -15,11 +15,11 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem, subsample_dataset
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.report.montage import apply_colormap
+from roadtorch.evaluation.uncertainty import mean_interval
 from roadtorch.imaging.color import REPRESENTATIONS, color_plane, color_planes
 from roadtorch.oneclass import CLASSIFIERS, FittedClassifier, fit, make_axes
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples, sample_area
 from scripts.figures.chart import chart, show_table
-from scripts.figures.counting import mean_interval
 from scripts.figures.sheets import write_sheet
 
 CONDITIONS = {

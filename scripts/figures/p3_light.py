@@ -19,11 +19,11 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, subsample_dataset
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import auc, count_levels
+from roadtorch.evaluation.uncertainty import mean_interval
 from roadtorch.imaging.color import PLANES, color_plane
 from roadtorch.oneclass.axes import circular_mean, unroll_hue
 from roadtorch.testing.scenes import RenderedScene, render_scene
 from scripts.figures.chart import chart, show_table
-from scripts.figures.counting import mean_interval
 
 NAMES = ("R", "G", "B", "nr", "ng", "O1", "O2", "L", "a", "b", "H", "S")
 

@@ -20,11 +20,11 @@ from roadtorch.evaluation.curves import Curve, area
 from roadtorch.evaluation.methods import Predictor, contender_from_name
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.evaluation.tally import ImageCounts, Tally
+from roadtorch.evaluation.uncertainty import mean_interval
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from scripts.figures import counting, p1, p1_stages, p2_layout, p2_road, p3_light, p3_table3
-from scripts.figures.counting import mean_interval
 from tests.streets import as_bytes, scene, write_camvid, write_drives
 
 # --- P1 ---------------------------------------------------------------------------------
