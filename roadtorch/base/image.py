@@ -278,17 +278,6 @@ def write_rgb_png(path: str | os.PathLike[str], image: Tensor) -> None:
     _write_encoded(path, ".png", _to_bgr(to_pixels(image)))
 
 
-def write_overlay(
-    path: str | os.PathLike[str],
-    image: Tensor,
-    mask: Tensor,
-    ego: Tensor | None = None,
-    caption: str = "",
-) -> None:
-    """Write the result of ``overlay_pixels`` as JPEG, or as PNG if the name ends so."""
-    write_pixels(path, overlay_pixels(image, mask, ego, caption))
-
-
 def overlay_pixels(
     image: Tensor, mask: Tensor, ego: Tensor | None = None, caption: str = ""
 ) -> np.ndarray:

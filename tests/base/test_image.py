@@ -15,13 +15,14 @@ from roadtorch.base.image import (
     ORANGE,
     as_image,
     decode_image,
+    overlay_pixels,
     read_image,
     tint_mask,
     write_labels,
     write_map,
     write_mask,
     write_npy,
-    write_overlay,
+    write_pixels,
     write_rgb_png,
 )
 from tests.base.test_decoding import tiff
@@ -195,7 +196,7 @@ def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> No
     write_labels(tmp_path / "labels.png", torch.tensor([[0, 2, 255]]))
     write_rgb_png(tmp_path / "image.png", image)
     write_npy(tmp_path / "image.npy", image)
-    write_overlay(tmp_path / "overlay.jpg", image, torch.ones(5, 7, dtype=torch.bool))
+    write_pixels(tmp_path / "overlay.jpg", overlay_pixels(image, torch.ones(5, 7).bool()))
 
     assert stored(tmp_path / "mask.png").tolist() == [[255, 0]]
     assert stored(tmp_path / "labels.png").tolist() == [[0, 2, 255]]

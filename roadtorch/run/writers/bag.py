@@ -18,6 +18,7 @@ import numpy as np
 
 from roadtorch.base.atomic import make_folder, write_error
 from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.camera.ground_grid import Grid
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 
@@ -55,7 +56,7 @@ class BagWriter:
     Args:
         path: ``NAME.bag`` becomes a ROS 1 bag, any other name the folder of a ROS 2 bag (MCAP with
             zstd).
-        frame_id: frame of the camera, for the headers.
+        frame_id: frame of the headers, of the camera or for grids of the robot.
         threshold: likelihood threshold of the mask, for the label info.
         draw: returns the overlay of a detection, uint8 RGB, shape (H, W, 3); None for no overlay.
 
@@ -125,18 +126,19 @@ class BagWriter:
         self._latest = max(self._latest, stamp if is_regular else self._start + elapsed)
         return self._latest
 
-    def write_grid(
-        self,
-        grid: np.ndarray,
-        resolution: float,
-        origin: tuple[float, float],
-        stamp: int,
-        frame_id: str,
-        log_time: int | None = None,
-    ) -> None:
-        """Write an occupancy grid; see ``occupancy_message``. log_time: by default the stamp."""
-        message = occupancy_message(self.types, grid, resolution, origin, stamp, frame_id)
-        self._add(GRID_TOPIC, GRID_TYPE, stamp if log_time is None else log_time, message)
+    def write_grid(self, item: Item, grid: Grid) -> None:
+        """Write the grid of a frame; InputError when it cannot be written."""
+        kinds: Any = self.types.types
+        header = _make_header(self.types, item.nanoseconds, self._frame_id)
+        pose = kinds["geometry_msgs/msg/Pose"](
+            kinds["geometry_msgs/msg/Point"](*map(float, grid.origin), 0.0),
+            kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+        )
+        rows, columns = grid.cells.shape
+        metadata = kinds["nav_msgs/msg/MapMetaData"]
+        info = metadata(header.stamp, grid.resolution, columns, rows, pose)
+        message = kinds[GRID_TYPE](header, info, grid.occupancy.cpu().numpy())
+        self._add(GRID_TOPIC, GRID_TYPE, self.log_time(item), message)
 
     def close(self) -> None:
         """Finish and rename a bag with messages; on InputError its unfinished folder stays."""
@@ -262,38 +264,3 @@ def _make_header(types: "Typestore", stamp: int, frame_id: str) -> Any:
     time = types.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
     sequence = {"seq": 0} if "seq" in kind.__dataclass_fields__ else {}  # ROS 1
     return kind(**sequence, stamp=time, frame_id=frame_id)
-
-
-def occupancy_message(
-    types: "Typestore",
-    grid: np.ndarray,
-    resolution: float,
-    origin: tuple[float, float],
-    stamp: int,
-    frame_id: str,
-) -> Any:
-    """Return a grid as nav_msgs/OccupancyGrid, columns along x, rows along y.
-
-    Args:
-        types: message types, see ``load_message_types``.
-        grid: int8 cells, 0 free, 100 not road, -1 unknown, shape (H, W).
-        resolution: metres per cell.
-        origin: (x, y) of the corner of cell (0, 0), metres (REP 103: x ahead, y left).
-        stamp: time stamp, nanoseconds.
-        frame_id: frame of the grid.
-
-    Raises:
-        ValueError: for a grid of another type, shape or range.
-    """
-    values = np.ascontiguousarray(grid)
-    if values.ndim != 2 or values.dtype != np.int8 or values.min() < -1 or values.max() > 100:
-        raise ValueError(f"a grid is int8 (H, W) from -1 to 100, not {grid.dtype} {grid.shape}")
-    kinds = types.types
-    pose = kinds["geometry_msgs/msg/Pose"](
-        kinds["geometry_msgs/msg/Point"](*map(float, origin), 0.0),
-        kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
-    )
-    header = _make_header(types, stamp, frame_id)
-    height, width = values.shape
-    metadata = kinds["nav_msgs/msg/MapMetaData"](header.stamp, resolution, width, height, pose)
-    return kinds[GRID_TYPE](header, metadata, values.reshape(-1))

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic_write, write_text
 from roadtorch.base.errors import RoadtorchError, to_input_error
-from roadtorch.base.image import tint_mask, to_pixels, write_jpeg, write_npy
+from roadtorch.base.image import tint_mask, to_pixels, write_npy, write_pixels
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, Grid, GridSettings, ground_grid
 from roadtorch.camera.mounting import CameraPlacement
 from roadtorch.detectors.detection import Detection
@@ -117,9 +116,7 @@ class GridWriter:
         except RoadtorchError as error:
             raise to_input_error(item.origin, error) from None
         if self.bag is not None:
-            cells, (x, y) = grid.cells.cpu().numpy(), grid.origin
-            stamp, time = item.nanoseconds, self.bag.log_time(item)
-            self.bag.write_grid(cells, grid.resolution, (x, y), stamp, self.frame_id, time)
+            self.bag.write_grid(item, grid)
         doubts = ", ".join(filter(None, (detection.doubt, doubt)))
         free = float((grid.cells == FREE).double().mean())
         return {"road_share": f"{free:.4f}", "status": f"{DOUBTFUL}: {doubts}" if doubts else DONE}
@@ -145,17 +142,16 @@ class GridWriter:
             write_npy(stem.with_name(stem.name + GRID_SUFFIXES["likelihood"]), grid.likelihood)
         if "image" in self.kinds:
             drawing = _draw_beside(image, detection.mask, grid)
-            write_jpeg(stem.with_name(stem.name + GRID_SUFFIXES["image"]), drawing)
+            write_pixels(stem.with_name(stem.name + GRID_SUFFIXES["image"]), drawing)
         doubt = f"pitch unsure by {pitch.deviation:.1f} degrees"
         return grid, doubt if pitch.deviation > DOUBTFUL_SPREAD else ""
 
 
-def _draw_beside(image: Tensor, mask: Tensor, grid: Grid) -> Tensor:
-    """Draw an image (3, H, W) with its road tinted, and the grid to its right, x upwards."""
+def _draw_beside(image: Tensor, mask: Tensor, grid: Grid) -> np.ndarray:
+    """Draw an image (3, H, W) with its road tinted, and the grid to its right, x upwards: RGB."""
     tinted = tint_mask(to_pixels(image), mask.cpu().numpy())
     upright = cv2.rotate(_draw_grid(grid), cv2.ROTATE_90_COUNTERCLOCKWISE)
     height = tinted.shape[0]
     width = max(1, round(upright.shape[1] * height / upright.shape[0]))
     upright = cv2.resize(upright, (width, height), interpolation=cv2.INTER_AREA)
-    drawing = np.hstack([tinted, np.repeat(upright[..., None], 3, 2)])
-    return torch.from_numpy(drawing).permute(2, 0, 1) / 255
+    return np.hstack([tinted, np.repeat(upright[..., None], 3, 2)])

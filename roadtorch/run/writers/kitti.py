@@ -69,9 +69,7 @@ def pack_submission(items: Iterable[Item], folder: Path) -> Path:
     path = folder / SUBMISSION_FILE
     with atomic_write(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for item in items:
-            entry = zipfile.ZipInfo(
-                f"{item.name}{MAP_SUFFIX}"
-            )  # dated 1980, so that bytes are reproducible
+            entry = zipfile.ZipInfo(f"{item.name}{MAP_SUFFIX}")  # dated 1980: reproducible bytes
             entry.external_attr = WORLD_READABLE
             archive.writestr(entry, (folder / entry.filename).read_bytes())
     return path

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.atomic import write_json
-from roadtorch.base.image import write_map, write_mask, write_npy, write_overlay, write_rgb_png
+from roadtorch.base.image import write_map, write_mask, write_npy, write_pixels, write_rgb_png
 from roadtorch.base.version import __version__
 from roadtorch.data.likelihood_maps import MASK_ENDING
 from roadtorch.data.polygons import labelme_document
@@ -61,10 +61,7 @@ class MapWriter:
         if "mask" in kinds:
             write_mask(path(MAP_SUFFIXES["mask"]), detection.mask)
         if "overlay" in kinds:
-            assert detection.image is not None
-            image, ego = detection.image, detection.cues.get("ego")
-            overlay = path(MAP_SUFFIXES["overlay"])
-            write_overlay(overlay, image, detection.mask, ego, detection.caption)
+            write_pixels(path(MAP_SUFFIXES["overlay"]), detection.overlay())
         if "npy" in kinds:
             write_npy(path(MAP_SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items() if kinds & CUE_SUFFIXES.keys() else ():

@@ -33,16 +33,6 @@ DEFAULT_IMAGE_KINDS, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
 CAMERA_FRAME = "camera"  # frame_id in bags written from footage, which has none
 
 
-def mask_pixels(detection: Detection) -> np.ndarray:
-    """Return the mask as grey values, road 255."""
-    return detection.mask.numpy().astype(np.uint8) * 255
-
-
-def likelihood_pixels(detection: Detection) -> np.ndarray:
-    """Return the likelihood as grey values, 0 to 255."""
-    return detection.likelihood.mul(255).round().byte().numpy()
-
-
 class CachedOverlay:
     """The overlay of the last detection, drawn once for all writers."""
 
@@ -105,8 +95,11 @@ class MapOutput:
     def _open(self, source: Source, maps: MapWriter, suffixes: dict[str, str]) -> Iterator[Writers]:
         """Open the writers; videos and bags are finished however the block ends."""
         stem, overlay = maps.folder / source.name, CachedOverlay()
-        draws: dict[str, Callable[[Detection], np.ndarray]] = {"overlay": overlay}
-        draws |= {"mask-video": mask_pixels, "likelihood-video": likelihood_pixels}
+        draws: dict[str, Callable[[Detection], np.ndarray]] = {
+            "overlay": overlay,
+            "mask-video": lambda result: result.mask.numpy().astype(np.uint8) * 255,
+            "likelihood-video": lambda result: result.likelihood.mul(255).round().byte().numpy(),
+        }
         with ExitStack() as stack:
             streams = [self.viewer] if self.viewer else []
             for kind in sorted(suffixes, key=[*VIDEOS, "bag"].index):

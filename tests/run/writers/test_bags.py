@@ -13,6 +13,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
 from roadtorch.base.errors import InputError
+from roadtorch.camera.ground_grid import Grid
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.bags import image_topic
 from roadtorch.inputs.item import Item
@@ -169,13 +170,14 @@ def test_the_label_list_is_the_type_that_ros_knows():
 @pytest.mark.parametrize("generation", [1, 2])
 def test_a_grid_has_its_place(tmp_path: Path, generation: int):
     path = tmp_path / ("grids.bag" if generation == 1 else "grids")
-    grid = np.array([[0, 100, -1], [100, 0, 0]], np.int8)
-    with closing(BagWriter(path, "camera", 0.5)) as bag:
-        bag.write_grid(grid, 0.1, (2.0, -5.0), STAMP, "base_link")
+    cells = torch.tensor([[0, 100, -1], [100, 0, 0]], dtype=torch.int8)
+    grid = Grid(cells, cells / 100, 0.1, (2.0, -5.0))
+    with closing(BagWriter(path, "base_link", 0.5)) as bag:
+        bag.write_grid(item(STAMP), grid)
     (entry,) = read_bag(path)
     message = entry.message
     assert entry.topic == "/segmentation/grid"
-    assert np.array_equal(message.data.reshape(2, 3), grid)
+    assert np.array_equal(message.data.reshape(2, 3), cells)
     assert (message.info.width, message.info.height) == (3, 2)
     assert message.info.resolution == pytest.approx(0.1)
     place, turn = message.info.origin.position, message.info.origin.orientation
