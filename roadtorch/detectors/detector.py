@@ -43,7 +43,7 @@ from roadtorch.road.ego import (
 )
 from roadtorch.road.outlines import Outlines, refine
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
-from roadtorch.road.temporal_filter import Motion
+from roadtorch.road.temporal_filter import Motion, TemporalFilter
 from roadtorch.road.trust import Judgement
 
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
@@ -407,19 +407,18 @@ class Detector(nn.Module):
     @one_torch_thread()
     @torch.no_grad()
     def conclude(
-        self, evidence: Evidence, likelihood: Tensor | None = None, ego: Tensor | None = None
+        self, evidence: Evidence, temporal_filter: TemporalFilter | None = None
     ) -> Detection:
         """Decide on the mask and predict its trust: second half of ``detect``.
 
-        likelihood, ego: smoothed over time, (H, W), for the mask in place of those of the evidence,
-        from which the trust is predicted in any case.
+        temporal_filter: smooths likelihood and ego car of a source's frames, in order, for the
+        mask; the trust is predicted from those of the frame alone.
         """
         outputs, seed = evidence.outputs, evidence.outputs.get("seed_area")
-        ego = evidence.ego if ego is None else ego
-        if likelihood is None:
-            likelihood = evidence.likelihood
-        elif ego is not None:
-            likelihood = likelihood.masked_fill(ego, 0)
+        likelihood, ego = evidence.likelihood, evidence.ego
+        if temporal_filter is not None:
+            likelihood = temporal_filter(evidence.image, likelihood, ego, evidence.motion)
+            ego = temporal_filter.hidden
         if seed is not None:
             seed = resize_to_image(seed, spatial_size(likelihood))
         mask = decide_mask(likelihood, self.settings, seed, ego)

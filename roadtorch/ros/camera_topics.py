@@ -113,13 +113,8 @@ class CameraTopics:
     def finish(self, arrival: Arrival, evidence: Evidence, motion: "Future[Motion | None]") -> None:
         """Decide on the mask of an image, after temporal smoothing, and publish it."""
         with self.report_errors():
-            if self.filter is None:
-                likelihood, ego = evidence.likelihood, evidence.ego
-            else:
-                past = motion.result()
-                likelihood = self.filter(evidence.image, evidence.likelihood, evidence.ego, past)
-                ego = self.filter.hidden
-            self._publish(arrival, self.inference.detector.conclude(evidence, likelihood, ego))
+            evidence = evidence._replace(motion=motion.result())
+            self._publish(arrival, self.inference.detector.conclude(evidence, self.filter))
 
     def _publish(self, arrival: Arrival, detection: Detection) -> None:
         """Publish mask, confidence and grid, and the overlay where it has subscribers."""

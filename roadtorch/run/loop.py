@@ -266,12 +266,7 @@ def _conclude(
     if isinstance(evidence, RoadtorchError):
         raise evidence
     assert isinstance(image, Tensor)
-    evidence = evidence._replace(image=image)
-    if temporal_filter is None:
-        detection = detector.conclude(evidence)
-    else:
-        likelihood = temporal_filter(image, evidence.likelihood, evidence.ego, evidence.motion)
-        detection = detector.conclude(evidence, likelihood, temporal_filter.hidden)
+    detection = detector.conclude(evidence._replace(image=image), temporal_filter)
     return replace(detection, name=item.name, seconds=item.seconds)
 
 
