@@ -12,11 +12,12 @@ from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 from torch import Tensor
 
 from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name_error
+from roadtorch.camera.calibration import lens_from_camera_info
+from roadtorch.camera.ground import Lens
 from roadtorch.inputs.clock import FrameClock
 from roadtorch.inputs.image_messages import COMPRESSED_TYPE, RAW_IMAGE_TYPE, decode_message
 from roadtorch.inputs.item import Item, Selection, Source
@@ -42,25 +43,6 @@ class ImageTopic:
     frame_id: str
     rate: float | None
     generation: int
-
-
-@dataclass(frozen=True)
-class CameraInfo:
-    """Calibration of the camera of a topic (sensor_msgs/CameraInfo).
-
-    Attributes:
-        matrix: K in pixels of width × height, float64, shape (3, 3).
-        distortion: D, float64, shape (N,).
-        model: distortion model, such as ``plumb_bob``.
-        frame_id: optical frame (REP 103: z ahead, x right, y down).
-    """
-
-    matrix: np.ndarray
-    distortion: np.ndarray
-    model: str
-    width: int
-    height: int
-    frame_id: str
 
 
 def is_bag(origin: str) -> bool:
@@ -125,14 +107,15 @@ def image_topic(origin: str, topic: str | None = None) -> ImageTopic:
         return ImageTopic(name, count, frame_id, rate, 2 if bag.is2 else 1)
 
 
-def camera_info(origin: str, topic: str | None = None) -> CameraInfo:
-    """Return the first ``camera_info`` message that belongs to an image topic.
+def camera_info(origin: str, topic: str | None = None) -> Lens:
+    """Return the lens by the first ``camera_info`` message that belongs to an image topic.
 
     ``/camera/image_raw`` and ``/camera/image_raw/compressed`` have ``/camera/camera_info``
     (image_transport).
 
     Raises:
         InputError: if there is no such topic, or its K is empty.
+        ConfigError: if its distortion model or a number is not valid.
     """
     with _open_bag(origin) as bag:
         name = _choose_topic(origin, bag, topic)
@@ -145,13 +128,13 @@ def camera_info(origin: str, topic: str | None = None) -> CameraInfo:
             raise InputError(origin, f"has no camera_info {sibling} beside {name}", hint)
         message = next(_read_messages(origin, bag, sibling), None)
         info = message.content if message else None
-        matrix = np.array(getattr(info, "k", getattr(info, "K", np.zeros(9))), float).reshape(3, 3)
-        if info is None or not matrix[0, 0] > 0:
+        matrix = [*map(float, getattr(info, "k", getattr(info, "K", [0])))]
+        if info is None or not matrix[0] > 0:
             problem = f"has no calibration on {sibling}"
             raise InputError(origin, problem, "calibrate the camera, or pass a calibration")
-        distortion = np.array(getattr(info, "d", getattr(info, "D", ())), float)
+        distortion = [*map(float, getattr(info, "d", getattr(info, "D", ())))]
         size = int(info.width), int(info.height)
-        return CameraInfo(matrix, distortion, info.distortion_model, *size, info.header.frame_id)
+        return lens_from_camera_info(origin, size, matrix, distortion, info.distortion_model)
 
 
 # --- topics -----------------------------------------------------------------------------
@@ -194,10 +177,8 @@ def _bag_frames(origin: str, topic: str, step: float) -> Generator[Item]:
         for number, message in enumerate(_read_messages(origin, bag, topic)):
             first = message.stamp if first is None else first
             elapsed = max(0, message.recorded - recorded) / 1e9
-            seconds, recorded = (
-                clock.seconds((message.stamp - first) / 1e9, elapsed),
-                message.recorded,
-            )
+            seconds = clock.seconds((message.stamp - first) / 1e9, elapsed)
+            recorded = message.recorded
             where = f"{origin}:{topic}#{number}"
             read = partial(_raise_unreadable, where, message.damage)
             if message.content is not None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import groupby, islice
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import NamedTuple, TextIO
 
 from torch import Tensor
@@ -18,7 +18,6 @@ from roadtorch.base.image import READABLE_FORMATS, read_image
 from roadtorch.base.urls import WEB_SCHEMES, slug, url_scheme
 from roadtorch.inputs.bags import bag_source, is_bag
 from roadtorch.inputs.images import (
-    ListedFile,
     drop_duplicates,
     is_image_name,
     list_files,
@@ -88,12 +87,11 @@ def find_inputs(
             sources.append(bag_source(argument, selection.topic, selection))
         else:
             files = list_files(argument, is_footage_name, exclude)
-            for file in [files] if isinstance(files, ListedFile) else files:
-                name = PurePosixPath(file.name).with_suffix("").as_posix()
+            for file in files:
                 if not file.name.lower().endswith(VIDEO_SUFFIXES):
-                    images.append(make_image_item(file.path, name))
+                    images.append(make_image_item(file))
                 else:
-                    sources.append(video_source(file.path, name, selection))
+                    sources.append(video_source(file.path, file.stem, selection))
             if not files:
                 raise InputError(argument, "holds no images", f"give {READABLE_FORMATS} files")
     if inputs and not images and not sources:

@@ -39,10 +39,15 @@ class ListedFile(NamedTuple):
     path: Path
     name: str
 
+    @property
+    def stem(self) -> str:
+        """Relative name without suffix."""
+        return PurePosixPath(self.name).with_suffix("").as_posix()
+
 
 def list_files(
     location: str | os.PathLike[str], accepts: Callable[[str], bool], exclude: Path | None = None
-) -> list[ListedFile] | ListedFile:
+) -> list[ListedFile]:
     """Return the matching files of a folder or glob in a fixed order; a single file as it is.
 
     Folders are searched recursively except for hidden ones and ``exclude``. A glob stands for the
@@ -60,7 +65,7 @@ def list_files(
     elif os.path.isdir(path):
         root, files, folders = Path(path), [], [path]
     else:
-        return ListedFile(Path(path), basename(path))
+        return [ListedFile(Path(path), basename(path))]
     for folder in folders:
         below = list(_files_below(folder, exclude))
         files += [file for file in below if accepts(basename(file))]
@@ -99,10 +104,10 @@ def is_image_name(name: str) -> bool:
     return name.endswith(IMAGE_SUFFIXES) and not name.startswith(".") and not is_ours
 
 
-def make_image_item(path: Path, name: str) -> Item:
+def make_image_item(file: ListedFile) -> Item:
     """Make an item of an image file."""
-    read, digest = partial(read_image, path), partial(file_digest, path)
-    return Item(name, str(path), read, digest, path.suffix, path)
+    path, read, digest = file.path, partial(read_image, file.path), partial(file_digest, file.path)
+    return Item(file.stem, str(path), read, digest, path.suffix, path)
 
 
 # --- images over HTTP -------------------------------------------------------------------
@@ -152,15 +157,6 @@ def _digest_remote(url: str) -> str:
 # --- several images ---------------------------------------------------------------------
 
 
-def list_images(location: str | os.PathLike[str], exclude: Path | None = None) -> list[Item]:
-    """Return the images of a folder or glob, possibly none; a file is returned as it is."""
-    files = list_files(location, is_image_name, exclude)
-    return [
-        make_image_item(file.path, PurePosixPath(file.name).with_suffix("").as_posix())
-        for file in (files if isinstance(files, list) else [files])
-    ]
-
-
 def find_images(
     inputs: Iterable[str | os.PathLike[str]], exclude: Path | None = None
 ) -> list[Item]:
@@ -175,9 +171,10 @@ def find_images(
     """
     images: list[Item] = []
     for location in inputs:
-        images += (listed := list_images(location, exclude))
-        if not listed:
+        files = list_files(location, is_image_name, exclude)
+        if not files:
             raise InputError(location, "holds no images", f"give {READABLE_FORMATS} files")
+        images += map(make_image_item, files)
     return drop_duplicates(images)
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from roadtorch.base.errors import RoadtorchError, to_input_error
-from roadtorch.camera.calibration import lens_from_camera_info
 from roadtorch.camera.mounting import MEDIAN_FRAMES, CameraPlacement, Pitch, median_pitch
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.bags import camera_info, image_topic, is_bag
@@ -135,11 +134,7 @@ class GridOutput:
         """Fix the pitch of the source, and open the writers; the bag is finished in any case."""
         placement, bag = self.grids.placement, None
         if placement.needs_lens:
-            info = camera_info(source.origin, self.topic)
-            matrix, distortion = info.matrix.ravel().tolist(), info.distortion.tolist()
-            size, model = (info.width, info.height), info.model
-            lens = lens_from_camera_info(source.origin, size, matrix, distortion, model)
-            placement = placement.with_lens(lens)
+            placement = placement.with_lens(camera_info(source.origin, self.topic))
         if placement.needs_layout:
             placement = fix_pitch(placement, self.infer, source)
         if suffixes:
