@@ -4,12 +4,9 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
-
 from roadtorch.annotate.views import VIEWS_FOLDER, read_view, view_path
 from roadtorch.base.bounded import plural
-from roadtorch.data.corrections import Correction, read_corrections
-from roadtorch.data.events import ROAD_LABEL
+from roadtorch.data.corrections import Correction, labels_to_truth, read_corrections
 from roadtorch.evaluation.metrics import count_mask, f_measure
 from roadtorch.evaluation.report.table import align_columns
 from roadtorch.imaging.resize import resize_maps
@@ -37,9 +34,8 @@ def detector_f_score(correction: Correction, out: Path) -> float | None:
     view = read_view(view_path(out / VIEWS_FOLDER, correction.name))
     if view is None:
         return None
-    road, labelled = torch.from_numpy(correction.road), torch.from_numpy(correction.has_road_label)
-    mask = resize_maps(view.odds, view.size) >= 0
-    return float(f_measure(count_mask(mask, road == ROAD_LABEL, labelled)))
+    truth, mask = labels_to_truth(correction.labels), resize_maps(view.odds, view.size) >= 0
+    return float(f_measure(count_mask(mask, truth.road, truth.valid)))
 
 
 def _totals(corrections: Sequence[Correction], scores: Sequence[float]) -> list[str]:

@@ -20,7 +20,6 @@ from roadtorch.annotate.views import (
     corrected_log_odds,
     corrected_road,
     resize_labels,
-    segment_evidence,
 )
 from roadtorch.base.atomic import remove_leftovers
 from roadtorch.base.bounded import to_printable
@@ -209,17 +208,13 @@ class Session:
             chosen = np.isin(view.labels.numpy(), event.segments)
             changes["runs"] = encode_runs(resize_labels(chosen, view.size))
         if isinstance(event, Confirm):
-            odds = self._log_odds(log, view)
+            odds = corrected_log_odds(view, log.labels, self.views.settings)
             changes["runs"] = encode_runs(corrected_road(odds, log.labels, view.size))
         return event.model_copy(update=changes)
 
-    def _log_odds(self, log: EventLog, view: ImageView) -> Any:
-        settings = self.views.settings
-        evidence = segment_evidence(log.labels, view, settings)
-        return corrected_log_odds(view, evidence, settings.propagation)
-
     def _page_state(self, name: str, log: EventLog, view: ImageView) -> dict[str, Any]:
-        road = corrected_road(self._log_odds(log, view), log.labels, view.shape)
+        odds = corrected_log_odds(view, log.labels, self.views.settings)
+        road = corrected_road(odds, log.labels, view.shape)
         layout = np.minimum(corrected_layout(view, log.labels, self.views.settings), 3)
         layers = resize_labels(log.labels, view.shape) | road.astype(np.uint8) << 3 | layout << 4
         return {

@@ -101,9 +101,11 @@ def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings
     return ImageView(size, odds, labels, mean, graph, layout, detection.trust)
 
 
-def corrected_log_odds(view: ImageView, evidence: Tensor, settings: PropagationSettings) -> Tensor:
-    """Return the log odds of road (h, w), with evidence of 1, 0 or -1 (n,) propagated."""
-    shift = propagate(view.segment_odds, evidence, view.graph, settings)
+def corrected_log_odds(view: ImageView, labels: np.ndarray, settings: AnnotationSettings) -> Tensor:
+    """Return the log odds of road (h, w), with labels (H, W) propagated."""
+    road = road_layer(resize_labels(labels, view.shape))
+    evidence = _segment_votes(road == ROAD_LABEL, road == NOT_ROAD, view, settings)
+    shift = propagate(view.segment_odds, evidence, view.graph, settings.propagation)
     return view.odds + shift[view.labels]
 
 
@@ -120,12 +122,6 @@ def corrected_layout(
         evidence = _segment_votes(layer == number, is_other, view, settings)
         odds.append(prior + propagate(prior, evidence, view.graph, settings.propagation))
     return torch.stack(odds).argmax(0)[view.labels].numpy().astype(np.uint8)
-
-
-def segment_evidence(labels: np.ndarray, view: ImageView, settings: AnnotationSettings) -> Tensor:
-    """Return the human label of each superpixel, (n,): 1 road, -1 not road, 0 unlabelled."""
-    road = road_layer(resize_labels(labels, view.shape))
-    return _segment_votes(road == ROAD_LABEL, road == NOT_ROAD, view, settings)
 
 
 def _segment_votes(
@@ -169,7 +165,7 @@ class ViewStore:
 
     def view(self, name: str, image: Path) -> ImageView:
         """Return the view of an image, computed if necessary; InputError for an unreadable one."""
-        key = self._key(image)
+        key = cache_key(self._detector_key, self.settings, image)
         with self._lock:
             entry = self._views.get(name)
         if entry is None or entry[0] != key:
@@ -185,9 +181,6 @@ class ViewStore:
             while len(self._views) > MAX_VIEWS:
                 self._views.popitem(last=False)
         return entry[1]
-
-    def _key(self, image: Path) -> str:
-        return cache_key(self._detector_key, self.settings, image)
 
     @cached_property
     def _detector_key(self) -> str:

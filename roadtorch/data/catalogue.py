@@ -39,7 +39,9 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
         ConfigError: for an unknown name or split.
         DatasetError: for an incomplete or empty data set.
     """
-    dataset_format = find_dataset_format(name)
+    if name not in _catalogue():
+        raise unknown_name_error("data set", name, _catalogue())
+    dataset_format = _catalogue()[name]
     splits = dataset_format.splits
     if split is not None and split not in splits:
         raise unknown_name_error(f"split of {name}", split, splits)
@@ -68,14 +70,6 @@ def open_dataset_spec(text: str) -> Dataset:
 def list_datasets() -> list[str]:
     """Return the names of all data sets, sorted, including those of other packages."""
     return sorted(_catalogue())
-
-
-def find_dataset_format(name: str) -> DatasetFormat:
-    """Return the format of a data set; ConfigError with the nearest names for an unknown one."""
-    formats = _catalogue()
-    if name not in formats:
-        raise unknown_name_error("data set", name, formats)
-    return formats[name]
 
 
 @cache

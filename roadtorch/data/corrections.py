@@ -255,11 +255,6 @@ class Correction:
         """0 sky, 1 vertical, 2 horizontal, 255 untouched: uint8, shape (H, W)."""
         return layout_layer(self.labels)
 
-    @property
-    def has_road_label(self) -> np.ndarray:
-        """Mask of the pixels labelled road or not road: bool, shape (H, W)."""
-        return (self.road == ROAD_LABEL) | (self.road == NOT_ROAD)
-
 
 def read_corrections(folder: Path, images: Path | None = None) -> list[Correction]:
     """Read the corrections of each image, sorted by name, without those that were undone entirely.
@@ -318,7 +313,7 @@ def open_corrections(folder: Path, split: str = "all") -> Dataset:
     """
     items = []
     for correction in read_corrections(folder):
-        if correction.has_road_label.any():
+        if labels_to_truth(correction.labels).valid.any():
             name = PurePosixPath(correction.name).with_suffix("").as_posix()
             items.append(LabelledItem(name, correction.image, correction.log))
     if not items:

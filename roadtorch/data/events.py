@@ -40,13 +40,11 @@ _LAYERS = {
 
 LABEL_NAMES = tuple(_LAYERS)  # names of the labels; a label's number is its index
 
-STROKE_LABELS = LABEL_NAMES[1:7]
-"""Labels of strokes; the last of ``LABEL_NAMES`` (a pavement, a verge) takes two strokes."""
-
 _ROAD, _LAYOUT = np.array(list(_LAYERS.values()), np.uint8).T
 
-# Resulting label by previous label, for each label that a stroke applies. Road, void, sky and
-# vertical replace it; "not road" keeps a consistent layout, "horizontal" a road or a "not road".
+# Resulting label by previous label, for each label that a stroke applies; the last of
+# ``LABEL_NAMES`` (a pavement, a verge) takes two strokes. Road, void, sky and vertical replace it;
+# "not road" keeps a consistent layout, "horizontal" a road or a "not road".
 _TRANSITIONS = {
     "road": (1,) * 8,
     "not_road": (2, 2, 2, 2, 4, 5, 7, 7),
@@ -68,7 +66,7 @@ def layout_layer(labels: np.ndarray) -> np.ndarray:
 
 
 def relabel(labels: np.ndarray, label: str) -> np.ndarray:
-    """Return the labels, uint8 of any shape, after one of ``STROKE_LABELS`` was applied to each."""
+    """Return the labels, uint8 of any shape, after a stroke's label was applied to each."""
     return np.array(_TRANSITIONS[label], np.uint8)[labels]
 
 

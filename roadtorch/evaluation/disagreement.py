@@ -81,16 +81,12 @@ class CompareTask:
 
 
 def compare_masks(
-    dataset: Dataset,
-    methods: tuple[Contender, Contender],
-    jobs: int | None = None,
-    quiet: bool = False,
-    **progress: str,
+    dataset: Dataset, methods: tuple[Contender, Contender], quiet: bool = False, **progress: str
 ) -> Disagreements:
     """Compare the masks of two methods on every image, each at its own threshold."""
     task = CompareTask([contender.prepare(dataset) for contender in methods])
     items = dataset.items
-    results = make_workers(jobs, len(items)).map(task, items, _crash_failure)
+    results = make_workers(None, len(items)).map(task, items, _crash_failure)
     images, failures = list[Disagreement](), list[Failure]()
     with closing(results):
         for result in Progress(results, total=len(items), unit="image", quiet=quiet, **progress):

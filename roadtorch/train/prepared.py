@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.compute import single_threaded_process
-from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.errors import InputError, RoadtorchError, to_input_error
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest
 from roadtorch.detectors.detector import validate_image
@@ -59,15 +59,11 @@ class Preparation:
             return PreparedImage(name, file)
         try:
             arrays = self.compute(validate_image(image.read()), image.name)
-        except InputError as error:
-            where = image.path if error.where == "image" else error.where
-            return PreparedImage(name, None, str(InputError(where, error.problem, error.hint)))
-        except RoadtorchError:
-            raise  # a wrong setting, not a wrong image
-        except Exception as error:
-            # One image on which a detector fails must not end a long run.
-            text = f"{image.path}: {type(error).__name__}: {error} (report it)"
-            return PreparedImage(name, None, " ".join(text.split()))
+        except Exception as error:  # one image on which a detector fails must not end a long run
+            if isinstance(error, RoadtorchError) and not isinstance(error, InputError):
+                raise  # a wrong setting, not a wrong image
+            text = " ".join(str(to_input_error(image.path, error)).split())
+            return PreparedImage(name, None, text)
         write_cached(file, key, arrays)
         return PreparedImage(name, file)
 

@@ -12,7 +12,6 @@ from roadtorch.annotate.views import (
     corrected_layout,
     corrected_log_odds,
     corrected_road,
-    segment_evidence,
 )
 from roadtorch.data.events import LABEL_NAMES
 from roadtorch.detectors.catalogue import load_detector
@@ -107,10 +106,10 @@ def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
     view: ImageView, detector: Detector, rows: dict[str, slice]
 ) -> None:
     labels = labels_of(**rows)
-    evidence = segment_evidence(labels, view, AnnotationSettings())
-    road = corrected_road(corrected_log_odds(view, evidence, SETTINGS), labels, (48, 64))
+    odds = corrected_log_odds(view, labels, AnnotationSettings(propagation=SETTINGS))
+    road = corrected_road(odds, labels, (48, 64))
     if not rows:
-        assert not evidence.any()
+        assert torch.equal(odds, view.odds)
         mask = detector.detect(scene(0, 48, 64).image).mask
         assert (road == mask.numpy()).all()
     for name, part in rows.items():

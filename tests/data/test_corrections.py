@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from roadtorch.base.errors import InputError
-from roadtorch.data.corrections import EventLog, LogHeader, log_path, read_corrections, read_log
+from roadtorch.data.corrections import (
+    EventLog,
+    LogHeader,
+    labels_to_truth,
+    log_path,
+    read_corrections,
+    read_log,
+)
 from roadtorch.data.events import (
     LABEL_NAMES,
-    STROKE_LABELS,
     AnyEvent,
     BrushStroke,
     Confirm,
@@ -48,7 +54,7 @@ def log(folder: Path, image: str, *events: AnyEvent) -> Path:
 # --- labels -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("label", STROKE_LABELS)
+@pytest.mark.parametrize("label", LABEL_NAMES[1:7])
 @pytest.mark.parametrize("previous", range(len(LABEL_NAMES)))
 def test_a_label_holds_whatever_it_replaces(label: str, previous: int) -> None:
     labels = relabel(np.array([previous], np.uint8), label)
@@ -170,7 +176,7 @@ def test_corrections_have_what_training_needs(tmp_path: Path) -> None:
     assert correction.road.dtype == correction.layout.dtype == np.uint8
     assert correction.road[[15, 2, 7], 0].tolist() == [1, 0, 255]
     assert correction.layout[[15, 2, 7], 0].tolist() == [2, 0, 255]
-    assert correction.has_road_label[[15, 2, 7], 0].tolist() == [True, True, False]
+    assert labels_to_truth(correction.labels).valid[[15, 2, 7], 0].tolist() == [True, True, False]
     (moved,) = read_corrections(tmp_path / "corrections", tmp_path / "elsewhere")
     assert moved.image == tmp_path / "elsewhere/sub/a.jpg"
 

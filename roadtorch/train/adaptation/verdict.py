@@ -20,16 +20,9 @@ from torch import Tensor
 from roadtorch.base.progress import Progress
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
-from roadtorch.evaluation.metrics import (
-    ConfusionCounts,
-    RoadCounts,
-    count_levels,
-    count_mask,
-    f_measure,
-    max_f,
-)
+from roadtorch.evaluation.metrics import RoadCounts, count_levels, count_mask, max_f
 from roadtorch.evaluation.result import Interval
-from roadtorch.evaluation.uncertainty import bootstrap_weights, percentile_interval
+from roadtorch.evaluation.uncertainty import percentile_interval, pooled_f, sample_weights
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.run.memo import read_arrays
@@ -151,11 +144,6 @@ def _labelled_frames(
         yield image.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
 
 
-def _f_measure(counts: Tensor) -> Tensor:
-    """Return F, float64, of the fields of ``ConfusionCounts`` (…, 4)."""
-    return f_measure(ConfusionCounts(*counts.unbind(-1)))
-
-
 def no_verdict(reason: str, frames: int) -> Verdict:
     """Return a verdict without comparison, with the reason."""
     return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
@@ -169,10 +157,10 @@ def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
         return no_verdict(f"{frames} frames are too few to decide", frames)
     generator = torch.Generator().manual_seed(VERDICT_SEED)
     blocks = [torch.stack([part.sum(0) for part in rows.split(RUN_LENGTH)]) for rows in counts]
-    weights = bootstrap_weights(len(blocks[0]), generator).to(torch.float64)
-    initial, adapted, averaged = (float(_f_measure(sums.sum(0))) for sums in blocks)
-    resampled = [_f_measure(weights @ sums.to(weights)) for sums in blocks]
-    change = percentile_interval(resampled[1] - resampled[0])
+    weights = sample_weights(len(blocks[0]), generator)
+    scores = [pooled_f(sums, weights) for sums in blocks]
+    initial, adapted, averaged = (float(values[0]) for values in scores)
+    change = percentile_interval(scores[1][1:] - scores[0][1:])
     word = "cannot tell"
     if change.low > 0 and adapted - initial >= MIN_GAIN:
         word = "adopt"
