@@ -14,16 +14,14 @@ import os
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path, PurePath
 from typing import Any
 
-import cv2
 import h11
-import numpy as np
 import pydantic
 import uvicorn
 from pydantic import Field
@@ -40,7 +38,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from roadtorch.annotate.session import Session, compute_views
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.errors import ConfigError, RoadtorchError, UnwritableError
-from roadtorch.base.image import read_image, to_pixels
+from roadtorch.base.image import jpeg_bytes, read_image, to_pixels
 from roadtorch.base.settings import Settings
 from roadtorch.data.events import parse_event
 from roadtorch.imaging.resize import WorkingSize, resize_maps, spatial_size, working_size
@@ -184,10 +182,6 @@ def make_app(session: Session, token: str, port: int) -> Starlette:
     """Build the web application of a session."""
     page = SessionApi(session)
     routes = [
-        Route(
-            "/", lambda _: Response(PAGE_FILES["annotate.html"], media_type=MEDIA_TYPES[".html"])
-        ),
-        Route("/static/{name}", serve_static),
         Route("/api/images", page.images),
         Route("/api/image", partial(page.jpeg, encode_image)),
         Route("/api/thumbnail", partial(page.jpeg, encode_thumbnail)),
@@ -197,7 +191,16 @@ def make_app(session: Session, token: str, port: int) -> Starlette:
     ]
     handlers: dict[Any, Any] = {OSError: _handle_disk_error}
     handlers |= {kind: partial(_handle_error, status) for kind, status in ERROR_STATUSES.items()}
+    return page_app("annotate.html", routes, token, port, handlers)
+
+
+def page_app(
+    page: str, routes: Sequence[Route], token: str, port: int, handlers: Any = None
+) -> Starlette:
+    """Build a web application: a page, its static files and its API, behind access control."""
+    html = Route("/", lambda _: Response(PAGE_FILES[page], media_type=MEDIA_TYPES[".html"]))
     access = Middleware(AccessMiddleware, token=token, port=port)
+    routes = [html, Route("/static/{name}", serve_static), *routes]
     return Starlette(routes=routes, middleware=[access], exception_handlers=handlers)
 
 
@@ -273,8 +276,7 @@ def encode_image(
     """
     image = read_image(path)
     small = resize_maps(image, working_size(*spatial_size(image), size)).clamp(0, 1)
-    pixels = np.ascontiguousarray(to_pixels(small)[..., ::-1])
-    return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+    return jpeg_bytes(to_pixels(small), quality)
 
 
 encode_thumbnail = lru_cache(maxsize=2000)(partial(encode_image, size=THUMBNAIL_SIZE, quality=80))

@@ -7,24 +7,13 @@ from collections.abc import Mapping
 from threading import Condition, Thread
 from typing import Self
 
-import cv2
-import numpy as np
 import uvicorn
-from starlette.applications import Starlette
-from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from roadtorch.annotate.server import (
-    MEDIA_TYPES,
-    PAGE_FILES,
-    AccessMiddleware,
-    Address,
-    SlowClientProtocol,
-    bind_socket,
-    serve_static,
-)
+from roadtorch.annotate.server import Address, SlowClientProtocol, bind_socket, page_app
+from roadtorch.base.image import jpeg_bytes
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 
@@ -42,20 +31,14 @@ class Viewer:
         self._changed, self._number, self._ended = Condition(), 0, False
         self._newest: tuple[Item, Detection] | None = None
         self._times = deque[float](maxlen=RATE_FRAMES)
-        routes = [
-            Route(
-                "/", lambda _: Response(PAGE_FILES["view.html"], media_type=MEDIA_TYPES[".html"])
-            ),
-            Route("/static/{name}", serve_static),
-            Route("/api/frame", self._frame),
-        ]
-        access = Middleware(AccessMiddleware, token=token, port=self.address.port)
-        app = Starlette(routes=routes, middleware=[access])
-        self._server = uvicorn.Server(
-            uvicorn.Config(
-                app, http=SlowClientProtocol, log_level="error", timeout_graceful_shutdown=1
-            )
+        routes = [Route("/api/frame", self._frame)]
+        config = uvicorn.Config(
+            page_app("view.html", routes, token, self.address.port),
+            http=SlowClientProtocol,
+            log_level="error",
+            timeout_graceful_shutdown=1,
         )
+        self._server = uvicorn.Server(config)
         sockets = {"sockets": [self._listening]}
         self._thread = Thread(target=self._server.run, kwargs=sockets, daemon=True)
 
@@ -98,6 +81,5 @@ class Viewer:
             "X-Trust": "" if detection.trust is None else f"{detection.trust:.2f}",
             "X-Rate": f"{(len(times) - 1) / seconds:.1f}" if seconds else "",
         }
-        pixels = np.ascontiguousarray(detection.overlay()[..., ::-1])  # drawn only on request
-        data = cv2.imencode(".jpg", pixels)[1].tobytes()
+        data = jpeg_bytes(detection.overlay())  # drawn only on request
         return Response(data, headers=headers, media_type="image/jpeg")

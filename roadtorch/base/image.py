@@ -380,6 +380,11 @@ def png_bytes(pixels: np.ndarray, longest: int) -> bytes:
     return bytes(_encode(".png", _to_bgr(pixels)))
 
 
+def jpeg_bytes(pixels: np.ndarray, quality: int = 95) -> bytes:
+    """Encode RGB pixels, uint8 (H, W, 3), as JPEG."""
+    return bytes(_encode(".jpg", _to_bgr(pixels), cv2.IMWRITE_JPEG_QUALITY, quality))
+
+
 def _encode(kind: str, pixels: np.ndarray, *options: int) -> memoryview:
     return cv2.imencode(kind, np.ascontiguousarray(pixels), list(options))[1].data
 

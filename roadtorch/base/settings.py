@@ -166,8 +166,9 @@ def _resolve_files(path: Path, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def to_toml(detector: str, settings: Settings) -> str:
-    """Return the text of a file for ``--config`` that gives a detector with these settings."""
-    return tomli_w.dumps({"detector": detector, **settings.model_dump(exclude_none=True)})
+    """Return a detector with its settings as TOML for ``--config``, without the last line end."""
+    values = {"detector": detector, **settings.model_dump(exclude_none=True)}
+    return tomli_w.dumps(values).removesuffix("\n")
 
 
 # --- shipped configs --------------------------------------------------------------------

@@ -13,7 +13,6 @@ from roadtorch.cli.options import (
     RUNTIME_OPTION,
     SETTING_OPTION,
     command_line,
-    config_text,
     suggest_candidates,
     suggest_datasets,
 )
@@ -181,13 +180,14 @@ def write_files(
 ) -> None:
     """Write metrics, tables and report, and a config for each chosen threshold."""
     from roadtorch.base.atomic import write_text
+    from roadtorch.base.settings import to_toml
     from roadtorch.evaluation.report.files import write_report  # slow: it imports matplotlib
     from roadtorch.evaluation.tuning import provenance
 
     write_report(evaluation, out, command, montage)
     for choice in choices:
         comment = provenance(choice, evaluation, command)
-        config = config_text(choice.contender.detector, choice.settings)
+        config = to_toml(choice.contender.detector, choice.settings)
         file = out / f"{choice.contender.name.replace(':', '-')}.toml"
         write_text(file, f"{comment}\n{config}\n")
 
@@ -201,6 +201,7 @@ def write_submission(
     gives um_road_000012.png, its likelihood in bird's-eye view (800 by 400, 8 bits), and all of
     them submission.zip once every image is done. Another run resumes.
     """
+    from roadtorch.base.settings import to_toml
     from roadtorch.data.kitti_road import find_calibration_folder, find_kitti_folder
     from roadtorch.evaluation.methods import load_contender
     from roadtorch.inputs.find import Inputs
@@ -221,7 +222,7 @@ def write_submission(
     maps = BirdsEyeWriter(out, find_calibration_folder(base))
     images = find_submission_images(base / "image_2", maps.calib, out)
     todo = plan_run(Inputs(images, []), out, maps.suffixes)
-    effective = config_text(detector.name, detector.settings)
+    effective = to_toml(detector.name, detector.settings)
     run = context.with_resource(open_run(out, effective, todo.count, RunOptions(jobs)))
     method = Method(cache_key(detector), ("map",))
     if failed := run.process_images(images, Task(Inference(detector), maps, method)):

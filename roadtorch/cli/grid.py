@@ -11,7 +11,6 @@ from roadtorch.cli.options import (
     PATH,
     DetectorOptions,
     SectionedCommand,
-    config_text,
     detector_options,
     run_options,
     selection_options,
@@ -100,7 +99,7 @@ def grid_command(
     once for all frames of a video or bag.
     Cells behind the first cell that is no road are unknown.
     """
-    from roadtorch.base.settings import build_settings
+    from roadtorch.base.settings import build_settings, to_toml
     from roadtorch.camera.ground_grid import GridSettings
     from roadtorch.camera.mounting import Mounting, build_placement
     from roadtorch.inputs.find import select_inputs
@@ -124,7 +123,7 @@ def grid_command(
     inference = Inference(detector, camera)
     grids = GridWriter(out, placement, settings, kinds, frame_id=frame_id)
     todo = plan_run(selected, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
-    effective = config_text(detector.name, detector.settings)
+    effective = to_toml(detector.name, detector.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placement.as_comment])
     run = context.with_resource(open_run(out, effective, todo.count, options))
     key = cache_key(detector, effective)

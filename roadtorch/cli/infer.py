@@ -14,7 +14,6 @@ from roadtorch.cli.options import (
     SectionedCommand,
     command_line,
     computing_options,
-    config_text,
     detector_options,
     selection_options,
 )
@@ -116,6 +115,7 @@ def infer_command(
     command again to resume: what is done is skipped, and footage that was
     interrupted starts again with its first frame.
     """
+    from roadtorch.base.settings import to_toml
     from roadtorch.inputs.find import select_inputs
     from roadtorch.layout.runtimes import check_runtime
     from roadtorch.run.ledger import Method
@@ -132,7 +132,7 @@ def infer_command(
     configure_threads(options.threads, options.device)
     check_runtime(choice.runtime, options.device)
     detector, camera = choice.load(camera_file, threshold)
-    effective = config_text(detector.name, detector.settings)
+    effective = to_toml(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)
     kinds = DEFAULT_IMAGE_KINDS if save is None else save
     bits = 16 if depth == "16" else 8

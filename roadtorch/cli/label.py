@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.options import INPUTS_ARGUMENT, PATH, SETTING_OPTION, config_text, run_options
+from roadtorch.cli.options import INPUTS_ARGUMENT, PATH, SETTING_OPTION, run_options
 
 if TYPE_CHECKING:
     from roadtorch.run.plan import RunOptions
@@ -30,7 +30,7 @@ def label_command(
 
     Each image gives NAME.png in the folder --out. Neither weights nor labels are needed.
     """
-    from roadtorch.base.settings import build_settings, parse_assignments
+    from roadtorch.base.settings import build_settings, parse_assignments, to_toml
     from roadtorch.inputs.find import Inputs
     from roadtorch.inputs.images import find_images
     from roadtorch.layout.labeller import LabellerSettings
@@ -46,7 +46,7 @@ def label_command(
     settings = build_settings(LabellerSettings, parse_assignments(assignments))
     labels = LabelWriter(out, ["labels", *["overlay"] * overlay])
     todo = plan_run(Inputs(find_images(inputs, out), []), out, labels.suffixes)
-    effective = config_text("labeller", settings)
+    effective = to_toml("labeller", settings)
     run = context.with_resource(open_run(out, effective, todo.count, options))
     task = Task(Labelling(settings), labels, Method(cache_key(settings), tuple(labels.kinds)))
     context.exit(run.process_images(todo.images, task))

@@ -12,7 +12,6 @@ import click
 from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
-    from roadtorch.base.settings import Settings
     from roadtorch.camera.camera import Camera
     from roadtorch.detectors.detector import Detector
 
@@ -62,13 +61,6 @@ class DetectorOptions:
         name, values = self.name_and_values(threshold)
         camera = None if camera_file is None else Camera.read(camera_file)
         return load_detector(name, camera=camera, runtime=self.runtime, **values), camera
-
-
-def config_text(detector: str, settings: "Settings") -> str:
-    """Return the text of ``to_toml`` without its last line end."""
-    from roadtorch.base.settings import to_toml
-
-    return to_toml(detector, settings).removesuffix("\n")
 
 
 # --- shell completion -------------------------------------------------------------------

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.options import PATH, SETTING_OPTION, ConfigFile, command_line
+from roadtorch.cli.options import PATH, QUIET_OPTION, SETTING_OPTION, ConfigFile, command_line
 
 if TYPE_CHECKING:
     from roadtorch.data.corrections import HumanLabels
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 @click.option(
     "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
 )
-@click.option("--quiet", is_flag=True, help="Print only failures, no progress.")
+@QUIET_OPTION
 @click.pass_context
 def train_command(
     context: click.Context,

@@ -109,7 +109,7 @@ def export_hub(detector: Detector, out: Path) -> tuple[Path, ...]:
         if card := read_card(source):
             cards.append(out / f"{name}.md")
             write_text(cards[-1], RELATIVE_LINK.sub(r"\1", card).replace(source.name, network.file))
-    write_text(out / DETECTOR_CONFIG, to_toml(detector.name, hub_settings))
+    write_text(out / DETECTOR_CONFIG, to_toml(detector.name, hub_settings) + "\n")
     is_free = all(read_terms(source).startswith("anything") for source in sources)
     licence = "apache-2.0" if is_free else "other"
     text = HUB_README.format(licence=licence, name=f"roadtorch {detector.name}")

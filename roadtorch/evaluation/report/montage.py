@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.bounded import to_printable
-from roadtorch.base.image import to_pixels, write_pixels
+from roadtorch.base.image import jpeg_bytes, to_pixels, write_pixels
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation.methods import Predictor
@@ -138,6 +138,5 @@ def _shrink(montage: np.ndarray) -> np.ndarray:
 
 def jpeg_uri(pixels: np.ndarray) -> str:
     """Return pixels, uint8 RGB (H, W, 3), as the data URI of a JPEG."""
-    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    encoded = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), options)[1]
-    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}"
+    data = base64.b64encode(jpeg_bytes(pixels, JPEG_QUALITY)).decode()
+    return f"data:image/jpeg;base64,{data}"
