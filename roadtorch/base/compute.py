@@ -106,14 +106,8 @@ def keep_freed_memory() -> None:
             library.mallopt(ARENA_MAX, 1)
 
 
-def reset_peak_memory() -> None:
-    """Reset the peak that ``peak_memory_mib`` returns, where the system (Linux) can."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-
-
 def peak_memory_mib() -> float:
-    """Return the peak memory of this process in MiB, since ``reset_peak_memory`` on Linux.
+    """Return the peak memory of this process in MiB.
 
     0 on Windows. On macOS (getrusage) it is at least what the parent process held when it started
     this one.

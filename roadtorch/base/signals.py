@@ -7,18 +7,12 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class SigtermInterrupt(KeyboardInterrupt):
     """Exception for SIGTERM, as KeyboardInterrupt is for SIGINT."""
-
-
-def sigterm_handler(*_: object) -> NoReturn:
-    """Raise SigtermInterrupt, in a process that has nothing to save first."""
-    raise SigtermInterrupt
 
 
 class StopRequest:
@@ -55,7 +49,9 @@ def raise_on_sigterm() -> Iterator[None]:
     if not is_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield
         return
-    signal.signal(signal.SIGTERM, sigterm_handler)
+    stop = StopRequest()
+    stop.raises_at_once = True  # nothing is to be saved first
+    signal.signal(signal.SIGTERM, stop.request)
     try:
         yield
     finally:
