@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_390,
-    "roadtorch/base": 1_930,
+    "roadtorch/base": 1_935,
     "roadtorch/camera": 2_035,
     "roadtorch/cli": 1_960,
     "roadtorch/data": 2_380,
@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_465,
     "roadtorch/ufl": 1_380,
     "scripts": 5_510,
-    "tests": 28_055,
+    "tests": 28_060,
     "train": 7_380,
 }
 """The lines of source code that each folder may have."""
