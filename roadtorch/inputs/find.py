@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import replace
 from itertools import groupby, islice
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import NamedTuple
 
 from torch import Tensor
 
@@ -54,7 +54,6 @@ def find_inputs(
     inputs: Iterable[str],
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     exclude: Path | None = None,
-    names: TextIO | None = None,
 ) -> Inputs:
     """Resolve inputs to images and sources, in order; a folder may contain both.
 
@@ -62,7 +61,6 @@ def find_inputs(
         inputs: files, folders, globs, bags, camera numbers, URLs, ``-``, ``@list.txt``.
         selection: selection of the items of each source.
         exclude: folder of results, which is not searched.
-        names: text that ``-`` reads; standard input if None.
 
     Returns:
         The images and sources.
@@ -73,7 +71,7 @@ def find_inputs(
     inputs = list(inputs)
     images: list[Item] = []
     sources: list[Source] = []
-    for argument in expand_lists(inputs, sys.stdin if names is None else names):
+    for argument in expand_lists(inputs):
         number, scheme, name = parse_camera(argument), url_scheme(argument), slug(argument)
         if number is not None:
             sources.append(camera_source(number, selection))
@@ -86,7 +84,9 @@ def find_inputs(
         elif is_bag(argument):
             sources.append(bag_source(argument, selection.topic, selection))
         else:
-            files = list_files(argument, is_footage_name, exclude)
+            files = list_files(
+                argument, lambda name: is_image_name(name) or is_video_name(name), exclude
+            )
             for file in files:
                 if not file.name.lower().endswith(VIDEO_SUFFIXES):
                     images.append(make_image_item(file))
@@ -105,15 +105,10 @@ def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inp
     return Inputs(selection.select_images(images), sources)
 
 
-def is_footage_name(name: str) -> bool:
-    """Return whether a file name is that of an image or video, and of no result."""
-    return is_image_name(name) or is_video_name(name)
-
-
-def expand_lists(inputs: Iterable[str], names: TextIO) -> Iterator[str]:
+def expand_lists(inputs: Iterable[str]) -> Iterator[str]:
     """Yield the inputs, ``-`` (not ``./-``) and ``@list.txt`` replaced by their non-empty lines."""
     for argument in inputs:
-        lines: Iterable[str] = names
+        lines: Iterable[str] = sys.stdin
         if argument.startswith("@"):
             try:
                 data = Path(argument[1:]).read_bytes()

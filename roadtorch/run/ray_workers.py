@@ -4,9 +4,7 @@ import logging
 import os
 import pickle
 import re
-import signal
 import socket
-import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
@@ -17,6 +15,7 @@ from typing import Any
 
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError
+from roadtorch.base.signals import block_sigint_in_children
 from roadtorch.run.workers import Workers, convert_result, pickle_value
 
 CONNECT_TIMEOUT = 10.0  # seconds to wait for a cluster; ours
@@ -87,7 +86,8 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Work
     with TemporaryDirectory(prefix="rt-", ignore_cleanup_errors=True) as folder:
         ray = _import_ray()
         try:
-            with _silence_stderr(), _ignore_sigint():
+            # A cluster that ended at once would end this process before it has saved results.
+            with _silence_stderr(), block_sigint_in_children():
                 _connect(ray, workers, address, folder)
             yield Workers(workers, partial(RayPool, device, address is not None))
         finally:
@@ -119,22 +119,6 @@ def _silence_stderr() -> Iterator[None]:
         os.dup2(stderr, 2)
         os.close(stderr)
         os.close(null)
-
-
-@contextmanager
-def _ignore_sigint() -> Iterator[None]:
-    """Let processes started in the block ignore SIGINT, which a terminal sends to its whole group.
-
-    A cluster that ended at once would end this process before it has saved finished results.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
 
 
 def _connect(ray: Any, workers: int, address: str | None, folder: str) -> None:

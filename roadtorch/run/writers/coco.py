@@ -1,16 +1,15 @@
 """coco.json: the masks of all images with saved polygons, as one COCO file."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path, PurePath
-from typing import NamedTuple
 
 import numpy as np
 
 from roadtorch.base.atomic import atomic_write
 from roadtorch.data.polygons import coco_annotation, read_labelme_mask
 from roadtorch.run.folder import COCO_FILE
-from roadtorch.run.ledger import INDEX_FILE, has_result, read_index
+from roadtorch.run.ledger import INDEX_FILE, IndexRow, has_result, read_index
 
 LABELME_SUFFIX = ".labelme.json"  # suffix of the labelme annotation of an image
 
@@ -23,25 +22,16 @@ def write_coco(folder: Path) -> None:
     """
     rows = read_index(folder / INDEX_FILE).values()
     saved = [row for row in rows if not row.failed and "polygons" in row.saved.split()]
-    ready = {
-        row.file: row
-        for row in sorted(saved, key=lambda row: row.file)
-        if has_result(folder, _annotation_name(folder, row.file))
-    }
-    images = [
-        CocoImage(
-            row.file, (int(row.width), int(row.height)), float(row.trust) if row.trust else None
-        )
-        for row in ready.values()
-    ]
+    ready = [row for row in saved if has_result(folder, _annotation_name(folder, row.file))]
+    ready.sort(key=lambda row: row.file)
 
-    def mask_of(file: str) -> np.ndarray:
+    def mask_of(row: IndexRow) -> np.ndarray:
         """Fill the polygons of an image's annotation, bool (H, W)."""
-        size = int(ready[file].height), int(ready[file].width)
-        return read_labelme_mask(folder / _annotation_name(folder, file), size)
+        size = int(row.height), int(row.width)
+        return read_labelme_mask(folder / _annotation_name(folder, row.file), size)
 
     with atomic_write(folder / COCO_FILE) as path, path.open("w", encoding="utf-8") as text:
-        text.writelines(coco_text(images, mask_of))
+        text.writelines(coco_text(ready, mask_of))
 
 
 def _annotation_name(folder: Path, file: str) -> str:
@@ -50,34 +40,27 @@ def _annotation_name(folder: Path, file: str) -> str:
     return file + LABELME_SUFFIX if has_result(folder, file + LABELME_SUFFIX) else of_image
 
 
-class CocoImage(NamedTuple):
-    """An image in a COCO file: name, (width, height) and trust, if any."""
-
-    file: str
-    size: tuple[int, int]
-    trust: float | None = None
-
-
-def coco_text(images: Iterable[CocoImage], mask_of: Callable[[str], np.ndarray]) -> Iterator[str]:
+def coco_text(
+    images: Sequence[IndexRow], mask_of: Callable[[IndexRow], np.ndarray]
+) -> Iterator[str]:
     """Yield the text of a COCO file with one annotation of category 1, road, per image with road.
 
-    mask_of: returns the mask of a file, bool (H, W); called once each, in order. Images and
+    mask_of: returns the mask of an image, bool (H, W); called once each, in order. Images and
     annotations are numbered from 1 in their order. ``score`` is the trust, as in COCO results.
     """
-    images = list(images)
     yield '{"info": {"description": "roads found by roadtorch"}, "licenses": [],\n'
     yield '"categories": [{"id": 1, "name": "road", "supercategory": ""}],\n"images": ['
     for number, image in enumerate(images, 1):
-        width, height = image.size
-        entry = {"id": number, "file_name": image.file, "width": width, "height": height}
+        size = {"width": int(image.width), "height": int(image.height)}
+        entry = {"id": number, "file_name": image.file, **size}
         yield ("\n" if number == 1 else ",\n") + json.dumps(entry)
     yield '],\n"annotations": ['
     separator = "\n"
     for number, image in enumerate(images, 1):
-        mask = mask_of(image.file)
+        mask = mask_of(image)
         if not mask.any():
             continue
-        score = {} if image.trust is None else {"score": image.trust}
+        score = {"score": float(image.trust)} if image.trust else {}
         yield separator + json.dumps(coco_annotation(mask, number, number, 1) | score)
         separator = ",\n"
     yield "]}\n"

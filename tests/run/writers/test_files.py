@@ -18,7 +18,8 @@ from roadtorch.base.image import read_image
 from roadtorch.camera.ground_grid import Grid
 from roadtorch.data.polygons import coco_polygons, labelme_document, read_labelme_mask
 from roadtorch.layout.labeller import LabellerSettings, label_layout
-from roadtorch.run.writers.coco import CocoImage, coco_text
+from roadtorch.run.ledger import IndexRow
+from roadtorch.run.writers.coco import coco_text
 from roadtorch.run.writers.grid import write_grid
 from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import Call
@@ -146,10 +147,10 @@ def test_a_rectangle_has_four_corners() -> None:
 
 @given(st.lists(MASKS, max_size=3))
 def test_coco_files_have_an_annotation_for_each_image_with_road(masks: list[np.ndarray]) -> None:
-    by_file = {f"{at}.png": mask for at, mask in enumerate(masks)}
-    images = [CocoImage(file, mask.shape[::-1], 0.5) for file, mask in by_file.items()]
+    shapes = [map(str, reversed(mask.shape)) for mask in masks]
+    images = [IndexRow(f"{at}.png", *shape, trust="0.50") for at, shape in enumerate(shapes)]
 
-    document = json.loads("".join(coco_text(images, by_file.__getitem__)))
+    document = json.loads("".join(coco_text(images, lambda row: masks[images.index(row)])))
 
     assert [entry["id"] for entry in document["images"]] == list(range(1, len(masks) + 1))
     areas = {entry["image_id"]: entry["area"] for entry in document["annotations"]}
