@@ -37,11 +37,7 @@ AnySettings = TypeVar("AnySettings", bound=Settings)
 
 
 def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySettings:
-    """Build settings from nested values.
-
-    Args:
-        kind: the class of the settings.
-        values: values by key, a mapping for a group; missing keys get their defaults.
+    """Build settings from values by key, a mapping for a group; missing keys get their defaults.
 
     Raises:
         ConfigError: a wrong key or value; names the full key (``texture.bins``), the value and

@@ -158,13 +158,9 @@ class Camera(Settings):
         write_text(path, tomli_w.dumps(self.model_dump(exclude_defaults=True)))
 
     def check(self, image: Tensor) -> None:
-        """Check that an image can be of this camera: its aspect ratio, and its ego car if any.
+        """Check that an image (3, H, W) can be of this camera; InputError when it cannot.
 
-        Args:
-            image: sRGB in [0, 1], shape (3, H, W).
-
-        Raises:
-            InputError: when it cannot.
+        Compared are the aspect ratio, and the ego car if the camera has one.
         """
         height, width = image.shape[-2:]
         ratio = width / height / (self.width / self.height)

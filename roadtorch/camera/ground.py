@@ -93,10 +93,8 @@ class Lens(Settings):
 def pinhole_lens(width: int, height: int, degrees: float) -> Lens:
     """Return a pinhole lens with square pixels and its axis through the image centre.
 
-    Args:
-        width: of the images, in pixels.
-        height: of the images, in pixels.
-        degrees: horizontal field of view, 1 to 170; ConfigError for others.
+    width, height: of the images, in pixels. degrees: horizontal field of view, 1 to 170;
+    ConfigError for others.
     """
     if not 1 <= degrees <= 170:
         hint = "give 1 to 170 degrees from side to side"

@@ -18,10 +18,6 @@ MIN_SLOPE = 1e-6  # descent of a ray per metre along the optical axis that meets
 def ground_points(camera: GroundCamera, grid: Grid) -> np.ndarray:
     """Return the ground point of each pixel, as far as the grid of the same image knows it.
 
-    Args:
-        camera: the camera that took the image.
-        grid: the grid of the image, see ``ground_grid``.
-
     Returns:
         Points in the camera's frame (x right, y down, z along the optical axis), metres, float32,
         shape (H, W, 3); NaN above the horizon, beyond the grid and in its unknown cells. The first

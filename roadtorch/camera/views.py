@@ -65,12 +65,8 @@ def rectified_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     A single view has the axes of the camera. Three are upright, whatever the camera's pitch, and
     show the ground from just above the horizon to the camera's foot.
 
-    Args:
-        lens: of the images, at their size.
-        pitch: degrees by which the optical axis points below the horizon.
-
-    Raises:
-        ConfigError: for a lens that sees nothing in its images.
+    lens: of the images, at their size. pitch: degrees by which the optical axis points below the
+    horizon. Raises ConfigError for a lens that sees nothing in its images.
     """
     return _plan_views(lens, pitch)  # type: ignore[arg-type]  # frozen: it has a hash
 

@@ -28,12 +28,9 @@ DATASET_FORMATS: Mapping[str, DatasetFormat] = {
 
 
 def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
-    """Open a labelled data set.
+    """Open a labelled data set, one of ``list_datasets()``, in its folder ``root``.
 
-    Args:
-        name: one of ``list_datasets()``.
-        root: folder of the data set.
-        split: one of its splits; the first one by default.
+    split: one of its splits; the first one by default.
 
     Raises:
         ConfigError: for an unknown name or split.

@@ -90,12 +90,9 @@ class ColourLabels:
 
 
 def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tuple[Path, Path]]:
-    """Yield the images of a folder, sorted, each with its label file.
+    """Yield the images of a folder, sorted, each with its label file in the folder ``labels``.
 
-    Args:
-        images: folder of the images.
-        labels: folder of the label files.
-        ending: replaces the image's extension in the name of its label file.
+    ending: replaces the image's extension in the name of its label file.
 
     Raises:
         DatasetError: naming a missing folder or label file, and for two images with one label file.
@@ -146,14 +143,9 @@ def is_image_file(path: Path) -> bool:
 
 
 def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """Read a label image; palette files keep their indices.
+    """Read a label image, integers (H, W); palette files keep their indices.
 
-    Args:
-        path: the file.
-        size: required (height, width), checked before decoding.
-
-    Returns:
-        Integers, shape (H, W).
+    size: required (height, width), checked before decoding.
 
     Raises:
         DatasetError: for a file of another size, that cannot be decoded or is coloured.

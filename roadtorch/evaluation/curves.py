@@ -75,17 +75,11 @@ def _nonempty_levels(counts: RoadCounts) -> Tensor:
 
 
 def vertical_sample(counts: RoadCounts, steps: int = FPR_STEPS) -> Tensor:
-    """Sample the TPR of each map at the FPRs 0, 1/steps, …, 1.
+    """Sample the TPR of each map at the FPRs 0, 1/steps, …, 1: (..., levels) → (..., steps + 1).
 
     Linear between the points of the curve; at a vertical segment its upper end. FPRs are compared
-    in whole pixels, so rounding cannot change the side of a step.
-
-    Args:
-        counts: pixels by level, shape (..., levels).
-        steps: number of intervals of the FPR.
-
-    Returns:
-        TPR, float64 (..., steps + 1); NaN without road or background.
+    in whole pixels, so rounding cannot change the side of a step. Float64; NaN without road or
+    background.
     """
     false, true = _cumulative_counts(counts)
     background, road = false[..., -1:], true[..., -1:]

@@ -183,10 +183,7 @@ def choose_thresholds(
 ) -> tuple[str, Mapping[str, float], float]:
     """Choose a threshold for every group: of an earlier run, of the other groups, or the default.
 
-    Args:
-        contender: the detector.
-        groups: pixels by level of each group.
-        left_out: groups that have no part in the choice.
+    groups: pixels by level of each group. left_out: groups that have no part in the choice.
 
     Returns:
         Origin of the thresholds in words; threshold by group; best one of the groups that choose.

@@ -64,11 +64,6 @@ def bag_source(
     where a header has none; where they step, ``seconds`` go on by the time of recording. A message
     that cannot be decoded raises when its item is read.
 
-    Args:
-        origin: path of the bag.
-        topic: name of the topic; None if there is only one.
-        selection: selection of the images.
-
     Raises:
         InputError: if it is no bag or has no images.
         ConfigError: if the topic does not exist or has to be chosen.

@@ -15,9 +15,7 @@ class FrameClock:
     Where stamps step back, time goes on from the frame before; where they return to the earlier
     clock, as after a single wrong stamp, it follows that again. The first step is reported.
 
-    Args:
-        origin: name of the source in the warning.
-        step: usual seconds between frames.
+    origin: name of the source in the warning. step: usual seconds between frames.
     """
 
     def __init__(self, origin: object, step: float = 0.0) -> None:

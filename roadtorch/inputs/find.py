@@ -57,13 +57,8 @@ def find_inputs(
 ) -> Inputs:
     """Resolve inputs to images and sources, in order; a folder may contain both.
 
-    Args:
-        inputs: files, folders, globs, bags, camera numbers, URLs, ``-``, ``@list.txt``.
-        selection: selection of the items of each source.
-        exclude: folder of results, which is not searched.
-
-    Returns:
-        The images and sources.
+    inputs: files, folders, globs, bags, camera numbers, URLs, ``-``, ``@list.txt``. exclude: folder
+    of results, which is not searched.
 
     Raises:
         InputError: if an input does not exist, cannot be opened or contains no images.

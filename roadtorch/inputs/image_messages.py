@@ -40,9 +40,7 @@ READ_ENCODINGS = (*PLAIN, *(f"{name}{bits}" for name in BAYER for bits in (8, 16
 def decode_message(message: Any, origin: str) -> Tensor:
     """Decode a ROS image message to sRGB in [0, 1], shape (3, H, W); 16-bit 65535 becomes 1.
 
-    Args:
-        message: a sensor_msgs/Image or CompressedImage of rosbags or rclpy.
-        origin: name of the message in errors.
+    message: a sensor_msgs/Image or CompressedImage of rosbags or rclpy.
 
     Raises:
         InputError: if the encoding is not supported, the message has too many pixels or too few

@@ -57,10 +57,7 @@ def import_av() -> Any:
 def video_source(path: Path | str, name: str, selection: Selection) -> Source:
     """Make a source of a video; what is wrong with it is raised on reading.
 
-    Args:
-        path: file, or URL of a video that FFmpeg reads to its end.
-        name: relative path of the results.
-        selection: selection of the frames.
+    path: file, or URL of a video that FFmpeg reads to its end. name: relative path of the results.
     """
     rate = None
     with suppress(InputError), open_video(path) as (_, stream):
@@ -154,15 +151,10 @@ class SeekPoint(NamedTuple):
 
 
 def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[Item]:
-    """Yield frames from the last key frame at or before ``start`` on, named NAME/NUMBER.
+    """Yield frames from the last key frame at or before ``start`` seconds on, named NAME/NUMBER.
 
     Packets before it are counted, not decoded; numbers and times do not depend on the start.
     Frames without a time stamp follow at the frame rate.
-
-    Args:
-        path: file or URL.
-        name: prefix of the frames' names.
-        start: seconds.
 
     Raises:
         InputError: if the video cannot be opened and, after the last frame, if FFmpeg cannot read
@@ -319,9 +311,7 @@ def upright_image(reformatter: "VideoReformatter", image: "VideoFrame") -> Tenso
     The display matrix, as in ISO/IEC 14496-12, 8.3.2: x' = a x + c y, y' = b x + d y, with the
     signs of a mirror; other angles are rounded to quarter turns.
 
-    Args:
-        reformatter: the stream's, which builds its tables once; a frame's own rebuilds them.
-        image: the decoded frame.
+    reformatter: the stream's, which builds its tables once; a frame's own rebuilds them.
     """
     pixels = reformatter.reformat(image, format="rgb24").to_ndarray()
     matrix = image.side_data.get("DISPLAYMATRIX")

@@ -169,12 +169,8 @@ def fit(
 ) -> FittedClassifier:
     """Fit a classifier to samples of road; samples with a non-finite value are ignored.
 
-    Args:
-        classifier: the classifier, from ``CLASSIFIERS``.
-        samples: floating point, in the units of the axes, shape (m, d).
-        axes: planes of the samples.
-        settings: settings of the classifier; None for its defaults.
-        generator: source of randomness; None for one seeded with 0.
+    samples: floating point, in the units of the axes, shape (m, d). settings: None for the
+    classifier's defaults. generator: source of randomness; None for one seeded with 0.
 
     Raises:
         InputError: when the shape or type is wrong, or no sample is finite.

@@ -170,11 +170,7 @@ def road_samples(
     each superpixel": here the median of each plane in SLIC superpixels, as P3 does not name its
     own.
 
-    Args:
-        image: sRGB in [0, 1], shape (3, H, W).
-        names: names of d colour planes.
-        settings: settings of the samples.
-        seed: settings of the seed area.
+    image: sRGB in [0, 1], shape (3, H, W).
     """
     if settings.reduction == "none":
         return torch.stack([area_values(image, name, seed).flatten() for name in names], 1)

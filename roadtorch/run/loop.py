@@ -109,15 +109,8 @@ def write_row(
 ) -> IndexRow:
     """Write the results of an image or frame, and return its row of index.csv.
 
-    Args:
-        item: image or frame.
-        detect: returns the detection or raises.
-        writer: writes the files.
-        method: detector and kinds of results, for the row.
-        ms: milliseconds spent on the item before this call.
-
-    Returns:
-        The row, a failed one on any error.
+    detect: returns the detection, or raises: any error makes a failed row. ms: milliseconds spent
+    on the item before this call.
     """
     start = perf_counter()
     seconds = "" if item.seconds is None else f"{item.seconds:.3f}"
@@ -214,18 +207,12 @@ def detect_frames(
     cues: bool = True,
     stop: StopRequest | None = None,
 ) -> Generator[FrameResult]:
-    """Detect the road in every frame of a source, in order; raises as ``source.items``.
+    """Yield a result for every frame of a source, in order; raises as ``source.items``.
 
-    Args:
-        source: of the frames.
-        inference: detector and camera.
-        workers: compute the evidence of several frames in parallel.
-        temporal_filter: smooths the likelihoods; a new one for each source.
-        cues: whether detections contain cues, at full size.
-        stop: ends the frames when a stop is requested.
-
-    Yields:
-        A result for each frame, with an error where it cannot be read or processed.
+    A frame that cannot be read or processed has its error as result. workers: compute the evidence
+    of several frames in parallel. temporal_filter: smooths the likelihoods; a new one for each
+    source. cues: whether detections contain cues, at full size. stop: ends the frames when a stop
+    is requested.
     """
     waiting: deque[tuple[Item, Tensor | RoadtorchError, float]] = deque()
     smoothing = None if temporal_filter is None else temporal_filter.settings

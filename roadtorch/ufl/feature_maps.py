@@ -146,14 +146,7 @@ class LearnedFeatures:
 def learn_features(
     image: Tensor, smoothing: Smoothing, dictionary: DictionarySettings, maps: MapSettings
 ) -> LearnedFeatures:
-    """Preprocess an image and learn its features (P1, sections II.A and B).
-
-    Args:
-        image: sRGB in [0, 1], shape (3, H, W).
-        smoothing: settings of blur and equalisation.
-        dictionary: settings of the dictionary.
-        maps: settings of the feature maps.
-    """
+    """Preprocess an image (3, H, W) and learn its features (P1, sections II.A and B)."""
     equalised = equalise(image, smoothing)
     patches = whiten_patches(equalised, dictionary)
     bases = learn_dictionary(patches, dictionary)

@@ -103,12 +103,8 @@ def cut_road(
     calling it road, its area times the similarity to the top row's; separating two neighbours,
     ``border_cost`` times their border length times their similarity in [0, 1].
 
-    Args:
-        regions: number of each pixel's region, int64 (H, W).
-        words: nearest base of each pixel's patch, int64 (H, W), below ``count``.
-        count: number of words.
-        seed: seed area, bool (H, W).
-        settings: settings of the cut.
+    regions: number of each pixel's region, int64 (H, W). words: nearest base of each pixel's patch,
+    int64 (H, W), below ``count``. seed: seed area, bool (H, W).
     """
     bags = segment_histogram(words, regions, int(regions.max()) + 1, count)
     top = torch.zeros_like(seed)

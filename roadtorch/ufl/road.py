@@ -166,14 +166,8 @@ def find_road(
 ) -> list[Round]:
     """Run the two loops: select nodes, learn the road from them, select again.
 
-    Args:
-        maps: the selected feature maps, shape (m, H, W).
-        mean_map: their mean in [0, 1], shape (H, W).
-        tree: the tree of regions of the mean map.
-        settings: settings of the loops.
-
-    Returns:
-        The rounds; the last one without road where a round finds none.
+    maps: the selected feature maps, shape (m, H, W). mean_map: their mean in [0, 1], shape (H, W).
+    tree: of the regions of the mean map. The last round is without road where it finds none.
     """
     rows, columns = mean_map.shape
     if settings.position == "ahead":

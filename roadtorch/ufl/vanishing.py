@@ -158,10 +158,8 @@ def vote_vanishing_point(
     Kong et al. try every pixel; ours tries each ``step``-th and then all around the best, a
     fiftieth of the work. See ``camera.gradients`` for footage.
 
-    Args:
-        orientation: texture orientations in degrees, shape (H, W).
-        confidence: their confidence in [0, 1], shape (H, W).
-        settings: settings of the vote.
+    orientation: of the texture, in degrees, shape (H, W). confidence: of the orientation, in
+    [0, 1], shape (H, W).
     """
     height, width = orientation.shape
     confident = confidence > settings.confidence
@@ -289,11 +287,8 @@ def find_borders(
 
     The point moves to where the greatest OCRs of the remaining rays have the largest sum.
 
-    Args:
-        image: sRGB in [0, 1], shape (3, H, W).
-        orientation: texture orientations in degrees, shape (H, W).
-        point: row and column of the voted vanishing point, shape (2,).
-        settings: settings of the borders.
+    orientation: of the texture, in degrees, shape (H, W). point: row and column of the voted
+    vanishing point, shape (2,).
     """
     first = RAY_ANGLES[int(border_strength(image, orientation, point, settings).argmax())]
     distinct = angle_between(RAY_ANGLES, first) > MIN_ANGLE

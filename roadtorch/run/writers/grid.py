@@ -50,15 +50,10 @@ def _draw_grid(grid: Grid) -> np.ndarray:
 
 
 def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> None:
-    """Write STEM.grid.pgm, STEM.grid.yaml and STEM.grid.npy.
+    """Write STEM.grid.pgm, STEM.grid.yaml and STEM.grid.npy: int8, rows along y, columns along x.
 
-    Args:
-        stem: path without suffixes; its folder must exist.
-        grid: ground grid; its cells are saved as int8, rows along y, columns along x.
-        comment: one line for the YAML.
-
-    Raises:
-        InputError: when a file cannot be written.
+    stem: path without suffixes; its folder must exist. comment: one line for the YAML. Raises
+    InputError when a file cannot be written.
     """
     stem = Path(stem)
     grey, image = _draw_grid(grid), stem.with_name(stem.name + ".grid.pgm")
@@ -82,23 +77,14 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
 
 @dataclass(frozen=True)
 class GridWriter:
-    """A writer of a ground grid for each image, and optionally into a bag.
-
-    Args:
-        folder: output folder.
-        placement: pose and lens of the camera.
-        settings: of the grid.
-        kinds: kinds of files, see ``GRID_SUFFIXES``.
-        bag: also receives each grid; None for files only.
-        frame_id: frame of the robot, in which grids are written.
-    """
+    """A writer of a ground grid for each image, and optionally into a bag."""
 
     folder: Path
     placement: CameraPlacement
     settings: GridSettings
-    kinds: Sequence[str]
+    kinds: Sequence[str]  # see ``GRID_SUFFIXES``
     bag: BagWriter | None = None
-    frame_id: str = "base_link"
+    frame_id: str = "base_link"  # of the robot, in which grids are written
 
     @property
     def suffixes(self) -> Sequence[str]:
