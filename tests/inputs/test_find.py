@@ -4,6 +4,7 @@ import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 import torch
@@ -53,19 +54,16 @@ def test_images_that_are_not_read_and_linked_folders_are_named(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_lists_of_windows_keep_their_first_name(
-    tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lists_of_windows_keep_their_first_name(tmp_path: Path, encoding: str) -> None:
     paths = [str(tmp_path / name) for name in ("ü.jpg", "b.jpg")]
     for path in paths:
         Path(path).touch()
     text = "".join(f"{path}\r\n" for path in paths)
     (tmp_path / "list.txt").write_bytes(text.encode(encoding))
 
-    monkeypatch.setattr("sys.stdin", io.StringIO(f"\ufeff{text}"))
-
     images, _ = find_inputs([f"@{tmp_path / 'list.txt'}"])
-    piped, _ = find_inputs(["-"])
+    with patch("sys.stdin", io.StringIO(f"\ufeff{text}")):
+        piped, _ = find_inputs(["-"])
 
     assert [image.origin for image in images] == [image.origin for image in piped] == paths
 
@@ -124,15 +122,13 @@ def test_pipes_are_listed_and_never_opened(tmp_path: Path) -> None:
 # --- lists, addresses -------------------------------------------------------------
 
 
-def test_names_come_from_standard_input_and_lists(
-    footage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_come_from_standard_input_and_lists(footage: Path, tmp_path: Path) -> None:
     listed = tmp_path / "list.txt"
     listed.write_text("b.png\n\nother.mp4\r\n")
     arguments = ["-", f"@{listed}", str(footage / "b.jpg")]
 
-    monkeypatch.setattr("sys.stdin", io.StringIO("0\na.jpg\n"))
-    images, sources = find_inputs(arguments)
+    with patch("sys.stdin", io.StringIO("0\na.jpg\n")):
+        images, sources = find_inputs(arguments)
 
     assert [str(image.origin) for image in images] == ["a.jpg", "b.png", arguments[-1]]
     assert [image.origin for image in sources] == ["camera:0", "other.mp4"]
@@ -146,12 +142,8 @@ def test_names_come_from_standard_input_and_lists(
         ("-", "\udcff\udcd8\udcff\udce0\0\x10JFIF", "-: expects file names, not the"),
     ],
 )
-def test_a_list_that_is_missing_or_empty_is_told(
-    argument: str, text: str, error: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO(text))
-
-    with pytest.raises(InputError, match=error):
+def test_a_list_that_is_missing_or_empty_is_told(argument: str, text: str, error: str) -> None:
+    with patch("sys.stdin", io.StringIO(text)), pytest.raises(InputError, match=error):
         find_inputs([argument])
 
 
