@@ -67,8 +67,14 @@ def read_masks(
         DatasetError: without a mask of an image, for a mask that cannot be read or has another
             size, for values of unknown meaning, and where none of them is road.
     """
-    is_coco = path.is_file()
-    readers, names = _open_coco(path, images) if is_coco else (_pair_masks(path, images), [])
+    names = list[str]()
+    if path.is_file():
+        image_sizes = {name: read_image_size(image) for name, image in images.items()}
+        regions, categories = read_coco_categories(path, image_sizes)
+        names = [name for name, _ in categories]
+        readers = {images[name]: partial(np.asarray, values) for name, values in regions.items()}
+    else:
+        readers = _pair_masks(path, images)
     counts, numbers = Counter[str](), dict[str, int]()
     for read in readers.values():
         values, sizes = np.unique(read(), return_counts=True)
@@ -126,13 +132,3 @@ def _pair_masks(folder: Path, images: Mapping[str, Path]) -> dict[Path, Callable
         hint = "name masks like their images, NAME.png or NAME_mask.png, or give a COCO file"
         raise DatasetError(folder, message, hint)
     return readers
-
-
-def _open_coco(
-    path: Path, images: Mapping[str, Path]
-) -> tuple[dict[Path, Callable[[], np.ndarray]], list[str]]:
-    """Return the reader of each image's regions, and the categories."""
-    sizes = {name: read_image_size(image) for name, image in images.items()}
-    numbers, categories = read_coco_categories(path, sizes)
-    names = [name for name, _ in categories]
-    return {images[name]: partial(np.asarray, values) for name, values in numbers.items()}, names

@@ -49,7 +49,8 @@ def roc(counts: RoadCounts) -> Curve:
     From (0, 0) to (1, 1); pixels that share a level make one point (protocols of P2 and P3).
     """
     points = operating_points(counts)
-    occupied = torch.cat([torch.ones(1, dtype=torch.bool), _nonempty_levels(counts)])
+    has_pixels = (counts.road + counts.background).flip(-1) > 0  # of each level, highest first
+    occupied = torch.cat([torch.ones(1, dtype=torch.bool), has_pixels])
     return Curve(points.x[occupied], points.y[occupied])
 
 
@@ -64,11 +65,6 @@ def _cumulative_counts(counts: RoadCounts) -> tuple[Tensor, Tensor]:
 
 def _normalise_by_last(sums: Tensor) -> Tensor:
     return sums.to(torch.float64) / sums[..., -1:]
-
-
-def _nonempty_levels(counts: RoadCounts) -> Tensor:
-    """Return which levels have pixels, highest first; bool (levels,)."""
-    return (counts.road + counts.background).flip(-1) > 0
 
 
 # --- averages ---------------------------------------------------------------------------
