@@ -9,15 +9,17 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.imaging.levels import is_at_least
+from roadtorch.imaging.levels import is_above, is_at_least
 from roadtorch.imaging.resize import (
     WorkingSize,
     resize_maps,
+    resize_to_image,
     resize_to_work,
     round_to_pixels,
     side_length,
     spatial_size,
 )
+from roadtorch.layout.classes import VERTICAL
 from roadtorch.road.ego import any_pixel
 from roadtorch.road.seed_area import remove_isolated
 
@@ -43,6 +45,9 @@ RIDGE = 1e-3
 PASSES = 2
 """The first pass moves the likelihood to the nearest edge, the second sharpens it there."""
 
+MAX_VERTICAL = 0.3
+"""Potential of the class vertical above which edges add no road: legs, posts, wheels."""
+
 MAX_HOLE_WIDTH = 11 / 640  # fraction of the image's width: a lane marking near the camera
 
 HOLE_MARGIN = 1 / 255
@@ -58,9 +63,9 @@ def refine(
     on the fourteen cameras by .004. The ego car counts as no road, so that the strip of bonnet
     that its mask misses does not become road.
 
-    maps: ``likelihood`` (h, w) and, if there is one, ``ego``, bool (h, w). small: the analysed
-    image (3, h, w). image: at full size, (3, H, W). The result has at most ``MAX_ENLARGEMENT``
-    times the pixels of ``working``.
+    maps: ``likelihood`` (h, w) and, if there are, ``layout`` (3, h, w) and ``ego``, bool (h, w).
+    small: the analysed image (3, h, w). image: at full size, (3, H, W). The result has at most
+    ``MAX_ENLARGEMENT`` times the pixels of ``working``.
     """
     return fill_thin_holes(snap_to_edges(maps, small, image, working, threshold), threshold)
 
@@ -80,10 +85,14 @@ def snap_to_edges(
         likelihood = likelihood.masked_fill(maps["ego"], 0)
     fine = guided_filter(likelihood, small, larger)
     smooth = resize_maps(likelihood, spatial_size(larger))
-    agree = is_at_least(fine, threshold) == is_at_least(smooth, threshold)
+    is_road = is_at_least(fine, threshold)
+    keeps = is_road == is_at_least(smooth, threshold)
+    if "layout" in maps:
+        stands = is_above(maps["layout"][..., VERTICAL, :, :], MAX_VERTICAL)
+        keeps = keeps | (is_road & resize_to_image(stands, spatial_size(larger)))
     if torch.compiler.is_exporting():
-        return torch.where(agree, smooth, fine)
-    arrays = [map.cpu().numpy() for map in (smooth, agree.byte(), fine)]
+        return torch.where(keeps, smooth, fine)
+    arrays = [map.cpu().numpy() for map in (smooth, keeps.byte(), fine)]
     return torch.from_numpy(cv2.copyTo(*arrays)).to(fine.device)  # a third of the time
 
 
