@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.compute import keep_freed_memory
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import VERTICAL
 from roadtorch.layout.weights import load_network, read_origin, save_network, weights_path
@@ -58,8 +59,7 @@ class Loss(NamedTuple):
 
 def street_loss(network: BackboneNetwork, batch: Batch, recipe: Recipe) -> Tensor:
     """Compute the mean loss of a batch, of each head by itself."""
-    with torch.set_grad_enabled(recipe.learns_backbone):
-        features = network.backbone(batch.images)
+    features = network.backbone(batch.images)
     targets = Targets(*F.avg_pool2d(batch.planes, recipe.stride).split(TARGET_PLANES, 1))
     if recipe.border:
         vertical = targets.layout[:, VERTICAL : VERTICAL + 1] * targets.layout_weight
@@ -85,7 +85,9 @@ def learn_network(
     """
     network, choice = load_backbone(recipe.initial, sampler.device), random.Random(recipe.seed)
     network.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
-    network.backbone.requires_grad_(recipe.learns_backbone).train(recipe.learns_backbone)
+    if recipe.frozen:
+        for part in (network.backbone.stem, *network.backbone.blocks[: recipe.frozen]):
+            part.requires_grad_(False)
     weights = [weight for weight in network.parameters() if weight.requires_grad]
     optimiser = torch.optim.AdamW(weights, weight_decay=0)
     for size in sorted(set(recipe.sizes)):  # kernels are chosen before the clock starts
@@ -157,6 +159,7 @@ def find_recipe(text: str) -> Recipe:
 
 def learn(options: argparse.Namespace) -> None:
     """Run the recipes within the time, and write each one's weights, losses and scores."""
+    keep_freed_memory()  # on a CPU two thirds of the time
     end, device = time.monotonic() + 60 * options.minutes, torch.device(options.device)
     torch.backends.cudnn.benchmark = True
     torch.set_float32_matmul_precision("high")

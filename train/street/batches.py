@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
+from roadtorch.layout.image_network import UPPER, resize_rows
 from roadtorch.train import augmentation
 from roadtorch.train.recordings import recording_name
 from roadtorch.train.teachers import MIN_EGO_AREA, MIN_EGO_WIDTH, TARGET_PLANES, Targets
@@ -114,18 +115,19 @@ class Sampler:
         self._cars = has_car.nonzero()[:, 0]
 
     def sample(self, size: tuple[int, int]) -> Batch:
-        """Return an augmented batch of a size."""
+        """Return an augmented batch of a size, its rows as one of the recipe's views has them."""
+        upper = self._choice.choice(self._recipe.upper_rows)
         pack, rng, members = self._pack, self._rng, self._sample_members()
         maps, known = pack.maps[members] / 255, pack.known[members]
         frames = augmentation.sample_affine(self.batch, SIZE, GEOMETRY, rng)
         images = augmentation.warp_affine(pack.images[members] / 255, frames, "border")
         planes = make_planes(maps, known, self._recipe.margin)
         planes = augmentation.warp_affine(planes, frames, "zeros")
-        images, planes = (resize(part, size).clamp(0, 1) for part in (images, planes))
+        images, planes = (resize(part, size, upper).clamp(0, 1) for part in (images, planes))
         batch = Batch(images, planes, self._exact[members].reshape(-1, 1, 1, 1))
         self._add_surface(batch)
         self._add_shadow(batch)
-        self._add_ego_cars(batch)
+        self._add_ego_cars(batch, upper)
         self._add_weather(batch)
         self._add_night(batch)
         self._degrade(batch.images)
@@ -163,7 +165,7 @@ class Sampler:
         images = batch.images[part]
         batch.images[part] = augmentation.add_shadow(images, SETTINGS.shadow, self._rng)
 
-    def _add_ego_cars(self, batch: Batch) -> None:
+    def _add_ego_cars(self, batch: Batch, upper: float) -> None:
         part, rng = self._sample_part(SETTINGS.ego_car.probability), self._rng
         if not len(self._cars):
             return
@@ -174,7 +176,7 @@ class Sampler:
         car = augmentation.EgoCar(self._pack.images[members] / 255, ego)
         car = augmentation.jitter_ego_car(car, SETTINGS.ego_car, rng)
         size = spatial_size(batch.images)
-        car = augmentation.EgoCar(*(resize(maps, size).clamp(0, 1) for maps in car))
+        car = augmentation.EgoCar(*(resize(maps, size, upper).clamp(0, 1) for maps in car))
         pasted = augmentation.paste_ego_car(batch.images[part], batch.planes[part], car)
         batch.images[part], batch.planes[part] = pasted
 
@@ -213,15 +215,17 @@ def source_of(group: object, name: object) -> tuple[str, str]:
     return str(group), source
 
 
-def resize(maps: Tensor, size: tuple[int, int]) -> Tensor:
-    """Resize maps (n, C, H, W) as ``resize_maps`` does, by matrix products on any device."""
-    rows, columns = (
-        resize_weights(*sides, maps.device) for sides in zip(spatial_size(maps), size, strict=True)
-    )
+def resize(maps: Tensor, size: tuple[int, int], upper: float) -> Tensor:
+    """Resize maps (n, C, H, W) as ``resize_rows`` does, on a GPU by matrix products."""
+    if maps.device.type == "cpu":
+        return resize_rows(maps.float(), size, upper)
+    (height, width), (new_height, new_width) = spatial_size(maps), size
+    rows = resize_weights(height, new_height, upper, maps.device)
+    columns = resize_weights(width, new_width, UPPER, maps.device)
     return rows @ maps.float() @ columns.T
 
 
 @lru_cache(maxsize=64)
-def resize_weights(old: int, new: int, device: torch.device) -> Tensor:
+def resize_weights(old: int, new: int, upper: float, device: torch.device) -> Tensor:
     """Return the matrix (new, old) that resizes a side."""
-    return resize_maps(torch.eye(old)[None], (new, old))[0].to(device)
+    return resize_rows(torch.eye(old)[None], (new, old), upper)[0].to(device)
