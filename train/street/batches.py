@@ -215,7 +215,7 @@ def source_of(group: object, name: object) -> tuple[str, str]:
     return str(group), source
 
 
-def resize(maps: Tensor, size: tuple[int, int], upper: float) -> Tensor:
+def resize(maps: Tensor, size: tuple[int, int], upper: float = UPPER) -> Tensor:
     """Resize maps (n, C, H, W) as ``resize_rows`` does, on a GPU by matrix products."""
     if maps.device.type == "cpu":
         return resize_rows(maps.float(), size, upper)
