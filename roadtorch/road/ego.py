@@ -173,17 +173,23 @@ def _mirror_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
     height, width = ego.shape
     car = ego.cpu().numpy()
     first = max(int(car.any(1).argmax()) - 1, 0)
-    car, rows = car[first:], np.arange(first, height)[:, None]
-    free = np.maximum.accumulate(np.where(car, -1, rows), 0)
-    last = np.maximum.accumulate(np.where(car, rows, -1), 0)
-    above = np.maximum(free, first)
-    run = above - np.take_along_axis(last, above - first, 0)
-    run = run.clip(1, max(1, round(MAX_STRIP * height)))
+    car, rows = car[first:], np.arange(first, height, dtype=np.int32)[:, None]
+    strip = max(1, round(MAX_STRIP * height))
+    if (car[:-1] <= car[1:]).all():  # it stands on the lower edge: a fifth of the time
+        free = height - 1 - car.sum(0, dtype=np.int32)
+        above = np.maximum(free, first)
+        run = (above + 1).clip(1, strip)
+    else:
+        free = np.maximum.accumulate(np.where(car, np.int32(-1), rows), 0)
+        last = np.maximum.accumulate(np.where(car, rows, np.int32(-1)), 0)
+        above = np.maximum(free, first)
+        run = (above - np.take_along_axis(last, above - first, 0)).clip(1, strip)
     step = (rows - above - 1).clip(0) % (2 * run)
     source = np.where(car & (free >= 0), above - np.minimum(step, 2 * run - 1 - step), rows)
-    index = torch.from_numpy((source * width + np.arange(width)).reshape(-1)).to(maps.device)
+    index = (source * width + np.arange(width, dtype=np.int32)).reshape(-1)
     ground, hidden = maps.clone(), torch.zeros_like(ego)
-    ground[:, first:] = maps.flatten(1).index_select(1, index).view(len(maps), -1, width)
+    lower = maps.flatten(1).index_select(1, torch.from_numpy(index).to(maps.device))
+    ground[:, first:] = lower.view(len(maps), -1, width)
     hidden[first:] = torch.from_numpy(car & (free < 0)).to(ego.device)
     return ground, hidden
 
