@@ -260,7 +260,7 @@ def average_views(
     for crop in crops:
         rows = round_to_pixels(side_length(height) * (1 - crop), 1)
         lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
-        padding, maps = (0, 0, height - rows, 0), network.cues(lower, fuse)
+        padding, maps = (0, 0, height - rows, 0), network.cues(lower, fuse, upper_rows=0)
         total = {name: total[name] + functional.pad(maps[name], padding) for name in total}
         views = views + functional.pad(views.new_ones(rows, 1), padding)
     return {name: maps / views for name, maps in total.items()} if crops else total

@@ -17,7 +17,13 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import spatial_size
-from roadtorch.layout.image_network import NUM_OUTPUTS, RoadFusion, compute_cues, coordinate_planes
+from roadtorch.layout.image_network import (
+    NUM_OUTPUTS,
+    RoadFusion,
+    UpperRows,
+    compute_cues,
+    coordinate_planes,
+)
 from roadtorch.layout.patch_network import Normalisation
 
 
@@ -70,6 +76,7 @@ class BackboneNetworkSettings(Settings):
     wide: int = Field(default=48, ge=8, le=512, description="channels of a head at 1/8 size")
     narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at 1/4 size")
     heads: int = Field(default=3, ge=1, le=16, description="number of averaged heads")
+    upper_rows: UpperRows = 0
     normalisation: Normalisation = Normalisation(kind="none")
 
 
@@ -223,9 +230,12 @@ class BackboneNetwork(nn.Module):
         return torch.stack([head(features) for head in self.heads]).mean(0), features[0]
 
     @torch.no_grad()
-    def cues(self, image: Tensor, fuse: RoadFusion | None = None) -> Mapping[str, Tensor]:
+    def cues(
+        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: int | None = None
+    ) -> Mapping[str, Tensor]:
         """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
 
-        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well.
+        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: those of
+        the settings.
         """
-        return compute_cues(self, image, self.settings, fuse)
+        return compute_cues(self, image, fuse, upper_rows)

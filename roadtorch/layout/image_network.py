@@ -15,7 +15,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
-from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.imaging.resize import (
+    resize_maps,
+    round_to_pixels,
+    side_length,
+    spatial_size,
+)
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.patch_network import Normalisation, normalise
 
@@ -43,6 +48,22 @@ NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
 SIZE_STEP = 32
 """Divisor of a network's scaled height and width: five halvings."""
 
+UPPER = 0.3
+"""Fraction of an image's height that is its upper part: sky, trees and roofs, hardly road."""
+
+ROW_STEP = 8
+"""Divisor of the rows of a network's input that show the upper part: three halvings."""
+
+UpperRows = Annotated[
+    int,
+    Field(
+        ge=0,
+        le=512,
+        multiple_of=ROW_STEP,
+        description="rows that show the upper three tenths of the image; 0: all rows are alike",
+    ),
+]
+
 
 class ImageNetworkSettings(Settings):
     """Working size and width of the network for whole images."""
@@ -57,6 +78,7 @@ class ImageNetworkSettings(Settings):
     wide: int = Field(
         default=96, ge=8, le=512, multiple_of=GROUP_SIZE, description="channels of the middle"
     )
+    upper_rows: UpperRows = 0
     normalisation: Normalisation = Normalisation()
 
 
@@ -102,22 +124,24 @@ class ImageNetwork(nn.Module):
         return self.heads(half), features
 
     @torch.no_grad()
-    def cues(self, image: Tensor, fuse: RoadFusion | None = None) -> Mapping[str, Tensor]:
+    def cues(
+        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: int | None = None
+    ) -> Mapping[str, Tensor]:
         """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
 
-        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well.
+        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: those of
+        the settings.
         """
-        return compute_cues(self, image, self.settings, fuse)
+        return compute_cues(self, image, fuse, upper_rows)
 
 
 def compute_cues(
-    network: Any, image: Tensor, settings: Any, fuse: RoadFusion | None
+    network: Any, image: Tensor, fuse: RoadFusion | None, upper_rows: int | None
 ) -> Mapping[str, Tensor]:
-    """Return a network's ``cues`` of an image (3, H, W), in an exported graph of a batch.
-
-    settings: height, width and normalisation of the network's input.
-    """
-    small = resize_maps(image, (settings.height, settings.width)).clamp(0, 1)
+    """Return a network's ``cues`` of an image (3, H, W), in an exported graph of a batch."""
+    settings = network.settings
+    upper_rows = settings.upper_rows if upper_rows is None else upper_rows
+    small = resize_rows(image, (settings.height, settings.width), upper_rows).clamp(0, 1)
     pixels = normalise(small, settings.normalisation).pixels
     is_batch = pixels.ndim == 4
     images, pixels = (small, pixels) if is_batch else (small[None], pixels[None])
@@ -127,29 +151,46 @@ def compute_cues(
     if fuse is not None:
         road = fuse(scores[:, ROAD_OUTPUT], features, images)
         potentials = torch.cat([potentials, road.sigmoid()], 1)
-    potentials = resize_maps(potentials if is_batch else potentials[0], spatial_size(image))
-    layout, planes = potentials.clamp(0, 1).tensor_split((NUM_CLASSES,), -3)
+    maps = potentials if is_batch else potentials[0]
+    rows = upper_rows * maps.shape[-2] // settings.height
+    layout, planes = (
+        restore_rows(maps, spatial_size(image), rows).clamp(0, 1).tensor_split((NUM_CLASSES,), -3)
+    )
     return {"layout": layout, **dict(zip(ROAD_CUES, planes.unbind(-3), strict=False))}
 
 
-UPPER = 0.3
-"""Fraction of an image's height that is its upper part: sky, trees and roofs, hardly road."""
+def resize_rows(maps: Tensor, size: tuple[int, int], rows: int) -> Tensor:
+    """Resize maps (…, H, W) with so many rows for the upper part; 0: as many as it has. Ours.
 
-ROW_STEP = 8
-"""Divisor of the rows of a network's input that show the upper part: three halvings."""
-
-
-def resize_rows(maps: Tensor, size: tuple[int, int], upper: float) -> Tensor:
-    """Resize maps (…, H, W), with about a fraction ``upper`` of the rows for the upper part. Ours.
-
-    So a network sees the ground at more pixels. With ``UPPER`` all rows are equal.
+    So a network sees the ground, where the road is, at more pixels.
     """
-    if upper == UPPER:
+    if not rows:
         return resize_maps(maps, size)
-    cut, rows = round(UPPER * maps.shape[-2]), ROW_STEP * round(upper * size[0] / ROW_STEP)
-    top, ground = maps[..., :cut, :], maps[..., cut:, :]
-    parts = resize_maps(top, (rows, size[1])), resize_maps(ground, (size[0] - rows, size[1]))
-    return torch.cat(parts, -2)
+    upper = upper_height(maps.shape[-2])
+    return resize_parts(maps, upper, (rows, size[0] - rows), size[1])
+
+
+def restore_rows(maps: Tensor, size: tuple[int, int], rows: int) -> Tensor:
+    """Resize maps (…, h, w), of which so many rows are the upper part, to an image's size."""
+    if not rows:
+        return resize_maps(maps, size)
+    upper = upper_height(size[0])
+    return resize_parts(maps, rows, (upper, size[0] - upper), size[1])
+
+
+def upper_height(height: int) -> int:
+    """Return the pixels of an image's height that are its upper part."""
+    return round_to_pixels(side_length(height) * UPPER, 1)
+
+
+def resize_parts(maps: Tensor, upper: int, heights: tuple[int, int], width: int) -> Tensor:
+    """Resize the upper rows of maps (…, H, W) and the others to heights of their own."""
+    rows = torch.arange(maps.shape[-2], device=maps.device)
+    parts = (maps.index_select(-2, part) for part in (rows[:upper], rows[upper:]))
+    resized = [
+        resize_maps(part, (height, width)) for part, height in zip(parts, heights, strict=True)
+    ]
+    return torch.cat(resized, -2)
 
 
 def scale_size(height: int, width: int, scale: float) -> tuple[int, int]:

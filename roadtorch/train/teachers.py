@@ -19,7 +19,7 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import ROAD_OUTPUT, scores_to_potentials
+from roadtorch.layout.image_network import ROAD_OUTPUT, resize_rows, scores_to_potentials
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.road.bayes import centred_odds, log_odds
@@ -119,20 +119,26 @@ def prepare_image(
     ego: bool (H, W), ego car found in the footage, over which the ground is extrapolated before the
     teacher sees it; None if unknown. Raises ConfigError for a teacher without a layout.
     """
-    size = (training.network.height, training.network.width)
+    network, size = training.network, (training.network.height, training.network.width)
     street = image if ego is None else extrapolate_over_ego(image, ego)
     maps = teacher_maps(street, teacher, training.teacher.views)
-    return encode_maps(image, maps, torch.full(size, 0.5) if ego is None else ego.float(), size)
+    car = torch.full(size, 0.5) if ego is None else ego.float()
+    return encode_maps(image, maps, car, size, network.upper_rows)
 
 
-def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
+def encode_maps(
+    image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int], upper_rows: int = 0
+) -> Arrays:
     """Resize an image (3, h, w) and its maps, in [0, 1] and of any sizes, to uint8 up to 255.
 
     maps: the teacher's sky, vertical, horizontal, road, (4, h, w). ego: (h, w), 1 ego, 0 not, 0.5
-    unknown.
+    unknown. upper_rows: as in the network's settings.
     """
     parts = {"image": image, "maps": maps, "ego": ego[None]}
-    small = {name: to_uint8(resize_maps(part, size).clamp(0, 1)) for name, part in parts.items()}
+    small = {
+        name: to_uint8(resize_rows(part, size, upper_rows).clamp(0, 1))
+        for name, part in parts.items()
+    }
     return {**small, "ego": small["ego"][0]}
 
 

@@ -23,6 +23,7 @@ from roadtorch.layout.image_network import (
     ROAD_OUTPUT,
     ImageNetwork,
     ImageNetworkSettings,
+    resize_rows,
     scale_size,
 )
 from roadtorch.layout.patch_network import normalise
@@ -284,7 +285,7 @@ class ImageRecipe:
         self.preparation = {  # size, and what the teacher's maps depend on
             **(teacher := training.teacher.model_dump(include=TEACHER_KEYS)),
             "files": file_digests(teacher),
-            "size": [training.network.height, training.network.width],
+            "size": [training.network.height, training.network.width, training.network.upper_rows],
             "recordings": training.recordings.model_dump(include={"separator", "min_frames"}),
         }
 
@@ -312,8 +313,9 @@ class ImageRecipe:
         road, layout = map(torch.from_numpy, (road_layer(labels), layout_layer(labels)))
         planes = [road == value for value in (ROAD_LABEL, NOT_ROAD, VOID_LABEL)]
         planes += [layout == number for number in range(NUM_CLASSES)]
-        stacked = torch.stack(planes).to(torch.float32)
-        return {"planes": to_uint8(F.adaptive_avg_pool2d(stacked, (network.height, network.width)))}
+        stacked, size = torch.stack(planes).to(torch.float32), (network.height, network.width)
+        small = resize_rows(stacked, size, network.upper_rows)
+        return {"planes": to_uint8(small.clamp(0, 1))}
 
     def make_network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
-from roadtorch.layout.image_network import UPPER, resize_rows
+from roadtorch.layout.image_network import ROW_STEP, resize_rows
 from roadtorch.train import augmentation
 from roadtorch.train.recordings import recording_name
 from roadtorch.train.teachers import MIN_EGO_AREA, MIN_EGO_WIDTH, TARGET_PLANES, Targets
@@ -115,8 +115,9 @@ class Sampler:
         self._cars = has_car.nonzero()[:, 0]
 
     def sample(self, size: tuple[int, int]) -> Batch:
-        """Return an augmented batch of a size, its rows as one of the recipe's views has them."""
-        upper = self._choice.choice(self._recipe.upper_rows)
+        """Return an augmented batch of a size, with so many upper rows as the recipe says."""
+        upper = self._choice.choice(self._recipe.upper) * size[0]
+        upper = ROW_STEP * round(upper / ROW_STEP)
         pack, rng, members = self._pack, self._rng, self._sample_members()
         maps, known = pack.maps[members] / 255, pack.known[members]
         frames = augmentation.sample_affine(self.batch, SIZE, GEOMETRY, rng)
@@ -165,7 +166,7 @@ class Sampler:
         images = batch.images[part]
         batch.images[part] = augmentation.add_shadow(images, SETTINGS.shadow, self._rng)
 
-    def _add_ego_cars(self, batch: Batch, upper: float) -> None:
+    def _add_ego_cars(self, batch: Batch, upper: int) -> None:
         part, rng = self._sample_part(SETTINGS.ego_car.probability), self._rng
         if not len(self._cars):
             return
@@ -215,17 +216,17 @@ def source_of(group: object, name: object) -> tuple[str, str]:
     return str(group), source
 
 
-def resize(maps: Tensor, size: tuple[int, int], upper: float = UPPER) -> Tensor:
+def resize(maps: Tensor, size: tuple[int, int], upper_rows: int = 0) -> Tensor:
     """Resize maps (n, C, H, W) as ``resize_rows`` does, on a GPU by matrix products."""
     if maps.device.type == "cpu":
-        return resize_rows(maps.float(), size, upper)
+        return resize_rows(maps.float(), size, upper_rows)
     (height, width), (new_height, new_width) = spatial_size(maps), size
-    rows = resize_weights(height, new_height, upper, maps.device)
-    columns = resize_weights(width, new_width, UPPER, maps.device)
+    rows = resize_weights(height, new_height, upper_rows, maps.device)
+    columns = resize_weights(width, new_width, 0, maps.device)
     return rows @ maps.float() @ columns.T
 
 
 @lru_cache(maxsize=64)
-def resize_weights(old: int, new: int, upper: float, device: torch.device) -> Tensor:
+def resize_weights(old: int, new: int, upper_rows: int, device: torch.device) -> Tensor:
     """Return the matrix (new, old) that resizes a side."""
-    return resize_rows(torch.eye(old)[None], (new, old), upper)[0].to(device)
+    return resize_rows(torch.eye(old)[None], (new, old), upper_rows)[0].to(device)

@@ -7,7 +7,6 @@ earlier one by one change.
 from dataclasses import dataclass, replace
 
 from roadtorch.layout.backbone_network import BLOCKS
-from roadtorch.layout.image_network import UPPER
 from train.street.pack import REAL, SIMULATED
 
 SHIPPED_SIZES = ((128, 160), (192, 256), (256, 320))
@@ -28,9 +27,9 @@ class Recipe:
     pixels where road meets something vertical; if it is not 0, machine labels teach nothing there.
     stride: of the pixels on which the loss is computed, in pixels of the input. margin: least
     |2p - 1| for a machine-labelled pixel's road target p to count. dim: fraction of a batch that is
-    underexposed. frozen: blocks of the backbone, from the first, that do not learn. upper_rows:
-    fractions of the rows that show the upper part of the images (``resize_rows``), one sampled for
-    each batch.
+    underexposed. frozen: first blocks of the backbone that do not learn. upper: fractions
+    of the rows that show the upper part of the images (``resize_rows``; 0: all rows are alike), one
+    sampled for each batch.
     """
 
     name: str
@@ -44,7 +43,7 @@ class Recipe:
     dim: float = 0.0
     learning_rate: float = 4e-4
     frozen: int = 0
-    upper_rows: tuple[float, ...] = (UPPER,)
+    upper: tuple[float, ...] = (0.0,)
     seed: int = 0
 
 
@@ -74,7 +73,7 @@ LOW = replace(
     hypothesis="the upper three tenths at a sixth of the rows: towns gain, as they do without any "
     "learning (+.005 to +.020; many .898 for .903), and trails do not lose once it is learned",
     groups={REAL: 0.6, ALL_KINDS: 0.25, STREETS: 0.1, SIMULATED: 0.05},
-    upper_rows=(1 / 6, 1 / 6, UPPER),
+    upper=(1 / 6, 1 / 6, 0.0),
     learning_rate=3e-4,
     frozen=2,
 )
