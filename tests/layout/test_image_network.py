@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 import torch
@@ -12,7 +13,14 @@ from torch.nn import functional as F
 from roadtorch.base.atomic import file_digest
 from roadtorch.base.errors import WeightsError
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings, Conv2dSame
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, scale_size
+from roadtorch.layout.image_network import (
+    ImageNetwork,
+    ImageNetworkSettings,
+    resize_rows,
+    restore_rows,
+    scale_size,
+    scores_to_potentials,
+)
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.weights import (
     LayoutNetwork,
@@ -51,6 +59,40 @@ def test_cues_are_potentials_of_its_size(size: tuple[int, int], backbone: Backbo
 
 
 # --- ours ----------------------------------------------------------------------------------
+
+
+def test_upper_rows_are_those_of_the_upper_three_tenths() -> None:
+    image = torch.linspace(0, 1, 480)[:, None].expand(1, 480, 16)
+
+    rows = resize_rows(image, (192, 16), 32)[0, :, 0]
+
+    centres = torch.cat(
+        [(torch.arange(32) + 0.5) / 32 * 0.3, 0.3 + (torch.arange(160) + 0.5) / 160 * 0.7]
+    )
+    torch.testing.assert_close(rows[1:-1], centres[1:-1], atol=5e-3, rtol=0)
+    torch.testing.assert_close(
+        restore_rows(rows[None, :, None], (480, 1), 32)[0], image[0, :, :1], atol=6e-3, rtol=0
+    )
+
+
+def test_cues_are_back_in_their_place_for_any_upper_rows(backbone: BackboneNetwork) -> None:
+    image = torch.rand(3, 60, 90, generator=torch.Generator().manual_seed(2))
+    settings = backbone.settings.model_copy(update={"upper_rows": 16})
+    warped = resize_rows(image, (64, 96), 16)
+    scores = backbone(warped[None])
+    expected = restore_rows(scores_to_potentials(scores)[0], (60, 90), 4)
+
+    with patch.object(backbone, "settings", settings):
+        cues, uniform = backbone.cues(image), backbone.cues(image, upper_rows=0)
+
+    torch.testing.assert_close(cues["road"], expected[3], atol=1e-5, rtol=0)
+    torch.testing.assert_close(uniform["road"], backbone.cues(image)["road"], atol=1e-5, rtol=0)
+
+
+def test_upper_rows_grow_with_the_network() -> None:
+    network = ImageNetwork(ImageNetworkSettings(height=64, width=64, upper_rows=16))
+
+    assert resize_network(network, 96, 96).settings.upper_rows == 24
 
 
 def test_weights_apply_to_images_of_another_size() -> None:

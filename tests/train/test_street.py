@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.layout.image_network import resize_rows
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.teachers import TARGET_PLANES, Targets
 from train.street.__main__ import find_recipe, learn_network, load_backbone, mean, street_loss
-from train.street.batches import Batch, Sampler, make_planes, resize
+from train.street.batches import Batch, Sampler, make_planes, resize_weights
 from train.street.compare import (
     LEFT,
     RIGHT,
@@ -164,10 +165,14 @@ def test_no_batch_shows_a_held_out_world(recipe, tmp_path: Path) -> None:
         assert targets.layout_weight.any()
 
 
-def test_resizing_by_matrices_is_antialiased_bilinear() -> None:
+@pytest.mark.parametrize("rows", [0, 8])
+def test_matrices_resize_as_the_detector_does(rows: int) -> None:
     maps = torch.rand(2, 3, 48, 64, generator=torch.Generator().manual_seed(3))
-    expected = torch.nn.functional.interpolate(maps, (20, 30), mode="bilinear", antialias=True)
-    torch.testing.assert_close(resize(maps, (20, 30)), expected, atol=1e-5, rtol=0)
+    cpu = torch.device("cpu")
+
+    resized = resize_weights(48, 32, rows, cpu) @ maps @ resize_weights(64, 30, 0, cpu).T
+
+    torch.testing.assert_close(resized, resize_rows(maps, (32, 30), rows), atol=1e-5, rtol=0)
 
 
 # --- learning ---------------------------------------------------------------------------
@@ -175,16 +180,19 @@ def test_resizing_by_matrices_is_antialiased_bilinear() -> None:
 
 def test_learning_lowers_the_loss_and_writes_weights_that_load(tmp_path: Path) -> None:
     sampler = Sampler(small_pack(tmp_path), CONTROL, 4)
-    recipe = replace(CONTROL, sizes=((64, 96),), learning_rate=2e-3)
+    recipe = replace(CONTROL, sizes=((64, 96),), learning_rate=2e-3, upper=(1 / 6, 0.0), frozen=2)
 
     network, losses = learn_network(recipe, sampler, seconds=0, steps=12)
     save_network(tmp_path / "new.safetensors", network, {})
 
+    assert network.settings.upper_rows == 32  # a sixth of 192
     assert losses[-1].visits == 48
     assert sum(row.loss for row in losses[-4:]) < sum(row.loss for row in losses[:4])
     shipped = load_backbone("backbone-free", CPU).state_dict()
     learned = load_network(tmp_path / "new.safetensors").state_dict()
-    assert any(not torch.equal(shipped[key], learned[key]) for key in shipped)
+    changed = {key for key in shipped if not torch.equal(shipped[key], learned[key])}
+    assert changed
+    assert not any(key.startswith(("backbone.stem", "backbone.blocks.1.")) for key in changed)
 
 
 def test_a_recipe_is_found_by_name_and_with_another_seed() -> None:

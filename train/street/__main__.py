@@ -29,7 +29,7 @@ from roadtorch.train.config import Descent, HeadWeights
 from roadtorch.train.teachers import TARGET_PLANES, Targets
 from roadtorch.train.training_loop import MovingAverage
 from roadtorch.train.whole_images import target_loss
-from train.street.batches import Batch, Sampler
+from train.street.batches import Batch, Sampler, upper_rows
 from train.street.pack import Pack, read_pack
 from train.street.recipes import RECIPES, Recipe
 from train.street.scores import KindScores, score_held_worlds
@@ -107,7 +107,10 @@ def learn_network(
             losses.append(Loss(seen, step * sampler.batch, round(loss, 5)))
             recent.clear()
         progress = step / steps if steps else (time.monotonic() - start) / seconds
-    return average.network.eval(), losses
+    learned = average.network.eval()
+    rows = upper_rows(recipe.upper[0], learned.settings.height)
+    learned.settings = learned.settings.model_copy(update={"upper_rows": rows})
+    return learned, losses
 
 
 def load_backbone(name: str, device: torch.device) -> BackboneNetwork:
@@ -185,7 +188,7 @@ def learn(options: argparse.Namespace) -> None:
 
 
 def mean(options: argparse.Namespace) -> None:
-    """Write the weighted mean of networks, of WEIGHT:FILE each."""
+    """Write the weighted mean of networks, of WEIGHT:FILE each, with the first one's settings."""
     device, total, state = torch.device("cpu"), 0.0, dict[str, Tensor]()
     origin = dict[str, Any]()
     for part in options.parts:

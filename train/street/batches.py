@@ -116,8 +116,7 @@ class Sampler:
 
     def sample(self, size: tuple[int, int]) -> Batch:
         """Return an augmented batch of a size, with so many upper rows as the recipe says."""
-        upper = self._choice.choice(self._recipe.upper) * size[0]
-        upper = ROW_STEP * round(upper / ROW_STEP)
+        upper = upper_rows(self._choice.choice(self._recipe.upper), size[0])
         pack, rng, members = self._pack, self._rng, self._sample_members()
         maps, known = pack.maps[members] / 255, pack.known[members]
         frames = augmentation.sample_affine(self.batch, SIZE, GEOMETRY, rng)
@@ -216,17 +215,22 @@ def source_of(group: object, name: object) -> tuple[str, str]:
     return str(group), source
 
 
-def resize(maps: Tensor, size: tuple[int, int], upper_rows: int = 0) -> Tensor:
+def upper_rows(fraction: float, height: int) -> int:
+    """Return the rows of a network's input that are nearest to a fraction of its height."""
+    return ROW_STEP * round(fraction * height / ROW_STEP)
+
+
+def resize(maps: Tensor, size: tuple[int, int], rows: int = 0) -> Tensor:
     """Resize maps (n, C, H, W) as ``resize_rows`` does, on a GPU by matrix products."""
     if maps.device.type == "cpu":
-        return resize_rows(maps.float(), size, upper_rows)
+        return resize_rows(maps.float(), size, rows)
     (height, width), (new_height, new_width) = spatial_size(maps), size
-    rows = resize_weights(height, new_height, upper_rows, maps.device)
-    columns = resize_weights(width, new_width, 0, maps.device)
-    return rows @ maps.float() @ columns.T
+    down = resize_weights(height, new_height, rows, maps.device)
+    across = resize_weights(width, new_width, 0, maps.device)
+    return down @ maps.float() @ across.T
 
 
 @lru_cache(maxsize=64)
-def resize_weights(old: int, new: int, upper_rows: int, device: torch.device) -> Tensor:
+def resize_weights(old: int, new: int, rows: int, device: torch.device) -> Tensor:
     """Return the matrix (new, old) that resizes a side."""
-    return resize_rows(torch.eye(old)[None], (new, old), upper_rows)[0].to(device)
+    return resize_rows(torch.eye(old)[None], (new, old), rows)[0].to(device)

@@ -6,7 +6,7 @@ import torch
 
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import VERTICAL
-from roadtorch.layout.image_network import ROAD_OUTPUT
+from roadtorch.layout.image_network import ROAD_OUTPUT, restore_rows
 from train.street.batches import ROAD_MAP, resize
 from train.street.pack import HELD_GROUP, SIZE, Pack, obstacle_mask, world_kind
 
@@ -27,8 +27,10 @@ def score_held_worlds(network: BackboneNetwork, pack: Pack) -> list[KindScores]:
     size = (network.settings.height, network.settings.width)
     for member in (pack.groups == HELD_GROUP).nonzero()[0].tolist():
         maps, known = pack.maps[member], pack.known[member]
-        scores = network(resize(pack.images[member][None] / 255, size).clamp(0, 1))
-        mask = resize(scores[:, ROAD_OUTPUT : ROAD_OUTPUT + 1], SIZE)[0, 0] >= 0
+        rows = network.settings.upper_rows
+        scores = network(resize(pack.images[member][None] / 255, size, rows).clamp(0, 1))
+        odds = scores[0, ROAD_OUTPUT : ROAD_OUTPUT + 1]
+        mask = restore_rows(odds, SIZE, rows * odds.shape[-2] // size[0])[0] >= 0
         road = maps[ROAD_MAP] == 255
         obstacle = obstacle_mask(road, (maps[VERTICAL] == 255) & known[0])
         parts = [mask & road, mask & ~road & known[1], ~mask & road, mask & obstacle, obstacle]
