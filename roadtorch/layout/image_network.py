@@ -153,29 +153,28 @@ def compute_cues(
         potentials = torch.cat([potentials, road.sigmoid()], 1)
     maps = potentials if is_batch else potentials[0]
     rows = upper_rows * maps.shape[-2] // settings.height
-    layout, planes = (
-        restore_rows(maps, spatial_size(image), rows).clamp(0, 1).tensor_split((NUM_CLASSES,), -3)
-    )
+    maps = restore_rows(maps, spatial_size(image), rows).clamp(0, 1)
+    layout, planes = maps.tensor_split((NUM_CLASSES,), -3)
     return {"layout": layout, **dict(zip(ROAD_CUES, planes.unbind(-3), strict=False))}
 
 
-def resize_rows(maps: Tensor, size: tuple[int, int], rows: int) -> Tensor:
+Resize = Callable[[Tensor, tuple[int, int]], Tensor]
+"""A function that resizes maps (…, H, W) to a size."""
+
+
+def resize_rows(
+    maps: Tensor, size: tuple[int, int], rows: int, resize: Resize = resize_maps
+) -> Tensor:
     """Resize maps (…, H, W) with so many rows for the upper part; 0: as many as it has. Ours.
 
     So a network sees the ground, where the road is, at more pixels.
     """
-    if not rows:
-        return resize_maps(maps, size)
-    upper = upper_height(maps.shape[-2])
-    return resize_parts(maps, upper, (rows, size[0] - rows), size[1])
+    return resize_parts(maps, upper_height(maps.shape[-2]), size, rows, resize)
 
 
 def restore_rows(maps: Tensor, size: tuple[int, int], rows: int) -> Tensor:
     """Resize maps (…, h, w), of which so many rows are the upper part, to an image's size."""
-    if not rows:
-        return resize_maps(maps, size)
-    upper = upper_height(size[0])
-    return resize_parts(maps, rows, (upper, size[0] - upper), size[1])
+    return resize_parts(maps, rows, size, upper_height(size[0]) if rows else 0, resize_maps)
 
 
 def upper_height(height: int) -> int:
@@ -183,14 +182,19 @@ def upper_height(height: int) -> int:
     return round_to_pixels(side_length(height) * UPPER, 1)
 
 
-def resize_parts(maps: Tensor, upper: int, heights: tuple[int, int], width: int) -> Tensor:
-    """Resize the upper rows of maps (…, H, W) and the others to heights of their own."""
-    rows = torch.arange(maps.shape[-2], device=maps.device)
-    parts = (maps.index_select(-2, part) for part in (rows[:upper], rows[upper:]))
-    resized = [
-        resize_maps(part, (height, width)) for part, height in zip(parts, heights, strict=True)
-    ]
-    return torch.cat(resized, -2)
+def resize_parts(
+    maps: Tensor, upper: int, size: tuple[int, int], rows: int, resize: Resize
+) -> Tensor:
+    """Resize the upper rows of maps (…, H, W) to so many rows, the others to the rest of a size.
+
+    With 0 rows all are resized alike.
+    """
+    if not rows:
+        return resize(maps, size)
+    numbers = torch.arange(maps.shape[-2], device=maps.device)
+    top, ground = (maps.index_select(-2, part) for part in (numbers[:upper], numbers[upper:]))
+    parts = resize(top, (rows, size[1])), resize(ground, (size[0] - rows, size[1]))
+    return torch.cat(parts, -2)
 
 
 def scale_size(height: int, width: int, scale: float) -> tuple[int, int]:

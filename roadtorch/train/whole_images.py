@@ -314,8 +314,11 @@ class ImageRecipe:
         planes = [road == value for value in (ROAD_LABEL, NOT_ROAD, VOID_LABEL)]
         planes += [layout == number for number in range(NUM_CLASSES)]
         stacked, size = torch.stack(planes).to(torch.float32), (network.height, network.width)
-        small = resize_rows(stacked, size, network.upper_rows)
-        return {"planes": to_uint8(small.clamp(0, 1))}
+        return {
+            "planes": to_uint8(
+                resize_rows(stacked, size, network.upper_rows, F.adaptive_avg_pool2d)
+            )
+        }
 
     def make_network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""
