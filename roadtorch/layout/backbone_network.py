@@ -76,7 +76,7 @@ class BackboneNetworkSettings(Settings):
     wide: int = Field(default=48, ge=8, le=512, description="channels of a head at 1/8 size")
     narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at 1/4 size")
     heads: int = Field(default=3, ge=1, le=16, description="number of averaged heads")
-    upper_rows: UpperRows = 0
+    upper_rows: UpperRows = 0.0
     normalisation: Normalisation = Normalisation(kind="none")
 
 
@@ -231,11 +231,11 @@ class BackboneNetwork(nn.Module):
 
     @torch.no_grad()
     def cues(
-        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: int | None = None
+        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: float | None = None
     ) -> Mapping[str, Tensor]:
         """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
 
-        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: those of
+        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: that of
         the settings.
         """
         return compute_cues(self, image, fuse, upper_rows)

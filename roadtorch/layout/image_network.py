@@ -55,12 +55,12 @@ ROW_STEP = 8
 """Divisor of the rows of a network's input that show the upper part: three halvings."""
 
 UpperRows = Annotated[
-    int,
+    float,
     Field(
         ge=0,
-        le=512,
-        multiple_of=ROW_STEP,
-        description="rows that show the upper three tenths of the image; 0: all rows are alike",
+        le=0.9,
+        description="fraction of the rows that shows the upper three tenths of the image, which "
+        "hardly show road; 0: all rows are alike",
     ),
 ]
 
@@ -78,7 +78,7 @@ class ImageNetworkSettings(Settings):
     wide: int = Field(
         default=96, ge=8, le=512, multiple_of=GROUP_SIZE, description="channels of the middle"
     )
-    upper_rows: UpperRows = 0
+    upper_rows: UpperRows = 0.0
     normalisation: Normalisation = Normalisation()
 
 
@@ -125,23 +125,24 @@ class ImageNetwork(nn.Module):
 
     @torch.no_grad()
     def cues(
-        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: int | None = None
+        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: float | None = None
     ) -> Mapping[str, Tensor]:
         """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
 
-        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: those of
+        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: that of
         the settings.
         """
         return compute_cues(self, image, fuse, upper_rows)
 
 
 def compute_cues(
-    network: Any, image: Tensor, fuse: RoadFusion | None, upper_rows: int | None
+    network: Any, image: Tensor, fuse: RoadFusion | None, upper_rows: float | None
 ) -> Mapping[str, Tensor]:
     """Return a network's ``cues`` of an image (3, H, W), in an exported graph of a batch."""
     settings = network.settings
-    upper_rows = settings.upper_rows if upper_rows is None else upper_rows
-    small = resize_rows(image, (settings.height, settings.width), upper_rows).clamp(0, 1)
+    fraction = settings.upper_rows if upper_rows is None else upper_rows
+    rows = count_upper_rows(fraction, settings.height)
+    small = resize_rows(image, (settings.height, settings.width), rows).clamp(0, 1)
     pixels = normalise(small, settings.normalisation).pixels
     is_batch = pixels.ndim == 4
     images, pixels = (small, pixels) if is_batch else (small[None], pixels[None])
@@ -152,7 +153,7 @@ def compute_cues(
         road = fuse(scores[:, ROAD_OUTPUT], features, images)
         potentials = torch.cat([potentials, road.sigmoid()], 1)
     maps = potentials if is_batch else potentials[0]
-    rows = upper_rows * maps.shape[-2] // settings.height
+    rows = rows * maps.shape[-2] // settings.height
     maps = restore_rows(maps, spatial_size(image), rows).clamp(0, 1)
     layout, planes = maps.tensor_split((NUM_CLASSES,), -3)
     return {"layout": layout, **dict(zip(ROAD_CUES, planes.unbind(-3), strict=False))}
@@ -175,6 +176,11 @@ def resize_rows(
 def restore_rows(maps: Tensor, size: tuple[int, int], rows: int) -> Tensor:
     """Resize maps (…, h, w), of which so many rows are the upper part, to an image's size."""
     return resize_parts(maps, rows, size, upper_height(size[0]) if rows else 0, resize_maps)
+
+
+def count_upper_rows(fraction: float, height: int) -> int:
+    """Return the rows of a network's input, a multiple of ``ROW_STEP``, nearest to a fraction."""
+    return ROW_STEP * round(fraction * height / ROW_STEP)
 
 
 def upper_height(height: int) -> int:

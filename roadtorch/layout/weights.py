@@ -20,7 +20,7 @@ from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, WeightsError, truncate_middle
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
-from roadtorch.layout.image_network import ROW_STEP, ImageNetwork, ImageNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 
 FORMAT_VERSION = 1
@@ -97,10 +97,8 @@ def load_network(path: str | os.PathLike[str]) -> LayoutNetwork:
 
 def resize_network(network: WholeImageNetwork, height: int, width: int) -> WholeImageNetwork:
     """Return a copy of a convolutional network for images of another size."""
-    resized, settings = copy.deepcopy(network), network.settings
-    rows = ROW_STEP * round(settings.upper_rows * height / settings.height / ROW_STEP)
-    size = {"height": height, "width": width, "upper_rows": rows}
-    settings = settings.model_copy(update=size)
+    resized = copy.deepcopy(network)
+    settings = network.settings.model_copy(update={"height": height, "width": width})
     resized.settings = settings  # pyright: ignore[reportAttributeAccessIssue]  # of its own kind
     return resized
 

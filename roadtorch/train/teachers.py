@@ -19,7 +19,12 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import ROAD_OUTPUT, resize_rows, scores_to_potentials
+from roadtorch.layout.image_network import (
+    ROAD_OUTPUT,
+    count_upper_rows,
+    resize_rows,
+    scores_to_potentials,
+)
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.road.bayes import centred_odds, log_odds
@@ -123,21 +128,20 @@ def prepare_image(
     street = image if ego is None else extrapolate_over_ego(image, ego)
     maps = teacher_maps(street, teacher, training.teacher.views)
     car = torch.full(size, 0.5) if ego is None else ego.float()
-    return encode_maps(image, maps, car, size, network.upper_rows)
+    return encode_maps(image, maps, car, size, count_upper_rows(network.upper_rows, size[0]))
 
 
 def encode_maps(
-    image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int], upper_rows: int = 0
+    image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int], rows: int = 0
 ) -> Arrays:
     """Resize an image (3, h, w) and its maps, in [0, 1] and of any sizes, to uint8 up to 255.
 
     maps: the teacher's sky, vertical, horizontal, road, (4, h, w). ego: (h, w), 1 ego, 0 not, 0.5
-    unknown. upper_rows: as in the network's settings.
+    unknown. rows: of the network's input that show the upper part; 0: all are alike.
     """
     parts = {"image": image, "maps": maps, "ego": ego[None]}
     small = {
-        name: to_uint8(resize_rows(part, size, upper_rows).clamp(0, 1))
-        for name, part in parts.items()
+        name: to_uint8(resize_rows(part, size, rows).clamp(0, 1)) for name, part in parts.items()
     }
     return {**small, "ego": small["ego"][0]}
 

@@ -23,6 +23,7 @@ from roadtorch.layout.image_network import (
     ROAD_OUTPUT,
     ImageNetwork,
     ImageNetworkSettings,
+    count_upper_rows,
     resize_rows,
     scale_size,
 )
@@ -314,11 +315,8 @@ class ImageRecipe:
         planes = [road == value for value in (ROAD_LABEL, NOT_ROAD, VOID_LABEL)]
         planes += [layout == number for number in range(NUM_CLASSES)]
         stacked, size = torch.stack(planes).to(torch.float32), (network.height, network.width)
-        return {
-            "planes": to_uint8(
-                resize_rows(stacked, size, network.upper_rows, F.adaptive_avg_pool2d)
-            )
-        }
+        rows = count_upper_rows(network.upper_rows, network.height)
+        return {"planes": to_uint8(resize_rows(stacked, size, rows, F.adaptive_avg_pool2d))}
 
     def make_network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""

@@ -77,7 +77,7 @@ def test_upper_rows_are_those_of_the_upper_three_tenths() -> None:
 
 def test_cues_are_back_in_their_place_for_any_upper_rows(backbone: BackboneNetwork) -> None:
     image = torch.rand(3, 60, 90, generator=torch.Generator().manual_seed(2))
-    settings = backbone.settings.model_copy(update={"upper_rows": 16})
+    settings = backbone.settings.model_copy(update={"upper_rows": 0.25})
     warped = resize_rows(image, (64, 96), 16)
     scores = backbone(warped[None])
     expected = restore_rows(scores_to_potentials(scores)[0], (60, 90), 4)
@@ -87,12 +87,6 @@ def test_cues_are_back_in_their_place_for_any_upper_rows(backbone: BackboneNetwo
 
     torch.testing.assert_close(cues["road"], expected[3], atol=1e-5, rtol=0)
     torch.testing.assert_close(uniform["road"], backbone.cues(image)["road"], atol=1e-5, rtol=0)
-
-
-def test_upper_rows_grow_with_the_network() -> None:
-    network = ImageNetwork(ImageNetworkSettings(height=64, width=64, upper_rows=16))
-
-    assert resize_network(network, 96, 96).settings.upper_rows == 24
 
 
 def test_weights_apply_to_images_of_another_size() -> None:

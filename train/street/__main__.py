@@ -29,7 +29,7 @@ from roadtorch.train.config import Descent, HeadWeights
 from roadtorch.train.teachers import TARGET_PLANES, Targets
 from roadtorch.train.training_loop import MovingAverage
 from roadtorch.train.whole_images import target_loss
-from train.street.batches import Batch, Sampler, upper_rows
+from train.street.batches import Batch, Sampler
 from train.street.pack import Pack, read_pack
 from train.street.recipes import RECIPES, Recipe
 from train.street.scores import KindScores, score_held_worlds
@@ -108,8 +108,7 @@ def learn_network(
             recent.clear()
         progress = step / steps if steps else (time.monotonic() - start) / seconds
     learned = average.network.eval()
-    rows = upper_rows(recipe.upper[0], learned.settings.height)
-    learned.settings = learned.settings.model_copy(update={"upper_rows": rows})
+    learned.settings = learned.settings.model_copy(update={"upper_rows": recipe.upper[0]})
     return learned, losses
 
 

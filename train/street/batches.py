@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
-from roadtorch.layout.image_network import ROW_STEP, resize_rows
+from roadtorch.layout.image_network import count_upper_rows, resize_rows
 from roadtorch.train import augmentation
 from roadtorch.train.recordings import recording_name
 from roadtorch.train.teachers import MIN_EGO_AREA, MIN_EGO_WIDTH, TARGET_PLANES, Targets
@@ -116,7 +116,7 @@ class Sampler:
 
     def sample(self, size: tuple[int, int]) -> Batch:
         """Return an augmented batch of a size, with so many upper rows as the recipe says."""
-        upper = upper_rows(self._choice.choice(self._recipe.upper), size[0])
+        upper = count_upper_rows(self._choice.choice(self._recipe.upper), size[0])
         pack, rng, members = self._pack, self._rng, self._sample_members()
         maps, known = pack.maps[members] / 255, pack.known[members]
         frames = augmentation.sample_affine(self.batch, SIZE, GEOMETRY, rng)
@@ -213,11 +213,6 @@ def source_of(group: object, name: object) -> tuple[str, str]:
     text = str(name)
     source = text.split("_")[1] if text[0].isdigit() else recording_name(text, "_")
     return str(group), source
-
-
-def upper_rows(fraction: float, height: int) -> int:
-    """Return the rows of a network's input that are nearest to a fraction of its height."""
-    return ROW_STEP * round(fraction * height / ROW_STEP)
 
 
 def resize(maps: Tensor, size: tuple[int, int], rows: int = 0) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import VERTICAL
-from roadtorch.layout.image_network import ROAD_OUTPUT, restore_rows
+from roadtorch.layout.image_network import ROAD_OUTPUT, count_upper_rows, restore_rows
 from train.street.batches import ROAD_MAP, resize
 from train.street.pack import HELD_GROUP, SIZE, Pack, obstacle_mask, world_kind
 
@@ -25,9 +25,9 @@ def score_held_worlds(network: BackboneNetwork, pack: Pack) -> list[KindScores]:
     """Score a network at its own size on the worlds kept out, pooled within a kind."""
     counts: dict[str, torch.Tensor] = {}
     size = (network.settings.height, network.settings.width)
+    rows = count_upper_rows(network.settings.upper_rows, size[0])
     for member in (pack.groups == HELD_GROUP).nonzero()[0].tolist():
         maps, known = pack.maps[member], pack.known[member]
-        rows = network.settings.upper_rows
         scores = network(resize(pack.images[member][None] / 255, size, rows).clamp(0, 1))
         odds = scores[0, ROAD_OUTPUT : ROAD_OUTPUT + 1]
         mask = restore_rows(odds, SIZE, rows * odds.shape[-2] // size[0])[0] >= 0
