@@ -198,6 +198,8 @@ def mean(options: argparse.Namespace) -> None:
             state[key] = state.get(key, torch.zeros(())) + float(weight) * value.double()
     first = load_backbone(options.parts[0].partition(":")[2], device)
     first.load_state_dict({key: value / total for key, value in state.items()})
+    if options.upper_rows is not None:
+        first.settings = first.settings.model_copy(update={"upper_rows": options.upper_rows})
     save_network(options.out, first, {"mean": origin})
 
 
@@ -217,6 +219,7 @@ def main() -> None:
     learning.set_defaults(run=learn)
     averaging = commands.add_parser("mean")
     averaging.add_argument("parts", nargs="+", metavar="WEIGHT:FILE")
+    averaging.add_argument("--upper-rows", type=float, help="if not those of the first network")
     averaging.add_argument("--out", type=Path, required=True)
     averaging.set_defaults(run=mean)
     options = parser.parse_args()
