@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.image_network import resize_rows
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.train.teachers import TARGET_PLANES, Targets
