@@ -57,9 +57,9 @@ def find_paths(settings: object) -> list[Path]:
     return [path] if path.name and path.exists() else []
 
 
-def file_digests(settings: object) -> dict[str, str]:
-    """Return the SHA-256 by path of the files named in nested settings (no folders)."""
-    return {str(path): file_digest(path) for path in find_paths(settings) if path.is_file()}
+def file_digests(settings: object) -> list[str]:
+    """Return the SHA-256 of the files named in nested settings (no folders), wherever they are."""
+    return [file_digest(path) for path in find_paths(settings) if path.is_file()]
 
 
 def read_cached(path: Path, key: str | None, *names: str) -> Arrays | None:
