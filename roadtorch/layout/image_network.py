@@ -58,7 +58,7 @@ UpperRows = Annotated[
     float,
     Field(
         ge=0,
-        le=0.9,
+        le=0.8,
         description="fraction of the rows that shows the upper three tenths of the image, which "
         "hardly show road; 0: all rows are alike",
     ),

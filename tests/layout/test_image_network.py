@@ -16,6 +16,7 @@ from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSe
 from roadtorch.layout.image_network import (
     ImageNetwork,
     ImageNetworkSettings,
+    count_upper_rows,
     resize_rows,
     restore_rows,
     scale_size,
@@ -87,6 +88,14 @@ def test_cues_are_back_in_their_place_for_any_upper_rows(backbone: BackboneNetwo
 
     torch.testing.assert_close(cues["road"], expected[3], atol=1e-5, rtol=0)
     torch.testing.assert_close(uniform["road"], backbone.cues(image)["road"], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("height", [32, 40, 192])
+@pytest.mark.parametrize("fraction", [0.0, 0.02, 0.8])
+def test_some_rows_are_left_for_the_ground(fraction: float, height: int) -> None:
+    rows = count_upper_rows(fraction, height)
+
+    assert resize_rows(torch.rand(1, 16, 16), (height, 24), rows).shape == (1, height, 24)
 
 
 def test_weights_apply_to_images_of_another_size() -> None:
