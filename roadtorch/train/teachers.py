@@ -124,25 +124,29 @@ def prepare_image(
     ego: bool (H, W), ego car found in the footage, over which the ground is extrapolated before the
     teacher sees it; None if unknown. Raises ConfigError for a teacher without a layout.
     """
-    network, size = training.network, (training.network.height, training.network.width)
+    size = (training.network.height, training.network.width)
     street = image if ego is None else extrapolate_over_ego(image, ego)
     maps = teacher_maps(street, teacher, training.teacher.views)
     car = torch.full(size, 0.5) if ego is None else ego.float()
-    return encode_maps(image, maps, car, size, count_upper_rows(network.upper_rows, size[0]))
+    parts = (resize_as_prepared(part, training.network, size) for part in (image, maps, car[None]))
+    image, maps, car = parts
+    return encode_maps(image, maps, car[0], size)
 
 
-def encode_maps(
-    image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int], rows: int = 0
-) -> Arrays:
+def resize_as_prepared(maps: Tensor, network: Any, size: tuple[int, int]) -> Tensor:
+    """Resize maps (…, H, W) to a size, with the upper rows of a network of these settings."""
+    rows = count_upper_rows(network.upper_rows, network.height)
+    return resize_rows(maps, size, round(rows / network.height * size[0]))
+
+
+def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
     """Resize an image (3, h, w) and its maps, in [0, 1] and of any sizes, to uint8 up to 255.
 
     maps: the teacher's sky, vertical, horizontal, road, (4, h, w). ego: (h, w), 1 ego, 0 not, 0.5
-    unknown. rows: of the network's input that show the upper part; 0: all are alike.
+    unknown.
     """
     parts = {"image": image, "maps": maps, "ego": ego[None]}
-    small = {
-        name: to_uint8(resize_rows(part, size, rows).clamp(0, 1)) for name, part in parts.items()
-    }
+    small = {name: to_uint8(resize_maps(part, size).clamp(0, 1)) for name, part in parts.items()}
     return {**small, "ego": small["ego"][0]}
 
 

@@ -18,6 +18,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.signals import stop_on_signals
 from roadtorch.camera.footage import StaticFootageError, estimate_camera
 from roadtorch.imaging.motion import flow_image
+from roadtorch.imaging.resize import spatial_size
 from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import ROAD_OUTPUT
@@ -45,6 +46,7 @@ from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import MAX_FRAMES
 from roadtorch.train.run import PREPARED, Outcome, TrainingRequest, prepare_folder, train
 from roadtorch.train.run_folder import WEIGHTS, RunFolder
+from roadtorch.train.teachers import resize_as_prepared
 from roadtorch.train.whole_images import ImageRecipe
 
 CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "looks"
@@ -158,7 +160,11 @@ def write_smoothed_labels(
     keys = [recipe.key(image) for image in files.values()]
     if all(read_cached(file, key) for file, key in zip(targets.values(), keys, strict=True)):
         return None
-    greys = [flow_image(image.read(), LABEL_SMOOTHING.width) for image in files.values()]
+    width = LABEL_SMOOTHING.width
+    greys = [
+        flow_image(resize_as_prepared(frame, training.network, spatial_size(frame)), width)
+        for frame in (image.read() for image in files.values())
+    ]
     roads = (from_uint8(read_arrays(label, "maps")["maps"][NUM_CLASSES]) for label in files)
     smooth = smooth_log_odds(greys, [log_odds(road) for road in roads], LABEL_SMOOTHING)
     for (label, file), key, odds in zip(targets.items(), keys, smooth, strict=True):

@@ -23,13 +23,13 @@ from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, count_mask, max_f
 from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.uncertainty import percentile_interval, pooled_f, sample_weights
-from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.imaging.resize import spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.adaptation.frames import RUN_LENGTH
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.prepared import from_uint8, image_file_name
-from roadtorch.train.teachers import make_targets
+from roadtorch.train.teachers import make_targets, resize_as_prepared
 
 MAX_JUDGED = 150
 """Frames of each half that are judged, evenly spaced."""
@@ -99,7 +99,8 @@ def count_masks(
     counts: list[list[Tensor]] = [[] for _ in weights]
     for image, road, sure in _labelled_frames(images, prepared, training, "evaluating", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
-            mask = resize_maps(detector.detect(image).mask.float()[None], spatial_size(road))[0]
+            mask = detector.detect(image).mask.float()[None]
+            mask = resize_as_prepared(mask, training.network, spatial_size(road))[0]
             rows.append(torch.stack(tuple(count_mask(mask >= 0.5, road, sure))))
     return MaskCounts(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
 
@@ -118,7 +119,8 @@ def fit_bias(
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
     for image, road, sure in _labelled_frames(images, prepared, training, "calibrating", quiet):
-        likelihood = resize_maps(detector.detect(image).likelihood[None], spatial_size(road))[0]
+        likelihood = detector.detect(image).likelihood[None]
+        likelihood = resize_as_prepared(likelihood, training.network, spatial_size(road))[0]
         counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
     if not counts:
         return 0.0

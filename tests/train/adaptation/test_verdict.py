@@ -21,6 +21,7 @@ from roadtorch.train.adaptation.frames import sample_frames
 from roadtorch.train.adaptation.verdict import MaskCounts, count_masks, decide_verdict, fit_bias
 from roadtorch.train.config import ImageTraining, build_training
 from roadtorch.train.prepared import from_uint8, image_file_name, to_uint8
+from roadtorch.train.teachers import prepare_image, resize_as_prepared
 from tests.draws import seeded_generator
 
 SHIPPED = weights_path("backbone-free")
@@ -76,7 +77,8 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
     for image in images:
         road = teacher.detect(image.read()).mask.float()[None]
         layout = torch.cat([torch.zeros(2, 96, 128), torch.ones(1, 96, 128)])
-        arrays = {"maps": to_uint8(torch.cat([layout, road])), "ego": to_uint8(0 * road[0])}
+        maps = resize_as_prepared(torch.cat([layout, road]), training_of().network, (96, 128))
+        arrays = {"maps": to_uint8(maps), "ego": to_uint8(0 * road[0])}
         write_arrays(folder / "prepared" / f"{image_file_name(image)}.npz", arrays)
     return images, folder / "prepared"
 
@@ -95,6 +97,19 @@ def test_bias_undoes_shift(shift: float, streets: tuple[list[Item], Path], tmp_p
     judged = count_masks(images, files, prepared, training_of(), quiet=True)
     shifted_f, corrected_f, _ = (float(f_measure(ConfusionCounts(*rows.sum(0)))) for rows in judged)
     assert corrected_f > max(shifted_f, 0.97)
+
+
+def test_masks_are_compared_in_the_rows_of_prepared_images(
+    streets: tuple[list[Item], Path], tmp_path: Path
+) -> None:
+    images, training = streets[0], training_of(network={"upper_rows": 0.5})
+    for image in images:
+        arrays = prepare_image(image.read(), None, load_detector("fusion"), training)
+        write_arrays(tmp_path / f"{image_file_name(image)}.npz", arrays)
+
+    judged = count_masks(images, (SHIPPED, SHIPPED, SHIPPED), tmp_path, training, quiet=True)
+
+    assert float(f_measure(ConfusionCounts(*judged.initial.sum(0)))) > 0.97
 
 
 def test_without_evidence_none_is_shifted(streets: tuple[list[Item], Path], tmp_path: Path) -> None:
