@@ -25,7 +25,7 @@ from roadtorch.detectors.fusion import ScratchFusionSettings, seed_likelihoods
 from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_work, spatial_size
 from roadtorch.imaging.segments import paint_segments, segment_mean
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, opinion_pool
-from roadtorch.layout.image_network import scale_size
+from roadtorch.layout.image_network import compute_cues, scale_size
 from roadtorch.layout.labeller import label_segments
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
@@ -75,7 +75,7 @@ def compute_odds(
     settings = ScratchFusionSettings()
     for scale, network in networks.items():
         start = perf_counter()
-        cues = network.cues(image)
+        cues = compute_cues(network, image)
         seconds = perf_counter() - start
         yield f"network at {scale:g}" if scale != 1 else ALONE, network_odds(cues), seconds
         if scale == 1:

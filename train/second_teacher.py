@@ -36,7 +36,7 @@ from roadtorch.layout.backbone_network import (
     Head,
 )
 from roadtorch.layout.classes import NUM_CLASSES
-from roadtorch.layout.image_network import EGO_OUTPUT, ROAD_OUTPUT
+from roadtorch.layout.image_network import EGO_OUTPUT, ROAD_OUTPUT, compute_cues
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import cache_key, read_cached, write_cached
 from roadtorch.train.augmentation import warp_affine
@@ -314,7 +314,7 @@ def combine_teachers(
     The ego car is known where both agree.
     """
     detection, mirrored = fusion.detect(image), fusion.detect(image.flip(-1))
-    views = network.cues(image), network.cues(image.flip(-1))
+    views = compute_cues(network, image), compute_cues(network, image.flip(-1))
     network_cues = {name: (views[0][name] + views[1][name].flip(-1)) / 2 for name in views[0]}
     road = (detection.likelihood + mirrored.likelihood.flip(-1)) / 2
     layout = (detection.cues["layout"] + mirrored.cues["layout"].flip(-1)) / 2

@@ -23,7 +23,7 @@ from roadtorch.imaging.resize import WorkingSize, round_to_pixels, side_length
 from roadtorch.imaging.segments import Segments, paint_segments, segment_mean
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, NetworkWeight, opinion_pool
-from roadtorch.layout.image_network import RoadFusion
+from roadtorch.layout.image_network import RoadFusion, compute_cues
 from roadtorch.layout.labeller import HorizonSettings, decide_layout, label_segments
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import (
@@ -235,7 +235,7 @@ class Fusion(nn.Module):
         }
 
     def predict(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Compute the ``cues`` of an image (3, H, W), averaged over views and over networks."""
+        """Compute the cues of an image (3, H, W), averaged over views and over networks."""
         fuse = partial(fuse_appearance, weight=self.settings.appearance.weight)
         maps = average_views(self.network, image, self.settings.crops, fuse)
         if self.second is None:
@@ -254,13 +254,13 @@ class Fusion(nn.Module):
 def average_views(
     network: WholeImageNetwork, image: Tensor, crops: Sequence[float], fuse: RoadFusion
 ) -> Mapping[str, Tensor]:
-    """Average a network's ``cues`` of an image (…, 3, H, W) and of its lower crops."""
-    total, height = network.cues(image, fuse), image.shape[-2]
+    """Average ``compute_cues`` of an image (…, 3, H, W) and of its lower crops."""
+    total, height = compute_cues(network, image, fuse), image.shape[-2]
     views = image.new_ones(height, 1)
     for crop in crops:
         rows = round_to_pixels(side_length(height) * (1 - crop), 1)
         lower = image.index_select(-2, torch.arange(height - rows, height, device=image.device))
-        padding, maps = (0, 0, height - rows, 0), network.cues(lower, fuse, upper_rows=0)
+        padding, maps = (0, 0, height - rows, 0), compute_cues(network, lower, fuse, upper_rows=0)
         total = {name: total[name] + functional.pad(maps[name], padding) for name in total}
         views = views + functional.pad(views.new_ones(rows, 1), padding)
     return {name: maps / views for name, maps in total.items()} if crops else total
@@ -287,7 +287,7 @@ class ScratchFusion(nn.Module):
     def forward(self, image: Tensor) -> Mapping[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""
         settings = self.settings
-        maps = self.network.cues(image)
+        maps = compute_cues(self.network, image)
         ego = find_ego_car(maps["ego"])
         if any_pixel(ego):
             stack = torch.cat([image, maps["layout"], maps["road"][None]])

@@ -7,7 +7,6 @@ convolutions. The heads are trained from scratch on roads: small convolutions at
 size. Several heads, trained from different initial weights, are averaged.
 """
 
-from collections.abc import Mapping
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -17,13 +16,7 @@ from torch.nn import functional as F
 
 from roadtorch.base.settings import Settings
 from roadtorch.imaging.resize import spatial_size
-from roadtorch.layout.image_network import (
-    NUM_OUTPUTS,
-    RoadFusion,
-    UpperRows,
-    compute_cues,
-    coordinate_planes,
-)
+from roadtorch.layout.image_network import NUM_OUTPUTS, UpperRows, coordinate_planes
 from roadtorch.layout.patch_network import Normalisation
 
 
@@ -228,14 +221,3 @@ class BackboneNetwork(nn.Module):
         """Return the scores of ``forward`` and the backbone's features (B, 24, H/4, W/4)."""
         features = self.backbone(images)
         return torch.stack([head(features) for head in self.heads]).mean(0), features[0]
-
-    @torch.no_grad()
-    def cues(
-        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: float | None = None
-    ) -> Mapping[str, Tensor]:
-        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
-
-        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: that of
-        the settings.
-        """
-        return compute_cues(self, image, fuse, upper_rows)

@@ -123,22 +123,16 @@ class ImageNetwork(nn.Module):
         half = self.to_half(half + _upsample(self.narrowed_half(quarter)))
         return self.heads(half), features
 
-    @torch.no_grad()
-    def cues(
-        self, image: Tensor, fuse: RoadFusion | None = None, upper_rows: float | None = None
-    ) -> Mapping[str, Tensor]:
-        """Return ``layout`` (3, H, W), ``road`` and ``ego`` (H, W) of an image, in [0, 1].
 
-        With ``fuse``, ``fused_road`` and ``appearance`` (H, W) as well. upper_rows: None: that of
-        the settings.
-        """
-        return compute_cues(self, image, fuse, upper_rows)
-
-
+@torch.no_grad()
 def compute_cues(
-    network: Any, image: Tensor, fuse: RoadFusion | None, upper_rows: float | None
+    network: Any, image: Tensor, fuse: RoadFusion | None = None, upper_rows: float | None = None
 ) -> Mapping[str, Tensor]:
-    """Return a network's ``cues`` of an image (3, H, W), in an exported graph of a batch."""
+    """Return a whole-image network's ``layout`` (3, H, W), ``road`` and ``ego`` (H, W), in [0, 1].
+
+    Of an image (3, H, W), in an exported graph of a batch. With ``fuse``, ``fused_road`` and
+    ``appearance`` (H, W) as well. upper_rows: None: that of the network's settings.
+    """
     settings = network.settings
     fraction = settings.upper_rows if upper_rows is None else upper_rows
     rows = count_upper_rows(fraction, settings.height)

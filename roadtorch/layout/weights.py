@@ -20,7 +20,7 @@ from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, WeightsError, truncate_middle
 from roadtorch.base.settings import Settings, build_settings
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
-from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
+from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, compute_cues
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
 
 FORMAT_VERSION = 1
@@ -250,5 +250,5 @@ def load_configured_network(weights: WeightsFile, shipped: str, *kinds: type[Net
 def load_image_network(weights: WeightsFile, shipped: str) -> WholeImageNetwork:
     """Load a whole-image network as ``load_configured_network``; run it once, as that is slower."""
     network = load_configured_network(weights, shipped, ImageNetwork, BackboneNetwork)
-    network.cues(torch.zeros(3, network.settings.height, network.settings.width))
+    compute_cues(network, torch.zeros(3, network.settings.height, network.settings.width))
     return network

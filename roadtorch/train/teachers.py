@@ -21,6 +21,7 @@ from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import (
     ROAD_OUTPUT,
+    Resize,
     count_upper_rows,
     resize_rows,
     scores_to_potentials,
@@ -124,19 +125,20 @@ def prepare_image(
     ego: bool (H, W), ego car found in the footage, over which the ground is extrapolated before the
     teacher sees it; None if unknown. Raises ConfigError for a teacher without a layout.
     """
-    size = (training.network.height, training.network.width)
+    network, size = training.network, (training.network.height, training.network.width)
     street = image if ego is None else extrapolate_over_ego(image, ego)
     maps = teacher_maps(street, teacher, training.teacher.views)
     car = torch.full(size, 0.5) if ego is None else ego.float()
-    parts = (resize_as_prepared(part, training.network, size) for part in (image, maps, car[None]))
-    image, maps, car = parts
-    return encode_maps(image, maps, car[0], size)
+    image, maps, car = (resize_as_prepared(part, network, size) for part in (image, maps, car))
+    return encode_maps(image, maps, car, size)
 
 
-def resize_as_prepared(maps: Tensor, network: Any, size: tuple[int, int]) -> Tensor:
+def resize_as_prepared(
+    maps: Tensor, network: Any, size: tuple[int, int], resize: Resize = resize_maps
+) -> Tensor:
     """Resize maps (…, H, W) to a size, with the upper rows of a network of these settings."""
     rows = count_upper_rows(network.upper_rows, network.height)
-    return resize_rows(maps, size, round(rows / network.height * size[0]))
+    return resize_rows(maps, size, round(rows / network.height * size[0]), resize)
 
 
 def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:

@@ -23,8 +23,6 @@ from roadtorch.layout.image_network import (
     ROAD_OUTPUT,
     ImageNetwork,
     ImageNetworkSettings,
-    count_upper_rows,
-    resize_rows,
     scale_size,
 )
 from roadtorch.layout.patch_network import normalise
@@ -43,6 +41,7 @@ from roadtorch.train.teachers import (
     make_targets,
     network_maps,
     prepare_image,
+    resize_as_prepared,
     shows_ego_car,
 )
 from roadtorch.train.training_loop import (
@@ -315,8 +314,8 @@ class ImageRecipe:
         planes = [road == value for value in (ROAD_LABEL, NOT_ROAD, VOID_LABEL)]
         planes += [layout == number for number in range(NUM_CLASSES)]
         stacked, size = torch.stack(planes).to(torch.float32), (network.height, network.width)
-        rows = count_upper_rows(network.upper_rows, network.height)
-        return {"planes": to_uint8(resize_rows(stacked, size, rows, F.adaptive_avg_pool2d))}
+        small = resize_as_prepared(stacked, network, size, F.adaptive_avg_pool2d)
+        return {"planes": to_uint8(small)}
 
     def make_network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""

@@ -13,6 +13,7 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import RoadCalibration, calibrated_likelihood
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import HORIZONTAL
+from roadtorch.layout.image_network import compute_cues
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import DEFAULT_WEIGHTS, load_network, shipped_weights
 from roadtorch.road.appearance import fuse_appearance
@@ -84,16 +85,16 @@ def test_the_likelihood_is_the_calibrated_mean_of_views_fused_with_their_appeara
     detection = load_detector("fusion", crops=crops, appearance=appearance, **plain).detect(image)
 
     fuse = partial(fuse_appearance, weight=weight)
-    mean = network.cues(image, fuse)["fused_road"].clone()
+    mean = compute_cues(network, image, fuse)["fused_road"].clone()
     for _ in crops:
         upper = image.shape[-2] // 4
-        lower = network.cues(image[:, upper:], fuse, upper_rows=0)["fused_road"]
+        lower = compute_cues(network, image[:, upper:], fuse, upper_rows=0)["fused_road"]
         mean[upper:] = (mean[upper:] + lower) / 2
     expected = calibrated_likelihood(log_odds(mean), RoadCalibration(**usual))
     free = ~detection.cues["ego"]
     np.testing.assert_allclose(detection.likelihood[free], expected[free], atol=2e-3, rtol=0.0)
     if not weight:
-        assert torch.equal(mean, network.cues(image)["road"])
+        assert torch.equal(mean, compute_cues(network, image)["road"])
 
 
 def test_a_second_network_has_its_weight_in_the_mean() -> None:

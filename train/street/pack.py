@@ -26,6 +26,7 @@ from roadtorch import load_detector, read_image
 from roadtorch.base.atomic import atomic_write
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
+from roadtorch.layout.image_network import compute_cues
 from roadtorch.layout.weights import resize_network
 from roadtorch.road.bayes import log_odds
 from roadtorch.train.prepared import to_uint8
@@ -91,7 +92,7 @@ class Teacher:
             for is_mirrored in (False, True):
                 view = image.flip(-1) if is_mirrored else image
                 detection = self._detector.detect(view)
-                potential = pair[0].cues(view)["ego"]
+                potential = compute_cues(pair[0], view)["ego"]
                 maps = [detection.cues["layout"], detection.likelihood[None]]
                 maps.append((detection.cues["ego"].float() + potential)[None] / 2)
                 planes = torch.cat(maps)
