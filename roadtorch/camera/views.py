@@ -104,6 +104,11 @@ def _plan_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     return tuple(views)
 
 
+def view_itself(lens: Lens) -> View:
+    """Return the view that is the image of a lens."""
+    return View(tuple(map(tuple, np.eye(3).tolist())), lens)
+
+
 def view_ahead(lens: Lens) -> View:
     """Return a view along the axis of a lens, ``MAX_WIDTH`` from side to side and up and down."""
     corner = np.full(2, SLOPE_AHEAD)
@@ -133,31 +138,40 @@ def sample_view(image: Tensor, lens: Lens, view: View) -> Tensor:
 
 
 def merge_views(
-    maps: Sequence[Tensor], lens: Lens, views: Sequence[View], size: tuple[int, int]
+    maps: Sequence[Tensor],
+    lens: Lens,
+    views: Sequence[View],
+    size: tuple[int, int],
+    weights: Sequence[float],
 ) -> Tensor:
     """Bring maps of views back to the image, and merge them where views overlap.
 
     Args:
         maps: of each view, shape (h, w) or (C, h, w); views may differ in size.
         lens: of the image.
-        views: of ``rectified_views``.
+        views: of ``rectified_views``, or ``view_itself``.
         size: height and width of the result.
+        weights: of the views, above 0.
 
     Returns:
-        Means of values, unions of masks, labels of the first view that shows a pixel, of shape
-        (H, W) or (C, H, W); 0 where no view shows it.
+        Weighted means of values, unions of masks, labels of the view of the largest weight that
+        shows a pixel, of shape (H, W) or (C, H, W); 0 where no view shows it.
     """
     grids = [_image_grid(lens, view, size) for view in views]  # type: ignore[arg-type]  # as above
     grids = [grid.to(maps[0].device) for grid in grids]
-    visible = torch.stack([(grid[0] < OUTSIDE).all(-1) for grid in grids])
+    factors = torch.tensor(weights, device=maps[0].device).unbind()
+    shown = [
+        (grid[0] < OUTSIDE).all(-1) * weight for grid, weight in zip(grids, factors, strict=True)
+    ]
     sampled = torch.stack(list(map(_sample_map, maps, grids)))
-    visible = visible.reshape(len(maps), *[1] * (sampled.ndim - 3), *size)
+    weight = torch.stack(shown).reshape(len(maps), *[1] * (sampled.ndim - 3), *size)
     if maps[0].is_floating_point():
-        return (sampled * visible).sum(0) / visible.sum(0).clamp(min=1)
+        return (sampled * weight).sum(0) / weight.sum(0).clamp(min=min(weights))
+    seen = sampled * (weight > 0)
     if maps[0].dtype == torch.bool:
-        return (sampled * visible).amax(0).bool()
-    first = visible.to(torch.uint8).argmax(0, keepdim=True).expand(1, *sampled.shape[1:])
-    return (sampled * visible).gather(0, first)[0].to(maps[0].dtype)
+        return seen.amax(0).bool()
+    best = weight.argmax(0, keepdim=True).expand(1, *sampled.shape[1:])
+    return seen.gather(0, best)[0].to(maps[0].dtype)
 
 
 def _sample_map(values: Tensor, grid: Tensor) -> Tensor:

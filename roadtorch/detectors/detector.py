@@ -22,9 +22,15 @@ from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import ColourOrder, ImageLike, as_image, check_order
 from roadtorch.base.settings import Settings, build_settings, merge
-from roadtorch.camera.views import Rectification, merge_views, rectified_views, sample_view
+from roadtorch.camera.views import (
+    Rectification,
+    merge_views,
+    rectified_views,
+    sample_view,
+    view_itself,
+)
 from roadtorch.detectors.detection import Cues, Detection
-from roadtorch.imaging.levels import is_at_least
+from roadtorch.imaging.levels import is_above, is_at_least
 from roadtorch.imaging.resize import (
     WorkingSize,
     resize_to_image,
@@ -45,6 +51,9 @@ from roadtorch.road.outlines import Outlines, refine
 from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.temporal_filter import Motion, TemporalFilter
 from roadtorch.road.trust import Judgement
+
+MIN_WEIGHT = 0.01
+"""Least weight of a rectified view, whose trust may be 0."""
 
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
 
@@ -373,18 +382,33 @@ class Detector(nn.Module):
     def _analyse_views(
         self, image: Tensor, rectification: Rectification
     ) -> tuple[Mapping[str, Tensor], Tensor]:
-        """Analyse the rectified views of an image; return its maps as ``_analyse_view``."""
+        """Analyse rectified views of an image, and itself; return its maps as ``_analyse_view``.
+
+        Each counts by its trust: a view of a bumper alone finds no road, and is not trusted.
+        """
         size, settings = spatial_size(image), self.settings
         lens = rectification.lens.at(size[1], size[0])
-        views = rectified_views(lens, rectification.pitch)
-        results = [self._analyse_view(sample_view(image, lens, view)) for view in views]
+        rectified = rectified_views(lens, rectification.pitch)
+        outputs, likelihoods, weights = list[Mapping[str, Tensor]](), list[Tensor](), list[float]()
+        for view in [*(sample_view(image, lens, view) for view in rectified), image]:
+            maps, likelihood = self._analyse_view(view)
+            ego = maps.get("ego")
+            if ego is not None:  # no road here; other views may see past it
+                likelihood = likelihood.masked_fill(resize_to_image(ego, spatial_size(view)), 0)
+            trust, _ = self._judge(is_at_least(likelihood, settings.threshold), maps, ego)
+            weights.append(1.0 if trust is None else max(trust, MIN_WEIGHT))
+            outputs.append(maps if ego is None else {**maps, "ego": ego.to(torch.float32)})
+            likelihoods.append(likelihood)
+        views = [*rectified, view_itself(lens)]
         is_small = isinstance(settings, WorkingSettings)
         small = working_size(*size, settings.working) if is_small else size
-        outputs = {
-            name: merge_views([maps[name] for maps, _ in results], lens, views, small)
-            for name in results[0][0]
+        merged = {
+            name: merge_views([maps[name] for maps in outputs], lens, views, small, weights)
+            for name in outputs[0]
         }
-        return outputs, merge_views([large for _, large in results], lens, views, size)
+        if "ego" in merged:
+            merged["ego"] = is_above(merged["ego"], 0.5)
+        return merged, merge_views(likelihoods, lens, views, size, weights).clamp(0, 1)
 
     def _analyse_view(self, image: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
         """Return the maps of an image's analysis, and the likelihood (H, W) at its full size."""
@@ -422,16 +446,22 @@ class Detector(nn.Module):
         if seed is not None:
             seed = resize_to_image(seed, spatial_size(likelihood))
         mask = decide_mask(likelihood, self.settings, seed, ego)
-        trust, doubt, cues = None, "", evidence.cues
-        judge: Judge | None = getattr(self.analysis, "judge", None)
-        if judge is not None:
-            size = spatial_size(outputs["likelihood"])
-            hidden = torch.zeros_like(mask) if ego is None else ego
-            small = {**outputs, "ego": resize_to_image(hidden, size)}
-            trust, doubt = judge(resize_to_image(mask, size), small)
+        trust, doubt = self._judge(mask, outputs, ego)
+        cues = evidence.cues
         if ego is not None:
             cues = Cues({**cues.maps, "ego": ego}, cues.size)
         return Detection(likelihood, mask, cues, trust, doubt, image=evidence.image)
+
+    def _judge(
+        self, mask: Tensor, outputs: Mapping[str, Tensor], ego: Tensor | None
+    ) -> tuple[float | None, str]:
+        """Predict the trust in a mask (H, W), and its doubt; None if the detector predicts none."""
+        judge: Judge | None = getattr(self.analysis, "judge", None)
+        if judge is None:
+            return None, ""
+        size = spatial_size(outputs["likelihood"])
+        hidden = torch.zeros_like(mask) if ego is None else ego
+        return judge(resize_to_image(mask, size), {**outputs, "ego": resize_to_image(hidden, size)})
 
     def __repr__(self) -> str:
         """Return one line: the name, and the settings that differ from the detector's defaults."""

@@ -106,7 +106,7 @@ class FusionSettings(WorkingSettings):
     """Settings of a network's road, fused with its appearance and refined at edges."""
 
     threshold: Threshold = 0.5
-    working: WorkingSize = WorkingSize(pixels=256 * 192)
+    working: WorkingSize = WorkingSize(pixels=352 * 264)
     outlines: Outlines = "guided"
     weights: WeightsFile = WeightsFile()
     crops: tuple[Annotated[float, Field(gt=0, le=0.9)], ...] = Field(
@@ -390,7 +390,6 @@ ENTRIES = (
         defaults={
             "crops": (0.3,),
             "second": {"file": "rendered-free"},
-            "working": {"pixels": 352 * 256},
         },
     ),
     Entry(

@@ -229,12 +229,13 @@ def test_the_mean_of_weights_lies_between_them(tmp_path: Path) -> None:
     save_network(tmp_path / "double.safetensors", network, {})
     parts = ["1:backbone-free", f"3:{tmp_path / 'double.safetensors'}"]
 
-    mean(argparse.Namespace(parts=parts, upper_rows=0.5, out=tmp_path / "mean.safetensors"))
+    out = tmp_path / "mean.safetensors"
+    mean(argparse.Namespace(parts=parts, size=(64, 96), upper_rows=0.5, out=out))
 
-    learned = load_network(tmp_path / "mean.safetensors")
-    average = learned.state_dict()
+    learned = load_network(out)
+    average, settings = learned.state_dict(), learned.settings
     assert isinstance(learned, BackboneNetwork)
-    assert learned.settings.upper_rows == 0.5
+    assert (settings.height, settings.width, settings.upper_rows) == (64, 96, 0.5)
     for key, value in state.items():
         if value.is_floating_point():
             torch.testing.assert_close(average[key], value * 0.875, atol=2e-3, rtol=2e-3)

@@ -2,7 +2,7 @@
 
     python -m train.street learn PACK --out RUNS --minutes 5.5
     python -m train.street learn PACK --out RUNS --device cpu --steps 900 --batch 32 --only streets
-    python -m train.street mean 0.5:backbone-free 0.5:RUNS/thin.safetensors --out MEAN
+    python -m train.street mean 0.5:backbone-free 0.5:RUNS/thin.safetensors --size 224 256 --out MEAN
 
 PACK is of ``train.street.pack``. After each run its weights, the losses and the scores of worlds
 that no run learns from are written, so that a stopped command leaves finished runs.
@@ -187,7 +187,7 @@ def learn(options: argparse.Namespace) -> None:
 
 
 def mean(options: argparse.Namespace) -> None:
-    """Write the weighted mean of networks, of WEIGHT:FILE each, with the first one's settings."""
+    """Write the weighted mean of networks, of WEIGHT:FILE each, for inputs of a size and rows."""
     device, total, state = torch.device("cpu"), 0.0, dict[str, Tensor]()
     origin = dict[str, Any]()
     for part in options.parts:
@@ -198,8 +198,8 @@ def mean(options: argparse.Namespace) -> None:
             state[key] = state.get(key, torch.zeros(())) + float(weight) * value.double()
     first = load_backbone(options.parts[0].partition(":")[2], device)
     first.load_state_dict({key: value / total for key, value in state.items()})
-    if options.upper_rows is not None:
-        first.settings = first.settings.model_copy(update={"upper_rows": options.upper_rows})
+    update = {"height": options.size[0], "width": options.size[1], "upper_rows": options.upper_rows}
+    first.settings = first.settings.model_copy(update=update)
     save_network(options.out, first, {"mean": origin})
 
 
@@ -219,7 +219,8 @@ def main() -> None:
     learning.set_defaults(run=learn)
     averaging = commands.add_parser("mean")
     averaging.add_argument("parts", nargs="+", metavar="WEIGHT:FILE")
-    averaging.add_argument("--upper-rows", type=float, help="if not those of the first network")
+    averaging.add_argument("--size", type=int, nargs=2, required=True, metavar=("HEIGHT", "WIDTH"))
+    averaging.add_argument("--upper-rows", type=float, default=0.0)
     averaging.add_argument("--out", type=Path, required=True)
     averaging.set_defaults(run=mean)
     options = parser.parse_args()

@@ -11,6 +11,7 @@ of `fusion:large`, appearance included, over two network sizes and mirrored. Ren
 import argparse
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -216,7 +217,13 @@ def pack(options: argparse.Namespace) -> None:
     """Write all examples, and print how many of each group and how many bytes."""
     examples = [*read_real(options.data / "unlabelled_free", options.labels, options.quality)]
     for root in options.worlds:
-        examples += read_worlds(root, options.quality)
+        worlds = read_worlds(root, options.quality)
+        examples += [
+            world
+            for world in worlds
+            if world.group == HELD_GROUP
+            or not any(fnmatch(world.name, pattern) for pattern in options.without)
+        ]
     examples += read_simulated(options.data, options.quality)
     write_pack(options.out, examples)
     for group in sorted({example.group for example in examples}):
@@ -311,6 +318,9 @@ def main() -> None:
     packing.add_argument("data", type=Path)
     packing.add_argument("--labels", type=Path, required=True)
     packing.add_argument("--worlds", type=Path, nargs="*", default=[])
+    packing.add_argument(
+        "--without", nargs="*", default=[], metavar="PATTERN", help="names of worlds, as of files"
+    )
     packing.add_argument("--quality", type=int, default=88, help="of resized images, as WebP")
     packing.add_argument("--out", type=Path, required=True)
     packing.set_defaults(run=pack)
