@@ -17,10 +17,10 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_385,
     "roadtorch/base": 1_935,
-    "roadtorch/camera": 2_025,
+    "roadtorch/camera": 2_035,
     "roadtorch/cli": 1_955,
     "roadtorch/data": 2_365,
-    "roadtorch/detectors": 2_085,
+    "roadtorch/detectors": 2_115,
     "roadtorch/evaluation": 3_735,
     "roadtorch/export": 795,
     "roadtorch/imaging": 1_160,
@@ -34,8 +34,8 @@ LINES = {
     "roadtorch/train": 3_490,
     "roadtorch/ufl": 1_355,
     "scripts": 5_510,
-    "tests": 28_155,
-    "train": 7_410,
+    "tests": 28_165,
+    "train": 7_450,
 }
 """The lines of source code that each folder may have."""
 

@@ -1,7 +1,7 @@
 """Rectified views of a wide lens: a detector sees them, and its maps are brought back. Ours.
 
-Detectors learn from images without distortion. An image of a lens with distortion is therefore
-sampled as seen by pinhole lenses: by one up to ``MAX_WIDTH``, else by three, of which the
+Detectors learn most from images without distortion. An image of a lens with distortion is therefore
+sampled as seen by pinhole lenses as well: by one up to ``MAX_WIDTH``, else by three, of which the
 others look to the left and right.
 """
 
@@ -158,20 +158,22 @@ def merge_views(
         shows a pixel, of shape (H, W) or (C, H, W); 0 where no view shows it.
     """
     grids = [_image_grid(lens, view, size) for view in views]  # type: ignore[arg-type]  # as above
-    grids = [grid.to(maps[0].device) for grid in grids]
-    factors = torch.tensor(weights, device=maps[0].device).unbind()
-    shown = [
-        (grid[0] < OUTSIDE).all(-1) * weight for grid, weight in zip(grids, factors, strict=True)
+    device = maps[0].device
+    sampled = [
+        _sample_map(map, grid.to(device)) for map, (grid, _) in zip(maps, grids, strict=True)
     ]
-    sampled = torch.stack(list(map(_sample_map, maps, grids)))
-    weight = torch.stack(shown).reshape(len(maps), *[1] * (sampled.ndim - 3), *size)
-    if maps[0].is_floating_point():
-        return (sampled * weight).sum(0) / weight.sum(0).clamp(min=min(weights))
-    seen = sampled * (weight > 0)
+    visible = [mask.to(device) for _, mask in grids]
     if maps[0].dtype == torch.bool:
-        return seen.amax(0).bool()
-    best = weight.argmax(0, keepdim=True).expand(1, *sampled.shape[1:])
-    return seen.gather(0, best)[0].to(maps[0].dtype)
+        masks = [values.bool() & mask for values, mask in zip(sampled, visible, strict=True)]
+        return torch.stack(masks).any(0)
+    if maps[0].is_floating_point():
+        scaled = [mask * weight for mask, weight in zip(visible, weights, strict=True)]
+        total = torch.stack([values * part for values, part in zip(sampled, scaled, strict=True)])
+        return total.sum(0) / torch.stack(scaled).sum(0).clamp(min=min(weights))
+    merged = torch.zeros_like(sampled[0])
+    for number in sorted(range(len(maps)), key=weights.__getitem__):  # the heaviest comes last
+        merged = torch.where(visible[number], sampled[number], merged)
+    return merged.to(maps[0].dtype)
 
 
 def _sample_map(values: Tensor, grid: Tensor) -> Tensor:
@@ -193,11 +195,12 @@ def _view_grid(lens: Lens, view: View) -> Tensor:
 
 
 @lru_cache(maxsize=8)
-def _image_grid(lens: Lens, view: View, size: tuple[int, int]) -> Tensor:
-    """Return the positions in a view of the pixels of an image of a size, (1, H, W, 2)."""
+def _image_grid(lens: Lens, view: View, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Return where a view shows an image of a size: positions (1, H, W, 2) and a mask (H, W)."""
     rays, visible = visible_rays(lens, _pixel_centres(lens, *size))
     pixels, inside = project_rays(view.lens, rays @ np.array(view.axes).T)
-    return _to_grid(view.lens, pixels, inside & visible).reshape(1, *size, 2)
+    grid = _to_grid(view.lens, pixels, inside & visible).reshape(1, *size, 2)
+    return grid, (grid[0] < OUTSIDE).all(-1)
 
 
 def _pixel_centres(lens: Lens, height: int, width: int) -> np.ndarray:

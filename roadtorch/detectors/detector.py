@@ -52,7 +52,7 @@ from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
 from roadtorch.road.temporal_filter import Motion, TemporalFilter
 from roadtorch.road.trust import Judgement
 
-MIN_WEIGHT = 0.01
+MIN_TRUST = 0.01
 """Least weight of a rectified view, whose trust may be 0."""
 
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
@@ -396,7 +396,7 @@ class Detector(nn.Module):
             if ego is not None:  # no road here; other views may see past it
                 likelihood = likelihood.masked_fill(resize_to_image(ego, spatial_size(view)), 0)
             trust, _ = self._judge(is_at_least(likelihood, settings.threshold), maps, ego)
-            weights.append(1.0 if trust is None else max(trust, MIN_WEIGHT))
+            weights.append(1.0 if trust is None else max(trust, MIN_TRUST))
             outputs.append(maps if ego is None else {**maps, "ego": ego.to(torch.float32)})
             likelihoods.append(likelihood)
         views = [*rectified, view_itself(lens)]

@@ -135,7 +135,7 @@ def test_masks_are_united_labels_those_of_the_heaviest_view_and_outside_is_nothi
     marks = [torch.full(shape, number == 2) for number, shape in enumerate(shapes)]
     numbers = [torch.full(shape, number + 7) for number, shape in enumerate(shapes)]
     mask = merge_views(marks, lens, views, size, [1.0, 1.0, 1.0])
-    labels = merge_views(numbers, lens, views, size, [1.0, 0.5, 0.5])
+    labels = merge_views(numbers, lens, views, size, [1.0, 0.5, 0.25])
 
     third = coverage(lens, views[2:])
     assert mask.dtype == torch.bool

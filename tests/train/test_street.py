@@ -233,8 +233,9 @@ def test_the_mean_of_weights_lies_between_them(tmp_path: Path) -> None:
     mean(argparse.Namespace(parts=parts, size=(64, 96), upper_rows=0.5, out=out))
 
     learned = load_network(out)
-    average, settings = learned.state_dict(), learned.settings
+    average = learned.state_dict()
     assert isinstance(learned, BackboneNetwork)
+    settings = learned.settings
     assert (settings.height, settings.width, settings.upper_rows) == (64, 96, 0.5)
     for key, value in state.items():
         if value.is_floating_point():

@@ -2,7 +2,7 @@
 
     python -m train.street learn PACK --out RUNS --minutes 5.5
     python -m train.street learn PACK --out RUNS --device cpu --steps 900 --batch 32 --only streets
-    python -m train.street mean 0.5:backbone-free 0.5:RUNS/thin.safetensors --size 224 256 --out MEAN
+    python -m train.street mean 1:backbone-free 1:RUNS/tall.safetensors --size 224 256 --out MEAN
 
 PACK is of ``train.street.pack``. After each run its weights, the losses and the scores of worlds
 that no run learns from are written, so that a stopped command leaves finished runs.
