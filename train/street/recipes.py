@@ -114,6 +114,9 @@ RECIPES = (
         hypothesis="half of the streets with photographs: heads that know no real image gain most",
         groups={ALL_KINDS: 0.6, STREETS: 0.15, PHOTOGRAPHED: 0.15, SIMULATED: 0.1},
     ),
+    replace(
+        HEADS, name="unweighed", hypothesis="borders that weigh nothing: heads lose", border=0.0
+    ),
     LOW,
     THIN,
     replace(
