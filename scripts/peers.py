@@ -175,8 +175,9 @@ def main(words: Sequence[str] | None = None) -> None:
     except RoadtorchError as error:
         sys.exit(f"peers.py: error: {error}")
     if options.folder:
-        words = ["python scripts/peers.py PEERS DATA/many --leave-out", *options.leave_out]
-        keep_records("peers", " ".join(words), values)
+        left_out = ["--leave-out", *options.leave_out] if options.leave_out else []
+        command = " ".join(["python scripts/peers.py PEERS DATA/many", *left_out])
+        keep_records("peers", command, values)
     for name in networks:
         figures = (
             values[f"peers.{name}.{key}"] for key in ("f_mask", "f_mask.worst", "maxf", "ms")
