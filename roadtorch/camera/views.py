@@ -1,8 +1,7 @@
 """Rectified views of a wide lens: a detector sees them, and its maps are brought back. Ours.
 
-Detectors learn most from images without distortion. An image of a lens with distortion is therefore
-sampled as seen by pinhole lenses as well: by one up to ``MAX_WIDTH``, else by three, of which the
-others look to the left and right.
+Detectors learn most from images without distortion. So an image of a lens with distortion is also
+sampled as pinhole lenses see it: one up to ``MAX_WIDTH``, else three, two of which look aside.
 """
 
 import math
@@ -159,10 +158,8 @@ def merge_views(
     """
     grids = [_image_grid(lens, view, size) for view in views]  # type: ignore[arg-type]  # as above
     device = maps[0].device
-    sampled = [
-        _sample_map(map, grid.to(device)) for map, (grid, _) in zip(maps, grids, strict=True)
-    ]
-    visible = [mask.to(device) for _, mask in grids]
+    positions, visible = ([part.to(device) for part in parts] for parts in zip(*grids, strict=True))
+    sampled = list(map(_sample_map, maps, positions))
     if maps[0].dtype == torch.bool:
         masks = [values.bool() & mask for values, mask in zip(sampled, visible, strict=True)]
         return torch.stack(masks).any(0)
