@@ -36,6 +36,7 @@ FAR_GROUND = 60.0  # degrees below the horizon, down to which three views look i
 MAX_YAW = 80.0  # degrees by which a view looks aside
 MESH_POINTS = 129  # columns and rows of pixels whose rays bound what a lens sees
 SLOPE_AHEAD = math.tan(math.radians(MAX_WIDTH / 2))  # of the rays at the sides of ``view_ahead``
+CACHED_LENSES = 4  # cameras of a process whose views need no new computation
 OUTSIDE = 2.0  # position, where the image extends from -1 to 1, of what no lens sees
 
 
@@ -70,7 +71,7 @@ def rectified_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     return _plan_views(lens, pitch)  # type: ignore[arg-type]  # frozen: it has a hash
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=CACHED_LENSES)
 def _plan_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     sides = (np.linspace(-0.499, end - 0.501, MESH_POINTS) for end in (lens.width, lens.height))
     rays, visible = visible_rays(lens, np.stack(np.meshgrid(*sides), -1).reshape(-1, 2))
@@ -161,11 +162,10 @@ def merge_views(
     positions, visible = ([part.to(device) for part in parts] for parts in zip(*grids, strict=True))
     sampled = list(map(_sample_map, maps, positions))
     if maps[0].dtype == torch.bool:
-        masks = [values.bool() & mask for values, mask in zip(sampled, visible, strict=True)]
-        return torch.stack(masks).any(0)
+        return torch.stack(list(map(torch.logical_and, sampled, visible))).any(0)
     if maps[0].is_floating_point():
         scaled = [mask * weight for mask, weight in zip(visible, weights, strict=True)]
-        total = torch.stack([values * part for values, part in zip(sampled, scaled, strict=True)])
+        total = torch.stack(list(map(torch.mul, sampled, scaled)))
         return total.sum(0) / torch.stack(scaled).sum(0).clamp(min=min(weights))
     merged = torch.zeros_like(sampled[0])
     for number in sorted(range(len(maps)), key=weights.__getitem__):  # the heaviest comes last
@@ -182,7 +182,7 @@ def _sample_map(values: Tensor, grid: Tensor) -> Tensor:
     return sampled.reshape(*values.shape[:-2], *grid.shape[1:3])
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=3 * CACHED_LENSES)
 def _view_grid(lens: Lens, view: View) -> Tensor:
     """Return the positions in the image of the pixels of a view, (1, h, w, 2)."""
     rays = pixel_rays(view.lens, _pixel_centres(view.lens, view.lens.height, view.lens.width))
@@ -191,7 +191,7 @@ def _view_grid(lens: Lens, view: View) -> Tensor:
     return grid.reshape(1, view.lens.height, view.lens.width, 2)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4 * 2 * CACHED_LENSES)  # views and the image itself, small and large
 def _image_grid(lens: Lens, view: View, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Return where a view shows an image of a size: positions (1, H, W, 2) and a mask (H, W)."""
     rays, visible = visible_rays(lens, _pixel_centres(lens, *size))

@@ -171,8 +171,7 @@ def warp(image: Tensor, degrees: float) -> tuple[Lens, Tensor]:
     pinhole = pinhole_lens(width, height, degrees)
     fisheye = {"model": "equidistant", "coefficients": (0,) * 4, "focal_x": focal, "focal_y": focal}
     lens = build_settings(Lens, pinhole.model_dump() | fisheye)
-    straight = View(tuple(map(tuple, np.eye(3).tolist())), pinhole)
-    return lens, merge_views([image], lens, [straight], (height, width), [1.0])
+    return lens, merge_views([image], lens, [view_itself(pinhole)], (height, width), [1.0])
 
 
 def test_the_horizon_is_estimated_without_distortion_and_all_comes_back(tmp_path: Path) -> None:

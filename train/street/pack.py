@@ -152,13 +152,17 @@ def encode_image(file: Path, quality: int) -> bytes:
     return encode(".webp", small, cv2.IMWRITE_WEBP_QUALITY, quality)
 
 
-def read_worlds(root: Path, quality: int) -> Iterator[Example]:
-    """Yield the images of ``train.worlds``: as they were written, or larger ones at ``SIZE``."""
+def read_worlds(root: Path, quality: int, without: Sequence[str]) -> Iterator[Example]:
+    """Yield the images of ``train.worlds``: as they were written, or larger ones at ``SIZE``.
+
+    without: patterns of names to leave out, but for worlds that nothing learns from.
+    """
     for file in sorted((root / "images").glob("*.jpg")):
         number = int(file.stem.partition("_")[0])
         group = HELD_GROUP if number % 10000 >= HELD else root.name
         truth = root / "truth" / f"{file.stem}.png"
-        if not truth.exists():
+        is_left_out = group != HELD_GROUP and any(fnmatch(file.stem, part) for part in without)
+        if is_left_out or not truth.exists():
             continue
         image, label = file.read_bytes(), truth.read_bytes()
         code = np.asarray(cv2.imread(str(truth), cv2.IMREAD_UNCHANGED))
@@ -217,13 +221,7 @@ def pack(options: argparse.Namespace) -> None:
     """Write all examples, and print how many of each group and how many bytes."""
     examples = [*read_real(options.data / "unlabelled_free", options.labels, options.quality)]
     for root in options.worlds:
-        worlds = read_worlds(root, options.quality)
-        examples += [
-            world
-            for world in worlds
-            if world.group == HELD_GROUP
-            or not any(fnmatch(world.name, pattern) for pattern in options.without)
-        ]
+        examples += read_worlds(root, options.quality, options.without)
     examples += read_simulated(options.data, options.quality)
     write_pack(options.out, examples)
     for group in sorted({example.group for example in examples}):
