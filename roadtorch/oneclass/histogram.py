@@ -15,6 +15,10 @@ from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
 
 MAX_BINS = 1 << 25  # most bins of a joint histogram: 134 MB
+ROUNDING = 4e-6
+"""Fractions of a plane's span by which values count as higher: levels of 8-bit images lie on edges
+of bins (R = G in O1), and rounding in float32 must not move them to the bin below. Ours."""
+
 COPY_NOISE = 30 / 256  # standard deviation of the noise, in spans of the plane (P3, section V)
 
 
@@ -83,8 +87,12 @@ def add_noisy_copy(
 
 
 def bin_indices(planes: Tensor, low: Tensor, scale: Tensor, bins: int) -> Tensor:
-    """Return the bins of planes (d, n), int32 in 0…bins-1; ``scale`` (d,) is bins per unit."""
-    return (planes - low[:, None]).mul_(scale[:, None]).clamp_(0, bins - 1).to(torch.int32)
+    """Return the bins of planes (d, n), int32 in 0…bins-1; ``scale`` (d,) is bins per unit.
+
+    A value on the edge of two bins is in the upper one (``ROUNDING``).
+    """
+    positions = (planes - low[:, None]).mul_(scale[:, None]).add_(ROUNDING * bins)
+    return positions.clamp_(0, bins - 1).to(torch.int32)
 
 
 def fit_histogram(road: RoadSamples, settings: HistogramSettings) -> DistanceModel:
