@@ -175,6 +175,15 @@ class PaperFusionSettings(WorkingSettings):
     )
 
 
+class BayesFusionSettings(PaperFusionSettings):
+    """Settings of P2's equation 4 with the network of ``fusion`` in CNN-7's place."""
+
+    threshold: Threshold = Field(default=0.177, description=TUNED_THRESHOLD)
+    prior: Literal["uniform", "rows", "triangle"] = Field(
+        default="rows", description="location prior of the road (eq. 4)"
+    )
+
+
 SCRATCH_WEIGHTS = "layout-free"
 """Shipped weights of a network trained from random ones."""
 
@@ -354,25 +363,55 @@ class PaperFusion(nn.Module):
 
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""
-        settings, texture = self.settings, self.settings.texture
         layout = self.network.potentials(image)
-        labels = settings.superpixels.cut(image)
-        seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
-        if settings.descriptor == "cpf":
-            fused, values = fused_uniformity(image, labels, labels >= 0, seed, texture)
-        else:
-            saturation = settings.saturation
-            fused, values, _ = unsaturated_uniformity(image, labels, seed, texture, saturation)
-        uniformity = paint_segments(values, labels)
-        prior = PRIORS[settings.prior](*labels.shape).to(image)
+        cues = texture_cues(image, self.settings)
+        prior = PRIORS[self.settings.prior](*layout.shape[1:]).to(image)
+        likelihood = likelihood_product(prior, [layout[HORIZONTAL], cues["uniformity"]])
+        return {"likelihood": likelihood, "layout": layout, **cues}
+
+
+class BayesFusion(nn.Module):
+    """Product of prior, road of the network of ``fusion`` and CPF's texture likelihood, P2 eq. 4.
+
+    Ours: what the equation gains with a good network. Road in place of horizontal, because the
+    network tells them apart.
+    """
+
+    def __init__(self, settings: BayesFusionSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.network = load_image_network(settings.weights, DEFAULT_WEIGHTS)
+
+    @use_inference_mode
+    def forward(self, image: Tensor) -> dict[str, Tensor]:
+        """Compute the cues of an image (3, H, W) in [0, 1]."""
+        maps = compute_cues(self.network, image)
+        cues = texture_cues(image, self.settings)
+        prior = PRIORS[self.settings.prior](*image.shape[1:]).to(image)
+        likelihood = likelihood_product(prior, [maps["road"], cues["texture"]])
         return {
-            "likelihood": likelihood_product(prior, [layout[HORIZONTAL], uniformity]),
-            "layout": layout,
-            "texture": uniformity_likelihood(uniformity, texture.midpoint),
-            "uniformity": uniformity,
-            "fused_plane": fused,
-            "segments": labels,
+            "likelihood": likelihood,
+            "layout": maps["layout"],
+            "learned_road": maps["road"],
+            **cues,
         }
+
+
+def texture_cues(image: Tensor, settings: PaperFusionSettings) -> dict[str, Tensor]:
+    """Compute the uniformity of an image's superpixels, P2 section 4, and the cues to it."""
+    texture, labels = settings.texture, settings.superpixels.cut(image)
+    seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
+    if settings.descriptor == "cpf":
+        fused, values = fused_uniformity(image, labels, labels >= 0, seed, texture)
+    else:
+        fused, values, _ = unsaturated_uniformity(image, labels, seed, texture, settings.saturation)
+    uniformity = paint_segments(values, labels)
+    return {
+        "texture": uniformity_likelihood(uniformity, texture.midpoint),
+        "uniformity": uniformity,
+        "fused_plane": fused,
+        "segments": labels,
+    }
 
 
 ENTRIES = (
@@ -403,6 +442,12 @@ ENTRIES = (
         "layout, texture and more fused, without a network",
         UntrainedFusionSettings,
         partial(Analysis, untrained_fusion),
+    ),
+    Entry(
+        "fusion:bayes",
+        "network of fusion times uniformity and rows: eq. 4 of Álvarez 2012 with a good network",
+        BayesFusionSettings,
+        BayesFusion,
     ),
     Entry(
         "fusion:paper",

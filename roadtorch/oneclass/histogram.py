@@ -15,7 +15,7 @@ from roadtorch.oneclass.axes import Axes
 from roadtorch.oneclass.base import Classifier, ClassifierSettings, DistanceModel, RoadSamples
 
 MAX_BINS = 1 << 25  # most bins of a joint histogram: 134 MB
-ROUNDING = 4e-6
+EDGE_ROUNDING = 4e-6
 """Fractions of a plane's span by which values count as higher: levels of 8-bit images lie on edges
 of bins (R = G in O1), and rounding in float32 must not move them to the bin below. Ours."""
 
@@ -89,9 +89,9 @@ def add_noisy_copy(
 def bin_indices(planes: Tensor, low: Tensor, scale: Tensor, bins: int) -> Tensor:
     """Return the bins of planes (d, n), int32 in 0…bins-1; ``scale`` (d,) is bins per unit.
 
-    A value on the edge of two bins is in the upper one (``ROUNDING``).
+    A value on the edge of two bins is in the upper one (``EDGE_ROUNDING``).
     """
-    positions = (planes - low[:, None]).mul_(scale[:, None]).add_(ROUNDING * bins)
+    positions = (planes - low[:, None]).mul_(scale[:, None]).add_(EDGE_ROUNDING * bins)
     return positions.clamp_(0, bins - 1).to(torch.int32)
 
 

@@ -129,6 +129,19 @@ def test_the_paper_takes_another_descriptor_and_a_prior_where_told() -> None:
     np.testing.assert_allclose(placed.likelihood, expected, atol=1e-6, rtol=0.0)
 
 
+def test_bayes_is_equation_4_with_the_road_of_the_network_of_fusion() -> None:
+    detector = load_detector("fusion:bayes", outlines="smooth")
+
+    result = detector.detect(street())
+
+    paper = load_detector("fusion:paper", outlines="smooth").detect(street()).cues
+    network = load_detector("fusion").analysis.get_submodule("network")
+    road = compute_cues(network, street())["road"]
+    rows, uniformity = prior_rows(*street().shape[1:]), paper["uniformity"]
+    expected = rows / rows.max() * road * uniformity / (uniformity + 0.35)
+    np.testing.assert_allclose(result.likelihood, expected, atol=1e-5, rtol=0.0)
+
+
 def test_weights_for_patches_are_refused() -> None:
     with pytest.raises(WeightsError, match=r"holds a patch network .* or --detector layout:cnn-7"):
         load_detector("fusion", weights={"file": "cnn-7"})

@@ -47,6 +47,7 @@ USUAL = {
     "oneclass:mog_opt:HS": {},
     "oneclass:dlp:HS": {},
     "fusion": {},
+    "fusion:bayes": {},
     "fusion:paper": {},
 }
 """What is set throughout, to be quick."""
