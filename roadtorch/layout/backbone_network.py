@@ -1,13 +1,16 @@
 """Network on an ImageNet backbone: layout, road and ego car of whole images. Ours.
 
-The backbone is EfficientNet-Lite0 (Tan and Le, "EfficientNet", ICML 2019; the "lite" variants of
-their repository, without squeeze-and-excitation) up to its fifteenth block, with weights learned
-from ImageNet's object labels and possibly fine-tuned. Batch normalisation is folded into the
-convolutions. The heads are trained from scratch on roads: small convolutions at 1/8 and 1/4 of the
-size. Several heads, trained from different initial weights, are averaged.
+The backbone is EfficientNet-Lite0 or Lite2 (Tan and Le, "EfficientNet", ICML 2019; the "lite"
+variants of their repository, without squeeze-and-excitation) but for its last stage, with weights
+learned from ImageNet's object labels and possibly fine-tuned, or Lite0 trained from random weights.
+Batch normalisation is folded into the convolutions. The heads are trained from scratch on roads:
+small convolutions at 1/8 and 1/4 of the size. Several heads, trained from different initial
+weights, are averaged.
 """
 
-from typing import ClassVar, NamedTuple
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import ClassVar, Literal, NamedTuple
 
 import torch
 from pydantic import Field
@@ -30,30 +33,56 @@ class Block(NamedTuple):
     stride: int
 
 
+class Stage(NamedTuple):
+    """Consecutive blocks of one width: the first has the stride."""
+
+    expansion: int
+    outputs: int
+    kernel: int
+    stride: int
+    blocks: int
+
+
 STEM = 32
 """Channels of the first convolution, at 1/2 of the size."""
 
-BLOCKS = (
-    Block(32, 1, 16, 3, 1),
-    Block(16, 6, 24, 3, 2),
-    Block(24, 6, 24, 3, 1),
-    Block(24, 6, 40, 5, 2),
-    Block(40, 6, 40, 5, 1),
-    Block(40, 6, 80, 3, 2),
-    Block(80, 6, 80, 3, 1),
-    Block(80, 6, 80, 3, 1),
-    Block(80, 6, 112, 5, 1),
-    Block(112, 6, 112, 5, 1),
-    Block(112, 6, 112, 5, 1),
-    Block(112, 6, 192, 5, 2),
-    Block(192, 6, 192, 5, 1),
-    Block(192, 6, 192, 5, 1),
-    Block(192, 6, 192, 5, 1),
+LITE0 = (
+    Stage(1, 16, 3, 1, 1),
+    Stage(6, 24, 3, 2, 2),
+    Stage(6, 40, 5, 2, 2),
+    Stage(6, 80, 3, 2, 3),
+    Stage(6, 112, 5, 1, 3),
+    Stage(6, 192, 5, 2, 4),
 )
-"""Blocks of EfficientNet-Lite0 down to 1/32 of the size, without the last."""
+"""Stages of EfficientNet-Lite0 down to 1/32 of the size, without the last."""
 
-FEATURE_BLOCKS = (2, 4, 10, 14)
-"""Indices of the blocks whose outputs go to the heads: at 1/4, 1/8, 1/16, 1/32 of the size."""
+LITE2 = (
+    Stage(1, 16, 3, 1, 1),
+    Stage(6, 24, 3, 2, 3),
+    Stage(6, 48, 5, 2, 3),
+    Stage(6, 88, 3, 2, 4),
+    Stage(6, 120, 5, 1, 4),
+    Stage(6, 208, 5, 2, 5),
+)
+"""Stages of EfficientNet-Lite2: 1.1 times as wide and 1.2 times as deep."""
+
+BackboneName = Literal["lite0", "lite2", "none"]
+
+BACKBONES: dict[BackboneName, tuple[Stage, ...]] = {"lite0": LITE0, "lite2": LITE2, "none": LITE0}
+
+FEATURE_STAGES = (1, 2, 4, 5)
+"""Stages whose outputs go to the heads: at 1/4, 1/8, 1/16, 1/32 of the size."""
+
+
+def make_blocks(stages: Sequence[Stage]) -> list[Block]:
+    """Return the blocks of stages, in their order."""
+    blocks, inputs = list[Block](), STEM
+    for expansion, outputs, kernel, stride, count in stages:
+        for number in range(count):
+            blocks.append(Block(inputs, expansion, outputs, kernel, 1 if number else stride))
+            inputs = outputs
+    return blocks
+
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Mean and standard deviation of ImageNet's images; they normalise the backbone's input."""
@@ -69,6 +98,11 @@ class BackboneNetworkSettings(Settings):
     wide: int = Field(default=48, ge=8, le=512, description="channels of a head at 1/8 size")
     narrow: int = Field(default=24, ge=8, le=512, description="channels of a head at 1/4 size")
     heads: int = Field(default=3, ge=1, le=16, description="number of averaged heads")
+    backbone: BackboneName = Field(
+        default="lite0",
+        description="EfficientNet-Lite0 or Lite2 with weights of ImageNet, or (none) Lite0 trained "
+        "from random weights",
+    )
     upper_rows: UpperRows = 0.0
     normalisation: Normalisation = Normalisation(kind="none")
 
@@ -133,12 +167,14 @@ class Bottleneck(nn.Module):
 
 
 class Backbone(nn.Module):
-    """EfficientNet-Lite0 as a feature extractor with four outputs."""
+    """EfficientNet-Lite as a feature extractor with four outputs."""
 
-    def __init__(self) -> None:
+    def __init__(self, stages: Sequence[Stage] = LITE0) -> None:
         super().__init__()
+        ends = list(accumulate(stage.blocks for stage in stages))
+        self.feature_blocks = [ends[number] - 1 for number in FEATURE_STAGES]
         self.stem = Conv2dSame(3, STEM, 3, 2)
-        self.blocks = nn.ModuleList(Bottleneck(block) for block in BLOCKS)
+        self.blocks = nn.ModuleList(Bottleneck(block) for block in make_blocks(stages))
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """Return features of images (B, 3, H, W) in [0, 1] at 1/4, 1/8, 1/16, 1/32 size."""
@@ -146,7 +182,7 @@ class Backbone(nn.Module):
         maps, features = F.relu6(self.stem((images - mean) / std)), []
         for number, block in enumerate(self.blocks):
             maps = block(maps)
-            if number in FEATURE_BLOCKS:
+            if number in self.feature_blocks:
                 features.append(maps)
         return features
 
@@ -154,9 +190,9 @@ class Backbone(nn.Module):
 class Head(nn.Module):
     """A decoder from the backbone's maps and pixel coordinates to scores at 1/4 of the size."""
 
-    def __init__(self, wide: int, narrow: int) -> None:
+    def __init__(self, wide: int, narrow: int, stages: Sequence[Stage] = LITE0) -> None:
         super().__init__()
-        channels = [BLOCKS[number].outputs for number in FEATURE_BLOCKS]
+        channels = [stages[number].outputs for number in FEATURE_STAGES]
         self.levels = nn.ModuleList(nn.BatchNorm2d(count) for count in channels)
         self.fine = Conv2dSame(channels[0], narrow, 1, 1)
         self.middle = nn.ModuleList(Conv2dSame(count, wide, 1, 1) for count in channels[1:])
@@ -197,9 +233,10 @@ class BackboneNetwork(nn.Module):
     def __init__(self, settings: BackboneNetworkSettings | None = None) -> None:
         super().__init__()
         self.settings = settings or BackboneNetworkSettings()
-        self.backbone = Backbone()
+        stages = BACKBONES[self.settings.backbone]
+        self.backbone = Backbone(stages)
         wide, narrow = self.settings.wide, self.settings.narrow
-        self.heads = nn.ModuleList(Head(wide, narrow) for _ in range(self.settings.heads))
+        self.heads = nn.ModuleList(Head(wide, narrow, stages) for _ in range(self.settings.heads))
 
     def train(self, mode: bool = True) -> "BackboneNetwork":
         """Set the training mode, but keep batch statistics fixed and dropout off."""

@@ -6,7 +6,7 @@ earlier one by one change.
 
 from dataclasses import dataclass, replace
 
-from roadtorch.layout.backbone_network import BLOCKS
+from roadtorch.layout.backbone_network import LITE0, make_blocks
 from train.street.pack import REAL, SIMULATED
 
 SHIPPED_SIZES = ((128, 160), (192, 256), (256, 320))
@@ -96,7 +96,7 @@ HEADS = replace(
     initial="rendered-free",
     groups={ALL_KINDS: 0.6, STREETS: 0.3, SIMULATED: 0.1},
     sizes=TALL_SIZES,
-    frozen=len(BLOCKS),
+    frozen=len(make_blocks(LITE0)),
     learning_rate=1e-3,
 )
 RECIPES = (

