@@ -61,7 +61,7 @@ def with_value(value: float) -> Tensor:
 @pytest.mark.parametrize(
     ("image", "problem"),
     [
-        (with_value(float("nan")), "has values from nan to nan"),
+        (with_value(float("nan")), "holds NaN"),
         (with_value(1.5), "has values from 0"),
         (street(32, 32)[:1], "has the shape (1, 32, 32)"),
         (street(32, 32)[None], "has the shape (1, 3, 32, 32)"),

@@ -10,6 +10,7 @@ RoadtorchError
 """
 
 import difflib
+import math
 import os
 from collections.abc import Iterable
 from enum import IntEnum
@@ -93,6 +94,13 @@ class UnscorableError(DatasetError):
 
 class WeightsError(RoadtorchError):
     """A weight file that is damaged or foreign."""
+
+
+def check_unit_range(where: object, low: float, high: float, hint: str) -> None:
+    """Raise InputError unless values lie in [0, 1]; one NaN makes both bounds NaN, as aminmax does."""
+    if not (low >= 0 and high <= 1):
+        problem = "holds NaN" if math.isnan(low) else f"has values from {low:g} to {high:g}"
+        raise InputError(where, problem, hint)
 
 
 def is_out_of_memory(error: Exception) -> bool:

@@ -167,24 +167,34 @@ def to_toml(detector: str, settings: Settings) -> str:
     return tomli_w.dumps(values).removesuffix("\n")
 
 
-# --- shipped configs --------------------------------------------------------------------
+# --- shipped files ----------------------------------------------------------------------
+
+
+def list_shipped(folder: Path, suffix: str) -> list[str]:
+    """Return the sorted names of shipped files: paths below a folder, without suffix."""
+    files = folder.rglob(f"*{suffix}")
+    return sorted(path.relative_to(folder).with_suffix("").as_posix() for path in files)
+
+
+def resolve_name(text: str, kind: str, folder: Path, suffix: str) -> Path:
+    """Return the file that a text names: the shipped one of that name, or else a path.
+
+    A path has a suffix, or a separator and exists. ConfigError, with the nearest names, otherwise.
+    """
+    names = list_shipped(folder, suffix)
+    if text in names:
+        return folder / f"{text}{suffix}"
+    path = Path(text)
+    if path.suffix or (not {"/", os.sep}.isdisjoint(text) and os.path.exists(text)):
+        return path
+    raise unknown_name_error(f"{kind}, and no path such as ./NAME{suffix}", text, names)
 
 
 def list_shipped_configs() -> list[str]:
-    """Return the sorted names of all shipped configs: paths below ``configs/`` without suffix."""
-    files = CONFIGS.rglob(f"*{CONFIG_SUFFIX}")
-    return sorted(path.relative_to(CONFIGS).with_suffix("").as_posix() for path in files)
+    """Return the sorted names of all shipped configs."""
+    return list_shipped(CONFIGS, CONFIG_SUFFIX)
 
 
 def find_config(text: str) -> Path:
-    """Find the file that ``--config`` names: an existing file, or else a shipped config.
-
-    Text that ends in ``.toml`` is a file in any case. Raises ConfigError, with the nearest
-    names, for any other text.
-    """
-    path = Path(text)
-    if path.suffix == CONFIG_SUFFIX or path.is_file():
-        return path
-    if text not in list_shipped_configs():
-        raise unknown_name_error("config, and no file", text, list_shipped_configs())
-    return CONFIGS / f"{text}{CONFIG_SUFFIX}"
+    """Return the file that ``--config`` names; raises as ``resolve_name``."""
+    return resolve_name(text, "config", CONFIGS, CONFIG_SUFFIX)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.errors import ConfigError, DatasetError, InputError
+from roadtorch.base.errors import ConfigError, DatasetError, InputError, check_unit_range
 from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.data.label_images import find_spelling, read_labels
@@ -149,8 +149,7 @@ def read_likelihood_map(
         allowed = " or ".join(dict.fromkeys(f"{columns} by {rows}" for rows, columns in sizes))
         raise InputError(path, f"is {width} by {height} pixels", f"it should be {allowed}")
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
-    if not (low >= 0 and high <= 1):  # also true of NaN
-        raise InputError(path, f"has values from {low:g} to {high:g}", "keep to [0, 1]")
+    check_unit_range(path, low, high, "keep to [0, 1]")
     for duplicate in duplicates:
         values = read_map(duplicate)
         if values.shape != likelihood.shape or not (values - likelihood).abs().max() <= TOLERANCE:

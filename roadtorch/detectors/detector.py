@@ -19,7 +19,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.base.compute import one_torch_thread
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError, check_unit_range
 from roadtorch.base.image import ColourOrder, ImageLike, as_image, check_order
 from roadtorch.base.settings import Settings, build_settings, merge
 from roadtorch.camera.views import (
@@ -533,8 +533,7 @@ def validate_image(image: Tensor) -> Tensor:
         hint = f"give at least {MIN_IMAGE_SIDE}×{MIN_IMAGE_SIDE}"
         raise InputError("image", f"is {width}×{height} pixels", hint)
     low, high = (float(bound) for bound in torch.aminmax(image))
-    if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
-        raise InputError("image", f"has values from {low:g} to {high:g}", "scale it to [0, 1]")
+    check_unit_range("image", low, high, "scale it to [0, 1]")
     return image.to(torch.float32)
 
 

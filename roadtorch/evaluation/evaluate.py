@@ -109,12 +109,15 @@ def tally_images(
                 failures.append(Failure(result.item.name, result.item.group, result.failure))
             for name, counts in result.counts.items():
                 tallies[name].add(result.item, counts)
+    first = failures[0].reason if failures else "all groups are left out"
     roads = [counts.road for tally in tallies.values() for counts in tally.road.values()]
     if not {group for tally in tallies.values() for group in tally.road} - dataset.left_out:
-        first = failures[0].reason if failures else "all groups are left out"
         message = f"none of the {len(dataset.items)} images could be scored; first failure: {first}"
         raise DatasetError(dataset.root, message, "fix that first")
     if not any(bool(road.any()) for road in roads):
-        message = "no label has any road"
-        raise UnscorableError(dataset.root, message, "check which label values mean road")
+        message, hint = "no label has any road", "check which label values mean road"
+        if failures:
+            message = f"{message} in the {len(dataset.items) - len(failures)} images that could be "
+            message, hint = f"{message}scored; first failure: {first}", "fix that first"
+        raise UnscorableError(dataset.root, message, hint)
     return tallies, failures

@@ -1,5 +1,6 @@
 """Contenders of an evaluation: detectors by name, weights, configs, likelihood maps, baselines."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -17,6 +18,7 @@ from roadtorch.base.settings import (
     CONFIG_SUFFIX,
     THRESHOLDS_PREFIX,
     find_config,
+    list_shipped_configs,
     merge,
     read_settings_file,
 )
@@ -127,14 +129,15 @@ def parse_contenders(
     if is_pattern(text):
         return [contender_from_name(name, settings, camera) for name in list_detectors(text)]
     name, equals, file = text.partition("=")
-    if not equals or Path(text).exists():
+    if not equals or os.path.exists(text):
         name, file = "", text
     path = Path(file)
     if not equals and is_detector(text):
         return [contender_from_name(text, settings, camera)]
     if not name.isprintable() or set(name) & set("/\\"):
         raise ConfigError(text, f"{name!r} cannot be a file name", "choose another")
-    if path.is_dir():
+    is_shipped = file.startswith(THRESHOLDS_PREFIX) and file in list_shipped_configs()
+    if os.path.isdir(file) and not is_shipped:
         return [contender_from_maps(name or to_printable(path.resolve().name), path)]
     if path.suffix == ".safetensors":
         detector, values = DETECTOR_BY_NETWORK[load_network(path).kind], {"weights": {"file": file}}
@@ -220,6 +223,10 @@ def _prepare_maps(folder: Path, decision: DetectorSettings, dataset: Dataset) ->
         for item in dataset.items
         for path in likelihood_maps.find_maps(folder, _map_names(dataset, item))
     ]
+    if not maps:
+        problem = f"has a likelihood map of none of {len(dataset.items)} images"
+        endings = ", NAME".join(likelihood_maps.MAP_ENDINGS)
+        raise InputError(folder, problem, f"give a folder with NAME{endings}, or a detector")
     if not likelihood_maps.is_infer_folder(folder):
         likelihood_maps.warn_of_labels(evenly_spaced(maps, CHECKED_MAPS))
     return partial(_read_maps, folder, decision, dataset)

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.errors import InputError
+from roadtorch.base.errors import InputError, check_unit_range
 from roadtorch.layout.classes import NUM_CLASSES
 
 DEFAULT_LEVELS = 65_536
@@ -105,9 +105,7 @@ def count_levels(
         problem = f"has the shape {tuple(likelihood.shape)}, the truth {tuple(road.shape)}"
         raise InputError("likelihood", problem, "return a map of the image's size")
     low, high = (float(bound) for bound in torch.aminmax(likelihood))
-    if not (low >= 0 and high <= 1):  # also true of NaN, which passes through aminmax
-        problem = f"has values from {low:g} to {high:g}"
-        raise InputError("likelihood", problem, "return values in [0, 1]")
+    check_unit_range("likelihood", low, high, "return values in [0, 1]")
     # One histogram: background, then road, then one bin for void.
     index = quantise(likelihood, levels).add_(road, alpha=levels).masked_fill_(~valid, 2 * levels)
     counts = torch.bincount(index.flatten(), minlength=2 * levels + 1)

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import reason
 from roadtorch.base.errors import ConfigError, WeightsError, truncate_middle
-from roadtorch.base.settings import Settings, build_settings
+from roadtorch.base.settings import Settings, build_settings, list_shipped, resolve_name
 from roadtorch.layout.backbone_network import BackboneNetwork, BackboneNetworkSettings
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings, compute_cues
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings
@@ -33,6 +33,8 @@ MAX_MISMATCH_LENGTH = 200  # characters quoted of torch's message about a mismat
 
 SHIPPED = Path(__file__).parents[1] / "weights"
 """Folder of the weights that come with roadtorch."""
+
+WEIGHTS_SUFFIX = ".safetensors"
 
 TERMS_ROW = re.compile(r"^\|\s*terms\s*\|\s*(.+?)\s*\|$", re.MULTILINE)
 """Row of a card, the NAME.md beside the weights, that states their terms of use."""
@@ -105,19 +107,17 @@ def resize_network(network: WholeImageNetwork, height: int, width: int) -> Whole
 
 def shipped_weights(name: str) -> Path:
     """Return the path of the shipped weights of that name, such as ``cnn-7``."""
-    return SHIPPED / f"{name}.safetensors"
+    return SHIPPED / f"{name}{WEIGHTS_SUFFIX}"
 
 
 def list_shipped_weights() -> list[str]:
     """Return the names of all shipped weights, sorted."""
-    return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
+    return list_shipped(SHIPPED, WEIGHTS_SUFFIX)
 
 
 def weights_path(text: str) -> Path:
-    """Return the path that a setting names: a file, or the shipped weights of that name."""
-    shipped = shipped_weights(text)
-    is_shipped = "/" not in text and not Path(text).exists() and shipped.exists()
-    return shipped if is_shipped else Path(text)
+    """Return the file that a setting names; raises as ``resolve_name``."""
+    return resolve_name(text, "weights", SHIPPED, WEIGHTS_SUFFIX)
 
 
 def read_terms(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import os
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from roadtorch.base.atomic import atomic_write, file_digest, make_folder
 from roadtorch.base.bounded import read_regular
-from roadtorch.base.errors import InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import hash_tensors, weights_path
@@ -53,8 +54,13 @@ def find_paths(settings: object) -> list[Path]:
         settings = list(settings.values())
     if isinstance(settings, list | tuple):
         return [path for value in settings for path in find_paths(value)]
-    path = weights_path(str(settings)) if isinstance(settings, str | Path) else Path()
-    return [path] if path.name and path.exists() else []
+    if not isinstance(settings, str | Path):
+        return []
+    try:
+        path = weights_path(str(settings))
+    except ConfigError:  # any other string, or a file by its bare name
+        path = Path(settings)
+    return [path] if path.name and os.path.exists(path) else []
 
 
 def file_digests(settings: object) -> list[str]:

@@ -29,6 +29,7 @@ from roadtorch.base.settings import (
     read_settings_file,
     to_toml,
 )
+from roadtorch.layout.weights import SHIPPED, weights_path
 
 
 class Texture(Settings):
@@ -131,16 +132,28 @@ def test_every_config_of_the_repository_has_a_name_that_leads_to_it() -> None:
     assert {"adapt", "layout-free", "thresholds/labeller"} <= {*list_shipped_configs()}
 
 
-def test_a_file_goes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_a_shipped_name_goes_before_a_file_and_a_path_has_a_separator_or_a_suffix(
+    is_folder: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "layout-free").mkdir()  # a folder is no config
-    assert find_config("layout-free") == CONFIGS / "layout-free.toml"
+    for name in ("adapt", "mine", "backbone-free", "thresholds/cpf-v2"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).mkdir() if is_folder else (tmp_path / name).write_text("seed = 1")
 
-    (tmp_path / "adapt").write_text("random_seed = 1")
-    assert find_config("adapt") == Path("adapt")
-    assert find_config("none.toml") == Path("none.toml")  # to be refused when it is read
-    with pytest.raises(ConfigError, match=r"adpat: unknown config, and no file \(did you mean"):
-        find_config("adpat")
+    for find, name, folder, suffix in (
+        (find_config, "adapt", CONFIGS, ".toml"),
+        (find_config, "thresholds/cpf-v2", CONFIGS, ".toml"),
+        (weights_path, "backbone-free", SHIPPED, ".safetensors"),
+    ):
+        assert find(name) == folder / f"{name}{suffix}"
+        assert find(f"./{name}") == Path(name)
+        assert find(f"none{suffix}") == Path(f"none{suffix}")  # to be refused when it is read
+        for unknown in ("mine", f"{name[:-2]}s", "a/none"):
+            with pytest.raises(
+                ConfigError, match=f"^{unknown}: unknown .*, and no path such as ./"
+            ):
+                find(unknown)
 
 
 # --- errors -----------------------------------------------------------------------------

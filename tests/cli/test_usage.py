@@ -48,7 +48,7 @@ MISTAKES = {
     "grid x.jpg --out o --fov 60 --height 1 --range 0.1": "range: 0.1 was given",
     "grid x.jpg --out o --calibration none --pitch 1": "--pitch: conflicts with --calibration",
     # Learning and correcting
-    "train --config xyz --images . --out o": "xyz: unknown config, and no file (known: adapt, back",
+    "train --config xyz --images . --out o": "xyz: unknown config, and no path such as ./NAME.toml",
     "train --config adapt --images . --out o --set teacher.margi=1": (
         "teacher.margi: unknown setting (did you mean teacher.margin"
     ),

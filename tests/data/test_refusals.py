@@ -199,7 +199,7 @@ def read_map(folder: Path) -> object:
 MAPS: Rows = [
     (read_map, {"m.npy": content}, "m.npy", problem)
     for content, problem in [
-        (np.where(RAMP > 0.9, np.nan, RAMP), "has values from nan to nan"),
+        (np.where(RAMP > 0.9, np.nan, RAMP), "holds NaN"),
         (RAMP * 1.5, r"has values from 0 to 1\.5"),
         (RAMP[:3], r"is 6 by 3 pixels \(it should be 6 by 4\)"),
         (RAMP * 1j, r"holds complex128 of shape \(4, 6\)"),

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import cv2
+import numpy as np
 import pytest
 import torch
 
@@ -184,6 +185,26 @@ def test_labels_without_any_road_are_an_error(tmp_path):
     with pytest.raises(UnscorableError, match="no label has any road") as caught:
         evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
     assert caught.value.exit_code == 1
+
+
+def test_failed_maps_are_named_where_no_other_image_has_road(tmp_path):
+    for name, level in (("a", 0.0), ("b", 1.0)):
+        np.save(tmp_path / f"{name}.npy", np.full((16, 16), np.nan if level else 0.0))
+        for folder in (tmp_path / "images", tmp_path / "masks"):
+            folder.mkdir(exist_ok=True)
+            write_rgb_png(folder / f"{name}.png", torch.full((3, 16, 16), level))
+
+    with pytest.raises(
+        UnscorableError, match=r"no label has any road in the 1 .*b\.npy: holds NaN"
+    ):
+        evaluate(open_dataset("folder", tmp_path), [str(tmp_path)])
+
+
+def test_a_folder_without_maps_is_refused_before_the_run(plain, tmp_path):
+    (tmp_path / "detector.toml").write_text('detector = "fusion"')  # any folder of another kind
+
+    with pytest.raises(InputError, match="has a likelihood map of none of 6 images"):
+        evaluate(plain, [str(tmp_path)])
 
 
 # --- groups left out, conditions -----------------------------------------------------------------
