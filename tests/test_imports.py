@@ -1,15 +1,25 @@
-"""Imports of the package and its commands, measured in fresh interpreters."""
+"""Imports of the package and its commands, measured in fresh interpreters; its dataclasses."""
 
+import collections.abc
+import dataclasses
 import doctest
+import importlib
+import pkgutil
 import resource
 import subprocess
 import sys
+import typing
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 import roadtorch
 from roadtorch.detectors import catalogue
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import Detector
 from roadtorch.testing.scenes import render_scene, write_image
 
@@ -71,3 +81,30 @@ def test_docstrings_are_true(name: str, tmp_path: Path, monkeypatch: pytest.Monk
 
     assert sum(result.attempted for result in results) > 1
     assert not any(result.failed for result in results)
+
+
+def holds_tensors(kind: Any, outer: tuple[Any, ...] = ()) -> bool:
+    """Return whether values of a type hold tensors or arrays, themselves or in their fields."""
+    if kind in (torch.Tensor, np.ndarray):
+        return True
+    if typing.get_origin(kind) is collections.abc.Callable or kind in outer:
+        return False
+    parts = typing.get_args(kind)
+    if dataclasses.is_dataclass(kind) or hasattr(kind, "_fields"):
+        parts = tuple(typing.get_type_hints(kind).values())
+    return any(holds_tensors(part, (*outer, kind)) for part in parts)
+
+
+def test_dataclasses_with_tensors_compare_by_identity() -> None:
+    modules = pkgutil.walk_packages(roadtorch.__path__, "roadtorch.")
+    names = [module.name for module in modules if not module.name.endswith("__main__")]
+    classes = {value for name in names for value in vars(importlib.import_module(name)).values()
+               if isinstance(value, type) and dataclasses.is_dataclass(value)}  # fmt: skip
+    with_tensors = {kind for kind in classes if holds_tensors(kind)}
+
+    assert Detection in with_tensors
+    assert {kind for kind in with_tensors if kind.__eq__ is not object.__eq__} == set()
+    image = torch.rand(3, 32, 32)
+    first, second = (load_detector("fusion:untrained").detect(image) for _ in range(2))
+    assert first == first != second
+    assert first.cues != second.cues

@@ -113,7 +113,9 @@ def read_simulated(root: Path) -> Iterator[Sample]:
     """Yield the samples of DATA/simulated: road, and layout where there is one."""
     for file in sorted((root / "simulated").glob("*/images/*.jpg")):
         parts = [file.parents[1] / name / f"{file.stem}.png" for name in ("road", "layout")]
-        road, layout = (cv2.imread(str(part), cv2.IMREAD_UNCHANGED) for part in parts)
+        road, layout = (  # OpenCV warns of each missing file
+            cv2.imread(str(part), cv2.IMREAD_UNCHANGED) if part.exists() else None for part in parts
+        )
         road = np.asarray(road)
         background = np.uint8(VOID) if layout is None else layout
         sample = make_sample(read_image(file), np.where(road == 1, np.uint8(3), background), False)

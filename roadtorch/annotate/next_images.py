@@ -108,7 +108,7 @@ ORDER_RULES: Mapping[str, OrderRule] = {"least-trust": least_trust_first, "rando
 # --- in the page ------------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(eq=False)
 class ImageOrder:
     """The order of images by a rule of ``ORDER_RULES``; features are added with views."""
 

@@ -346,7 +346,7 @@ def bind_socket(port: int | None, last: int | None) -> socket.socket:
     raise ConfigError("--port", f"{port} is taken", "give another port, or leave it out")
 
 
-@dataclass
+@dataclass(eq=False)
 class PageServer:
     """A server that is ready to run, with the address of its page."""
 

@@ -106,7 +106,7 @@ def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -
 # --- the session ------------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(eq=False)
 class Session:
     """The state behind the page; views: cache of the detector's views. out: folder of the logs."""
 

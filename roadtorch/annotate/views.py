@@ -152,7 +152,7 @@ def corrected_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> n
 # --- views on disk ----------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(eq=False)
 class ViewStore:
     """A cache of views in memory and in ``folder``, valid while image and settings are the same."""
 

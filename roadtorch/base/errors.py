@@ -97,7 +97,7 @@ class WeightsError(RoadtorchError):
 
 
 def check_unit_range(where: object, low: float, high: float, hint: str) -> None:
-    """Raise InputError unless values lie in [0, 1]; one NaN makes both bounds NaN, as aminmax does."""
+    """Raise InputError unless values lie in [0, 1]; their bounds are NaN if one of them is."""
     if not (low >= 0 and high <= 1):
         problem = "holds NaN" if math.isnan(low) else f"has values from {low:g} to {high:g}"
         raise InputError(where, problem, hint)

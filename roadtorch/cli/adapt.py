@@ -10,6 +10,7 @@ from roadtorch.cli.options import (
     QUIET_OPTION,
     RUNTIME_OPTION,
     SETTING_OPTION,
+    CheckedCommand,
     command_line,
 )
 
@@ -17,7 +18,7 @@ ADAPT_CONFIG = "adapt"
 QUICK_FRAMES = 60
 
 
-@click.command()
+@click.command(cls=CheckedCommand)
 @FOOTAGE_ARGUMENT
 @click.option("--out", type=PATH, required=True, help="Folder of this run; run again to resume.")
 @click.option(

@@ -12,6 +12,7 @@ from roadtorch.cli.options import (
     PATH,
     RUNTIME_OPTION,
     SETTING_OPTION,
+    CheckedCommand,
     command_line,
     suggest_candidates,
     suggest_datasets,
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from roadtorch.evaluation.tuning import ThresholdChoice
 
 
-@click.command()
+@click.command(cls=CheckedCommand)
 @click.argument("dataset", shell_complete=suggest_datasets)
 @click.argument("root", type=PATH)
 @click.option("--split", help="Split of the data set; camvid: dev (default), train, val, test.")
@@ -112,8 +113,6 @@ def evaluate_command(
     from roadtorch.run.folder import lock_output
     from roadtorch.run.workers import configure_threads
 
-    if out is None and (tune or submit):
-        raise click.UsageError("--tune and --submit write files: give --out")
     configure_threads(threads=1)
     settings = parse_assignments(assignments)
     camera = None if camera_file is None else Camera.read(camera_file)

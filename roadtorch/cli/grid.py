@@ -12,6 +12,7 @@ from roadtorch.cli.options import (
     DetectorOptions,
     SectionedCommand,
     detector_options,
+    refuse_unused,
     run_options,
     selection_options,
 )
@@ -114,6 +115,7 @@ def grid_command(
 
     configure_threads(threads=1)
     selected = select_inputs(inputs, selection, out)
+    refuse_unused(context, bag=any(map(is_from_bag, selected.sources)))
     cells = {name: mounting.pop(name) for name in ("resolution", "range", "side")}
     only_bags = not selected.images and all(map(is_from_bag, selected.sources))
     placement = build_placement(Mounting(camera=camera_file, **mounting), only_bags)

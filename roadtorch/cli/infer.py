@@ -8,6 +8,7 @@ import click
 
 from roadtorch.cli.options import (
     CAMERA_OPTION,
+    FOOTAGE_KINDS,
     INPUTS_ARGUMENT,
     PATH,
     DetectorOptions,
@@ -15,6 +16,7 @@ from roadtorch.cli.options import (
     command_line,
     computing_options,
     detector_options,
+    refuse_unused,
     selection_options,
 )
 
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from roadtorch.run.plan import RunOptions
 
 RESULT_KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
-FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
 
 
 def _parse_kinds(
@@ -127,7 +128,7 @@ def infer_command(
     from roadtorch.run.workers import configure_threads
     from roadtorch.run.writers.coco import write_coco
     from roadtorch.run.writers.maps import MapWriter
-    from roadtorch.run.writers.outputs import DEFAULT_IMAGE_KINDS, MapOutput
+    from roadtorch.run.writers.outputs import DEFAULT_IMAGE_KINDS, MapOutput, is_from_bag
 
     configure_threads(options.threads, options.device)
     check_runtime(choice.runtime, options.device)
@@ -135,6 +136,12 @@ def infer_command(
     effective = to_toml(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)
     kinds = DEFAULT_IMAGE_KINDS if save is None else save
+    refuse_unused(
+        context,
+        footage=bool(selected.sources),
+        bag=any(map(is_from_bag, selected.sources)),
+        likelihood="likelihood" in kinds and bool(selected.images or save),
+    )
     bits = 16 if depth == "16" else 8
     maps = MapWriter(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(open_viewer()) if view else None

@@ -3,12 +3,13 @@
 import functools
 import importlib
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
@@ -92,6 +93,9 @@ def suggest_datasets(_: click.Context, __: click.Parameter, incomplete: str) -> 
 
 # --- options ------------------------------------------------------------------------------
 
+FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
+"""Results of footage alone, for ``--save``."""
+
 OPTION_SECTIONS = {
     **dict.fromkeys(("detector", "assignments", "config", "camera_file", "threshold"), "Detector"),
     **dict.fromkeys(("every", "start", "end", "limit", "topic"), "Footage"),
@@ -147,7 +151,59 @@ OVERWRITE_OPTION = click.option(
 QUIET_OPTION = click.option("--quiet", is_flag=True, help="Print only failures, no progress.")
 
 
-class SectionedCommand(click.Command):
+# --- options without effect ---------------------------------------------------------------
+
+MODES = "without --report --export --import"
+PAGE = ("--detector", "--set", "--config", "--runtime", "--port", "--order")
+SCORING = "--split --against --bev --conditions --leave-out --mean-from --threshold-from --limit"
+FOOTAGE = ("--steady", "--view", *(f"--save {kind}" for kind in FOOTAGE_KINDS))
+
+OPTION_CONDITIONS: Mapping[str, Mapping[str, str]] = {
+    "adapt": {"--frames": "without --quick", "--set teacher.runtime": "without --runtime"},
+    "annotate": dict.fromkeys(PAGE, MODES)
+    | {"--to": "with --export", "--from": "with --import"}
+    | {"--export": "without --report", "--import": "without --report --export"},
+    "evaluate": dict.fromkeys(SCORING.split(), "without --submit")
+    | dict.fromkeys(("--montage", "--tune"), "with --out without --submit")
+    | {"--submit": "with --out"},
+    "grid": dict.fromkeys(("--topic", "--frame-id"), "with bag"),
+    "infer": dict.fromkeys(FOOTAGE, "with footage")
+    | {"--topic": "with bag", "--depth": "with likelihood"},
+    "train": dict.fromkeys(("--road", "--void"), "with --masks")
+    | {"--corrected-images": "with --corrections"},
+}
+"""What options need, by command: other options, or facts about the inputs that commands state."""
+
+
+def refuse_unused(context: click.Context, **facts: bool) -> None:
+    """Raise ConfigError for an option that other options, or these facts, leave without effect."""
+    from roadtorch.base.errors import ConfigError
+
+    states = dict(facts)
+    for option in [item for item in context.command.params if isinstance(item, click.Option)]:
+        name, values = option.opts[0], context.params.get(option.name or "")
+        source = context.get_parameter_source(option.name or "")
+        states[name] = source is ParameterSource.COMMANDLINE
+        for value in values if states[name] and isinstance(values, tuple) else ():
+            states[f"{name} {str(value).partition('=')[0].strip()}"] = True
+    for option, condition in OPTION_CONDITIONS.get(context.command.name or "", {}).items():
+        word = ""
+        for part in condition.split() if states.get(option) else ():
+            word = part if part in ("with", "without") else word
+            if part in states and states[part] != (word == "with"):
+                raise ConfigError(option, "has no effect", f"give it {word} {part}")
+
+
+class CheckedCommand(click.Command):
+    """A command that refuses options without effect."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Check the options, and run."""
+        refuse_unused(ctx)
+        return super().invoke(ctx)
+
+
+class SectionedCommand(CheckedCommand):
     """A command whose ``--help`` groups its options by ``OPTION_SECTIONS``, others first."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

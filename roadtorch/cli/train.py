@@ -6,13 +6,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roadtorch.cli.options import PATH, QUIET_OPTION, SETTING_OPTION, ConfigFile, command_line
+from roadtorch.cli.options import (
+    PATH,
+    QUIET_OPTION,
+    SETTING_OPTION,
+    CheckedCommand,
+    ConfigFile,
+    command_line,
+)
 
 if TYPE_CHECKING:
     from roadtorch.data.corrections import HumanLabels
 
 
-@click.command()
+@click.command(cls=CheckedCommand)
 @click.option(
     "--config",
     type=ConfigFile(),

@@ -16,7 +16,7 @@ from roadtorch.base.errors import ConfigError, DatasetError, unknown_name_error
 from roadtorch.base.image import read_image
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Truth:
     """Ground truth of one image.
 

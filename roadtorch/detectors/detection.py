@@ -44,8 +44,11 @@ class Cues(Mapping[str, Tensor]):
         """Return the number of cues."""
         return len(self.maps)
 
+    __eq__ = object.__eq__  # two tensors have no one truth value
+    __hash__ = object.__hash__  # type: ignore[assignment]  # a Mapping has none
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Detection:
     """Result of a detector for one image; the maps are torch tensors.
 

@@ -22,7 +22,7 @@ from roadtorch.evaluation.metrics import RoadCounts
 FPR_STEPS = 100  # intervals of the false positive rate, in vertical averaging
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """Points along curves, float64 (..., points)."""
 
@@ -127,7 +127,7 @@ def equal_error_rate(curve: Curve) -> Tensor:
 CALIBRATION_BINS = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reliability:
     """Pixels binned by likelihood, float64 (..., bins) each; NaN in bins without pixels."""
 

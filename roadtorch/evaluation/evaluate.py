@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from roadtorch.base.errors import DatasetError, UnscorableError
+from roadtorch.base.errors import ConfigError, DatasetError, UnscorableError
 from roadtorch.base.progress import Progress
 from roadtorch.camera.camera import Camera
 from roadtorch.data.dataset import Dataset, subsample_dataset
@@ -76,6 +76,8 @@ def evaluate(
     if threshold_from is not None:
         entries = apply_thresholds(entries, threshold_from)
     entries = [compute_with(entry, runtime) for entry in entries]
+    if all(entry.runtime != runtime for entry in entries):
+        raise ConfigError("--runtime", "has no effect on these", "give a detector with a network")
     images = subsample_dataset(dataset, limit)
     conditions = images.items_by_condition()
     tallies, failures = tally_images(images, entries, jobs, quiet)

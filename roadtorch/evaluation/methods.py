@@ -89,6 +89,8 @@ def collect_contenders(
             first = entries.setdefault(entry.name, entry)
             if (first.settings, first.threshold) != (entry.settings, entry.threshold):
                 raise ConfigError(entry.name, "names two detectors", "write NAME=PATH")
+    if (settings or camera is not None) and not any(entry.detector for entry in entries.values()):
+        raise ConfigError("--set, --camera", "have no effect on maps", "leave them out")
     if with_baselines:
         for name in BASELINES:
             entries.setdefault(name, contender_from_name(name, {}))

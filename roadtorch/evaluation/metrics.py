@@ -33,7 +33,7 @@ RECALL_STEPS = 11  # of KITTI's average precision: 0, 0.1, …, 1
 # --- counts -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RoadCounts:
     """Pixels by likelihood level: int64 (..., levels) of true road and of true background."""
 

@@ -108,7 +108,7 @@ class Failure:
     reason: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """Result of an evaluation: the set, the scores by detector, and the images that failed.
 

@@ -19,7 +19,7 @@ from roadtorch.run.workers import WORKER_CRASH, make_workers
 # --- one image ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LabelledImage:
     """An item that has been read: its image, and the truth in the space of the image."""
 

@@ -21,7 +21,7 @@ IMAGE_LEVELS = 256  # levels of the histograms of single images
 INITIAL_ROWS = 64  # of a column, before it grows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImageCounts:
     """Counts of one detector on one image, in the space of the truth."""
 
@@ -34,7 +34,7 @@ class ImageCounts:
     trust: float = math.nan  # predicted F of the mask; NaN where the detector gives none
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImageResult:
     """Counts of every detector on one image, or the reason of a failure."""
 
@@ -43,7 +43,7 @@ class ImageResult:
     failure: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImageTable:
     """Counts of n images: a row of every tensor is one image."""
 
@@ -69,7 +69,7 @@ class ImageTable:
         return torch.tensor([name == group for name in self.groups], dtype=torch.bool)
 
 
-@dataclass
+@dataclass(eq=False)
 class Tally:
     """Counts of one detector: pixels by likelihood and group, and columns by image.
 
@@ -135,7 +135,7 @@ class Tally:
 # --- pooled counts ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PooledCounts:
     """Pooled counts of images, or of bootstrap replicates of them: then shape (replicates, …)."""
 

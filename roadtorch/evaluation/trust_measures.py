@@ -24,7 +24,7 @@ FAILURE_F = 0.6  # F below which a mask is a failure; ours: such masks look wron
 MIN_GROUP_IMAGES = 4  # images that a group needs for a correlation; ours
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrustSamples:
     """Images with a trust and an F of the mask, float64 (n,) each, and the group of each image."""
 

@@ -116,7 +116,7 @@ class Bandwidths(NamedTuple):
     column: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segments:
     """Superpixels of one image, n of them; positions are fractions of height and width."""
 

@@ -54,7 +54,7 @@ class ClassifierSettings(Settings):
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RoadSamples:
     """Training data of a classifier.
 
@@ -67,7 +67,7 @@ class RoadSamples:
     generator: torch.Generator
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DistanceModel:
     """Distance function of a fitted classifier.
 

@@ -39,7 +39,9 @@ class NodeParameters(Settings):
     )
     roll: float = Field(default=0.0, description="roll of the camera, degrees")
     fov: float = Field(
-        default=0.0, ge=0, description="horizontal field of view, degrees; 0: from camera_info"
+        default=0.0,
+        ge=0,
+        description="horizontal field of view, degrees; 0: lens of the camera file or camera_info",
     )
     resolution: float = Field(default=0.1, description="metres per cell of the grid")
     range: float = Field(default=30.0, description="extent of the grid ahead, metres")

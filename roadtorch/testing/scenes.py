@@ -29,7 +29,7 @@ CAMERA_HEIGHT = 1.35  # metres above the road
 MAX_DISTANCE = 90.0  # metres: nothing upright stands farther away
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RenderedScene:
     """A rendered image and its ground truth."""
 

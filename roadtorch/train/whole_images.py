@@ -60,7 +60,7 @@ EGO_CARS = "ego-cars"
 # --- samples ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImageSamples:
     """Prepared images in augmented batches; a chunk is one batch.
 

@@ -44,7 +44,7 @@ class MapSettings(Settings):
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FeatureMaps:
     """Selected maps (m, H, W) in [0, 1], the best first.
 
@@ -128,7 +128,7 @@ def mean_map(maps: Tensor, scale: Literal["maximum", "none"]) -> Tensor:
     return mean / top if top > 0 else mean
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LearnedFeatures:
     """Features learned from one image.
 

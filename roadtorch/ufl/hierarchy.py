@@ -36,7 +36,7 @@ class RegionTreeSettings(Settings):
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Regions:
     """4-connected regions of all levels; N regions.
 
@@ -53,7 +53,7 @@ class Regions:
     area: Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RegionTree:
     """Reduced tree: nodes made of regions of consecutive levels; M nodes, the root first.
 
@@ -157,7 +157,7 @@ def node_stability(tree: RegionTree, pixels: Tensor) -> Tensor:
     return total / pixels.numel()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NodeChoice:
     """Selected nodes, bool (M,); stability S and best sums S-hat, float64 (M,)."""
 

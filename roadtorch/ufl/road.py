@@ -142,7 +142,7 @@ def normalise_error(error: Tensor, covered: Tensor) -> Tensor:
     return scaled.where(covered, 0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Round:
     """One iteration of the two loops.
 

@@ -207,7 +207,7 @@ class BorderSettings(Settings):
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Borders:
     """Road borders: their intersection (2,), row and column in pixels; their angles in degrees."""
 

@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+import click
 import pytest
 
+from roadtorch.cli.group import main
+from roadtorch.cli.options import OPTION_CONDITIONS, ConfigFile
 from tests.command import Call, bytes_in, save_image
 
 MISTAKES = {
@@ -85,4 +88,56 @@ def test_a_mistake_is_one_line_before_any_work(
     assert result.stderr.endswith(")\n")
     assert result.stderr.count("\n") == 1
     assert bytes_in(tmp_path) == files
+    assert not (tmp_path / "o").exists()
+
+
+# --- options without effect ---------------------------------------------------------------
+
+WORKING = {
+    "adapt": "x.jpg --out o",
+    "annotate": ".",
+    "evaluate": "camvid .",
+    "grid": "x.jpg --out o --fov 60 --height 1 --pitch 5 --detector prior:rows",
+    "infer": "x.jpg --detector prior:rows",
+    "train": "--images . --out o --config cnn7",
+}
+UNUSED = [
+    (command, option, word, part)
+    for command, conditions in OPTION_CONDITIONS.items()
+    for option, condition in conditions.items()
+    for words in condition.replace("without", "|without").replace("with ", "|with ").split("|")[1:]
+    for word, *parts in [words.split()]
+    for part in parts
+]
+
+
+def give(command: str, option: str) -> list[str]:
+    """Return the words of an option, with a value that is allowed where it takes one."""
+    name, _, value = option.partition(" ")
+    loaded = main.get_command(click.Context(main), command)
+    assert loaded is not None
+    (parameter,) = [item for item in loaded.params if name in item.opts]
+    assert isinstance(parameter, click.Option)
+    if parameter.is_flag:
+        return [name]
+    kind = parameter.type
+    default = "a.toml" if isinstance(kind, ConfigFile) else "9"
+    default = str(kind.choices[-1]) if isinstance(kind, click.Choice) else default
+    return [name, f"{value}=1" if value and name == "--set" else value or default]
+
+
+@pytest.mark.parametrize(("command", "option", "word", "part"), UNUSED)
+def test_an_option_without_effect_is_refused(
+    command: str, option: str, word: str, part: str, call: Call, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    save_image(tmp_path / "x.jpg")
+    words = give(command, option) + (give(command, part) if word == "without" else [])
+    words += ["--save", "mask"] * (part == "likelihood") + ["--out", "o"] * (part == "--submit")
+
+    result = call(command, *WORKING[command].split(), *words)
+
+    assert result.exit_code == 2, result.output
+    assert result.stderr == f"roadtorch: error: {option}: has no effect (give it {word} {part})\n"
     assert not (tmp_path / "o").exists()

@@ -149,6 +149,8 @@ def test_another_file_than_a_metrics_json_is_refused(camvid, tmp_path, text):
         ("prior:rows", {"against": "prior:*"}, "is not a single detector"),
         ("nothing*", {}, "unknown detector"),
         ("test-oracel", {}, ORACLE),
+        ("prior:rows", {"runtime": "onnxruntime"}, "--runtime: has no effect"),
+        (".", {"settings": {"threshold": 0.5}}, "--set, --camera: have no effect on maps"),
     ],
 )
 def test_what_can_be_refused_is_refused_before_the_run(
