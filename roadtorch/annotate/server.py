@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import secrets
+import shlex
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -63,8 +64,7 @@ MAX_BODY = 2 * 2**20  # bytes of one event; ours: a long stroke has about ten th
 MAX_DRAINED = 64 * 2**20  # bytes read of a body that is too long, so that the error arrives
 
 TRAIN_COMMAND = (
-    "roadtorch train --config corrections --images {images} --corrections {out} "
-    "--out runs/corrected"
+    "roadtorch train --config corrections --images {} --corrections {} --out runs/corrected"
 )
 """Command that trains on the corrections, shown once all images are confirmed."""
 
@@ -222,7 +222,8 @@ class SessionApi:
     def images(self, request: Request) -> Response:
         """Return the list of images; 204 where it has not changed since ``stamp``."""
         listing = self._session.listing()
-        command = TRAIN_COMMAND.format(images=self._session.images.root, out=self._session.out)
+        folders = map(shlex.quote, map(str, (self._session.images.root, self._session.out)))
+        command = TRAIN_COMMAND.format(*folders)
         stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)

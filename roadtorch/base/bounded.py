@@ -74,6 +74,11 @@ def to_printable(text: str) -> str:
         return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
+def from_printable(text: str) -> str:
+    """Return the name of a file that ``to_printable`` made text of, if its bytes are not UTF-8."""
+    return re.sub(r"\\x([89a-f][0-9a-f])", lambda match: chr(0xDC00 + int(match[1], 16)), text)
+
+
 def plural(count: float, noun: str) -> str:
     """Return a number with its noun: "1 click", "2 clicks"."""
     return f"{count:g} {noun}{'s' * (count != 1)}"

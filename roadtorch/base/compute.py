@@ -130,7 +130,7 @@ def check_device(device: str, where: str) -> None:
 
     try:
         kind = torch.device(device).type
-    except RuntimeError:
+    except (RuntimeError, TypeError):
         raise ConfigError(where, "is no torch device", "give cpu, cuda or cuda:1") from None
     try:
         torch.zeros(1, device=device).cpu()

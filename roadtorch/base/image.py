@@ -232,6 +232,8 @@ def _as_rgb(pixels: np.ndarray, order: ColourOrder | None) -> np.ndarray:
     if pixels.dtype not in ARRAY_DTYPES:  # other byte orders and longdouble are unequal to all
         hint = "give uint8 from 0 to 255, or float32 from 0 to 1, in the byte order of this machine"
         raise InputError("image", f"is an array of {pixels.dtype}", hint)
+    if not pixels.size:
+        raise InputError("image", f"is an empty array of shape {pixels.shape}", "check its bounds")
     if pixels.ndim == 2:
         return pixels
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4):

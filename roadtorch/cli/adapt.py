@@ -1,5 +1,6 @@
 """roadtorch adapt: fine-tune the network of fusion on unlabelled footage."""
 
+import shlex
 from pathlib import Path
 
 import click
@@ -94,8 +95,9 @@ def adapt_command(
     files = [outcome.weights, adaptation.camera, out / ADAPTATION_PAGE if is_written else None]
     lines = [*frames.skipped, *adaptation.missing]
     if not quiet:
-        camera = f" --camera {adaptation.camera}" if adaptation.camera else ""
-        use = f"roadtorch infer FOOTAGE --set weights.file={outcome.weights}{camera} --out roads"
+        camera = ["--camera", str(adaptation.camera)] if adaptation.camera else []
+        words = ["--set", f"weights.file={outcome.weights}", *camera, "--out", "roads"]
+        use = f"roadtorch infer FOOTAGE {shlex.join(words)}"
         is_adopted = adaptation.verdict is not None and adaptation.verdict.word == "adopt"
         lines += [f"wrote {file}" for file in files if file]
         lines += [f"to use it: {use}"] if is_adopted else []

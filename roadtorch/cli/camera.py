@@ -30,6 +30,7 @@ def camera_command(
     one of them, with the ego car tinted, the horizon blue, the seed row orange. --camera-info
     adds the lens; if it has distortion, detectors see rectified views.
     """
+    from roadtorch.base.errors import ConfigError
     from roadtorch.base.image import write_jpeg
     from roadtorch.base.progress import Progress
     from roadtorch.camera.calibration import read_camera_info
@@ -38,6 +39,8 @@ def camera_command(
     from roadtorch.inputs.find import locate_frames, read_frames
     from roadtorch.road.ego import has_ego_car, outline_rows
 
+    if not out.name or out.is_dir():
+        raise ConfigError(out, "is a folder", "give a file, such as camera.toml")
     check_file = out.with_suffix(".jpg")
     lens = None if camera_info is None else read_camera_info(camera_info)
     places = locate_frames(footage, max_frames)

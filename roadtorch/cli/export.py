@@ -1,5 +1,6 @@
 """roadtorch export: write networks as files that run without Python."""
 
+import shlex
 from pathlib import Path
 
 import click
@@ -53,7 +54,7 @@ def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]
         f"mean {parity.mean_difference:.1e}; allowed {MAX_DIFFERENCE:g}"
     )
     if kind == "web":  # its page has the steps that the network's file lacks
-        click.echo(f"try it: python -m http.server --directory {out}")
+        click.echo(f"try it: python -m http.server --directory {shlex.quote(str(out))}")
     else:
         lacks = exported.metadata["lacks"]
         click.echo(f"Not included: {lacks}. See docs/export.md for the cost.")

@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     from roadtorch.camera.camera import Camera
     from roadtorch.detectors.detector import Detector
 
-PATH = click.Path(path_type=Path)
+
+class FilePath(click.Path):
+    """The path of a file or folder; an empty one, such as of an unset variable, is refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        return super().convert(value, param, ctx) if value else self.fail("it is empty", param, ctx)
+
+
+PATH = FilePath(path_type=Path)
 Command = Callable[..., Any]
 
 # --- detector ---------------------------------------------------------------------------

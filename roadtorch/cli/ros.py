@@ -19,15 +19,19 @@ def ros_command(words: tuple[str, ...]) -> None:
     Give parameters and topic names as for any node:
       roadtorch ros --ros-args -p detector:=fusion -p height:=1.2 -r image:=/front/image_raw
     """
+    from roadtorch.base.bounded import reason
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.signals import stop_on_signals
     from roadtorch.ros.messages import import_ros
     from roadtorch.ros.node import spin
     from roadtorch.run.workers import configure_threads
 
-    unknown = import_ros("rclpy.utilities").remove_ros_args(["roadtorch", *words])[1:]
+    hint = "give parameters as --ros-args -p NAME:=VALUE, topics as -r NAME:=NAME"
+    try:
+        unknown = import_ros("rclpy.utilities").remove_ros_args(["roadtorch", *words])[1:]
+    except RuntimeError as error:  # RCLError of words that rcl cannot parse
+        raise ConfigError("--ros-args", reason(error).partition(". Error:")[0], hint) from None
     if unknown:
-        hint = "give parameters as --ros-args -p NAME:=VALUE"
         raise ConfigError("ros", f"does not know {' '.join(unknown)}", hint)
     configure_threads(threads=1)
     with stop_on_signals() as stop:

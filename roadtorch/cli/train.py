@@ -1,5 +1,6 @@
 """roadtorch train: train a layout network on unlabelled footage."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -133,8 +134,8 @@ def train_command(
     if masks and not quiet:
         weights = {"before": training.initial_weights, "after": str(outcome.weights)}
         click.echo(f"roadtorch: {score_held_out(weights, outcome.held_out)}", err=True)
-        use = f"roadtorch infer {images} --set weights.file={outcome.weights} --out roads"
-        click.echo(f"roadtorch: to use it: {use}", err=True)
+        words = ["roadtorch", "infer", images, "--set", f"weights.file={outcome.weights}"]
+        click.echo(f"roadtorch: to use it: {shlex.join([*words, '--out', 'roads'])}", err=True)
     context.exit(1 if outcome.skipped else 0)
 
 

@@ -86,6 +86,9 @@ def load_detector(
         stored = read_settings_file(Path(name, DETECTOR_CONFIG))
         name, settings = str(stored.pop("detector", "")), merge(stored, settings)
     entry = detector_entry(name)
+    if not isinstance(camera, Camera | None):
+        problem, hint = f"is {type(camera).__name__}", 'give Camera.read("camera.toml")'
+        raise ConfigError("camera", problem, hint)
     if camera is not None:
         settings = merge(camera.settings_for(entry.settings), settings)
     if device is not None:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache, partial
 from itertools import takewhile
-from os.path import basename
+from os.path import basename, dirname
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from urllib.parse import urlsplit
@@ -55,17 +55,27 @@ def list_files(
     folder, or to the part of the glob before its first wildcard. InputError for a URL.
     """
     path = os.fspath(location)
+    if not path:
+        raise InputError("''", "is an empty name", "give a file or a folder")
     if url_scheme(path):
         raise InputError(path, "cannot be read from a URL", "download it, or mount it")
     if glob.has_magic(path) and not os.path.exists(path):
         root = Path(*takewhile(lambda part: not glob.has_magic(part), Path(path).parts))
-        matches = {match: os.path.isdir(match) for match in sorted(glob.glob(path, recursive=True))}
+        found = sorted(
+            glob.glob(path, recursive=True), key=lambda match: (match.count(os.sep), match)
+        )
+        # A file is met again below a link to a folder around it.
+        once = {
+            os.path.join(os.path.realpath(dirname(match)), basename(match)): match
+            for match in reversed(found)
+        }
+        matches = {match: os.path.isdir(match) for match in sorted(once.values())}
         files = [match for match in matches if not matches[match] and accepts(basename(match))]
         folders = [match for match in matches if matches[match] and not files]
     elif os.path.isdir(path):
         root, files, folders = Path(path), [], [path]
     else:
-        return [ListedFile(Path(path), basename(path))]
+        return [ListedFile(Path(path), Path(path).name)]
     for folder in folders:
         below = list(_files_below(folder, exclude))
         files += [file for file in below if accepts(basename(file))]

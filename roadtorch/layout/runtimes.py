@@ -46,7 +46,7 @@ GraphFunction = Callable[[np.ndarray], Mapping[str, np.ndarray]]
 def check_runtime(runtime: str, device: str | None = None) -> None:
     """Raise ConfigError for an unknown runtime, a missing extra, or a device but the CPU."""
     if runtime not in RUNTIMES:
-        raise unknown_name_error("runtime", runtime, RUNTIMES)
+        raise unknown_name_error("runtime", str(runtime), RUNTIMES)
     if runtime != REFERENCE:
         require_packages(runtime, EXTRAS[runtime], *TRACING_PACKAGES, runtime)
         if device not in (None, "cpu"):

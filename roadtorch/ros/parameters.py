@@ -1,15 +1,20 @@
 """Parameters of the node, and those of each of its cameras."""
 
 import math
+from array import array
 from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import Field
 
+from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import Settings, build_settings
+from roadtorch.ros.messages import import_ros
 
 CAMERA_PARAMETERS = ("camera", "height", "pitch", "roll", "fov", "base_frame")
 """Parameters that cameras may have of their own, such as ``front.height``."""
+
+EXAMPLES = """-p height:=1.2 -p smoothing:=false -p cameras:="['front','rear']\""""
 
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z]\w*(/[A-Za-z]\w*)*$")]
 
@@ -52,16 +57,30 @@ class NodeParameters(Settings):
 def declare_parameters(node: Any) -> Mapping[str, NodeParameters]:
     """Declare all parameters, and return their values by camera, "" without names of cameras."""
     values: dict[str, Any] = {}
+    # Any type, as ROS takes 1 for an integer: the settings check it. They are read once.
+    descriptor = import_ros("rcl_interfaces.msg").ParameterDescriptor
+    options = {"dynamic_typing": True, "read_only": True}
     for name, field in NodeParameters.model_fields.items():
         is_list = isinstance(field.default, tuple)  # rclpy cannot tell the type of an empty list
-        value = node.declare_parameter(name, [""] if is_list else field.default).value
-        values[name] = tuple(filter(None, value)) if is_list else value
-    parameters = build_settings(NodeParameters, values)
+        default = [""] if is_list else field.default
+        value = node.declare_parameter(name, default, descriptor(**options)).value
+        values[name] = [*filter(None, value)] if isinstance(value, list | array) else value
+    parameters = _build_parameters(values)
     by_camera = {"": parameters}
     for camera in dict.fromkeys(parameters.cameras):
         by_camera.pop("", None)
         for name in CAMERA_PARAMETERS:
             default = getattr(parameters, name)
-            values[name] = node.declare_parameter(f"{camera}.{name}", default).value
-        by_camera[camera] = build_settings(NodeParameters, values)
+            key = f"{camera}.{name}"
+            values[name] = node.declare_parameter(key, default, descriptor(**options)).value
+        by_camera[camera] = _build_parameters(values)
     return by_camera
+
+
+def _build_parameters(values: Mapping[str, Any]) -> NodeParameters:
+    """Build the parameters; ConfigError with an example for a wrong value."""
+    try:
+        return build_settings(NodeParameters, values)
+    except ConfigError as error:
+        hint = f"{error.hint}; examples: {EXAMPLES}"
+        raise ConfigError(error.where, error.problem, hint) from None

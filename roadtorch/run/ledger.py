@@ -91,9 +91,20 @@ def read_index(path: Path) -> dict[str, IndexRow]:
         ]
         if any(None in asdict(row).values() for row in rows):
             raise TypeError("a row is cut short")
-        return {row.file: row for row in rows}
-    except (OSError, UnicodeDecodeError, TypeError, KeyError, csv.Error):
+        return {row.file: _whole_pixels(row) for row in rows}
+    except (OSError, ValueError, OverflowError, TypeError, KeyError, csv.Error):
         raise InputError(path, "is not an index of roadtorch", "give another --out") from None
+
+
+def _whole_pixels(row: IndexRow) -> IndexRow:
+    """Return a row with whole width and height, which spreadsheets write as 160.0.
+
+    Raises ValueError or OverflowError for a column of numbers that holds something else.
+    """
+    for cell in (row.ms, row.road_share, row.trust, row.seconds):
+        float(cell or 0)
+    width, height = (cell and str(int(float(cell))) for cell in (row.width, row.height))
+    return replace(row, width=width, height=height)
 
 
 def write_index(path: Path, rows: Iterable[IndexRow]) -> None:

@@ -15,12 +15,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from roadtorch.base.errors import ConfigError
 from roadtorch.camera.ground import camera_pose
 from roadtorch.camera.ground_grid import GridSettings
+from roadtorch.ros.parameters import declare_parameters
 from roadtorch.run.writers.bag import MASK_CLASS_NAMES
+from tests.command import Call
 from tests.reference.semantic_layer import NAV2_PARAMETERS, count_stray_cells, mark_cells
 
 pytest.importorskip("rclpy", reason="rclpy is not installed (docs/ros.md)")
+
+pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # lark
 
 TALKER = Path(__file__).with_name("talker.py")
 STARTED, PATIENCE = 180.0, 300.0  # seconds for a start, and for everything else
@@ -72,6 +77,51 @@ def talk(environment: dict[str, str]) -> Talk:
         return json.loads(output.splitlines()[-1])
 
     return run
+
+
+@pytest.fixture
+def declare() -> Iterator[Callable[..., Any]]:
+    """Return ``declare("height:=1")``: a node with these parameters, and their values."""
+    import rclpy
+
+    def run(*texts: str) -> tuple[Any, Any]:
+        words = [word for text in texts for word in ("-p", text)]
+        rclpy.init(args=["roadtorch", "--ros-args", *words])
+        node = rclpy.create_node("roadtorch")
+        return node, declare_parameters(node)
+
+    yield run
+    rclpy.try_shutdown()
+
+
+def test_whole_numbers_are_read_and_parameters_are_read_only(declare: Callable[..., Any]) -> None:
+    from rclpy.parameter import Parameter
+
+    node, values = declare("height:=1", "fov:=60", "cameras:=['front']", "front.pitch:=5")
+
+    assert (values["front"].height, values["front"].fov, values["front"].pitch) == (1.0, 60.0, 5.0)
+    for name in ("height", "front.pitch", "smoothing"):
+        (result,) = node.set_parameters([Parameter(name, value=2.0)])
+        assert not result.successful
+        assert "read-only" in result.reason
+
+
+@pytest.mark.parametrize("text", ["smoothing:=0", "cameras:=front", "cameras:=[1]", "detector:=5"])
+def test_a_parameter_of_another_type_is_refused_with_an_example(
+    text: str, declare: Callable[..., Any]
+) -> None:
+    with pytest.raises(
+        ConfigError, match=f"^{text.partition(':')[0]}.* was given .*-p height:=1.2"
+    ):
+        declare(text)
+
+
+@pytest.mark.parametrize("words", ["-r image:=", "-r __node:=a/b", "-p x", "--params-file gone"])
+def test_words_that_ros_cannot_parse_are_one_line(words: str, call: Call) -> None:
+    result = call("ros", "--ros-args", *words.split())
+
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert result.stderr.startswith("roadtorch: error: --ros-args: Failed to parse")
 
 
 def test_every_encoding_is_answered_with_its_stamp_and_frame(start: Start, talk: Talk) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from roadtorch.base.atomic import atomic_write
+from roadtorch.base.bounded import from_printable
 from roadtorch.data.polygons import coco_annotation, read_labelme_mask
 from roadtorch.run.folder import COCO_FILE
 from roadtorch.run.ledger import INDEX_FILE, IndexRow, has_result, read_index
@@ -37,7 +38,8 @@ def write_coco(folder: Path) -> None:
 def _annotation_name(folder: Path, file: str) -> str:
     """Return the annotation's name for a file in index.csv: a frame has no suffix, an image one."""
     of_image = PurePath(file).with_suffix("").as_posix() + LABELME_SUFFIX
-    return file + LABELME_SUFFIX if has_result(folder, file + LABELME_SUFFIX) else of_image
+    names = file + LABELME_SUFFIX, of_image, from_printable(of_image)
+    return next((name for name in names if has_result(folder, name)), of_image)
 
 
 def coco_text(
