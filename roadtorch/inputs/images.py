@@ -61,15 +61,13 @@ def list_files(
         raise InputError(path, "cannot be read from a URL", "download it, or mount it")
     if glob.has_magic(path) and not os.path.exists(path):
         root = Path(*takewhile(lambda part: not glob.has_magic(part), Path(path).parts))
-        found = sorted(
-            glob.glob(path, recursive=True), key=lambda match: (match.count(os.sep), match)
-        )
-        # A file is met again below a link to a folder around it.
-        once = {
+        paths = sorted(glob.glob(path, recursive=True), key=lambda match: -match.count(os.sep))
+        # A link to a folder around it shows each file again, at a longer path.
+        unique = {
             os.path.join(os.path.realpath(dirname(match)), basename(match)): match
-            for match in reversed(found)
+            for match in paths
         }
-        matches = {match: os.path.isdir(match) for match in sorted(once.values())}
+        matches = {match: os.path.isdir(match) for match in sorted(unique.values())}
         files = [match for match in matches if not matches[match] and accepts(basename(match))]
         folders = [match for match in matches if matches[match] and not files]
     elif os.path.isdir(path):

@@ -14,7 +14,7 @@ from roadtorch.ros.messages import import_ros
 CAMERA_PARAMETERS = ("camera", "height", "pitch", "roll", "fov", "base_frame")
 """Parameters that cameras may have of their own, such as ``front.height``."""
 
-EXAMPLES = """-p height:=1.2 -p smoothing:=false -p cameras:="['front','rear']\""""
+PARAMETER_EXAMPLES = """-p height:=1.2 -p smoothing:=false -p cameras:="['front','rear']\""""
 
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z]\w*(/[A-Za-z]\w*)*$")]
 
@@ -82,5 +82,5 @@ def _build_parameters(values: Mapping[str, Any]) -> NodeParameters:
     try:
         return build_settings(NodeParameters, values)
     except ConfigError as error:
-        hint = f"{error.hint}; examples: {EXAMPLES}"
+        hint = f"{error.hint}; examples: {PARAMETER_EXAMPLES}"
         raise ConfigError(error.where, error.problem, hint) from None
