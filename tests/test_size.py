@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 3_490,
     "roadtorch/ufl": 1_355,
     "scripts": 5_510,
-    "tests": 28_660,
+    "tests": 28_740,
     "train": 7_450,
 }
 """The lines of source code that each folder may have."""

@@ -3,6 +3,7 @@
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,6 +73,8 @@ def test_names_beyond_16_bits_and_bytes_that_are_not_utf_8_are_found(
     [({"camera": "camera.toml"}, None), ({"runtime": None}, None), ({"device": 3.5}, None),
      ({"order": "rgb"}, np.zeros((0, 160, 3), np.uint8))],
 )  # fmt: skip
-def test_python_arguments_are_refused_by_an_error_of_ours(options: dict, image: object) -> None:
+def test_python_arguments_are_refused_by_an_error_of_ours(
+    options: dict[str, Any], image: Any
+) -> None:
     with pytest.raises(RoadtorchError):
         load_detector("prior:rows", **options)(image)
