@@ -1,20 +1,28 @@
 """Compare detectors on a GPU with the CPU's results.
 
-    python scripts/device_parity.py IMAGES... [--device cuda]
+    python scripts/device_parity.py IMAGES... [--footage VIDEO BAG...] [--device cuda]
 
 Prints, by detector, in how many pixels the masks differ and by how much the likelihoods do at most,
-and the median time of an image on either device.
+and the median time of an image on either device; then in how many masks that `infer` writes for the
+footage, with every other file it has, pixels differ.
 """
 
 import argparse
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
 
 from roadtorch import Detection, load_detector, read_image
 
 DETECTORS = ("fusion", "fusion:large", "layout:cnn-7", "cpf", "labeller")
+SAVE = "likelihood,mask,overlay,cues,npy,polygons,json,overlay-frames,mask-video,likelihood-video"
 
 
 def detect_all(name: str, device: str, images: Sequence[Path]) -> tuple[list[Detection], float]:
@@ -43,14 +51,33 @@ def compare(name: str, device: str, images: Sequence[Path]) -> str:
     )
 
 
+def infer(source: Path, device: str, out: Path) -> dict[str, np.ndarray]:
+    """Run ``infer`` with every kind of file, and return the masks by name."""
+    words = ["infer", str(source), "--save", SAVE, "--device", device, "--out", str(out)]
+    subprocess.run([sys.executable, "-m", "roadtorch", *words], check=True)
+    masks = sorted(out.rglob("*.mask.png"))
+    return {str(path.relative_to(out)): np.asarray(Image.open(path)) for path in masks}
+
+
+def compare_footage(source: Path, device: str) -> str:
+    """Describe how the masks of footage on a device differ from the CPU's."""
+    with TemporaryDirectory() as folder:
+        cpu, gpu = (infer(source, d, Path(folder, d.replace(":", "-"))) for d in ("cpu", device))
+    differing = sum(not np.array_equal(mask, gpu[name]) for name, mask in cpu.items())
+    return f"{source.name}: {differing} of {len(cpu)} masks differ"
+
+
 def main() -> None:
-    """Compare every detector of ``DETECTORS``."""
+    """Compare every detector of ``DETECTORS``, and the footage."""
     parser = argparse.ArgumentParser(description="Compare a GPU's results with the CPU's.")
     parser.add_argument("images", nargs="+", type=Path)
+    parser.add_argument("--footage", nargs="+", type=Path, default=[])
     parser.add_argument("--device", default="cuda")
     options = parser.parse_args()
     for name in DETECTORS:
         print(compare(name, options.device, options.images), flush=True)
+    for source in options.footage:
+        print(compare_footage(source, options.device), flush=True)
 
 
 if __name__ == "__main__":

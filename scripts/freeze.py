@@ -74,7 +74,7 @@ OUTPUTS = {
     "evaluate/labelled": "evaluate camvid ../data/camvid --limit 6 --detector fusion --against cpf",
     "adapt/clip": f"adapt clip.mp4 --frames 40 {EPOCH} --set samples_per_epoch=16",
     "train/cnn7": f"train --config cnn7 --images footage {EPOCH} --set passes=1",
-    "train/layout": f"train --config layout --images footage {EPOCH}",
+    "train/layout": f"train --config layout-free --images footage {EPOCH}",
     "commands/version": "--version",
     "commands/help": "--help",
     "commands/infer-help": "infer --help",
@@ -88,6 +88,9 @@ OUTPUTS = {
     "commands/nothing": "infer nowhere --out ../commands/nothing",
 }
 """Command lines, run in the folder of inputs, by PART/OUTPUT, which is also their ``--out``."""
+
+REFUSED = ("no-command", "misspelt", "no-key", "wrong-value", "nothing")
+"""Those of commands/ that are wrong usage; all others end with 0."""
 
 PARTS = ("detections", *dict.fromkeys(output.split("/")[0] for output in OUTPUTS))
 HASHES = "hashes.csv"
@@ -180,6 +183,8 @@ def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:
         command = [sys.executable, "-m", "roadtorch", *OUTPUTS[output].format(all=every).split()]
         command += ["--out", f"../{output}"] if part != "commands" else []
         done = subprocess.run(command, cwd=out / "inputs", env=env, capture_output=True, text=True)
+        if done.returncode != (2 if output.removeprefix("commands/") in REFUSED else 0):
+            sys.exit(f"{output}: exit {done.returncode}\n{done.stderr}")
         text = f"exit {done.returncode}\n--- stdout\n{done.stdout}--- stderr\n{done.stderr}"
         (out / f"{output}.txt").write_text(text)
     for file in sorted((out / part).rglob("*")):

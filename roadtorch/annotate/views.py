@@ -41,6 +41,7 @@ from roadtorch.imaging.segments import measure_segments, segment_mean, segment_s
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
 from roadtorch.road.bayes import log_odds
+from roadtorch.run.loop import Inference
 from roadtorch.run.memo import cache_key, read_cached, write_cached
 
 EXCLUDED_LOG_ODDS = 0.05
@@ -83,7 +84,7 @@ def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings
     """Detect the road in an image (3, H, W), and compute its superpixels and their graph."""
     size = spatial_size(image)
     with image_cache():
-        detection = detector.detect(image)
+        detection = Inference(detector)(image)
         small = resize_maps(image, working_size(*size, settings.working)).clamp(0, 1)
         shape = spatial_size(small)
         labels = settings.superpixels.cut(small)

@@ -9,8 +9,15 @@ import re
 import statistics
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
-from importlib.metadata import PackageNotFoundError, metadata, requires, version
+from importlib.metadata import (
+    PackageNotFoundError,
+    metadata,
+    packages_distributions,
+    requires,
+    version,
+)
 from itertools import product
 from pathlib import Path
 from time import perf_counter
@@ -56,7 +63,9 @@ def check_machine() -> list[Check]:
     threads = f"processors {count_processors()}, torch {torch.get_num_threads()}, "
     threads += f"opencv {cv2.getNumThreads()}, OMP_NUM_THREADS {limit}"
     board = Path("/proc/device-tree/model")  # such as Raspberry Pi 5 Model B
-    model = board.read_text().strip("\0") if board.exists() else platform.machine()
+    model = platform.machine()
+    with suppress(OSError, ValueError):
+        model = board.read_text().strip("\0")
     return [
         Check("python", "ok", f"{platform.python_version()}, {platform.python_implementation()}"),
         Check("system", "ok", f"{platform.system()} {platform.release()}, {model}"),
@@ -96,11 +105,12 @@ def _requirements(extra: str) -> list[str]:
 
 
 def _installed(package: str) -> str:
-    """Return the installed version of a package; "" if there is none."""
+    """Return the installed version of a package, or of another with its module; "" without any."""
     try:
         return version(package)
-    except PackageNotFoundError:
-        return ""
+    except PackageNotFoundError:  # it may be onnxruntime-gpu
+        names = packages_distributions().get(package, ())
+        return version(names[0]) if names else ""
 
 
 def check_video() -> list[Check]:

@@ -132,7 +132,7 @@ def infer_command(
 
     configure_threads(options.threads, options.device)
     check_runtime(choice.runtime, options.device)
-    detector, camera = choice.load(camera_file, threshold)
+    detector, camera = choice.load(camera_file, threshold, options.device)
     effective = to_toml(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)
     kinds = DEFAULT_IMAGE_KINDS if save is None else save
@@ -149,7 +149,7 @@ def infer_command(
     footage_options = {**asdict(selection), "steady": steady}
     key = cache_key(detector, depth)
     method, footage_method = Method(key, kinds), Method(cache_key(key, footage_options), ())
-    task = Task(Inference(detector, camera, options.device), maps, method)
+    task = Task(Inference(detector, camera), maps, method)
     recorded_options = {**asdict(options), **footage_options, "save": kinds, "depth": bits}
     record = record_run(out, detector, todo.row_names, recorded_options, command_line(context))
     with open_run(out, effective, todo.count, options, record) as run:

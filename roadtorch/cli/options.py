@@ -62,7 +62,10 @@ class DetectorOptions:
         return self.detector or name, values
 
     def load(
-        self, camera_file: Path | None = None, threshold: float | None = None
+        self,
+        camera_file: Path | None = None,
+        threshold: float | None = None,
+        device: str | None = None,
     ) -> "tuple[Detector, Camera | None]":
         """Return the detector, with settings for the camera of a file, and that camera."""
         from roadtorch.camera.camera import Camera
@@ -70,7 +73,8 @@ class DetectorOptions:
 
         name, values = self.name_and_values(threshold)
         camera = None if camera_file is None else Camera.read(camera_file)
-        return load_detector(name, camera=camera, runtime=self.runtime, **values), camera
+        options = {"camera": camera, "device": device, "runtime": self.runtime}
+        return load_detector(name, **options, **values), camera
 
 
 # --- shell completion -------------------------------------------------------------------

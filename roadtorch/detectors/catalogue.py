@@ -59,7 +59,8 @@ def load_detector(
         camera: camera that takes the images, such as ``Camera.read("camera.toml")``; sets the ego
             car and, where the detector has one, the horizon.
         order: colour order of NumPy arrays: ``"bgr"`` for OpenCV's, else ``"rgb"``.
-        device: torch device, such as ``"cuda"``; images are moved there, and results stay there.
+        device: torch device, such as ``"cuda"``; images are moved there, and results of ``detect``
+            stay there. Those of ``stream`` are on the CPU.
         runtime: library that computes the network on the CPU: ``"torch"``, ``"onnxruntime"`` or
             ``"openvino"`` (extras ``onnx`` and ``openvino``). Of the detector's weights when it is
             loaded, without gradients.

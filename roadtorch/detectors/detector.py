@@ -121,6 +121,17 @@ class Evidence(NamedTuple):
     image: Tensor
     motion: Motion | None = None
 
+    def cpu(self) -> "Evidence":
+        """Return the evidence with its maps and the image on the CPU."""
+        outputs, cues = (
+            {name: map.cpu() for name, map in maps.items()}
+            for maps in (self.outputs, self.cues.maps)
+        )
+        ego = None if self.ego is None else self.ego.cpu()
+        cues = Cues(cues, self.cues.size)
+        likelihood, image = self.likelihood.cpu(), self.image.cpu()
+        return Evidence(outputs, likelihood, ego, cues, image, self.motion)
+
 
 @dataclass(frozen=True)
 class DetectorGrid:
@@ -192,7 +203,8 @@ class Detector(nn.Module):
         name: of the detector.
         settings: all of them.
         order: colour order of NumPy arrays that come without one.
-        device: device to which images are moved; None: they stay where they are.
+        device: device for which it was loaded. Images are moved to the one of its weights; without
+            weights, to this one; None: they stay where they are.
         analysis: module that computes the cues, with its networks as attributes.
 
     >>> from roadtorch import load_detector
@@ -264,7 +276,8 @@ class Detector(nn.Module):
                 ``load_detector`` got it.
 
         Returns:
-            A detection with torch tensors; ``detection.mask.numpy()`` is an array.
+            A detection with torch tensors on the detector's device; ``detection.mask.numpy()`` is
+            an array, ``detection.numpy()`` has them all, from any device.
 
         Raises:
             InputError: The image cannot be used, or its likelihood is not finite.
@@ -355,7 +368,8 @@ class Detector(nn.Module):
         if torch.compiler.is_compiling():
             hint = "compile its backbone: detector.analysis.network.backbone = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", hint)
-        image = validate_image(image).to(self.device)
+        device = next((weights.device for weights in self.parameters()), self.device)
+        image = validate_image(image).to(device)
         with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):
             return self._analyse(image)
 

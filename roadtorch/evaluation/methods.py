@@ -34,6 +34,7 @@ from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.runtimes import REFERENCE
 from roadtorch.layout.weights import load_network
+from roadtorch.run.loop import Inference
 
 BASELINES = ("prior:rows", "prior:triangle")  # always scored; prior:mean where it can be computed
 MEAN_PRIOR = "prior:mean"  # not in the catalogue, as it needs the set
@@ -198,7 +199,7 @@ def load_contender(entry: Contender) -> Detector:
 
 
 def _detect(detector: Detector, image: Tensor, _: LabelledItem) -> Detection:
-    return detector.detect(image)
+    return Inference(detector)(image)
 
 
 # --- maps -------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ import numpy as np
 from torch import Tensor
 
 from roadtorch.base.atomic import make_folder
+from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, to_input_error
 from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
@@ -41,32 +42,29 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Inference:
-    """A detector on a torch device, optionally for the images of one camera.
+    """A detector, optionally for the images of one camera, as all commands and streams use it.
 
-    device: of image and detector; steps in OpenCV copy what they need to the CPU.
+    The detector analyses images on its device. Evidence and detections are on the CPU, where masks
+    are decided, smoothed and written.
     """
 
     detector: Detector
     camera: Camera | None = None
-    device: str = "cpu"
 
-    def __post_init__(self) -> None:
-        """Move the detector to the device once: that takes half a millisecond."""
-        self.detector.to(self.device)
-
+    @one_torch_thread()
     def __call__(self, image: Tensor) -> Detection:
         """Detect the road in an image (3, H, W)."""
-        return self.detector.detect(self.move(image))
+        return self.detector.conclude(self.find_evidence(image))
 
     def find_evidence(self, image: Tensor) -> Evidence:
-        """Compute the evidence of a frame, the part of detection that needs no other frame."""
-        return self.detector.find_evidence(self.move(image))
+        """Compute the evidence of a frame, the part of detection that needs no other frame.
 
-    def move(self, image: Tensor) -> Tensor:
-        """Move an image to the device; InputError where it does not fit the camera."""
+        Raises:
+            InputError: The image does not fit the camera, or cannot be used.
+        """
         if self.camera is not None:
             self.camera.check(image)
-        return image.to(self.device)
+        return self.detector.find_evidence(image).cpu()
 
 
 class Writer(Protocol):
@@ -125,7 +123,7 @@ def write_row(
             str(width),
             str(height),
             elapsed_ms(start, ms),
-            road_share=f"{np.count_nonzero(detection.mask.cpu().numpy()) / (width * height):.4f}",
+            road_share=f"{np.count_nonzero(detection.mask.numpy()) / (width * height):.4f}",
             trust="" if detection.trust is None else f"{detection.trust:.2f}",
             status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
             sha256=item.digest() if item.digest else "",
@@ -314,7 +312,7 @@ def detect_stream(
             frame's error is raised.
 
     Yields:
-        A detection for each frame, in order; ``name`` and ``seconds`` tell which.
+        A detection for each frame, in order, on the CPU; ``name`` and ``seconds`` tell which.
 
     Raises:
         InputError: The source cannot be opened; or it is cut, after its last frame.

@@ -5,7 +5,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -53,7 +53,7 @@ def record_run(
         document = {
             "versions": {  # results may depend on these
                 "roadtorch": __version__,
-                detector.runtime: version(detector.runtime),
+                detector.runtime: _version(detector.runtime),
                 "torch": torch.__version__,
                 "numpy": np.__version__,
                 "opencv": cv2.__version__,
@@ -85,6 +85,14 @@ def record_run(
             "exit_status": int(len(done) < len(tried)) if status is None else status,
         }
         write_json(folder / RUN_FILE, document)
+
+
+def _version(module: str) -> str:
+    """Return the version of a module, whatever package it is of; onnxruntime has many."""
+    try:
+        return str(import_module(module).__version__)
+    except (ImportError, AttributeError):
+        return "unknown"
 
 
 def _now() -> str:

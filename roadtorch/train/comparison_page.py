@@ -27,6 +27,7 @@ from roadtorch.evaluation.uncertainty import (
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_path
+from roadtorch.run.loop import Inference
 from roadtorch.train.config import ImageTraining, Training
 from roadtorch.train.prepared import image_file_name
 from roadtorch.train.run import FUSION_CONFIG, PREPARED, Outcome, TrainingRequest
@@ -54,7 +55,7 @@ def score_held_out(weights: Mapping[str, str], held_out: Sequence[HumanLabels]) 
     draws = sample_weights(len(images), torch.Generator().manual_seed(BOOTSTRAP_SEED))
     scores = {}
     for name, detector in detectors.items():
-        masks = [detector.detect(image).mask for image in images]
+        masks = [Inference(detector)(image).mask for image in images]
         counts = [
             torch.stack(count_mask(mask, truth.road, truth.valid))
             for mask, truth in zip(masks, truths, strict=True)

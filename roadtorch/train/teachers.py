@@ -30,7 +30,7 @@ from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.road.bayes import centred_odds, log_odds
 from roadtorch.road.ego import extrapolate_over_ego
-from roadtorch.run.loop import until_stopped
+from roadtorch.run.loop import Inference, until_stopped
 from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
 from roadtorch.train.config import ImageTraining, Rounds, Teacher
 from roadtorch.train.prepared import from_uint8, to_uint8
@@ -173,7 +173,7 @@ def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor
     """
     maps = []
     for mirrored in (False,) if views == "one" else (False, True):
-        detection = teacher.detect(image.flip(-1) if mirrored else image)
+        detection = Inference(teacher)(image.flip(-1) if mirrored else image)
         if "layout" not in detection.cues:
             message = f"{teacher.name} has no layout among its cues"
             raise ConfigError("teacher.detector", message, "use fusion or labeller")

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,21 @@ def test_the_bench_lists_runtimes_that_are_missing_or_broken(
         broken = f"broken {name}, openvino cannot compile the network: no such instruction"
         assert any(line.startswith(broken) for line in lines)
     assert "weights" not in lines
+
+
+def test_a_package_of_another_name_provides_its_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    def version_of(package: str) -> str:
+        if package != "onnxruntime-gpu":
+            raise PackageNotFoundError(package)
+        return "1.2"
+
+    monkeypatch.setattr(doctor, "version", version_of)
+    monkeypatch.setattr(
+        doctor, "packages_distributions", lambda: {"onnxruntime": ["onnxruntime-gpu"]}
+    )
+
+    assert doctor._installed("onnxruntime") == "1.2"
+    assert doctor._installed("none") == ""
 
 
 def test_a_failing_section_breaks_itself_alone(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

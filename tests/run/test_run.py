@@ -3,9 +3,11 @@
 import fcntl
 import json
 import os
+import sys
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,8 +17,10 @@ from PIL import Image
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.polygons import read_labelme_mask
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run.folder import open_result_folder
 from roadtorch.run.ledger import has_result
+from roadtorch.run.record import record_run
 from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import ROWS, Call, bytes_in, read_index_rows, save_image
 from tests.videos import write_video
@@ -80,6 +84,23 @@ def test_run_json_says_how_the_results_were_made(run: Call, footage: Path, out: 
         f"{row['sha256']}  {name}\n" for name, row in read_index_rows(out).items() if row["sha256"]
     ]
     assert record["inputs_sha256"] == sha256("".join(lines).encode()).hexdigest()
+
+
+def test_run_json_is_written_without_the_version_of_a_runtime(
+    footage: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    detector = load_detector("prior:rows")
+    monkeypatch.setitem(sys.modules, "runtime_without_version", ModuleType("its package is named"))
+
+    for runtime, known in (("torch", torch.__version__), ("runtime_without_version", "unknown")):
+        detector.runtime = runtime
+        with (
+            open_result_folder(out, "", overwrite=True),
+            record_run(out, detector, [], {}, "infer"),
+        ):
+            (out / "index.csv").write_text("file\n")
+        record = json.loads((out / "run.json").read_text())
+        assert record["versions"][runtime] == known
 
 
 # --- the folder -------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from roadtorch.evaluation.result import Interval
 from roadtorch.evaluation.uncertainty import percentile_interval, pooled_f, sample_weights
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
+from roadtorch.run.loop import Inference
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.adaptation.frames import RUN_LENGTH
 from roadtorch.train.config import ImageTraining
@@ -99,7 +100,7 @@ def count_masks(
     counts: list[list[Tensor]] = [[] for _ in weights]
     for image, road, sure in _labelled_frames(images, prepared, training, "evaluating", quiet):
         for rows, detector in zip(counts, detectors, strict=True):
-            mask = detector.detect(image).mask.float()[None]
+            mask = Inference(detector)(image).mask.float()[None]
             mask = resize_as_prepared(mask, training.network, spatial_size(road))[0]
             rows.append(torch.stack(tuple(count_mask(mask >= 0.5, road, sure))))
     return MaskCounts(*(torch.stack(rows) if rows else torch.empty(0, 4) for rows in counts))
@@ -119,7 +120,7 @@ def fit_bias(
     assert isinstance(settings, FusionSettings)
     counts: list[RoadCounts] = []
     for image, road, sure in _labelled_frames(images, prepared, training, "calibrating", quiet):
-        likelihood = detector.detect(image).likelihood[None]
+        likelihood = Inference(detector)(image).likelihood[None]
         likelihood = resize_as_prepared(likelihood, training.network, spatial_size(road))[0]
         counts.append(count_levels(likelihood.clamp(0, 1), road, sure, levels=256))
     if not counts:
