@@ -112,7 +112,9 @@ def test_a_detection_on_a_device_is_shown_saved_and_converted(
         (detection,) = load_detector("fusion", order="rgb").detect_many(PIXELS[:1])
         for end in ("mask.png", "likelihood.png", "overlay.jpg", "npz"):
             detection.save(tmp_path / f"street.{end}")
-        assert detection.polygons() and detection._repr_png_() and repr(detection)
+        assert detection.polygons()
+        assert detection._repr_png_()
+        assert repr(detection)
 
     assert isinstance(detection.likelihood, Pretended)
     assert set(detection.numpy()) == {"likelihood", "mask", *detection.cues}
