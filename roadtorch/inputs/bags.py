@@ -110,7 +110,7 @@ def camera_info(origin: str, topic: str | None = None) -> Lens:
 
     Raises:
         InputError: if there is no such topic, or its K is empty.
-        ConfigError: if its distortion model or a number is not valid.
+        ConfigError: if it describes no lens of that topic's images.
     """
     with _open_bag(origin) as bag:
         name = _choose_topic(origin, bag, topic)
@@ -122,14 +122,10 @@ def camera_info(origin: str, topic: str | None = None) -> Lens:
             hint = f"there is {', '.join(infos)}" if infos else "pass a calibration"
             raise InputError(origin, f"has no camera_info {sibling} beside {name}", hint)
         message = next(_read_messages(origin, bag, sibling), None)
-        info = message.content if message else None
-        matrix = [*map(float, getattr(info, "k", getattr(info, "K", [0])))]
-        if info is None or not matrix[0] > 0:
-            problem = f"has no calibration on {sibling}"
-            raise InputError(origin, problem, "calibrate the camera, or pass a calibration")
-        distortion = [*map(float, getattr(info, "d", getattr(info, "D", ())))]
-        size = int(info.width), int(info.height)
-        return lens_from_camera_info(origin, size, matrix, distortion, info.distortion_model)
+        if message is None or message.content is None:
+            problem = f"has no readable message on {sibling}"
+            raise InputError(origin, problem, "pass a calibration")
+        return lens_from_camera_info(f"{origin}:{sibling}", message.content, base)
 
 
 # --- topics -----------------------------------------------------------------------------

@@ -172,14 +172,9 @@ class CameraTopics:
         """Take the lens from the first CameraInfo message."""
         if self.placement is None or not self.placement.needs_lens:
             return
-        size = message.width, message.height
         topic = self.node.resolve_topic_name(self._relative("camera_info"))
         try:
-            if not message.k[0] > 0:
-                raise ConfigError(topic, "has no calibration", "calibrate the camera, or set fov")
-            lens = lens_from_camera_info(
-                topic, size, [*message.k], [*message.d], message.distortion_model
-            )
+            lens = lens_from_camera_info(topic, message, self.topic)
             self.placement = self.placement.with_lens(lens)
         except RoadtorchError as error:
             self._warn(str(error))

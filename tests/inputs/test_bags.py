@@ -84,6 +84,29 @@ def test_reads_compressed_images(tmp_path: Path, form: str):
     assert camera_info(path).width == 64
 
 
+@pytest.mark.parametrize(
+    ("topic", "focal", "coefficients"),
+    [
+        ("/camera/image_raw", 300, (0.1, -0.2, 0, 0, 0)),
+        ("/camera/image_rect_color", 250, ()),
+        ("/camera/image_rect/compressed", 250, ()),
+        ("/camera/correct", 300, (0.1, -0.2, 0, 0, 0)),
+    ],
+)
+def test_rectified_images_have_the_lens_p(
+    topic: str, focal: float, coefficients: tuple[float, ...], tmp_path: Path
+) -> None:
+    info, data = calibration(ROS2, FIRST), cv2.imencode(".png", scene(0))[1].tobytes()
+    info.p[:] = [250, 0, 31, -9, 0, 260, 23, 0, 0, 0, 1, 0]
+    is_compressed = topic.endswith("compressed")
+    image = compressed_image(ROS2, data, 0) if is_compressed else IMAGES[0]
+    path = write_bag(tmp_path / "a", {topic: [image], "/camera/camera_info": [info]})
+
+    lens = camera_info(str(path), topic)
+
+    assert (lens.focal_x, lens.coefficients) == (focal, coefficients)
+
+
 @pytest.mark.parametrize("form", ["sqlite3", "mcap"])
 def test_reads_a_single_file_and_a_folder_without_its_list(tmp_path: Path, form: str):
     folder = written(tmp_path, form)
@@ -98,6 +121,7 @@ def test_reads_a_single_file_and_a_folder_without_its_list(tmp_path: Path, form:
 IMAGES, INFOS = [raw_image(ROS2, scene(0), "rgb8", FIRST)], [calibration(ROS2, 0)]
 Topics = dict[str, list[Any]]
 TWO = {"/left/image": IMAGES, "/right/image": IMAGES}
+NO_P = {"/camera/image_rect": IMAGES, "/camera/camera_info": INFOS}
 UNKNOWN = {TOPIC: IMAGES, "/camera/camera_info": [calibration(ROS2, 0, 0.0)]}
 
 
@@ -109,7 +133,13 @@ UNKNOWN = {TOPIC: IMAGES, "/camera/camera_info": [calibration(ROS2, 0, 0.0)]}
         (bag_source, {"/camera/camera_info": INFOS}, None, "has no images .there is /camera/came"),
         (bag_source, UNKNOWN, "/camera/camera_info", "has sensor_msgs/msg/CameraInfo on /camera"),
         (camera_info, {"/image": IMAGES}, None, "has no camera_info /camera_info beside /image"),
-        (camera_info, UNKNOWN, None, "has no calibration on /camera/camera_info"),
+        (
+            camera_info,
+            NO_P,
+            "/camera/image_rect",
+            "has D but no P, and /camera/image_rect has rect",
+        ),
+        (camera_info, UNKNOWN, None, "bag:/camera/camera_info: has no calibration"),
     ],
 )
 def test_what_is_not_there_or_has_to_be_chosen(
