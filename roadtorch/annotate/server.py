@@ -227,7 +227,8 @@ class SessionApi:
         stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
-        return JSONResponse({"stamp": stamp, "images": listing, "learn": command})
+        key = self._session.key
+        return JSONResponse({"stamp": stamp, "folder": key, "images": listing, "learn": command})
 
     async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
         """Return an image as JPEG; ``encode`` takes its path and modification time."""
@@ -251,6 +252,9 @@ class SessionApi:
 
     async def event(self, request: Request) -> Response:
         """Add an event and return the new state of its image."""
+        key = self._session.key
+        if request.query_params.get("folder", key) != key:
+            return error_response(403, "event", "is of another folder", "annotate that one again")
         body = await read_body(request)
         if body is None:
             message = f"has more than {MAX_BODY:,} bytes"
@@ -284,7 +288,7 @@ encode_thumbnail = lru_cache(maxsize=2000)(partial(encode_image, size=THUMBNAIL_
 """``encode_image`` for thumbnails, cached."""
 
 ERROR_STATUSES = {RoadtorchError: 400, UnwritableError: 507}
-"""HTTP status by type of error; the page retries events after 500 and above, drops others."""
+"""HTTP status by type of error; the page retries events after 403, 500 and above, drops others."""
 
 
 async def _handle_error(status: int, _: Request, error: RoadtorchError) -> Response:

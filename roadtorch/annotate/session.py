@@ -21,7 +21,7 @@ from roadtorch.annotate.views import (
     corrected_road,
     resize_labels,
 )
-from roadtorch.base.atomic import remove_leftovers
+from roadtorch.base.atomic import file_digest, remove_leftovers
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import InputError
 from roadtorch.data.correction_formats import CORRECTION_FORMATS
@@ -93,12 +93,18 @@ class ImageFolder:
 
 
 def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -> EventLog:
-    """Open or create the log of an image of (height, width); DatasetError if it does not fit."""
-    path = log_path(out, name)
-    log = read_log(path) if path.exists() else None
+    """Open or create the log of an image of (height, width); DatasetError if it does not fit.
+
+    Raises InputError where the image is not the one that was corrected.
+    """
+    path, file = log_path(out, name), images.root / name
+    log, digest = read_log(path) if path.exists() else None, file_digest(file)
     if log is None:
-        image = os.path.relpath(images.root / name, images.out)
-        log = EventLog(path, LogHeader(image=image, height=size[0], width=size[1]))
+        image = os.path.relpath(file, images.out)
+        header = LogHeader(image=image, sha256=digest, height=size[0], width=size[1])
+        log = EventLog(path, header)
+    if log.size == size and log.header.sha256 not in ("", digest):
+        raise InputError(name, "is not the image that was corrected", f"move {path.name} away")
     log.labels  # noqa: B018  # raises where an event does not fit
     return log
 
@@ -120,6 +126,11 @@ class Session:
     _summaries: dict[Path, tuple[int, dict[str, Any] | None]] = field(
         default_factory=dict, repr=False
     )
+
+    @property
+    def key(self) -> str:
+        """Key of the two folders: unsent events of a page wait for the session of their key."""
+        return hashlib.sha256(f"{self.images.root}\0{self.images.out}".encode()).hexdigest()[:16]
 
     # --- all images ---------------------------------------------------------------------
 

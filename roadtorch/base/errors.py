@@ -92,6 +92,12 @@ class UnscorableError(DatasetError):
     exit_code = ExitCode.SOME_FAILED
 
 
+class DivergedError(ConfigError):
+    """A training whose loss is no longer finite, which leaves no weights."""
+
+    exit_code = ExitCode.SOME_FAILED
+
+
 class WeightsError(RoadtorchError):
     """A weight file that is damaged or foreign."""
 

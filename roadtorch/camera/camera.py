@@ -1,9 +1,11 @@
 """Camera file: ego car, horizon and seed row, which all images of one camera share."""
 
 import os
+import re
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Any
 
 import tomli_w
@@ -154,8 +156,13 @@ class Camera(Settings):
             raise ConfigError(path, problem, "make one with roadtorch camera") from None
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the file that ``read`` reads."""
-        write_text(path, tomli_w.dumps(self.model_dump(exclude_defaults=True)))
+        """Write the file that ``read`` reads, its outlines in lines of many numbers."""
+        text = tomli_w.dumps(self.model_dump(exclude_defaults=True))
+
+        def wrap(rows: re.Match[str]) -> str:
+            return fill(" ".join(rows[0].split()), 96, initial_indent="    ") + "\n"
+
+        write_text(path, re.sub(r"(?: {4}[-+.\de]+,\n)+", wrap, text))
 
     def check(self, image: Tensor) -> None:
         """Check that an image (3, H, W) can be of this camera; InputError when it cannot.

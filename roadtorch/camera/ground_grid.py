@@ -29,6 +29,7 @@ MIN_VISIBLE_FRACTION = 0.5  # fraction of a cell's samples that are visible
 MAX_GAP_CELLS = 4  # cells between the ends of neighbouring rays that form one edge
 GAP_POINTS = 8  # points inserted between those ends
 MAX_HALVINGS = 8  # of the image, for cells that cover many of its pixels
+EGO_MARGIN = 0.03  # of the height, by which an ego car's estimated outline may be too low
 BORDER_SAMPLES = 64  # pixels of each side of the image whose rays bound the view
 
 _Metres = Annotated[float, Field(gt=0, le=1000)]
@@ -69,12 +70,14 @@ class Grid:
         likelihood: mean road likelihood, float32, of the same shape; NaN in unknown cells.
         resolution: side of a cell, metres.
         origin: outer corner of cell (0, 0), metres.
+        blocked: fraction of the visible road's area that lies behind what is no road.
     """
 
     cells: Tensor
     likelihood: Tensor
     resolution: float
     origin: tuple[float, float]
+    blocked: float = 0.0
 
     @property
     def occupancy(self) -> Tensor:
@@ -91,7 +94,7 @@ def ground_grid(
         road: mask, bool, or likelihood in [0, 1], shape (H, W).
         camera: the camera that took the image.
         settings: extent, resolution and threshold.
-        ego: the ego car, bool, shape (H, W); unknown in the grid.
+        ego: the ego car, bool, shape (H, W); unknown in the grid, with what touches it.
 
     Raises:
         InputError: for a size other than the lens's, and when no ground within range is visible.
@@ -104,13 +107,16 @@ def ground_grid(
     rays = sample_rays(camera, settings)  # type: ignore[arg-type]  # frozen: it has a hash
     likelihood = _sample_bilinear(road.float(), rays)
     visible = rays.inside
-    if ego is not None:
-        visible = visible & (_sample_bilinear(ego.float(), rays) < 0.5)
+    if ego is not None and ego.any():
+        hidden = ego | (_near_ego(ego) & (road < settings.threshold))
+        visible = visible & (_sample_bilinear(hidden.float(), rays) < 0.5)
     likelihood, visible = _cell_means(likelihood, visible, rays)
     distance = (rays.distance[1:] + rays.distance[:-1]) / 2
     ends = visible & (likelihood < settings.threshold)
     free = distance[ends.int().argmax(0)] - size / (2 * SAMPLES_ALONG)
     free = torch.where(ends.any(0), free, math.inf)  # start of a ray's first cell without road
+    area = distance[:, None] * (visible & (likelihood >= settings.threshold))
+    blocked = float((area * (distance[:, None] > free)).sum() / area.sum().clamp_min(1e-9))
     index, ray, inside = rays.index, rays.ray, rays.visible
     is_free = inside & visible[index, ray] & (rays.radius < free[ray])
     cells = torch.where(is_free, FREE, UNKNOWN).to(torch.int8)
@@ -119,7 +125,17 @@ def ground_grid(
     foot = camera.pose.position
     origin = (foot[0], foot[1] - len(cells) / 2 * size)
     likelihood = likelihood[index, ray].where(is_free | (edge & inside), math.nan)
-    return Grid(cells, likelihood, size, origin)
+    return Grid(cells, likelihood, size, origin, blocked)
+
+
+def _near_ego(ego: Tensor) -> Tensor:
+    """Return the pixels, bool (H, W), that a bonnet whose outline is slightly off may cover.
+
+    Where one touches the ego area and is no road, it is the bonnet's edge rather than an obstacle.
+    """
+    side = 2 * math.ceil(EGO_MARGIN * ego.shape[0]) + 1
+    near = cv2.dilate(ego.cpu().numpy().astype(np.uint8), np.ones((side, side), np.uint8))
+    return torch.from_numpy(near > 0).to(ego.device)
 
 
 # --- rays in the image ----------------------------------------------------------------

@@ -7,6 +7,7 @@ disk, counts as no log: the next event starts it anew.
 """
 
 import os
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,7 +20,7 @@ import torch
 from PIL.ExifTags import Base as ExifTag
 from pydantic import Field, model_validator
 
-from roadtorch.base.atomic import make_folder
+from roadtorch.base.atomic import file_digest, make_folder
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.decoding import check_pixels, open_image, suppress_warnings
 from roadtorch.base.documents import Side, read_document
@@ -55,6 +56,7 @@ class LogHeader(Settings):
 
     roadtorch: int = Field(default=1, ge=1, le=1, description="version of the format")
     image: Annotated[str, Field(pattern=r"^[^\x00]+$")]
+    sha256: str = Field(default="", description="of the image's file")
     height: Side
     width: Side
 
@@ -274,6 +276,8 @@ def read_corrections(folder: Path, images: Path | None = None) -> list[Correctio
         name = log.path.relative_to(folder).as_posix().removesuffix(LOG_SUFFIX)
         logged = Path(os.path.normpath(folder / log.header.image))
         image, clicks = images / name if images else logged, count_clicks(log.events)
+        if log.header.sha256 and file_digest(image) not in ("", log.header.sha256):
+            warnings.warn(f"{image}: is not the image that was corrected", stacklevel=2)
         entry = Correction(image, name, log.labels, log.confirmed, log.seconds, clicks, log.path)
         corrections.append(entry)
     corrections.sort(key=lambda correction: correction.name)

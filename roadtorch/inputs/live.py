@@ -18,7 +18,7 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.image import from_pixels
 from roadtorch.base.urls import encode_url
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.inputs.video import ffmpeg_reason, import_av, main_video_stream, upright_image
+from roadtorch.inputs.video import ffmpeg_reason, frame_decoder, import_av, main_video_stream
 
 Connection = Callable[[], Generator[Callable[[], Tensor]]]
 """Opens a connection and yields functions that read an image; InputError when it is over."""
@@ -140,7 +140,7 @@ def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor
     try:
         with av.open(encode_url(url), options=options, timeout=policy.timeout) as container:
             stream = main_video_stream(url, container)
-            decode = partial(upright_image, av.video.reformatter.VideoReformatter())
+            decode = frame_decoder(stream)
             for frame in container.decode(stream):
                 yield partial(decode, frame)
     except (av.FFmpegError, UnicodeError) as error:

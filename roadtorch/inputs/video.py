@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import partial
+from heapq import heappop, heappush
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -33,6 +34,8 @@ VIDEO_SUFFIXES = (
 
 VIDEO_RESULTS = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # our results, never inputs
 ANSWER_TIMEOUT = 10.0  # seconds until a URL has to answer
+
+SQUARE_TOLERANCE = 0.01  # of pixels that count as square: encoders round the aspect ratio
 
 END_TOLERANCE = 0.5
 """Tolerated seconds from the last frame to the declared end; cameras with sound leave as much."""
@@ -125,7 +128,8 @@ def main_video_stream(path: Path | str, container: "InputContainer") -> "VideoSt
     if stream.codec_context is None:
         raise InputError(path, "uses a codec that FFmpeg cannot decode", "convert it to H.264")
     with report_decoding_errors(path):
-        check_pixels(stream.codec_context.width, stream.codec_context.height)
+        width = round(stream.codec_context.width * max(1.0, pixel_aspect(stream)))
+        check_pixels(width, stream.codec_context.height)
     # A frame may be larger than the header says.
     stream.codec_context.options = {"max_pixels": f"{max_megapixels() * 1e6:.0f}"}
     # Threads decode the same images, except for damaged VP8, which shows stale memory.
@@ -153,33 +157,38 @@ class SeekPoint(NamedTuple):
 def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[Item]:
     """Yield frames from the last key frame at or before ``start`` seconds on, named NAME/NUMBER.
 
-    Packets before it are counted, not decoded; numbers and times do not depend on the start.
-    Frames without a time stamp follow at the frame rate.
+    Packets before it are counted, not decoded; numbers and times do not depend on the start, nor on
+    lost frames, whose items raise on reading. Frames without a time stamp follow at the frame rate.
 
     Raises:
-        InputError: if the video cannot be opened and, after the last frame, if FFmpeg cannot read
-            on or it ends more than ``END_TOLERANCE`` before the declared duration.
+        InputError: if the video cannot be opened and, after the last frame, if frames were lost,
+            or it ends more than ``END_TOLERANCE`` before the declared duration.
     """
     seek = _find_seek_point(path, start) if start > 0 else SeekPoint()
     with open_video(path) as (container, stream):
         clock = FrameClock(strip_password(str(path)), frame_step(stream))
-        number, end = seek.number, 0.0
+        number, end, lost = seek.number, 0.0, list[float]()
         if seek.number:
             clock.seconds(stream_seconds(stream, seek.first))
-        decode = partial(upright_image, import_av().video.reformatter.VideoReformatter())
+        decode = frame_decoder(stream)
         try:
-            for image in _decode_frames(container, stream, seek):
-                seconds = clock.seconds(stream_seconds(stream, image.pts))
-                duration = float(image.duration or 0) * float(image.time_base or 0)
-                end = max(end, seconds + (duration or clock.step))
+            for pts, image in _decode_frames(container, stream, seek):
+                seconds = clock.seconds(stream_seconds(stream, pts))
                 origin = strip_password(f"{path}: frame {number}")
-                read = (
-                    partial(_raise_damaged, origin) if image.is_corrupt else partial(decode, image)
-                )
+                read = partial(_raise_damaged, origin)
+                if image is None:
+                    lost.append(seconds)
+                else:
+                    duration = float(image.duration or 0) * float(image.time_base or 0)
+                    end = max(end, seconds + (duration or clock.step))
+                    read = read if image.is_corrupt else partial(decode, image)
                 yield Item(f"{name}/{number:06d}", origin, read, number=number, seconds=seconds)
                 number += 1
         except import_av().FFmpegError as error:
-            problem = f"ends after {end:.1f} seconds: {ffmpeg_reason(error)}"
+            problem = f"ends after {end:.1f} seconds"
+            if lost and end + END_TOLERANCE >= declared_duration(container, stream):
+                problem = f"lacks {len(lost)} of its frames, the first at {lost[0]:.1f} seconds"
+            problem += f": {ffmpeg_reason(error)}"
             raise InputError(path, problem, "copy it again, or repair it") from None
         length = declared_duration(container, stream)
     if number == seek.number or clock.stepped or end + END_TOLERANCE >= length:
@@ -243,8 +252,7 @@ def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
     """
     first = None
     with open_video(path) as (container, stream), suppress(import_av().FFmpegError):
-        image = next(_decode_frames(container, stream, SeekPoint()), None)
-        first = image and image.pts
+        first, _ = next(_decode_frames(container, stream, SeekPoint()), (None, None))
     if first is None:
         return SeekPoint()
     seek, stamps, last, key = SeekPoint(), list[int](), -(2**63), -(2**63)
@@ -268,26 +276,44 @@ def _find_seek_point(path: Path | str, start: float) -> SeekPoint:
 
 def _decode_frames(
     container: "InputContainer", stream: "VideoStream", seek: SeekPoint
-) -> "Iterator[VideoFrame]":
-    """Yield the frames from a seek point on, then raise FFmpegError if one cannot be decoded.
+) -> "Iterator[tuple[int | None, VideoFrame | None]]":
+    """Yield time stamps and frames from a seek point on, then raise FFmpegError if one was lost.
 
-    Frames shown before the key frame are dropped, as they depend on earlier ones.
+    Frames shown before the key frame are dropped, as they depend on earlier ones. A lost frame is
+    None: after an error, each packet without a frame.
     """
     av = import_av()
     errors: list[Exception] = []
+    waiting: list[int] = []  # a heap of the packets' time stamps
+    is_vp8, began = stream.codec_context.name == "vp8", seek.number > 0
 
-    def is_shown(image: "VideoFrame") -> bool:
-        return seek.pts is None or image.pts is None or image.pts >= seek.pts
+    def is_shown(pts: int | None) -> bool:
+        return seek.pts is None or pts is None or pts >= seek.pts
 
-    def decoded(decode: Callable[[], "list[VideoFrame]"]) -> "list[VideoFrame]":
+    def decoded(
+        decode: Callable[[], "list[VideoFrame]"],
+    ) -> "Iterator[tuple[int | None, VideoFrame | None]]":
+        nonlocal began
         try:
-            return list(filter(is_shown, decode()))
+            images = [image for image in decode() if is_shown(image.pts)]
         except av.FFmpegError as error:
             errors.append(error)
-            return []
+            return
+        for image in images:
+            while waiting and image.pts is not None and waiting[0] <= image.pts:
+                pts = heappop(waiting)
+                if errors and began and pts < image.pts:
+                    yield pts, None
+            began = True
+            yield image.pts, image
 
     try:
         for packet in islice(container.demux(stream), seek.packets, None):
+            is_hidden = packet.is_discard or (
+                is_vp8 and packet.size and not bytes(packet)[0] & 0x10
+            )
+            if packet.pts is not None and is_shown(packet.pts) and not is_hidden:
+                heappush(waiting, packet.pts)
             yield from decoded(packet.decode)
     except av.FFmpegError as error:
         errors.insert(0, error)
@@ -305,15 +331,32 @@ def count_frames(path: Path) -> int:
     return count
 
 
-def upright_image(reformatter: "VideoReformatter", image: "VideoFrame") -> Tensor:
+def frame_decoder(stream: "VideoStream") -> "Callable[[VideoFrame], Tensor]":
+    """Return the function that decodes frames of a stream, ``upright_image``."""
+    reformatter = import_av().video.reformatter.VideoReformatter()
+    return partial(upright_image, reformatter, aspect=pixel_aspect(stream))
+
+
+def pixel_aspect(stream: "VideoStream") -> float:
+    """Return width over height of a stream's pixels; 1 where they are nearly square."""
+    aspect = float(stream.sample_aspect_ratio or 1)
+    return 1.0 if abs(aspect - 1) < SQUARE_TOLERANCE else aspect
+
+
+def upright_image(
+    reformatter: "VideoReformatter", image: "VideoFrame", aspect: float = 1.0
+) -> Tensor:
     """Convert a frame to an image in [0, 1], shape (3, H, W), turned and mirrored by its metadata.
+
+    Pixels become square, as in players: the width is multiplied by their aspect.
 
     The display matrix, as in ISO/IEC 14496-12, 8.3.2: x' = a x + c y, y' = b x + d y, with the
     signs of a mirror; other angles are rounded to quarter turns.
 
     reformatter: the stream's, which builds its tables once; a frame's own rebuilds them.
     """
-    pixels = reformatter.reformat(image, format="rgb24").to_ndarray()
+    width = max(1, round(image.width * aspect))
+    pixels = reformatter.reformat(image, width=width, format="rgb24").to_ndarray()
     matrix = image.side_data.get("DISPLAYMATRIX")
     if matrix is not None:
         a, b, _, c, d = np.frombuffer(matrix, np.int32)[:5].tolist()

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from roadtorch.base.errors import ConfigError, WeightsError
+from roadtorch.base.errors import DivergedError, WeightsError
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest
 from roadtorch.layout.weights import LayoutNetwork, load_tensors
@@ -165,7 +165,7 @@ class Loop:
         """Train from ``progress`` to the last epoch, or until a stop is requested.
 
         Saves a checkpoint after each epoch, every ``SAVE_INTERVAL`` seconds and on a stop.
-        Raises ConfigError if the loss is no longer finite.
+        Raises DivergedError if the loss is no longer finite.
         """
         self.network.train()
         with self._bar() as bar:
@@ -233,7 +233,7 @@ class Loop:
             self.average.update(self.network, progress.steps)
         if not math.isfinite(loss):
             message = "the loss is no longer finite"
-            raise ConfigError("descent.learning_rate", message, "lower it")
+            raise DivergedError("descent.learning_rate", message, "lower it")
         progress.loss += loss
         progress.chunk += 1
 

@@ -64,6 +64,18 @@ def click(identity: str = "a", **changes: object) -> dict[str, object]:
     return {**event, **changes}
 
 
+def test_an_event_of_another_folder_waits(client: Client, session: Session) -> None:
+    key = client.get("/api/images").json()["folder"]
+    link, page = (PAGE_FILES[name].decode() for name in ("link.js", "annotate.js"))
+
+    answers = [client.post(f"/api/event?{QUERY}&folder={k}", json=click()) for k in ("other", key)]
+
+    assert [answer.status_code for answer in answers] == [403, 200]
+    assert "event: is of another folder" in answers[0].text
+    assert "entry.folder === this.folder" in link
+    assert "outbox.folder = listing.folder" in page
+
+
 def test_a_click_is_kept_and_the_image_told_anew(client: Client, session: Session) -> None:
     answer = client.post(f"/api/event?{QUERY}", json=click())
     state = answer.json()

@@ -97,6 +97,18 @@ def test_a_image_that_changed_its_size_keeps_its_corrections(session: Session) -
         reopen(session).add(NAME, superpixel("b", "road", 1))
 
 
+def test_an_image_that_was_replaced_is_told_on_the_page_and_in_training(session: Session) -> None:
+    session.add("street_0.png", superpixel("a", "road", 1))
+    session.images.path("street_0.png").write_bytes(
+        session.images.path("street_1.png").read_bytes()
+    )
+
+    with pytest.raises(InputError, match=r"street_0\.png: is not the image that was corrected"):
+        reopen(session).state("street_0.png")
+    with pytest.warns(UserWarning, match=r"street_0\.png: is not the image that was corrected"):
+        read_corrections(session.out)
+
+
 def test_a_full_disk_or_a_wrong_superpixel_leaves_nothing_half_done(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from roadtorch import load_detector, read_image
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.settings import build_settings
 from roadtorch.camera.birds_eye import cell_centres, transform_points
@@ -398,6 +399,38 @@ def test_cells_are_free_occupied_or_unknown(
     if inside is None:
         assert OCCUPIED not in grid.cells
         assert grid.likelihood.isnan().equal(grid.cells == UNKNOWN)
+
+
+def test_a_bonnets_edge_hides_no_road_and_a_wall_behind_it_does() -> None:
+    edge, wall = draw_mask(), draw_mask()
+    edge[-43:], wall[:-42] = False, False
+
+    free, behind_edge, behind_wall = (
+        ground_grid(road, CAMERA, SETTINGS, EGO) for road in (draw_mask(), edge, wall)
+    )
+
+    area = [(grid.cells == FREE).sum() for grid in (free, behind_edge, behind_wall)]
+    assert area[1] > 0.9 * area[0] > 0 == free.blocked == behind_edge.blocked
+    assert OCCUPIED not in behind_edge.cells
+    assert area[2] < 0.1 * area[0]
+    assert OCCUPIED in behind_wall.cells
+
+
+@pytest.mark.data
+def test_the_motorway_is_free_behind_an_estimated_bonnet(data_root: Path) -> None:
+    files = sorted((data_root / "unlabelled_free").glob("udhwy_00[0-3]*.jpg"))[::13]
+    estimated, by_hand = load_detector("fusion"), load_detector("fusion", ego={"bottom": 0.11})
+
+    for file in files:
+        image = read_image(file)
+        areas = []
+        for detection in (estimated.detect(image), by_hand.detect(image)):
+            lens = pinhole_lens(image.shape[2], image.shape[1], 77)
+            camera = GroundCamera(lens, camera_pose(1.3, pitch_from_horizon(lens, 0.6)))
+            road = detection.likelihood * detection.mask
+            grid = ground_grid(road, camera, GridSettings(), detection.cues.get("ego"))
+            areas.append(float((grid.cells == FREE).sum()))
+        assert areas[0] == pytest.approx(areas[1], rel=0.2)
 
 
 def test_walls_have_no_gaps_and_shadows_no_walls() -> None:

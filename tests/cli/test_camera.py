@@ -14,7 +14,7 @@ from roadtorch.base.image import read_image, write_rgb_png
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
 from roadtorch.inputs.find import locate_frames, read_frames
-from roadtorch.road.ego import ego_car
+from roadtorch.road.ego import Ego, ego_car
 from tests.command import Call
 from tests.streets import drive, scene
 
@@ -172,3 +172,15 @@ def test_evaluate_takes_it_for_all(
     for name in ("prior:rows", "cpf"):
         outline = written["detectors"][name]["settings"]["ego"]["outline"]
         assert tuple(outline) == Camera.read(camera_file).ego.outline
+
+
+def test_a_camera_file_has_its_outlines_in_few_lines(tmp_path: Path) -> None:
+    outline = tuple(round(0.9 + number / 1e4, 4) for number in range(64))
+    camera = Camera(
+        width=64, height=48, frames=9, horizon=0.5, seed_row=0.9, ego=Ego(outline=outline)
+    )
+
+    camera.write(tmp_path / "camera.toml")
+
+    assert Camera.read(tmp_path / "camera.toml") == camera
+    assert len((tmp_path / "camera.toml").read_text().splitlines()) < 16

@@ -213,7 +213,45 @@ def test_damage_in_the_middle(suffix: str, is_told: bool, tmp_path: Path) -> Non
     frames, error = read_until_problem(path)
 
     assert len(frames) > 20
-    assert error.startswith("ends after 4.0 seconds: ") if is_told else not all(frames)
+    assert error.startswith("lacks ") if is_told else not all(frames)
+    assert len(frames) == 40 or not is_told
+
+
+@pytest.mark.parametrize("damaged", [8, 10])  # a key frame, and one that others depend on
+@pytest.mark.parametrize(
+    ("suffix", "codec", "options"),
+    [
+        (".mp4", "libx264", {"g": "8", "bf": "0"}),
+        (".mkv", "libx264", {"g": "8", "bf": "2"}),
+        (".webm", "libvpx", {"g": "8", "auto-alt-ref": "1", "lag-in-frames": "16"}),
+    ],
+)
+def test_frames_keep_their_numbers_behind_a_damaged_packet(
+    suffix: str, codec: str, options: dict[str, str], damaged: int, tmp_path: Path
+) -> None:
+    path = write_video(tmp_path / f"a{suffix}", FORTY, codec=codec, options=options, ticks=10)
+    whole = [(frame.seconds, frame.number) for frame in video_frames(path, "a")]
+    with av.open(str(path)) as container:
+        packet = bytes([packet for packet in container.demux(video=0) if packet.size][damaged])
+    noise = packet[:5] + b"\xa5" * (len(packet) - 5)
+    path.write_bytes(path.read_bytes().replace(packet, noise, 1))
+
+    numbers: list[tuple[float | None, int]] = []
+    with suppress(InputError):
+        for frame in video_frames(path, "a"):
+            numbers.append((frame.seconds, frame.number))
+
+    assert numbers == whole
+
+
+@pytest.mark.parametrize(
+    ("aspect", "size"),
+    [("2", (48, 128)), ("1/2", (48, 32)), ("0", (48, 64)), ("200/201", (48, 64))],
+)
+def test_pixels_become_square(aspect: str, size: tuple[int, int], tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.mp4", options={"aspect": aspect})
+
+    assert chosen(path)[0].read().shape == (3, *size)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import nn
 
-from roadtorch.base.errors import ConfigError
+from roadtorch.base.errors import DivergedError, ExitCode
 from roadtorch.base.signals import StopRequest
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
@@ -86,8 +86,11 @@ def test_training_stops_on_a_plateau(fall: str, epochs: int, trained: Trained) -
 
 def test_a_loss_of_nan_is_refused(trained: Trained, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Loop, "step", lambda *_: math.nan)
-    with pytest.raises(ConfigError, match=r"descent.learning_rate: the loss is no longer finite"):
+    with pytest.raises(
+        DivergedError, match=r"descent.learning_rate: the loss is no longer"
+    ) as error:
         trained("patches")
+    assert error.value.exit_code == ExitCode.SOME_FAILED
 
 
 def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Trained) -> None:

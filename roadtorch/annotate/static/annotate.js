@@ -136,6 +136,8 @@ async function refresh() {
     if (by("notice").textContent.startsWith("No answer")) notice("");
     if (answer.status === 204) return;
     const listing = await answer.json();
+    if (outbox.folder && outbox.folder !== listing.folder) return location.reload();
+    outbox.folder = listing.folder;
     ({ stamp, learn } = listing);
     await update(listing.images);
   } catch (error) {

@@ -28,14 +28,20 @@ export async function ask(path, values = {}, body = undefined) {
 }
 
 // Events of this window that the server has not acknowledged, kept in localStorage, so that a reload,
-// a crash or a restart of the server loses none. An event that is sent twice counts once.
+// a crash or a restart of the server loses none. An event that is sent twice counts once. Servers of
+// several folders may follow on one port: an event is sent to that of its folder alone.
 export class Outbox {
   constructor(acknowledged) {
     this.acknowledged = acknowledged; // acknowledged(entry, state or null, error or null)
     this.key = `roadtorch-outbox:${WINDOW}`;
-    this.waiting = this.adopted();
+    this.folder = ""; // the server's, once it is known
+    this.entries = this.adopted();
     this.keep();
     this.busy = false;
+  }
+
+  get waiting() {
+    return this.entries.filter((entry) => entry.folder === this.folder);
   }
 
   // Take over events that closed windows left; an open window keeps its own in memory as well.
@@ -49,12 +55,12 @@ export class Outbox {
   }
 
   keep() {
-    if (this.waiting.length) localStorage[this.key] = JSON.stringify(this.waiting);
+    if (this.entries.length) localStorage[this.key] = JSON.stringify(this.entries);
     else delete localStorage[this.key];
   }
 
   add(name, act) {
-    this.waiting.push({ name, act: { id: crypto.randomUUID(), ...act } });
+    this.entries.push({ folder: this.folder, name, act: { id: crypto.randomUUID(), ...act } });
     this.keep();
     return this.send();
   }
@@ -66,16 +72,16 @@ export class Outbox {
     try {
       while (this.waiting.length) {
         const entry = this.waiting[0];
-        const { name, act } = entry;
+        const { folder, name, act } = entry;
         let state = null;
         let rejection = null;
         try {
-          state = await (await ask("event", { name }, act)).json();
+          state = await (await ask("event", { folder, name }, act)).json();
         } catch (error) {
           if (!(error instanceof Refusal) || error.status >= 500 || error.status === 403) throw error;
           rejection = error;
         }
-        this.waiting.shift();
+        this.entries.splice(this.entries.indexOf(entry), 1);
         this.keep();
         this.acknowledged(entry, state, rejection);
       }

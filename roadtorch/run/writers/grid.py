@@ -35,6 +35,8 @@ GRID_SUFFIXES = {
 
 DOUBTFUL_SPREAD = 2.0  # standard deviation of a pitch, in degrees, above which a grid is doubtful
 
+DOUBTFUL_BLOCKED = 0.8  # blocked fraction of the road above which a grid is doubtful
+
 FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
@@ -133,8 +135,11 @@ class GridWriter:
         if "image" in self.kinds:
             drawing = _draw_beside(image, detection.mask, grid)
             write_pixels(stem.with_name(stem.name + GRID_SUFFIXES["image"]), drawing)
-        doubt = f"pitch unsure by {pitch.deviation:.1f} degrees"
-        return grid, doubt if pitch.deviation > DOUBTFUL_SPREAD else ""
+        doubts = [f"{100 * grid.blocked:.0f} % of the road lies behind obstacles"]
+        doubts = doubts if grid.blocked > DOUBTFUL_BLOCKED else []
+        if pitch.deviation > DOUBTFUL_SPREAD:
+            doubts.append(f"pitch unsure by {pitch.deviation:.1f} degrees")
+        return grid, ", ".join(doubts)
 
 
 def _draw_beside(image: Tensor, mask: Tensor, grid: Grid) -> np.ndarray:
