@@ -16,10 +16,10 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_385,
-    "roadtorch/base": 1_960,
+    "roadtorch/base": 1_985,
     "roadtorch/camera": 2_035,
-    "roadtorch/cli": 2_060,
-    "roadtorch/data": 2_360,
+    "roadtorch/cli": 2_075,
+    "roadtorch/data": 2_555,
     "roadtorch/detectors": 2_180,
     "roadtorch/evaluation": 3_745,
     "roadtorch/export": 790,
@@ -29,19 +29,19 @@ LINES = {
     "roadtorch/oneclass": 1_790,
     "roadtorch/road": 1_625,
     "roadtorch/ros": 570,
-    "roadtorch/run": 2_715,
+    "roadtorch/run": 2_725,
     "roadtorch/testing": 640,
-    "roadtorch/train": 3_500,
+    "roadtorch/train": 3_515,
     "roadtorch/ufl": 1_355,
     "scripts": 5_545,
-    "tests": 29_135,
+    "tests": 29_520,
     "train": 7_450,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 123
+OPTIONS = 125
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

@@ -154,7 +154,7 @@ def train_both(
     images, recipe = find_images([str(folder)]), ImageRecipe(training)
     with stop_on_signals() as stop:
         items = prepare_folder(recipe, images, prepared, stop, quiet=True)
-        by_name = corrections_by_image(images, labels)
+        by_name, _ = corrections_by_image(images, labels)
         human = {item.file: by_name[item.name] for item in items if item.file}
         corrected = write_corrections(work / "labels", human, recipe.encode_correction)
         inputs = TrainingInputs(list(human), corrected, None, work)

@@ -34,7 +34,7 @@ BLACK_IS_ZERO, RGB, UNSIGNED, ALPHA = 1, 2, 1, 2
 
 PNG_DEPTH = 24  # offset of the bit depth in a PNG
 
-_WARNING_FILTERS, _TRUNCATED = threading.Lock(), threading.RLock()
+_WARNING_FILTERS, _TRUNCATED = threading.RLock(), threading.RLock()
 
 
 class TooLargeError(ValueError):
@@ -137,18 +137,33 @@ def silence_opencv() -> Iterator[None]:
 # --- pixels -----------------------------------------------------------------------------
 
 
+def turn_upright(image: Image.Image) -> Image.Image:
+    """Decode an image and turn it by its EXIF orientation, unless its metadata are damaged."""
+    image.load()
+    with suppress_warnings():
+        try:
+            return ImageOps.exif_transpose(image)
+        except Exception:
+            return image  # damaged metadata is no damage of the image
+
+
+def upright_size(image: Image.Image) -> tuple[int, int]:
+    """Return (height, width) of an image, not decoded yet, as ``turn_upright`` will have it.
+
+    Pillow already gives the upright size of a TIFF.
+    """
+    is_turned = image.format != "TIFF" and _read_orientation(image) in (5, 6, 7, 8)
+    return (image.width, image.height) if is_turned else (image.height, image.width)
+
+
 @refuse_truncated()
 def pillow_pixels(image: Image.Image) -> np.ndarray:
     """Return the pixels of a Pillow image, upright: uint8 RGB or RGBA, or uint16 (H, W).
 
     Raises ValueError for 32 bits, whose white level is undefined, and whatever Pillow raises.
     """
-    image.load()
+    upright = turn_upright(image)
     with suppress_warnings():
-        try:
-            upright = ImageOps.exif_transpose(image)
-        except Exception:
-            upright = image  # damaged metadata is no damage of the image
         if upright.mode in ("I", "F"):
             raise ValueError(f"Pillow mode {upright.mode} has no defined white level")
         if upright.mode.startswith("I;16"):
@@ -170,11 +185,7 @@ def _decode_with_opencv(data: bytes) -> np.ndarray:
 
 def _apply_orientation(pixels: np.ndarray, image: Image.Image) -> np.ndarray:
     """Turn pixels (H, W[, C]) upright by the EXIF orientation of their PNG; EXIF 2.3, tag 274."""
-    with suppress_warnings():
-        try:
-            orientation = image.getexif().get(ExifTag.Orientation, 1)
-        except Exception:
-            return pixels
+    orientation = _read_orientation(image)
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
@@ -182,6 +193,15 @@ def _apply_orientation(pixels: np.ndarray, image: Image.Image) -> np.ndarray:
     if orientation in (2, 3, 6, 7):
         pixels = pixels[:, ::-1]
     return pixels
+
+
+def _read_orientation(image: Image.Image) -> int:
+    """Return the EXIF orientation of an image, 1 (upright) where it has none that can be read."""
+    with suppress_warnings():
+        try:
+            return image.getexif().get(ExifTag.Orientation, 1)
+        except Exception:
+            return 1
 
 
 def _is_16_bit_tiff(image: Image.Image) -> bool:

@@ -10,8 +10,10 @@ from roadtorch.cli.options import (
     CAMERA_OPTION,
     JOBS_OPTION,
     PATH,
+    ROAD_OPTION,
     RUNTIME_OPTION,
     SETTING_OPTION,
+    VOID_OPTION,
     CheckedCommand,
     command_line,
     suggest_candidates,
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
 @click.option("--tune", is_flag=True, help="Choose each detector's threshold; write OUT/NAME.toml.")
 @click.option("--submit", is_flag=True, help="Write maps for KITTI's server instead (kitti-road).")
 @click.option("--bev", is_flag=True, help="Score in bird's-eye view (kitti-road).")
+@ROAD_OPTION
+@VOID_OPTION
 @click.option("--conditions", type=PATH, help="CSV of each image's conditions. [that of ROOT]")
 @click.option(
     "--leave-out",
@@ -80,6 +84,8 @@ def evaluate_command(
     tune: bool,
     submit: bool,
     bev: bool,
+    road: tuple[str, ...],
+    void: tuple[str, ...],
     conditions: Path | None,
     left_out: tuple[str, ...],
     mean_from: str | None,
@@ -124,7 +130,9 @@ def evaluate_command(
         write_submission(context, contender, root, out, jobs)
     if out is not None:
         context.with_resource(lock_output(out))  # fail before the long run
-    labelled = leave_out(open_dataset(dataset, root, split), left_out)
+    labelled = leave_out(open_dataset(dataset, root, split, road=road, void=void), left_out)
+    for line in labelled.summary.splitlines():
+        click.echo(f"roadtorch: {line}", err=True)
     if conditions is not None:
         labelled = add_conditions(labelled, conditions)
     evaluation = evaluate(

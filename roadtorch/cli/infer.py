@@ -108,7 +108,7 @@ def infer_command(
       NAME.mask.png         road white, the rest black
       NAME.overlay.jpg      the image with road tinted and outlined
     and on demand NAME.cue.CUE.png (--save cues), .npy files, outlines (--save
-    polygons: NAME.labelme.json and coco.json) and NAME.json. For each video
+    polygons: NAME.coco.json and coco.json) and NAME.json. For each video
     NAME.mp4: NAME.overlay.mp4, and on demand these files for each frame,
     NAME/000123.mask.png. For each bag: NAME.overlay.mp4 and the bag NAME.road
     (of ROS 1: NAME.road.bag). index.csv lists every image and frame, run.json

@@ -161,6 +161,19 @@ JOBS_OPTION = click.option(
 OVERWRITE_OPTION = click.option(
     "--overwrite", is_flag=True, help="Process images again that are done."
 )
+ROAD_OPTION = click.option(
+    "--road",
+    multiple=True,
+    metavar="VALUE",
+    help="Value (7, #ff0000) or COCO category of masks that is road; may be repeated. "
+    "[1, 255 or road]",
+)
+VOID_OPTION = click.option(
+    "--void",
+    multiple=True,
+    metavar="VALUE",
+    help="Value or COCO category of masks that does not count; may be repeated.",
+)
 QUIET_OPTION = click.option("--quiet", is_flag=True, help="Print only failures, no progress.")
 
 
@@ -176,7 +189,7 @@ OPTION_CONDITIONS: Mapping[str, Mapping[str, str]] = {
     "annotate": dict.fromkeys(PAGE, MODES)
     | {"--to": "with --export", "--from": "with --import"}
     | {"--export": "without --report", "--import": "without --report --export"},
-    "evaluate": dict.fromkeys(SCORING.split(), "without --submit")
+    "evaluate": dict.fromkeys((*SCORING.split(), "--road", "--void"), "without --submit")
     | dict.fromkeys(("--montage", "--tune"), "with --out without --submit")
     | {"--submit": "with --out"},
     "grid": dict.fromkeys(("--topic", "--frame-id"), "with bag"),

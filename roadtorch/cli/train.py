@@ -10,7 +10,9 @@ import click
 from roadtorch.cli.options import (
     PATH,
     QUIET_OPTION,
+    ROAD_OPTION,
     SETTING_OPTION,
+    VOID_OPTION,
     CheckedCommand,
     ConfigFile,
     command_line,
@@ -34,19 +36,9 @@ if TYPE_CHECKING:
     help="Training images: a folder, file or quoted glob.",
 )
 @click.option("--out", type=PATH, required=True, help="Folder of this run; run again to resume.")
-@click.option("--masks", type=PATH, help="Masks of road: a folder of PNGs, or a COCO file.")
-@click.option(
-    "--road",
-    multiple=True,
-    metavar="VALUE",
-    help="Value or COCO category that is road; may be repeated. [1, 255 or road]",
-)
-@click.option(
-    "--void",
-    multiple=True,
-    metavar="VALUE",
-    help="Value or COCO category without label; may be repeated.",
-)
+@click.option("--masks", type=PATH, help="Masks of road: a folder of images, or a COCO file.")
+@ROAD_OPTION
+@VOID_OPTION
 @click.option("--corrections", type=PATH, help="Folder of corrections by roadtorch annotate.")
 @click.option("--corrected-images", type=PATH, help="Folder of the corrected images, if it moved.")
 @SETTING_OPTION

@@ -4,7 +4,7 @@ Other packages register theirs through the entry-point group ``roadtorch.dataset
 point has the name of the data set and refers to a ``DatasetFormat``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -27,10 +27,13 @@ DATASET_FORMATS: Mapping[str, DatasetFormat] = {
 }
 
 
-def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
+def open_dataset(
+    name: str, root: Path, split: str | None = None, **values: Sequence[str]
+) -> Dataset:
     """Open a labelled data set, one of ``list_datasets()``, in its folder ``root``.
 
-    split: one of its splits; the first one by default.
+    split: one of its splits; the first one by default. values: of ``road`` and ``void``, if any, in
+    the masks of ``folder``.
 
     Raises:
         ConfigError: for an unknown name or split.
@@ -43,9 +46,14 @@ def open_dataset(name: str, root: Path, split: str | None = None) -> Dataset:
     if split is not None and split not in splits:
         raise unknown_name_error(f"split of {name}", split, splits)
     if not root.is_dir():
-        raise DatasetError(root, "is not a folder", f"give the folder that holds {name}")
+        raise DatasetError(
+            root, "is not a folder", "check the path: it holds the images and labels"
+        )
     split = split or splits[0]
-    dataset = dataset_format.open(root, split)
+    values = {key: value for key, value in values.items() if value}
+    if values and dataset_format.open is not open_folder:
+        raise ConfigError(f"--{next(iter(values))}", f"is not for the set {name}", "leave it out")
+    dataset = dataset_format.open(root, split, **values)
     if not dataset.items:
         raise DatasetError(root, f"holds no images of the split {split}", "choose another split")
     return dataset

@@ -5,6 +5,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Annotated, NamedTuple
 from unicodedata import normalize
@@ -14,12 +15,13 @@ import torch
 from pydantic import Discriminator, Field, Tag
 
 from roadtorch.base.atomic import make_folder, write_text
+from roadtorch.base.bounded import reason
 from roadtorch.base.documents import Coordinate, ForeignDocument, Side, read_document
 from roadtorch.base.errors import DatasetError
 from roadtorch.base.image import write_labels
 from roadtorch.data.corrections import Correction
 from roadtorch.data.events import LABEL_NAMES
-from roadtorch.data.label_images import read_labels
+from roadtorch.data.label_images import LabelPixels, read_labels
 from roadtorch.data.polygons import coco_annotation
 
 ImageSizes = Mapping[str, tuple[int, int]]
@@ -96,7 +98,7 @@ def read_label_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
 # list of polygons, of pixel edges: column x reaches from x to x + 1. Or it is a list of counts,
 # pixels outside and inside in turn, column by column. Pixels without a region are untouched.
 
-_COCO_FILE, NO_REGION = "coco.json", "no region"
+_COCO_FILE, NO_REGION, HINT = "coco.json", "no region", "export it again as COCO"
 
 _UPLOAD = re.compile(r"[0-9a-f]{8}-(.+)")
 """File name of an image uploaded to Label Studio, which drops sub-folders."""
@@ -162,33 +164,57 @@ class _CocoFile(ForeignDocument):
     annotations: tuple[_CocoRegion, ...]
 
 
+@dataclass(frozen=True)
+class CocoRegions:
+    """Regions of an image in a COCO file, each with its value; later ones cover earlier ones."""
+
+    path: Path
+    name: str
+    size: tuple[int, int]
+    regions: list[tuple[_Counts | _Polygons, int]] = field(default_factory=list)
+
+    def read(self) -> LabelPixels:
+        """Return the values uint16 (H, W), 0 outside of all; DatasetError for a wrong region."""
+        values = np.zeros(self.size, np.uint16)
+        for segmentation, value in self.regions:
+            mask = np.zeros(self.size, np.bool_)
+            try:
+                _fill_region(mask, segmentation)
+            except (ValueError, MemoryError) as error:
+                raise DatasetError(self.path, f"cannot be read: {reason(error)}", HINT) from None
+            if not mask.any():
+                message = f"cannot be read: a region on {self.name} has no area"
+                raise DatasetError(self.path, message, "draw it as a polygon, or delete it")
+            values[mask] = value
+        return LabelPixels(values)
+
+
 def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
-    """Read labels uint8 (H, W) by the name of the image, as ``read_coco_categories`` does.
+    """Read labels uint8 (H, W) by the name of the image, as ``read_coco`` does.
 
     path: a folder with coco.json, or a file of any name. Raises DatasetError for a category that
     is not one of ``LABEL_NAMES``.
     """
     path = path / _COCO_FILE if path.is_dir() else path
-    numbers, (_, *categories) = read_coco_categories(path, sizes)
+    regions, (_, *categories) = read_coco(path, sizes)
     for category, image in categories:
         if category not in LABEL_NAMES[1:]:
             message = f"cannot be read: the category {category!r} on {image} is not a label"
             raise DatasetError(path, message, f"use {', '.join(LABEL_NAMES[1:])}")
     labels = np.array([0, *(LABEL_NAMES.index(category) for category, _ in categories)], np.uint8)
-    return {name: labels[values] for name, values in numbers.items()}
+    return {name: labels[part.read().values] for name, part in regions.items()}
 
 
-def read_coco_categories(
+def read_coco(
     path: Path, sizes: ImageSizes
-) -> tuple[dict[str, np.ndarray], list[tuple[str, str]]]:
-    """Read category numbers uint16 (H, W) by image, of those of ``sizes``.
+) -> tuple[dict[str, CocoRegions], list[tuple[str, str]]]:
+    """Read the regions of the images of ``sizes`` that a COCO file lists, by their name.
 
-    Returns also the name of each category, and the first image with it. Later regions cover
-    earlier ones; 0 is outside of all. Raises DatasetError for a file that is no COCO, one without
-    an image of ``sizes``, two entries for one image or id, an image of another size, and a region
-    that does not fit its image or has none.
+    Returns also the category of each value, and the first image with it. Raises DatasetError for a
+    file that is no COCO, one without an image of ``sizes``, two entries for one image or id, an
+    image of another size, and a region on an image or of a category that is not listed.
     """
-    with read_document(path, "export it again as COCO") as data:
+    with read_document(path, HINT) as data:
         document = _CocoFile.model_validate_json(data)
         _require_unique_ids("images", [image.id for image in document.images])
         _require_unique_ids("categories", [category.id for category in document.categories])
@@ -207,19 +233,21 @@ def read_coco_categories(
             names[image.id] = name
         if not names:
             raise ValueError("it lists none of the images")
-        numbers = {name: np.zeros(sizes[name], np.uint16) for name in names.values()}
+        regions = {name: CocoRegions(path, name, sizes[name]) for name in names.values()}
         used = {NO_REGION: ""}
         categories = {category.id: category.name for category in document.categories}
         for region in document.annotations:
             if region.image_id not in listed:
                 raise ValueError(f"a region is on image {region.image_id}, which is not listed")
             if (name := names.get(region.image_id)) is not None:
-                category = categories.get(region.category_id, "")
+                if (category := categories.get(region.category_id)) is None:
+                    number = region.category_id
+                    raise ValueError(
+                        f"a region on {name} has category {number}, which is not listed"
+                    )
                 used.setdefault(category, name)
-                if not region.segmentation:
-                    raise ValueError(f"a region on {name} has no area: draw it as a polygon")
-                _fill_region(numbers[name], region.segmentation, list(used).index(category))
-    return numbers, list(used.items())
+                regions[name].regions.append((region.segmentation, list(used).index(category)))
+    return regions, list(used.items())
 
 
 def _require_unique_ids(part: str, ids: Iterable[int | str | None]) -> None:
@@ -249,8 +277,8 @@ def match_image_name(file: str, names: Collection[str]) -> str | None:
     return candidates[0] if candidates else None
 
 
-def _fill_region(labels: np.ndarray, segmentation: _Counts | _Polygons, number: int) -> None:
-    height, width = labels.shape
+def _fill_region(mask: np.ndarray, segmentation: _Counts | _Polygons) -> None:
+    height, width = mask.shape
     if isinstance(segmentation, _Counts):
         counts = segmentation.counts
         if segmentation.size not in (None, (height, width)):
@@ -260,12 +288,12 @@ def _fill_region(labels: np.ndarray, segmentation: _Counts | _Polygons, number: 
         if sum(counts) != height * width:
             raise ValueError(f"{sum(counts)} pixels are counted, not {width} by {height}")
         inside = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
-        labels[inside.reshape(width, height).T] = number
+        mask[:] = inside.reshape(width, height).T
         return
     for polygon in segmentation:
         if len(polygon) % 2:
             raise ValueError(f"a polygon has {len(polygon)} coordinates, an odd number")
-        fill_area(np.array(polygon).reshape(-1, 2), labels, number)
+        fill_area(np.array(polygon).reshape(-1, 2), mask, 1)
 
 
 def unpack_counts(text: str) -> list[int]:

@@ -17,12 +17,11 @@ from typing import Annotated, Protocol, Self
 
 import numpy as np
 import torch
-from PIL.ExifTags import Base as ExifTag
 from pydantic import Field, model_validator
 
 from roadtorch.base.atomic import file_digest, make_folder
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import check_pixels, open_image, suppress_warnings
+from roadtorch.base.decoding import check_pixels, open_image, suppress_warnings, upright_size
 from roadtorch.base.documents import Side, read_document
 from roadtorch.base.errors import DatasetError, InputError, UnwritableError
 from roadtorch.base.settings import Settings
@@ -46,7 +45,6 @@ from roadtorch.data.events import (
 from roadtorch.layout.classes import UNLABELLED
 
 LOG_SUFFIX = ".strokes.jsonl"
-TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 # --- logs -------------------------------------------------------------------------------
 
@@ -288,8 +286,7 @@ def read_image_size(path: Path) -> tuple[int, int]:
     """Read (height, width) of an image from its header, after EXIF rotation; DatasetError else."""
     try:
         with open_image(read_regular(path)) as image, suppress_warnings():
-            transposed = image.getexif().get(ExifTag.Orientation) in TRANSPOSED
-            return (image.width, image.height) if transposed else (image.height, image.width)
+            return upright_size(image)
     except Exception as error:
         raise DatasetError(path, f"cannot be opened: {reason(error)}", "replace the file") from None
 

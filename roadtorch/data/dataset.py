@@ -79,6 +79,7 @@ class Dataset:
         levels: number of levels to which scoring rounds likelihoods (KITTI's program: 256).
         scoring_space: maps results into the space of the scores; None for the image itself.
         left_out: groups that are scored, but enter no mean and choose no threshold.
+        summary: lines that say what was taken for road, where the files' values decide it.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Dataset:
     levels: int = 65_536
     scoring_space: ScoringSpace | None = field(default=None, repr=False)
     left_out: frozenset[str] = frozenset()
+    summary: str = ""
 
     def groups(self) -> list[str]:
         """Return the groups, sorted; an empty list if the data set has none."""
@@ -153,4 +155,4 @@ class DatasetFormat:
     """
 
     splits: tuple[str, ...]
-    open: Callable[[Path, str], Dataset]
+    open: Callable[..., Dataset]

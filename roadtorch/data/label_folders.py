@@ -3,8 +3,8 @@
 import csv
 import difflib
 import io
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from unicodedata import normalize
 
@@ -15,18 +15,21 @@ from roadtorch.data.label_images import (
     NumberLabels,
     decode_labels,
     is_image_file,
+    list_images,
     pair_files,
     read_labels,
     require_labels,
 )
+from roadtorch.data.masks import MASK_VALUES, Mask, MaskValues, find_masks
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 # --- folder -----------------------------------------------------------------------------
 
-MASK_CODING = NumberLabels(
-    road=(1, 255), void=(127, 128), values=(0, 1, 127, 128, 255), exclusive=(1, 255)
-)
-ROAD_CODING = NumberLabels(road=(1,), void=(255,), values=(0, 1, 255))
+LABEL_SOURCES = ("masks", "road", "coco.json", "annotations/instances_default.json")
+"""Folders or COCO files beside a folder of images, the first of which has its masks."""
+
+ROAD_FOLDER_VALUES: MaskValues = ("1",), ("255",)
+
 LAYOUT_CODING = NumberLabels(
     road=(),
     void=(UNLABELLED,),
@@ -37,15 +40,16 @@ LAYOUT_CODING = NumberLabels(
 
 @dataclass(frozen=True)
 class FolderLabels:
-    """Reader of your own labels; the name of the folder that holds them tells their coding.
+    """Reader of your own labels; masks: by the name of the item.
 
-    masks: 0 not road, 255 or 1 road, 127 or 128 void. road: 0, 1, void 255. layout, beside either
-    of them and for some images only: 0 sky, 1 vertical, 2 horizontal, 255 void.
+    Layouts, for some images: 0 sky, 1 vertical, 2 horizontal, 255 void.
     """
 
+    masks: Mapping[str, Mask] = field(default_factory=dict)
+
     def truth(self, item: LabelledItem) -> Truth:
-        """Read the item's labels; DatasetError naming and counting unknown numbers."""
-        truth = (ROAD_CODING if item.label.parent.name == "road" else MASK_CODING).truth(item)
+        """Read the item's labels; DatasetError where they cannot be read."""
+        truth = self.masks[item.name].truth
         for path in item.extra:
             labels = read_labels(path)
             if labels.shape != truth.road.shape:
@@ -56,31 +60,45 @@ class FolderLabels:
         return truth
 
 
-def open_folder(root: Path, split: str) -> Dataset:
-    """Open ROOT/images with ROOT/masks or ROOT/road, or folders of this layout as groups.
+def open_folder(
+    root: Path, split: str, road: Sequence[str] = (), void: Sequence[str] = ()
+) -> Dataset:
+    """Open ROOT/images with one of ``LABEL_SOURCES``, or folders of this layout as groups.
 
-    Images of groups are called GROUP/NAME. Conditions come from ROOT/pictures.csv, if it exists.
-    Raises DatasetError naming a missing file, or a mistake in that table.
+    Images of groups are called GROUP/NAME. Images without a mask are left out, as the summary says.
+    Conditions come from ROOT/pictures.csv, if it exists. road, void: values as in ``find_masks``.
+    Raises DatasetError naming a missing folder, unknown values, or a mistake in that table.
     """
-    if (root / "images").is_dir():
-        items = tuple(_find_items(root, None))
-    else:
-        groups = [path.parent for path in sorted(root.glob("*/images")) if path.is_dir()]
-        items = tuple(item for group in groups for item in _find_items(group, group.name))
+    folders: dict[str | None, Path] = {None: root}
+    if not (root / "images").is_dir():
+        folders = {path.parent.name: path.parent for path in sorted(root.glob("*/images"))}
+    masks, items, summaries = dict[str, Mask](), list[LabelledItem](), list[str]()
+    for group, folder in folders.items():
+        names = {path.name: path for path in list_images(folder / "images")}
+        sources = [folder / source for source in LABEL_SOURCES]
+        source = next((path for path in sources if path.exists()), sources[0])
+        defaults = ROAD_FOLDER_VALUES if source.name == "road" else MASK_VALUES
+        if not source.exists():
+            raise DatasetError(source, "does not exist", f"give {', '.join(LABEL_SOURCES)}")
+        mask_set = find_masks(source, names, road, void, defaults)
+        summaries.append(f"{source}: {mask_set.summary}")
+        for mask in mask_set.masks:
+            name = f"{group}/{mask.image.stem}" if group else mask.image.stem
+            layout = folder / "layout" / f"{mask.image.stem}.png"
+            extra = (layout,) if layout.is_file() else ()
+            if (first := masks.get(name)) is not None:
+                message = f"has the name of {first.image.name}"
+                raise DatasetError(mask.image, message, "rename one of the images")
+            items.append(LabelledItem(name, mask.image, mask.file, group, extra))
+            masks[name] = mask
     if not items:
         message = "has no folder images, and no subfolder has one"
         raise DatasetError(root, message, "check the folder's layout")
-    dataset = Dataset("folder", root, split, items, FolderLabels())
+    dataset = Dataset(
+        "folder", root, split, tuple(items), FolderLabels(masks), summary="\n".join(summaries)
+    )
     table = root / CONDITIONS_FILE
     return add_conditions(dataset, table) if table.is_file() else dataset
-
-
-def _find_items(folder: Path, group: str | None) -> Iterator[LabelledItem]:
-    labels = "road" if not (folder / "masks").is_dir() and (folder / "road").is_dir() else "masks"
-    for image, label in pair_files(folder / "images", folder / labels):
-        name = f"{group}/{image.stem}" if group else image.stem
-        layout = folder / "layout" / label.name
-        yield LabelledItem(name, image, label, group, (layout,) if layout.is_file() else ())
 
 
 # --- conditions -------------------------------------------------------------------------

@@ -3,21 +3,34 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from glob import escape
 from pathlib import Path
+from typing import NamedTuple
 from unicodedata import normalize
 
 import numpy as np
 import torch
+from PIL import Image
 
 from roadtorch.base.bounded import read_regular, reason
-from roadtorch.base.decoding import open_image, refuse_truncated, suppress_warnings
+from roadtorch.base.decoding import (
+    PNG_DEPTH,
+    open_image,
+    refuse_truncated,
+    suppress_warnings,
+    turn_upright,
+    upright_size,
+)
 from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.base.image import IMAGE_SUFFIXES, UNREAD_SUFFIXES, warn_of_unread
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.layout.classes import UNLABELLED
 
-MAX_LISTED_VALUES = 5  # unknown values or colours named in an error
+MAX_LISTED_VALUES = 5  # values, colours or images in a message
 BYTE_VALUES = 256  # label numbers fit one byte
+COLOUR = 1 << 24  # added to the 24 bits of a colour that is a value
+LEVEL_BETWEEN = 128  # of the blurred borders in a JPEG
+MAX_JPEG_TINT = 32  # largest difference of the channels of a grey pixel in a JPEG; ours
 
 
 @dataclass(frozen=True)
@@ -29,18 +42,16 @@ class NumberLabels:
         void: numbers of void.
         values: every number that may occur.
         layout: the layout class of each of ``values`` (255 for void); empty if there is no layout.
-        exclusive: numbers of which a file may use only one.
     """
 
     road: tuple[int, ...]
     void: tuple[int, ...]
     values: tuple[int, ...]
     layout: tuple[int, ...] = ()
-    exclusive: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         values = set(self.values)
-        if not {*self.road, *self.void, *self.exclusive} <= values <= set(range(BYTE_VALUES)):
+        if not {*self.road, *self.void} <= values <= set(range(BYTE_VALUES)):
             message = "has numbers that are not among its values, or values outside 0 to 255"
             raise ConfigError("NumberLabels", message, "list every number in values")
         if set(self.road) & set(self.void):
@@ -68,7 +79,7 @@ class ColourLabels:
 
     def truth(self, item: LabelledItem) -> Truth:
         """Read the item's label image; DatasetError naming and counting unknown colours."""
-        indices = self.colour_indices(_read_pixels(item.label, "RGB"), item.label)
+        indices = self.colour_indices(np.asarray(_open_labels(item.label, mode="RGB")), item.label)
         return decode_labels(indices, self.numbers, item.label)
 
     def colour_indices(self, pixels: np.ndarray, path: Path) -> np.ndarray:
@@ -97,21 +108,27 @@ def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tup
     Raises:
         DatasetError: naming a missing folder or label file, and for two images with one label file.
     """
-    for folder in (images, labels):
-        if not folder.is_dir():
-            raise DatasetError(folder, "does not exist", "check the folder's layout")
     by_label: dict[Path, Path] = {}
-    files = sorted(images.iterdir())
-    warn_of_unread(images, [path.name for path in files if path.suffix.lower() in UNREAD_SUFFIXES])
-    for path in filter(is_image_file, files):
+    if not labels.is_dir():
+        raise DatasetError(labels, "does not exist", "check the folder's layout")
+    for path in list_images(images):
         label = find_spelling(labels / f"{path.stem}{ending}")
         first = by_label.setdefault(label, path)
         if first != path:
             raise DatasetError(path, f"has the name of {first.name}", "rename one of the images")
-    if not by_label:
-        raise DatasetError(images, "holds no images", f"known endings: {' '.join(IMAGE_SUFFIXES)}")
     require_labels(list(by_label))
     yield from ((image, label) for label, image in by_label.items())
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Return the image files of a folder, sorted; DatasetError without one, a warning of unread."""
+    if not folder.is_dir():
+        raise DatasetError(folder, "does not exist", "check the folder's layout")
+    files = sorted(folder.iterdir())
+    warn_of_unread(folder, [path.name for path in files if path.suffix.lower() in UNREAD_SUFFIXES])
+    if not (images := [path for path in files if is_image_file(path)]):
+        raise DatasetError(folder, "holds no images", f"known endings: {' '.join(IMAGE_SUFFIXES)}")
+    return images
 
 
 def find_spelling(path: Path) -> Path:
@@ -131,7 +148,15 @@ def require_labels(paths: Sequence[Path]) -> None:
     missing = [path for path in paths if not path.is_file()]
     if missing:
         message = f"is missing, {len(missing)} of {len(paths)} label files in all"
-        raise DatasetError(missing[0], message, "every image needs its label file")
+        raise DatasetError(missing[0], message, missing_hint(missing[0], "label file"))
+
+
+def missing_hint(path: Path, kind: str) -> str:
+    """Return what to do about a missing file of an image, naming one of another ending."""
+    siblings = sorted(path.parent.glob(f"{escape(path.stem)}.*")) if path.parent.is_dir() else []
+    if not siblings:
+        return f"every image needs its {kind}"
+    return f"{siblings[0].name} is there, but not a {kind} by its ending: give {path.suffix}"
 
 
 def is_image_file(path: Path) -> bool:
@@ -142,32 +167,91 @@ def is_image_file(path: Path) -> bool:
 # --- reading ----------------------------------------------------------------------------
 
 
-def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """Read a label image, integers (H, W); palette files keep their indices.
+class LabelPixels(NamedTuple):
+    """Values (H, W) of a label image: whole numbers, truth values, or colours above COLOUR.
+
+    palette: colours (red, green, blue, …) of which they are indices, if any.
+    """
+
+    values: np.ndarray
+    palette: bytes = b""
+    is_jpeg: bool = False
+
+
+def read_label_pixels(path: Path, size: tuple[int, int] | None = None) -> LabelPixels:
+    """Read a label image, upright.
+
+    A grey of RGB, or of a palette of greys alone, is its level; in any other palette the index is
+    the value. Levels of a JPEG, which blurs them, are 0, 255 or, in between, 128.
 
     size: required (height, width), checked before decoding.
 
     Raises:
-        DatasetError: for a file of another size, that cannot be decoded or is coloured.
+        DatasetError: for a file of another size, that cannot be decoded, has floating-point
+            numbers, colours of 16 bits or transparent pixels, and for a JPEG in colour or of low
+            levels, which its noise may have changed.
     """
-    labels = _read_pixels(path, None, size)
-    if labels.ndim == 3:
-        grey = labels[..., 0]
-        opaque = labels.shape[2] % 2 == 1 or (labels[..., -1] == 255).all()
-        bands = labels[..., : (labels.shape[2] - 1) | 1]  # without alpha
-        if not opaque or (bands != grey[..., None]).any():
-            raise DatasetError(path, "is a colour image", "give one number per pixel")
-        labels = grey
+    image = _open_labels(path, size)
+    pixels, is_jpeg = np.asarray(image), image.format == "JPEG"
+    if pixels.dtype.kind == "f":
+        raise DatasetError(path, "holds floating-point numbers", "give one whole number a pixel")
+    if image.mode == "P":
+        palette = np.array(image.getpalette("RGB"), np.uint8).reshape(-1, 3)
+        if (palette != palette[:, :1]).any() or pixels.max(initial=0) >= len(palette):
+            return LabelPixels(pixels, palette.tobytes())
+        pixels = palette[pixels]
+    elif image.mode in ("LA", "RGBA"):
+        if (pixels[..., -1] != 255).any():
+            raise DatasetError(path, "has transparent pixels", "save it without transparency")
+        pixels = pixels[..., :-1]
+    elif pixels.ndim == 3 and image.mode != "RGB":
+        raise DatasetError(path, f"has the colours of {image.mode}", "give grey or RGB")
+    if pixels.ndim == 3:
+        grey = pixels[..., 0]
+        if is_jpeg:
+            if (np.ptp(pixels, -1) > MAX_JPEG_TINT).any():
+                raise DatasetError(path, "is a JPEG in colour", "give a PNG")
+        elif (is_colour := (pixels != grey[..., None]).any(-1)).any():
+            grey = np.where(is_colour, _pack_colours(pixels) | COLOUR, grey)
+        pixels = grey
+    if is_jpeg:
+        if 0 < pixels.max(initial=0) < 64:
+            raise DatasetError(path, f"is a JPEG with levels up to {pixels.max()}", "give a PNG")
+        pixels = np.select([pixels < 64, pixels < 192], [0, LEVEL_BETWEEN], 255).astype(np.uint8)
+    return LabelPixels(pixels, is_jpeg=is_jpeg)
+
+
+def read_labels(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
+    """Read the numbers (H, W) of a label image as ``read_label_pixels``; refuse colours."""
+    labels = read_label_pixels(path, size).values
+    if labels.max(initial=0) >= COLOUR:
+        raise DatasetError(path, "is a colour image", "give one number per pixel")
     return labels.astype(np.uint8) if labels.dtype == np.bool_ else labels
 
 
-def _read_pixels(path: Path, mode: str | None, size: tuple[int, int] | None = None) -> np.ndarray:
+def value_name(value: int) -> str:
+    """Return a value of a label image as the command line has it: a number, or #rrggbb."""
+    return str(value) if value < COLOUR else f"#{value - COLOUR:06x}"
+
+
+def _open_labels(
+    path: Path, size: tuple[int, int] | None = None, mode: str | None = None
+) -> Image.Image:
+    """Open a label image, decoded and upright; DatasetError as ``read_label_pixels`` raises it."""
     try:
-        with refuse_truncated(), open_image(read_regular(path)) as image, suppress_warnings():
-            if size not in (None, (image.height, image.width)):
+        data = read_regular(path)
+        with refuse_truncated(), suppress_warnings():
+            image = open_image(data)
+            form, (height, width) = image.format, upright_size(image)
+            if size not in (None, (height, width)):
                 hint = f"its image has {size[1]} by {size[0]}"
-                raise DatasetError(path, f"has {image.width} by {image.height} pixels", hint)
-            return np.asarray(image.convert(mode) if mode else image)
+                raise DatasetError(path, f"has {width} by {height} pixels", hint)
+            if form == "PNG" and data[PNG_DEPTH] == 16 and image.mode in ("RGB", "RGBA", "LA"):
+                raise DatasetError(path, "has 16 bits a channel", "give 8, or one channel")
+            upright = turn_upright(image)
+            upright = upright.convert(mode) if mode else upright
+            upright.format = form
+            return upright
     except FileNotFoundError:
         raise DatasetError(path, "is missing", "every image needs its label file") from None
     except DatasetError:
@@ -193,11 +277,6 @@ def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth
         names = _list_counts([str(value) for value in values[is_unknown]], counts[is_unknown])
         hint = f"known: {', '.join(map(str, coding.values))}"
         raise DatasetError(path, f"has unknown values {names}", hint)
-    mixed = [value for value in coding.exclusive if value in values]
-    if len(mixed) > 1:
-        void = " or ".join(map(str, coding.void)) or "not known"
-        message = f"has both {mixed[0]} and {mixed[1]}, and both mean road"
-        raise DatasetError(path, message, f"use one of them; void is {void}")
     road, valid, layout = (torch.from_numpy(table.take(labels)) for table in _lookup_tables(coding))
     return Truth(road, valid, layout if coding.layout else None)
 

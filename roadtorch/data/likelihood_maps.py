@@ -2,8 +2,9 @@
 
 import io
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +13,21 @@ from torch import Tensor
 
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, DatasetError, InputError, check_unit_range
-from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings, read_settings_file
-from roadtorch.data.label_images import find_spelling, read_labels
+from roadtorch.data.label_images import COLOUR, find_spelling, missing_hint, read_label_pixels
 from roadtorch.detectors.detector import DetectorSettings, decide_mask
+from roadtorch.inputs.item import evenly_spaced
 
 MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
 TOLERANCE = 1 / 255  # largest difference between a map of 8 bits and the same map in another format
 
 MAX_LABELS = 32  # values of a map that may be a label image; ours: Cityscapes has 34 classes
+
+CHECKED_MAPS = 8  # maps of a folder whose values are looked at before the run
+
+INFER_WHITE = {"uint8": 255, "uint16": 65535}
+"""Levels that are 1 in the maps and masks of ``infer``, which may hold 0 and 1 alone."""
 
 INFER_CONFIG, MASK_ENDING = "config.toml", ".mask.png"
 """Settings that ``infer`` writes beside its maps, and the file name's end of its masks."""
@@ -30,48 +36,67 @@ DECISION_KEYS = ("threshold", "isolated", "seed_area")
 """Settings that turn a likelihood into a mask."""
 
 
-def read_map(path: Path) -> Tensor:
-    """Read a likelihood or a mask as float32 (H, W): a grey image of 8 or 16 bits, or a NumPy file.
-
-    Where only 0 and 1 occur, as numbers or as indices of a palette, 1 is road; otherwise the
-    largest level is 1. Raises InputError for a file that cannot be read, is coloured, or is not
-    two-dimensional.
-    """
+def read_map_levels(path: Path) -> tuple[str, np.ndarray]:
+    """Read a grey image or a NumPy file: the kind of numbers and the numbers as stored (H, W)."""
     if path.suffix == ".npy":
         return _read_array(path)
-    with suppress(DatasetError):  # a grey palette, or whatever reading the image reports
-        labels = read_labels(path)
-        if 0 <= labels.min() <= labels.max() <= 1:
-            return torch.from_numpy(labels.astype(np.float32))
-    return read_levels(path)
-
-
-def read_levels(path: Path) -> Tensor:
-    """Read a grey image as float32 (H, W), white being 1; raises as ``read_map``."""
-    image = read_image(path)
-    if (image != image[0]).any():
+    try:
+        pixels = read_label_pixels(path)
+    except DatasetError as error:
+        raise InputError(error.where, error.problem, error.hint) from None
+    values, palette = pixels.values, pixels.palette
+    largest = values.max(initial=0)
+    if largest >= COLOUR or (palette and (largest > 1 or any(palette[:3]))):
         raise InputError(path, "is a colour image", "give a grey one, bright where road is")
-    return image[0]
+    if pixels.is_jpeg:
+        raise InputError(path, "is a JPEG", "give a PNG")
+    return "palette" if palette else values.dtype.name, values
 
 
-def _read_array(path: Path) -> Tensor:
+def _read_array(path: Path) -> tuple[str, np.ndarray]:
     try:
         values = np.load(io.BytesIO(read_regular(path)), allow_pickle=False)
     except Exception as error:  # NumPy raises anything for foreign bytes
         raise InputError(path, f"cannot be read: {reason(error)}", "replace the file") from None
     if not isinstance(values, np.ndarray):
         raise InputError(path, "is an archive of arrays", "give a single one")
-    if values.ndim != 2 or values.dtype.kind not in "bfiu":
+    if values.ndim != 2 or values.dtype.kind not in "bfiu" or not values.size:
         message = f"holds {values.dtype} of shape {values.shape}"
         raise InputError(path, message, "give numbers (height, width)")
-    if values.dtype.kind in "iu" and values.size and values.max() > 1:
-        top = 255 if values.max() <= 255 and values.dtype != np.uint16 else 65535
-        if values.min() < 0 or values.max() > top:
-            message = f"has values from {values.min()} to {values.max()}"
-            raise InputError(path, message, "give 0 and 1, levels up to 255 or 65535, or floats")
-        values = values / top
-    with np.errstate(over="ignore"):  # refused later, as a value out of [0,1]
-        return torch.from_numpy(values.astype(np.float32))
+    return f"{values.dtype.name} in NumPy files", values
+
+
+def find_white_levels(paths: Iterable[Path]) -> dict[str, int]:
+    """Return the level that is 1, by the kind of numbers, as all maps of that kind show it.
+
+    It is 1 where only 0 and 1 occur; otherwise 255, or 65535 for 16 bits and for larger numbers.
+    """
+    largest: dict[str, int] = {}
+    for path in paths:
+        with suppress(InputError):  # reported when it is scored
+            kind, values = read_map_levels(path)
+            if values.dtype.kind in "iu":
+                largest[kind] = max(largest.get(kind, 0), int(values.max()))
+    return {
+        kind: 1 if top <= 1 else 65535 if top > 255 or kind.startswith("uint16") else 255
+        for kind, top in largest.items()
+    }
+
+
+def read_map(path: Path, white: Mapping[str, int]) -> Tensor:
+    """Read a likelihood or a mask as float32 (H, W) in [0, 1].
+
+    white: the level that is 1, by the kind of numbers. Raises InputError as ``read_map_levels``,
+    and for values out of range.
+    """
+    kind, values = read_map_levels(path)
+    top = white.get(kind, 1)
+    low, high = float(values.min()), float(values.max())
+    if top == 1:
+        check_unit_range(path, low, high, "keep to [0, 1]")
+    elif low < 0 or high > top:
+        raise InputError(path, f"has values from {low:g} to {high:g}", f"keep to [0, {top}]")
+    return torch.from_numpy((values / top if top > 1 else values).astype(np.float32))
 
 
 def is_infer_folder(folder: Path) -> bool:
@@ -92,66 +117,78 @@ def read_decision_settings(folder: Path) -> DetectorSettings:
         raise ConfigError(folder / INFER_CONFIG, message, error.hint) from None
 
 
-def read_or_decide_mask(
-    folder: Path, names: Sequence[str], likelihood: Tensor, settings: DetectorSettings
-) -> Tensor:
-    """Return the mask bool (H, W) that ``infer`` wrote beside a map, or else one by the settings.
+@dataclass(frozen=True)
+class MapFolder:
+    """Maps of images in a folder, and the settings by which they become masks.
 
-    ``infer`` may have used more than the likelihood: the ego car and the seed area. Raises
-    InputError for a mask that cannot be read or has another size.
+    white: the level that is 1, by the kind of numbers (``find_white_levels``).
     """
-    paths = [folder / f"{name}{MASK_ENDING}" for name in names] if is_infer_folder(folder) else []
-    for path in paths:
-        if path.is_file():
-            mask = read_map(path) >= 0.5
-            if mask.shape != likelihood.shape:
-                hint = "make mask and likelihood in one run"
-                raise InputError(path, "differs in size from its likelihood", hint)
-            return mask
-    return decide_mask(likelihood, settings)
+
+    folder: Path
+    decision: DetectorSettings
+    white: Mapping[str, int]
+
+    def read_mask(self, names: Sequence[str], likelihood: Tensor) -> Tensor:
+        """Return the mask bool (H, W) that ``infer`` wrote beside a map, or else by the settings.
+
+        ``infer`` may have used more than the likelihood: the ego car and the seed area. Raises
+        InputError for a mask that cannot be read or has another size.
+        """
+        is_infer = is_infer_folder(self.folder)
+        paths = [self.folder / f"{name}{MASK_ENDING}" for name in names] if is_infer else []
+        for path in paths:
+            if path.is_file():
+                mask = read_map(path, INFER_WHITE) >= 0.5
+                if mask.shape != likelihood.shape:
+                    hint = "make mask and likelihood in one run"
+                    raise InputError(path, "differs in size from its likelihood", hint)
+                return mask
+        return decide_mask(likelihood, self.decision)
+
+    def read_likelihood(self, names: Sequence[str], sizes: Collection[tuple[int, int]]) -> Tensor:
+        """Read the map of one image, float32 (H, W) in [0, 1], of one of the allowed sizes.
+
+        names: possible stems of the file. Raises InputError naming the file when it is missing, of
+        another size, not grey, or has values outside [0, 1], and when two files of the image
+        differ.
+        """
+        if not (present := find_maps(self.folder, names)):
+            path = self.folder / f"{names[0]}{MAP_ENDINGS[0]}"
+            raise InputError(path, "is missing", missing_hint(path, "map"))
+        path, *duplicates = present
+        likelihood = read_map(path, self.white)
+        if tuple(likelihood.shape) not in sizes:
+            height, width = likelihood.shape
+            allowed = " or ".join(dict.fromkeys(f"{columns} by {rows}" for rows, columns in sizes))
+            raise InputError(path, f"is {width} by {height} pixels", f"it should be {allowed}")
+        for duplicate in duplicates:
+            values = read_map(duplicate, self.white)
+            is_equal = values.shape == likelihood.shape
+            if not is_equal or not (values - likelihood).abs().max() <= TOLERANCE:
+                raise InputError(duplicate, f"differs from {path.name}", "remove one of them")
+        return likelihood
 
 
-def warn_of_labels(paths: Sequence[Path]) -> None:
-    """Warn of a map with as few values as a label image has, but for those of a mask."""
-    for path in paths:
-        try:
-            values = read_map(path).unique()
-        except InputError:
-            continue  # reported when it is scored
-        if len(values) <= MAX_LABELS and not torch.isin(values, torch.tensor([0.0, 1.0])).all():
+def open_maps(folder: Path, decision: DetectorSettings, paths: Sequence[Path]) -> MapFolder:
+    """Open the maps at paths; their levels are those of ``infer``, or else all of them decide.
+
+    Warns of maps of a kind with as few values as label images have, but for those of masks.
+    """
+    if is_infer_folder(folder):
+        return MapFolder(folder, decision, INFER_WHITE)
+    white, kinds = find_white_levels(paths), dict[str, tuple[Path, set[float]]]()
+    for path in evenly_spaced(paths, CHECKED_MAPS):
+        with suppress(InputError):  # reported when it is scored
+            kind, values = read_map_levels(path)
+            kinds.setdefault(kind, (path, set()))[1].update(np.unique(values).tolist())
+    for kind, (path, values) in kinds.items():
+        if len(values) <= MAX_LABELS and not values <= {0, 1, white.get(kind, 1)}:
             message = f"{path} has only {len(values)} values; if they are numbers of classes, "
             warnings.warn(f"{message}write masks instead: 0 and 1, or 0 and 255", stacklevel=2)
-            return
+    return MapFolder(folder, decision, white)
 
 
 def find_maps(folder: Path, names: Sequence[str]) -> list[Path]:
     """Return the files of one image's map; names: possible stems."""
     paths = [find_spelling(folder / f"{name}{end}") for name in names for end in MAP_ENDINGS]
     return [path for path in paths if path.is_file()]
-
-
-def read_likelihood_map(
-    folder: Path, names: Sequence[str], sizes: Collection[tuple[int, int]]
-) -> Tensor:
-    """Read the map of one image, float32 (H, W) in [0, 1], of one of the allowed sizes.
-
-    names: possible stems of the file. Raises InputError naming the file when it is missing, of
-    another size, not grey, or has values outside [0, 1], and when two files of the image differ.
-    """
-    if not (present := find_maps(folder, names)):
-        hint = f"every image needs a map, {' or '.join(MAP_ENDINGS)}"
-        raise InputError(folder / f"{names[0]}{MAP_ENDINGS[0]}", "is missing", hint)
-    path, *duplicates = present
-    is_levels = is_infer_folder(folder) and path.suffix != ".npy"  # which may be 0 and 1
-    likelihood = read_levels(path) if is_levels else read_map(path)
-    if tuple(likelihood.shape) not in sizes:
-        height, width = likelihood.shape
-        allowed = " or ".join(dict.fromkeys(f"{columns} by {rows}" for rows, columns in sizes))
-        raise InputError(path, f"is {width} by {height} pixels", f"it should be {allowed}")
-    low, high = (float(bound) for bound in torch.aminmax(likelihood))
-    check_unit_range(path, low, high, "keep to [0, 1]")
-    for duplicate in duplicates:
-        values = read_map(duplicate)
-        if values.shape != likelihood.shape or not (values - likelihood).abs().max() <= TOLERANCE:
-            raise InputError(duplicate, f"differs from {path.name}", "remove one of them")
-    return likelihood

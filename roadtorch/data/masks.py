@@ -1,134 +1,243 @@
 """Masks of road as people have them: label images or COCO, by value or category."""
 
-from collections import Counter
+import shlex
+import warnings
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from typing import NamedTuple
+from unicodedata import normalize
 
 import numpy as np
+import torch
 
-from roadtorch.base.errors import DatasetError
-from roadtorch.data.correction_formats import read_coco_categories
+from roadtorch.base.errors import ConfigError, DatasetError
+from roadtorch.data.correction_formats import NO_REGION, read_coco
 from roadtorch.data.corrections import read_image_size
+from roadtorch.data.dataset import Truth
 from roadtorch.data.events import LABEL_NAMES
-from roadtorch.data.label_images import find_spelling, read_labels
-
-MASK_ENDINGS = (
-    ".png",
-    "_mask.png",
-    ".mask.png",
-    "_road.png",
-    "_label.png",
-    "_labels.png",
-    "_L.png",
+from roadtorch.data.label_images import (
+    LEVEL_BETWEEN,
+    MAX_LISTED_VALUES,
+    LabelPixels,
+    is_image_file,
+    read_label_pixels,
+    value_name,
 )
-"""Endings of a mask's name after that of its image without suffix."""
 
-ROAD_VALUES, VOID_VALUES, OTHER_VALUES = ("1", "255", "road"), ("127", "128", "void"), ("0",)
-"""Values that are road, void and neither where no others are named."""
+MASK_TAILS = ("", "_mask", ".mask", "_road", "_label", "_labels", "_L")
+"""Ends of a mask's name, before the suffix, after its image's name without suffix."""
 
-MAX_VALUES = 6  # values in a message
+
+MaskValues = tuple[Sequence[str], Sequence[str]]
+"""Values that are road and void where no others are named; 0 is neither, others are unknown."""
+
+MASK_VALUES: MaskValues = ("1", "255", "road"), ("127", "128", "void")
+
+_Readers = dict[Path, tuple[Path, Callable[[], LabelPixels]]]
+"""File and reader of the mask of each image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mask:
-    """Mask of one image; read: returns its numbers (H, W). road, void: those that mean this."""
+    """Mask of one image; read: returns its values (H, W). road, void: those that mean this."""
 
     image: Path
     read: Callable[[], np.ndarray]
     road: tuple[int, ...]
     void: tuple[int, ...]
+    file: Path = Path()
+
+    @property
+    def truth(self) -> Truth:
+        """Road, and what is not void; DatasetError where the mask cannot be read."""
+        values = self.read()
+        road, void = (torch.from_numpy(np.isin(values, part)) for part in (self.road, self.void))
+        return Truth(road, road | ~void)
 
     @property
     def labels(self) -> np.ndarray:
-        """Indices in ``LABEL_NAMES``, uint8, shape (H, W)."""
-        numbers, labels = self.read(), map(LABEL_NAMES.index, ("road", "void", "not_road"))
-        is_road, is_void = (np.isin(numbers, values) for values in (self.road, self.void))
-        road, void, not_road = labels
-        return np.where(is_road, road, np.where(is_void, void, not_road)).astype(np.uint8)
+        """Indices in ``LABEL_NAMES``, uint8, shape (H, W); raises as ``truth``."""
+        road, void, not_road = map(LABEL_NAMES.index, ("road", "void", "not_road"))
+        truth = self.truth
+        return np.where(truth.valid, np.where(truth.road, road, not_road), void).astype(np.uint8)
+
+
+class MaskSet(NamedTuple):
+    """Masks of images, decoded when they are used; what is road in them, and all values."""
+
+    masks: list[Mask]
+    summary: str
+    has_road: bool
+    values: str
 
 
 def read_masks(
     path: Path, images: Mapping[str, Path], road: Sequence[str] = (), void: Sequence[str] = ()
 ) -> tuple[list[Mask], str]:
-    """Read the masks of images, check pairs, sizes and values, and describe them.
+    """Return the masks of ``find_masks`` and what is road in them, in words.
+
+    Raises:
+        DatasetError: as ``find_masks``, and where no pixel is road.
+    """
+    mask_set = find_masks(path, images, road, void)
+    if not mask_set.has_road:
+        raise DatasetError(path, f"has no road, but {mask_set.values}", "name it with --road")
+    return mask_set.masks, mask_set.summary
+
+
+def find_masks(
+    path: Path,
+    images: Mapping[str, Path],
+    road: Sequence[str] = (),
+    void: Sequence[str] = (),
+    defaults: MaskValues = MASK_VALUES,
+) -> MaskSet:
+    """Find the masks of images, and decide by the values of all of them what is road.
+
+    A mask that cannot be read decides nothing; it fails when it is used.
 
     Args:
         path: folder of label images named like their images, or a COCO file.
         images: files of the images by their relative name with extension.
-        road: values, or categories of COCO, that are road; by default 1, 255 or "road".
-        void: those that do not count; by default, if ``road`` is, 127, 128 and "void".
-
-    Returns:
-        The masks, decoded when they are used, and what is road in them, in words.
+        road: values (numbers, colours as #rrggbb) or categories of COCO that are road.
+        void: those that do not count; by default, if ``road`` is, those of ``defaults``.
+        defaults: what is road and void by default.
 
     Raises:
-        DatasetError: without a mask of an image, for a mask that cannot be read or has another
-            size, for values of unknown meaning, and where none of them is road.
+        ConfigError: for a value that is to be both.
+        DatasetError: without a mask of an image, where none can be read, and for values of unknown
+            meaning.
     """
-    names = list[str]()
-    if path.is_file():
-        image_sizes = {name: read_image_size(image) for name, image in images.items()}
-        regions, categories = read_coco_categories(path, image_sizes)
-        names = [name for name, _ in categories]
-        readers = {images[name]: partial(np.asarray, values) for name, values in regions.items()}
-    else:
-        readers = _pair_masks(path, images)
+    if clash := {*road} & {*void}:
+        raise ConfigError("--void", f"{min(clash)} is also --road", "give it one meaning")
+    readers, names = _read_regions(path, images) if path.is_file() else _pair(path, images)
     counts, numbers = Counter[str](), dict[str, int]()
-    for read in readers.values():
-        values, sizes = np.unique(read(), return_counts=True)
+    errors, palettes, blurred = list[DatasetError](), dict[bytes, Path](), 0
+    for file, read in readers.values():
+        try:
+            pixels = read()
+        except DatasetError as error:
+            errors.append(error)
+            continue
+        blurred += pixels.is_jpeg
+        if pixels.palette:
+            palettes.setdefault(pixels.palette, file)
+        values, sizes = np.unique(pixels.values + np.uint8(0), return_counts=True)
         for number, size in zip(values.tolist(), sizes.tolist(), strict=True):
-            name = names[number] if names else str(number)
+            name = names[number] if names else value_name(number)
             counts[name] += size
             numbers[name] = number
-    road_names = road or [name for name in ROAD_VALUES if name not in void]
-    void_names = void or (() if road else VOID_VALUES)
+    if len(errors) == len(readers):
+        raise errors[0]
+    for palette, file in palettes.items():
+        longest = max(palettes, key=len)
+        if not longest.startswith(palette):
+            message = f"and {palettes[longest].name} have different palettes"
+            raise DatasetError(file, message, "save one number, or one colour, a pixel")
+    if blurred:
+        text = f"{blurred} masks are JPEG, which blurs borders: levels from 64 to 191 are void"
+        warnings.warn(f"{path}: {text} (write PNG)", stacklevel=2)
+    road_names = road or [name for name in defaults[0] if name not in void]
+    void_names = [*(void or (() if road else defaults[1])), *[str(LEVEL_BETWEEN)] * (blurred > 0)]
     not_road = [name for name in counts if name not in {*road_names, *void_names}]
     meaning = {
         "road": [name for name in road_names if name in counts],
         "not road": not_road,
-        "void": [name for name in void_names if name in counts],
+        "void": [name for name in dict.fromkeys(void_names) if name in counts],
     }
-    listed, hint = _list_values(counts, counts), "name values with --road, and --void for no label"
+    listed = _list_values(counts, counts)
+    frequent = [shlex.quote(n) for n, _ in counts.most_common(3) if n != NO_REGION][:2]
+    hint = f"try --road {' or --road '.join(frequent)}, and --void for values that do not count"
+    problem = ""
     if missing := [name for name in road if name not in counts]:
-        raise DatasetError(path, f"has no value {missing[0]}, but {listed}", hint)
-    if not road and (unknown := [n for n in not_road if n not in {*names, *OTHER_VALUES}]):
-        message = f"has values of unknown meaning, such as {unknown[0]}: {listed}"
-        raise DatasetError(path, message, hint)
-    if not meaning["road"]:
-        raise DatasetError(path, f"has no road, but {listed}", hint)
-    if not road and {"1", "255"} <= {*meaning["road"]}:
-        raise DatasetError(path, f"has both 1 and 255: {listed}", hint)
-    codes = [tuple(numbers[name] for name in meaning[part]) for part in ("road", "void")]
-    masks = [Mask(image, read, *codes) for image, read in readers.items()]
+        problem = f"has no value {missing[0]}, but"
+    elif names and not meaning["road"]:
+        problem = "has no road, but"
+    elif not road and (unknown := [n for n in not_road if n not in {*names, "0"}]):
+        problem = f"has values of unknown meaning, such as {unknown[0]}:"
+    elif not road and any(any(palette[:3]) for palette in palettes):
+        problem = "has masks in a palette whose first colour is not black:"
+    elif not road and {"1", "255"} <= {*meaning["road"]}:
+        problem, hint = "has both 1 and 255:", "try --road 1 --void 255, or --road 1 --road 255"
+    if problem:
+        raise DatasetError(path, f"{problem} {listed}", hint)
+    is_road, is_void = (tuple(numbers[name] for name in meaning[part]) for part in ("road", "void"))
+    masks = [
+        Mask(image, partial(_read_values, read), is_road, is_void, file)
+        for image, (file, read) in readers.items()
+    ]
     texts = [f"{key} is {_list_values(counts, part)}" for key, part in meaning.items() if part]
-    return masks, f"{len(masks)} of {len(images)} images have a mask; {'; '.join(texts)}"
+    bare = [name for name, image in images.items() if image not in readers]
+    without = f", none for {_list_names(bare)}" if bare else ""
+    summary = f"{len(masks)} of {len(images)} images have a mask{without}; {'; '.join(texts)}"
+    return MaskSet(masks, summary, bool(meaning["road"]), listed)
+
+
+def _read_values(read: Callable[[], LabelPixels]) -> np.ndarray:
+    return read().values
 
 
 def _list_values(counts: Counter[str], names: Iterable[str]) -> str:
     """List values with their fractions of all pixels, the most frequent first."""
-    total = counts.total()
-    ordered = sorted(names, key=lambda name: -counts[name])
-    texts = [f"{name} ({100 * counts[name] / total:.1f} %)" for name in ordered]
-    unlisted = f" and {len(texts) - MAX_VALUES} others" if len(texts) > MAX_VALUES else ""
-    return ", ".join(texts[:MAX_VALUES]) + unlisted
+    total, ordered = counts.total(), sorted(names, key=lambda name: -counts[name])
+    return _list_names([f"{name} ({100 * counts[name] / total:.1f} %)" for name in ordered])
 
 
-def _pair_masks(folder: Path, images: Mapping[str, Path]) -> dict[Path, Callable[[], np.ndarray]]:
-    """Return the reader of each image's mask."""
-    readers = {}
+def _list_names(names: Sequence[str]) -> str:
+    unlisted = (
+        f" and {len(names) - MAX_LISTED_VALUES} others" if len(names) > MAX_LISTED_VALUES else ""
+    )
+    return ", ".join(names[:MAX_LISTED_VALUES]) + unlisted
+
+
+def _read_regions(path: Path, images: Mapping[str, Path]) -> tuple[_Readers, list[str]]:
+    """Return the readers of images with regions in a COCO file, and the categories by value."""
+    sizes = {name: size for name, image in images.items() if (size := _read_size(image))}
+    regions, categories = read_coco(path, sizes)
+    readers = {images[name]: (path, part.read) for name, part in regions.items() if part.regions}
+    if not readers:
+        raise DatasetError(path, "has no region on any of the images", "label some of them")
+    return readers, [name for name, _ in categories]
+
+
+def _pair(folder: Path, images: Mapping[str, Path]) -> tuple[_Readers, list[str]]:
+    """Return the readers of the label images; no names of values."""
+    readers: _Readers = {}
+    owners: dict[Path, Path] = {}
+    files_below = cache(_list_by_stem)
     for name, image in images.items():
-        stem = folder / Path(name).with_suffix("")
-        paths = [find_spelling(Path(f"{stem}{ending}")) for ending in MASK_ENDINGS]
-        files = [file for file in paths if file.is_file() and file != image]
+        by_stem, stem = files_below(folder / Path(name).parent), normalize("NFC", Path(name).stem)
+        candidates = [file for tail in MASK_TAILS for file in by_stem.get(f"{stem}{tail}", ())]
+        files = [file for file in candidates if file != image]
         if len(files) > 1:
             message = f"and {files[1].name} are masks of {image.name}"
             raise DatasetError(files[0], message, "keep one of them")
         if files:
-            readers[image] = partial(read_labels, files[0], read_image_size(image))
+            if (owner := owners.setdefault(files[0], image)) != image:
+                message = f"is the mask of {owner.name} and of {image.name}"
+                raise DatasetError(files[0], message, "rename one of the images")
+            readers[image] = (files[0], partial(read_label_pixels, files[0], _read_size(image)))
     if not readers:
-        message = f"has a mask for none of {len(images)} images"
+        message = f"has a mask for none of {len(images)} images, such as {next(iter(images), '')}"
         hint = "name masks like their images, NAME.png or NAME_mask.png, or give a COCO file"
         raise DatasetError(folder, message, hint)
-    return readers
+    return readers, []
+
+
+def _read_size(image: Path) -> tuple[int, int] | None:
+    """Read (height, width) of an image; None for one that will fail when it is used."""
+    with suppress(DatasetError):
+        return read_image_size(image)
+
+
+def _list_by_stem(folder: Path) -> Mapping[str, list[Path]]:
+    """Return the image files of a folder, if there is one, by their name without suffix in NFC."""
+    files = defaultdict[str, list[Path]](list)
+    for file in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if is_image_file(file):
+            files[normalize("NFC", file.stem)].append(file)
+    return files

@@ -28,7 +28,6 @@ from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import detector_entry, is_pattern, list_detectors, load_detector
 from roadtorch.detectors.detector import Detection, Detector, DetectorSettings
 from roadtorch.imaging.resize import spatial_size
-from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.image_network import ImageNetwork
 from roadtorch.layout.patch_network import PatchNetwork
@@ -49,8 +48,6 @@ DETECTOR_BY_NETWORK = {
 
 Predictor = Callable[[Tensor, LabelledItem], Detection]
 """Image and item → detection by a loaded contender; can be pickled for worker processes."""
-
-CHECKED_MAPS = 8  # maps of a folder whose values are looked at before the run
 
 MAX_NAME_LENGTH = 60  # letters of a name from a file in a message
 
@@ -220,7 +217,7 @@ def contender_from_maps(name: str, folder: Path) -> Contender:
 
 
 def _prepare_maps(folder: Path, decision: DetectorSettings, dataset: Dataset) -> Predictor:
-    """Return the reader of maps, after a look at a few for values that no likelihood has."""
+    """Return the reader of maps, after a look at all for the level that is 1."""
     maps = [
         path
         for item in dataset.items
@@ -230,9 +227,7 @@ def _prepare_maps(folder: Path, decision: DetectorSettings, dataset: Dataset) ->
         problem = f"has a likelihood map of none of {len(dataset.items)} images"
         endings = ", NAME".join(likelihood_maps.MAP_ENDINGS)
         raise InputError(folder, problem, f"give a folder with NAME{endings}, or a detector")
-    if not likelihood_maps.is_infer_folder(folder):
-        likelihood_maps.warn_of_labels(evenly_spaced(maps, CHECKED_MAPS))
-    return partial(_read_maps, folder, decision, dataset)
+    return partial(_read_maps, likelihood_maps.open_maps(folder, decision, maps), dataset)
 
 
 def _map_names(dataset: Dataset, item: LabelledItem) -> list[str]:
@@ -249,16 +244,15 @@ def _map_names(dataset: Dataset, item: LabelledItem) -> list[str]:
 
 
 def _read_maps(
-    folder: Path, decision: DetectorSettings, dataset: Dataset, image: Tensor, item: LabelledItem
+    maps: likelihood_maps.MapFolder, dataset: Dataset, image: Tensor, item: LabelledItem
 ) -> Detection:
     sizes = [spatial_size(image)]
     if dataset.scoring_space is not None:
         height, width = dataset.scoring_space(item, torch.zeros(sizes[0])).shape
         sizes.append((height, width))
     names = _map_names(dataset, item)
-    likelihood = likelihood_maps.read_likelihood_map(folder, names, sizes)
-    mask = likelihood_maps.read_or_decide_mask(folder, names, likelihood, decision)
-    return Detection(likelihood, mask, {})
+    likelihood = maps.read_likelihood(names, sizes)
+    return Detection(likelihood, maps.read_mask(names, likelihood), {})
 
 
 # --- the baseline prior:mean: the mean road mask of other groups --------------------------

@@ -10,7 +10,7 @@ import numpy as np
 import tomli_w
 
 from roadtorch.base.atomic import make_folder, write_text
-from roadtorch.base.errors import InputError
+from roadtorch.base.errors import DatasetError, InputError
 from roadtorch.data.corrections import HumanLabels, labels_to_truth, read_image_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.weights import read_correction_runs, weights_path
@@ -25,26 +25,32 @@ WRONG_IMAGES = "give the images that were corrected"
 
 def corrections_by_image(
     images: Sequence[Item], corrections: Sequence[HumanLabels]
-) -> dict[str, HumanLabels]:
+) -> tuple[dict[str, HumanLabels], dict[str, str]]:
     """Return the correction of each corrected image, by the image's name with suffix.
 
-    Raises InputError if none of them is of these images, or an image has changed its size.
+    Returns also the errors of those where image or labels cannot be read. Raises InputError if no
+    correction is of these images, or an image has changed its size.
     """
     by_path = {correction.image.resolve(): correction for correction in corrections}
-    by_name = {}
+    by_name, errors = dict[str, HumanLabels](), dict[str, str]()
     for image in images:
         correction = by_path.get(image.path.resolve())
         if correction is None:
             continue
-        if read_image_size(image.path) != correction.labels.shape:
+        try:
+            is_equal = read_image_size(image.path) == correction.labels.shape
+        except DatasetError as error:
+            errors[image_file_name(image)] = str(error)
+            continue
+        if not is_equal:
             message = "has changed its size since it was corrected"
             raise InputError(image.path, message, WRONG_IMAGES)
         by_name[image_file_name(image)] = correction
-    if corrections and not by_name:
+    if corrections and not by_name and not errors:
         count = len(corrections) - 1
         message = f"and {count} other corrected images are not among --images"
         raise InputError(corrections[0].image, message, WRONG_IMAGES)
-    return by_name
+    return by_name, errors
 
 
 def corrections_summary(corrections: Mapping[str, HumanLabels]) -> dict[str, Any] | None:

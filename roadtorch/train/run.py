@@ -100,8 +100,8 @@ def train(training: Training, request: TrainingRequest) -> Outcome:
         folder = RunFolder(request.out)
         initial, recipe = load_initial_network(training), make_recipe(training)
         with folder.lock():
-            corrections = corrections_by_image(images, request.corrections)
-            run = TrainingRun(training, recipe, initial, request, folder, stop, corrections)
+            corrections, errors = corrections_by_image(images, request.corrections)
+            run = TrainingRun(training, recipe, initial, request, folder, stop, corrections, errors)
             return run.run(images)
 
 
@@ -145,7 +145,8 @@ def prepare_folder(
 class TrainingRun:
     """A run of a training in its folder.
 
-    initial: network with the initial weights, if any. corrections: by name of the image.
+    initial: network with the initial weights, if any. corrections, and errors of those that cannot
+    be read, whose images are skipped: by name of the image.
     """
 
     training: Training
@@ -155,6 +156,7 @@ class TrainingRun:
     folder: RunFolder
     stop: StopRequest
     corrections: Mapping[str, HumanLabels]
+    errors: Mapping[str, str]
 
     def run(self, images: Sequence[Item]) -> Outcome:
         """Prepare the images and train the remaining epochs."""
@@ -167,6 +169,10 @@ class TrainingRun:
         inherited = [*inherited_corrections(self.training), *([summary] if summary else [])]
         prepared_folder = self.request.prepared or folder.path / PREPARED
         prepared = prepare_folder(self.recipe, images, prepared_folder, stop, self.request.quiet)
+        for at, item in enumerate(prepared):
+            if item.file and (error := self.errors.get(item.name)):
+                Progress.write(f"roadtorch: skipped: {error}", file=sys.stderr)
+                prepared[at] = PreparedImage(item.name, None, error)
         skipped = sum(item.file is None for item in prepared)
         held_out: list[str] = []
         if isinstance(self.training, ImageTraining):

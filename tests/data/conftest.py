@@ -1,9 +1,20 @@
-"""Writer of the files of labelled sets."""
+"""Writer of the files of labelled sets, reader of maps."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from torch import Tensor
+
+from roadtorch.data.likelihood_maps import (
+    INFER_WHITE,
+    MapFolder,
+    find_maps,
+    find_white_levels,
+    is_infer_folder,
+)
+from roadtorch.detectors.detector import DetectorSettings
 
 Content = str | bytes | np.ndarray | Image.Image
 
@@ -20,3 +31,12 @@ def write(path: Path, content: Content) -> Path:
     else:
         path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
+
+
+def read_likelihood_map(
+    folder: Path, names: Sequence[str], sizes: Sequence[tuple[int, int]]
+) -> Tensor:
+    """Read one map, whose folder has no others."""
+    white = INFER_WHITE if is_infer_folder(folder) else find_white_levels(find_maps(folder, names))
+    maps = MapFolder(folder, DetectorSettings(), white)
+    return maps.read_likelihood(names, sizes)

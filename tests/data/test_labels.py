@@ -14,8 +14,10 @@ from PIL import Image
 from roadtorch.data.correction_formats import fill_area
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
-from roadtorch.data.likelihood_maps import find_maps, read_likelihood_map, warn_of_labels
+from roadtorch.data.likelihood_maps import find_maps, open_maps
 from roadtorch.data.polygons import fill_polygon
+from roadtorch.detectors.detector import DetectorSettings
+from tests.data.conftest import read_likelihood_map
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 
 NUMBERS = NumberLabels(road=(1, 5), void=(9,), values=(0, 1, 5, 7, 9), layout=(1, 2, 2, 0, 255))
@@ -156,8 +158,24 @@ def test_a_map_of_few_values_is_told(tmp_path: Path) -> None:
         np.save(tmp_path / f"{name}.npy", values)
     np.save(tmp_path / "classes.npy", np.arange(24).reshape(4, 6) % 3)
 
+    paths = [tmp_path / f"{name}.npy" for name in ("mask", "smooth", "classes")]
     with pytest.warns(UserWarning, match=r"classes.npy has only 3 values; if they are numbers of"):
-        warn_of_labels([tmp_path / f"{name}.npy" for name in ("mask", "smooth", "classes")])
+        open_maps(tmp_path, DetectorSettings(), paths)
+
+
+@pytest.mark.filterwarnings("ignore:.*has only 2")
+def test_all_maps_of_a_kind_decide_the_level_of_1(tmp_path: Path) -> None:
+    levels = {"a": np.round(RAMP * 255).astype(np.uint8), "b": MASK.astype(np.uint8)}
+    for name, values in levels.items():
+        Image.fromarray(values).save(tmp_path / f"{name}.png")
+        np.save(tmp_path / f"{name}16.npy", values.astype(np.int32) * 257)
+    Image.fromarray(MASK).save(tmp_path / "bits.png")
+
+    maps = open_maps(tmp_path, DetectorSettings(), sorted(tmp_path.iterdir()))
+
+    for name, brightest in {"b": 1 / 255, "b16": 1 / 255, "bits": 1.0}.items():
+        likelihood = maps.read_likelihood([name], [(4, 6)])
+        assert float(likelihood.max()) == pytest.approx(brightest)
 
 
 def test_likelihoods_of_infer_that_are_almost_0_are_no_mask(tmp_path: Path) -> None:

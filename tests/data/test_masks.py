@@ -6,10 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
-from roadtorch.base.errors import DatasetError
+from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.data.masks import read_masks
 from tests.command import save_image
+from tests.data.conftest import write as write_file
 
 SIZE = (6, 8)
 ROAD, NOT_ROAD, VOID = 1, 2, 3
@@ -105,6 +107,94 @@ def test_masks_that_cannot_be_meant_are_refused(
         read_masks(write(tmp_path / "masks", **masks), images, road)
 
 
+def picture(upper: int, lower: int, mode: str = "L", palette: tuple[int, ...] = ()) -> Image.Image:
+    """Return an image of two levels, or of two indices of a palette."""
+    image = Image.fromarray(halves(upper, lower))
+    if palette:
+        image.putpalette(palette)
+    return image if palette else image.convert(mode)
+
+
+BLACK, WHITE, GREY, RED = (0, 0, 0), (255, 255, 255), (70, 70, 70), (255, 0, 0)
+TURNED = Image.Exif()
+TURNED[0x0112] = 3  # EXIF orientation: upside down
+PAINTED = Image.fromarray(np.where(halves(0, 1)[..., None], RED, 0).astype(np.uint8))
+PALETTES = "different palettes"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "suffix", "road", "expected"),
+    [
+        (picture(1, 0, palette=WHITE + BLACK), None, "png", (), (NOT_ROAD, ROAD)),
+        (picture(0, 1, palette=BLACK + RED), None, "png", (), (NOT_ROAD, ROAD)),
+        (picture(1, 0, palette=RED + BLACK), None, "png", (), "first colour is not black.*road 0"),
+        (picture(1, 0, palette=RED + BLACK), None, "png", ("0",), (NOT_ROAD, ROAD)),
+        (picture(0, 1, palette=BLACK + GREY + RED), picture(0, 2, palette=BLACK + GREY + RED),
+         "png", ("1",), (NOT_ROAD, ROAD)),
+        (picture(0, 1, palette=BLACK + RED), picture(1, 0, palette=RED + BLACK), "png", ("1",),
+         PALETTES),
+        (picture(0, 255, "RGB"), None, "png", (), (NOT_ROAD, ROAD)),
+        (picture(0, 255, "RGBA"), None, "png", (), (NOT_ROAD, ROAD)),
+        (PAINTED, None, "png", (), "unknown meaning, such as #ff0000.*road '#ff0000'"),
+        (PAINTED, None, "png", ("#ff0000",), (NOT_ROAD, ROAD)),
+        (Image.merge("LA", [picture(0, 255)] * 2), None, "png", (), "has transparent pixels"),
+        (picture(0, 1, "F"), None, "tif", (), "holds floating-point numbers"),
+        (picture(0, 7, "I"), None, "tif", ("7",), (NOT_ROAD, ROAD)),
+        (picture(0, 7), None, "jpg", (), "is a JPEG with levels up to 7"),
+        (PAINTED, None, "jpg", (), "is a JPEG in colour"),
+    ],
+)  # fmt: skip
+def test_a_mask_is_read_by_what_its_file_states_or_refused(
+    first: Image.Image,
+    second: Image.Image | None,
+    suffix: str,
+    road: tuple[str, ...],
+    expected: tuple[int, int] | str,
+    images: dict[str, Path],
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "masks"
+    write_file(folder / f"a.{suffix}", first)
+    if second:
+        write_file(folder / f"drive/b.{suffix}", second)
+
+    if isinstance(expected, str):
+        with pytest.raises(DatasetError, match=expected):
+            read_masks(folder, images, road)
+    else:
+        masks, _ = read_masks(folder, images, road)
+        assert np.array_equal(masks[0].labels, halves(*expected))
+
+
+def test_masks_are_upright_and_jpeg_is_told(images: dict[str, Path], tmp_path: Path) -> None:
+    (tmp_path / "masks/drive").mkdir(parents=True)
+    picture(255, 0).save(tmp_path / "masks/a.png", exif=TURNED)
+    picture(0, 255).save(tmp_path / "masks/drive/b.jpg")
+
+    with pytest.warns(UserWarning, match="1 masks are JPEG"):
+        masks, _ = read_masks(tmp_path / "masks", images)
+
+    assert [np.array_equal(mask.labels, halves(NOT_ROAD, ROAD)) for mask in masks] == [True, True]
+
+
+def test_a_mask_that_cannot_be_read_fails_alone(images: dict[str, Path], tmp_path: Path) -> None:
+    folder = write(tmp_path / "masks", a=halves(0, 1), drive__b=halves(0, 1))
+    (folder / "a.png").write_bytes((folder / "a.png").read_bytes()[:50])
+
+    (cut, whole), _ = read_masks(folder, images)
+
+    assert np.array_equal(whole.labels, halves(NOT_ROAD, ROAD))
+    with pytest.raises(DatasetError, match=r"a\.png: cannot be decoded"):
+        _ = cut.labels
+
+
+def test_a_value_is_road_or_void(images: dict[str, Path], tmp_path: Path) -> None:
+    folder = write(tmp_path / "masks", a=halves(0, 255))
+
+    with pytest.raises(ConfigError, match="--void: 255 is also --road"):
+        read_masks(folder, images, ("255",), ("255",))
+
+
 def coco(path: Path, segmentation: object = (0, 3, 8, 3, 8, 6, 0, 6)) -> Path:
     """Write regions of a road, and of a car in its first column, of a.jpg."""
     areas = [[segmentation], [[0, 3, 1, 3, 1, 6, 0, 6]]]
@@ -135,3 +225,15 @@ def test_regions_of_coco_cover_one_another(images: dict[str, Path], tmp_path: Pa
             read_masks(path, images, road)
     with pytest.raises(DatasetError, match="an odd number"):
         read_masks(coco(path, (0, 3, 8, 3, 8, 6, 0)), images, ("street",))
+
+
+def test_images_without_a_region_have_no_mask(images: dict[str, Path], tmp_path: Path) -> None:
+    path = coco(tmp_path / "coco.json")
+    document = json.loads(path.read_text())
+    document["images"].append({"id": 5, "file_name": "drive/b.png", "width": 8, "height": 6})
+    path.write_text(json.dumps(document))
+
+    masks, summary = read_masks(path, images, ("street",))
+
+    assert [mask.image for mask in masks] == [images["a.jpg"]]
+    assert summary.startswith("1 of 2 images have a mask, none for drive/b.png; road is street (")

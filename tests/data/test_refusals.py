@@ -19,8 +19,7 @@ from roadtorch.data.corrections import read_corrections
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.kitti_road import use_birds_eye_view
 from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
-from roadtorch.data.likelihood_maps import read_likelihood_map
-from tests.data.conftest import Content, write
+from tests.data.conftest import Content, read_likelihood_map, write
 
 Files = Mapping[str, Content]
 Read = Callable[[Path], object]
@@ -82,10 +81,12 @@ SETS: Rows = [
     (partial(first_truth, "idd-lite"),
      {"images/a.png": np.zeros((2, 3), np.uint8), "labels/a.png": grey(0)},
      "a.png", "is 1 by 1 .* 3 by 2"),
-    (partial(first_truth, "folder"), {"images/a.png": BLACK, "masks/a.png": grey(0, 1, 255)},
-     "a.png", "both 1 and 255"),
     (partial(first_truth, "folder"),
-     {"images/a.png": BLACK, "road/a.png": grey(0, 1), "layout/a.png": grey(0, 1, 2)},
+     {"images/a.png": np.zeros((1, 3), np.uint8), "masks/a.png": grey(0, 1, 255)},
+     "masks", "both 1 and 255"),
+    (partial(first_truth, "folder"),
+     {"images/a.png": np.zeros((1, 2), np.uint8), "road/a.png": grey(0, 1),
+      "layout/a.png": grey(0, 1, 2)},
      "layout/a.png", r"is 3 by 1 pixels, unlike a\.png"),
     (partial(open_dataset, "cityscapes"), {"leftImg8bit/val/x": "", "gtFine/val/x": ""},
      "leftImg8bit/val", r"holds no images CITY/\*_leftImg8bit\.png"),
@@ -143,7 +144,8 @@ COCO: Rows = [
         (coco(images=[image("1/a.jpg"), image("2/a.jpg", id=8)]), r"two entries are for a\.jpg"),
         (coco(images=[image("a.jpg", width=3)]), r"a\.jpg is for 3 by 1 pixels, .* has 2 by 1"),
         (coco({"category_id": 2}), r"category 'cat' on a\.jpg is not a label \(use road"),
-        (coco({"category_id": 3}), "category ''"),
+        (coco({"category_id": 3}), "a region on a.jpg has category 3, which is not listed"),
+        (coco({"segmentation": [[0, 0, 0, 0, 0, 0]]}), r"a region on a\.jpg has no area"),
         (coco({"segmentation": []}), r"a region on a\.jpg has no area"),  # a box
         (coco({"segmentation": [[0, 0, 1, 0, 1, 1, 1]]}), "7 coordinates, an odd number"),
         (coco(images=[image("a.jpg"), image("b.jpg")]), "images have the id 7 2 times"),

@@ -1,5 +1,6 @@
 """Labelled sets: names and splits, folders, IDD Lite, Cityscapes, sets of other packages."""
 
+import json
 import re
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -12,7 +13,7 @@ from PIL import Image
 
 import roadtorch.base.plugins
 import roadtorch.data.catalogue
-from roadtorch.base.errors import ConfigError, DatasetError
+from roadtorch.base.errors import ConfigError, DatasetError, RoadtorchError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, DatasetFormat, LabelledItem, Truth, leave_out
 from roadtorch.data.label_folders import add_conditions
@@ -87,6 +88,32 @@ def test_folders_of_images_and_labels_are_the_groups(tmp_path):
     assert layouts[0] is not None
     assert layouts[0][0].tolist() == [0, 2, 255]
     assert layouts[1:] == [None, None]
+
+
+def test_coco_beside_images_is_a_set_and_images_without_a_region_are_left_out(tmp_path):
+    for name in "ab":
+        write(tmp_path / f"images/{name}.jpg", np.zeros((1, 3, 3), np.uint8))
+    images = [{"id": at, "file_name": f"{name}.jpg", "width": 3, "height": 1}
+              for at, name in enumerate("ab")]  # fmt: skip
+    region = {"image_id": 0, "category_id": 1, "segmentation": [[1, 0, 2, 0, 2, 1, 1, 1]]}
+    document = {
+        "images": images,
+        "categories": [{"id": 1, "name": "lane"}],
+        "annotations": [region],
+    }
+    write(tmp_path / "annotations/instances_default.json", json.dumps(document))
+
+    dataset = open_dataset("folder", tmp_path, road=["lane"])
+
+    assert [item.name for item in dataset.items] == ["a"]
+    assert dataset.truth(dataset.items[0]).road[0].tolist() == [False, True, False]
+    assert "1 of 2 images have a mask, none for b.jpg; road is lane (33.3 %)" in dataset.summary
+    for name, message in {
+        "folder": r"try --road lane",
+        "camvid": "--road: is not for the set",
+    }.items():
+        with pytest.raises(RoadtorchError, match=message):
+            open_dataset(name, tmp_path, road=["lane"] if name == "camvid" else ())
 
 
 # --- conditions of folders -----------------------------------------------------------------------

@@ -21,18 +21,20 @@ from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.camvid import CLASS_MAPPINGS, COLOURS32
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import CORRECTION_FORMATS as IMPORTED
+from roadtorch.data.correction_formats import read_coco
 from roadtorch.data.corrections import Correction, read_log
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.data.label_folders import FolderLabels, add_conditions
+from roadtorch.data.label_folders import add_conditions
 from roadtorch.data.label_images import ColourLabels
 from roadtorch.data.likelihood_maps import (
     INFER_CONFIG,
+    MapFolder,
+    find_white_levels,
     read_decision_settings,
-    read_likelihood_map,
     read_map,
-    read_or_decide_mask,
 )
-from roadtorch.data.polygons import labelme_document, read_labelme_mask
+from roadtorch.data.masks import find_masks
+from roadtorch.data.polygons import coco_annotation
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.evaluation.methods import Contender, apply_thresholds, contender_from_name
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
@@ -42,6 +44,7 @@ from roadtorch.road.ego import Ego, ego_car, read_ego_mask
 from roadtorch.run.folder import open_result_folder
 from roadtorch.run.ledger import IndexRow, read_index, write_index
 from roadtorch.run.memo import read_arrays, write_arrays
+from roadtorch.run.writers.coco import coco_text, write_coco
 from roadtorch.train.config import PatchTraining, as_values, build_training
 from roadtorch.train.run_folder import CHECKPOINT, CHECKPOINT_FORMAT, RUN, RunFolder
 from tests.data.conftest import write
@@ -206,9 +209,18 @@ def read_camera(path: Path) -> bool:
 # --- labels -------------------------------------------------------------------------------
 
 
-def make_outlines(draw: Draw, _: Path) -> bytes:
-    """Make outlines of a mask as ``infer`` writes them."""
-    return mutate_json(draw, labelme_document(NUMBERS > 3, "a.png"))
+def make_polygons(draw: Draw, _: Path) -> bytes:
+    """Make polygons of a mask as ``infer`` writes them."""
+    return mutate_json(draw, json.loads("".join(coco_text([ROW], lambda _: [POLYGONS]))))
+
+
+def read_polygons(path: Path) -> bool:
+    """Read them, and write them to coco.json."""
+    regions, _ = read_coco(path, {"a.png": (HEIGHT, WIDTH)})
+    assert regions["a.png"].read().values.shape == (HEIGHT, WIDTH)
+    write_index(path.with_name("index.csv"), [ROW])
+    write_coco(path.parent)
+    return len(json.loads(path.with_name("coco.json").read_text())["images"]) == 1
 
 
 def make_labels(draw: Draw, _: Path) -> bytes:
@@ -220,7 +232,9 @@ def make_labels(draw: Draw, _: Path) -> bytes:
 
 
 def read_labels(path: Path) -> bool:
-    truth = FolderLabels().truth(LabelledItem("a", path, path))
+    write(path.parent / "images/label.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    masks = find_masks(path.parent, {"label.png": path.parent / "images/label.png"}).masks
+    truth = masks[0].truth
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
 
 
@@ -241,6 +255,8 @@ def read_colours(path: Path) -> bool:
 
 
 NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
+POLYGONS = coco_annotation(NUMBERS > 3, 1, 1, 1)
+ROW = IndexRow("a.png", str(WIDTH), str(HEIGHT), status="done", saved="polygons")
 CORRECTION = Correction(Path("a.png"), "a.png", NUMBERS, False, 0, 0, Path("log"))
 
 
@@ -359,11 +375,11 @@ def make_map(draw: Draw, _: Path) -> bytes:
 
 
 def read_maps(path: Path) -> bool:
-    assert read_map(path).ndim == 2
-    likelihood = read_likelihood_map(path.parent, [path.stem], [SIZE])
-    mask = read_or_decide_mask(
-        path.parent, [path.stem], likelihood, read_decision_settings(path.parent)
-    )
+    white = find_white_levels([path])
+    assert read_map(path, white).ndim == 2
+    maps = MapFolder(path.parent, read_decision_settings(path.parent), white)
+    likelihood = maps.read_likelihood([path.stem], [SIZE])
+    mask = maps.read_mask([path.stem], likelihood)
     return mask.shape == likelihood.shape == SIZE and bool(likelihood.isfinite().all())
 
 
@@ -405,11 +421,7 @@ KINDS: Mapping[str, Kind] = {
     "configs": Kind("config.toml", make_config, read_config),
     "sets": Kind("sets.txt", make_assignments, read_assignments),
     "camera": Kind("camera.toml", mutated_file(CAMERA.write, TEXT_MUTATIONS), read_camera),
-    "outlines": Kind(
-        "a.labelme.json",
-        make_outlines,
-        lambda path: read_labelme_mask(path, (HEIGHT, WIDTH)).shape == (HEIGHT, WIDTH),
-    ),
+    "polygons": Kind("a.coco.json", make_polygons, read_polygons),
     "labels": Kind("label.png", make_labels, read_labels),
     "colours": Kind("a_L.png", make_colours, read_colours),
     "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),

@@ -16,7 +16,7 @@ from PIL import Image
 
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.data.polygons import read_labelme_mask
+from roadtorch.data.correction_formats import read_coco
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run.folder import open_result_folder
 from roadtorch.run.ledger import has_result
@@ -42,7 +42,8 @@ def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out:
     assert names == [["1.png"], ["1.png", "2.png"]]
     for seed, entry in zip((1, 2), cocos[1]["annotations"], strict=True):
         mask = np.asarray(Image.open(out / f"{seed}.mask.png")) == 255
-        assert np.array_equal(read_labelme_mask(out / f"{seed}.labelme.json", mask.shape), mask)
+        regions, _ = read_coco(out / f"{seed}.coco.json", {f"{seed}.png": mask.shape})
+        assert np.array_equal(regions[f"{seed}.png"].read().values == 1, mask)
         assert entry["area"] == mask.sum() > 0
 
 
@@ -165,7 +166,7 @@ def write_inputs(root: Path, names: Sequence[str]) -> Path:
         ["1.png", "1.jpg"],
         ["drive.mp4", "drive/000003.png"],
         ["1.png", "run.png"],
-        ["1.png", "1.labelme.png"],
+        ["1.png", "1.coco.png"],
         [r"1\xff.png", os.fsdecode(b"1\xff.png")],  # index.csv calls both 1\xff.png
     ],
 )

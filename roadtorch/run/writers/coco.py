@@ -1,53 +1,59 @@
-"""coco.json: the masks of all images with saved polygons, as one COCO file."""
+"""NAME.coco.json and coco.json: the masks of one image and of all as COCO files."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
-
-import numpy as np
+from typing import Any
 
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import from_printable
-from roadtorch.data.polygons import coco_annotation, read_labelme_mask
+from roadtorch.base.documents import ForeignDocument, read_document
 from roadtorch.run.folder import COCO_FILE
 from roadtorch.run.ledger import INDEX_FILE, IndexRow, has_result, read_index
 
-LABELME_SUFFIX = ".labelme.json"  # suffix of the labelme annotation of an image
+POLYGONS_SUFFIX = ".coco.json"  # suffix of the COCO file of an image
+
+Annotation = Mapping[str, Any]
+
+
+class _PolygonsFile(ForeignDocument):
+    annotations: tuple[dict[str, Any], ...]
 
 
 def write_coco(folder: Path) -> None:
     """Write all images with saved polygons, sorted by file, as one COCO file.
 
     It is rebuilt from the files of the folder, so that it is complete after interrupted runs.
-    Raises InputError when it cannot be written, DatasetError for an unreadable annotation.
+    Raises InputError when it cannot be written, DatasetError for an unreadable file of an image.
     """
     rows = read_index(folder / INDEX_FILE).values()
     saved = [row for row in rows if not row.failed and "polygons" in row.saved.split()]
-    ready = [row for row in saved if has_result(folder, _annotation_name(folder, row.file))]
+    ready = [row for row in saved if has_result(folder, _polygons_name(folder, row.file))]
     ready.sort(key=lambda row: row.file)
 
-    def mask_of(row: IndexRow) -> np.ndarray:
-        """Fill the polygons of an image's annotation, bool (H, W)."""
-        size = int(row.height), int(row.width)
-        return read_labelme_mask(folder / _annotation_name(folder, row.file), size)
+    def read_regions(row: IndexRow) -> Sequence[Annotation]:
+        """Read the annotations of an image."""
+        path = folder / _polygons_name(folder, row.file)
+        with read_document(path, "remove it and infer the image again") as data:
+            return _PolygonsFile.model_validate_json(data).annotations
 
     with atomic_write(folder / COCO_FILE) as path, path.open("w", encoding="utf-8") as text:
-        text.writelines(coco_text(ready, mask_of))
+        text.writelines(coco_text(ready, read_regions))
 
 
-def _annotation_name(folder: Path, file: str) -> str:
-    """Return the annotation's name for a file in index.csv: a frame has no suffix, an image one."""
-    of_image = PurePath(file).with_suffix("").as_posix() + LABELME_SUFFIX
-    names = file + LABELME_SUFFIX, of_image, from_printable(of_image)
+def _polygons_name(folder: Path, file: str) -> str:
+    """Return the name of the polygons of a row: a frame has no suffix, an image one."""
+    of_image = PurePath(file).with_suffix("").as_posix() + POLYGONS_SUFFIX
+    names = file + POLYGONS_SUFFIX, of_image, from_printable(of_image)
     return next((name for name in names if has_result(folder, name)), of_image)
 
 
 def coco_text(
-    images: Sequence[IndexRow], mask_of: Callable[[IndexRow], np.ndarray]
+    images: Sequence[IndexRow], read_regions: Callable[[IndexRow], Iterable[Annotation]]
 ) -> Iterator[str]:
-    """Yield the text of a COCO file with one annotation of category 1, road, per image with road.
+    """Yield the text of a COCO file of the category 1, road.
 
-    mask_of: returns the mask of an image, bool (H, W); called once each, in order. Images and
+    read_regions: returns the annotations of an image; called once each, in order. Images and
     annotations are numbered from 1 in their order. ``score`` is the trust, as in COCO results.
     """
     yield '{"info": {"description": "roads found by roadtorch"}, "licenses": [],\n'
@@ -57,12 +63,9 @@ def coco_text(
         entry = {"id": number, "file_name": image.file, **size}
         yield ("\n" if number == 1 else ",\n") + json.dumps(entry)
     yield '],\n"annotations": ['
-    separator = "\n"
-    for number, image in enumerate(images, 1):
-        mask = mask_of(image)
-        if not mask.any():
-            continue
+    regions = ((*pair, region) for pair in enumerate(images, 1) for region in read_regions(pair[1]))
+    for number, (image_id, image, region) in enumerate(regions, 1):
         score = {"score": float(image.trust)} if image.trust else {}
-        yield separator + json.dumps(coco_annotation(mask, number, number, 1) | score)
-        separator = ",\n"
+        entry = {**region, "id": number, "image_id": image_id, **score}
+        yield ("\n" if number == 1 else ",\n") + json.dumps(entry)
     yield "]}\n"

@@ -2,28 +2,29 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Literal
 
 import torch
 from torch import Tensor
 
-from roadtorch.base.atomic import write_json
+from roadtorch.base.atomic import write_json, write_text
 from roadtorch.base.image import write_map, write_mask, write_npy, write_pixels, write_rgb_png
 from roadtorch.base.version import __version__
 from roadtorch.data.likelihood_maps import MASK_ENDING
-from roadtorch.data.polygons import labelme_document
+from roadtorch.data.polygons import coco_annotation
 from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import LAYOUT_COLOURS, colour_layout
-from roadtorch.run.writers.coco import LABELME_SUFFIX
+from roadtorch.run.ledger import IndexRow
+from roadtorch.run.writers.coco import POLYGONS_SUFFIX, coco_text
 
 MAP_SUFFIXES = {
     "likelihood": ".likelihood.png",
     "mask": MASK_ENDING,
     "overlay": ".overlay.jpg",
     "npy": ".likelihood.npy",
-    "polygons": LABELME_SUFFIX,
+    "polygons": POLYGONS_SUFFIX,
     "json": ".json",
 }
 
@@ -70,8 +71,10 @@ class MapWriter:
             if "npy" in kinds:
                 write_npy(path(CUE_SUFFIXES["npy"].format(name)), cue)
         if "polygons" in kinds:
-            outline = labelme_document(detection.mask.cpu().numpy(), PurePath(item.row_name).name)
-            write_json(path(MAP_SUFFIXES["polygons"]), outline)
+            mask = detection.mask.cpu().numpy()
+            regions = [coco_annotation(mask, 1, 1, 1)] if mask.any() else []
+            row = IndexRow(item.row_name, *map(str, reversed(mask.shape)))
+            write_text(path(MAP_SUFFIXES["polygons"]), "".join(coco_text([row], lambda _: regions)))
         if "json" in kinds:
             write_json(path(MAP_SUFFIXES["json"]), self._figures(item.row_name, detection))
         return {} if item.digest is None else {"cues": "/".join(detection.cues)}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from PIL import Image
@@ -16,7 +16,7 @@ from skimage.draw import polygon2mask
 
 from roadtorch.base.image import read_image
 from roadtorch.camera.ground_grid import Grid
-from roadtorch.data.polygons import coco_polygons, labelme_document, read_labelme_mask
+from roadtorch.data.polygons import coco_annotation, coco_polygons
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 from roadtorch.run.ledger import IndexRow
 from roadtorch.run.writers.coco import coco_text
@@ -100,11 +100,6 @@ def test_labels_never_replace_the_images(call: Call, footage: Path) -> None:
 # --- polygons ---------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("labelme")
-
-
 MASKS = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=14))
 
 
@@ -112,15 +107,6 @@ NESTED = np.zeros((14, 14), bool)
 """A square with a hole, an island in it; corners that touch; a dot."""
 NESTED[1:-1, 1:-1], NESTED[3:-3, 3:-3], NESTED[5:-5, 5:-5] = True, False, True
 NESTED[0, 0] = NESTED[0, -2] = True
-
-
-@settings(max_examples=40)
-@example(mask=NESTED)
-@given(mask=MASKS)
-def test_labelme_outlines_are_exact(mask: np.ndarray, folder: Path) -> None:
-    (folder / "x.json").write_text(json.dumps(labelme_document(mask, "x.png")))
-
-    assert np.array_equal(read_labelme_mask(folder / "x.json", mask.shape), mask)
 
 
 def count_polygons(polygons: list[list[int]], shape: tuple[int, int]) -> np.ndarray:
@@ -150,7 +136,11 @@ def test_coco_files_have_an_annotation_for_each_image_with_road(masks: list[np.n
     shapes = [map(str, reversed(mask.shape)) for mask in masks]
     images = [IndexRow(f"{at}.png", *shape, trust="0.50") for at, shape in enumerate(shapes)]
 
-    document = json.loads("".join(coco_text(images, lambda row: masks[images.index(row)])))
+    def regions(row: IndexRow) -> list[dict[str, object]]:
+        mask = masks[images.index(row)]
+        return [coco_annotation(mask, 1, 1, 1)] if mask.any() else []
+
+    document = json.loads("".join(coco_text(images, regions)))
 
     assert [entry["id"] for entry in document["images"]] == list(range(1, len(masks) + 1))
     areas = {entry["image_id"]: entry["area"] for entry in document["annotations"]}
