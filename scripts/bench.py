@@ -51,7 +51,7 @@ import roadtorch.detectors.detector as stages
 from roadtorch.base.image import to_pixels
 from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.imaging.slic import slic
-from roadtorch.layout.runtimes import OPENERS, REFERENCE, RUNTIMES, ExportGraph, trace_onnx
+from roadtorch.layout.runtimes import REFERENCE, RUNTIMES, ExportGraph, open_onnxruntime, trace_onnx
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.testing.scenes import render_scene
 from scripts.readme_figures import FIGURES, keep_records
@@ -101,7 +101,7 @@ def lraspp(image: Tensor, runtime: str = REFERENCE) -> Callable[[], Any]:
     network = segmentation.lraspp_mobilenet_v3_large(weights=None, weights_backbone=None).eval()
     if runtime != REFERENCE:
         program = trace_onnx(ExportGraph(network, network, ("out",)), image[None], "image")
-        compiled = OPENERS[runtime](program.model_proto.SerializeToString(), 1)
+        compiled = open_onnxruntime(program.model_proto.SerializeToString(), 1)
         return partial(compiled, image[None].numpy())
 
     @torch.inference_mode()
@@ -364,7 +364,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures")
     parser.add_argument("--against", type=Path, help="another checkout")
-    parser.add_argument("--runtimes", action="store_true", help="torch, ONNX Runtime, OpenVINO")
+    parser.add_argument("--runtimes", action="store_true", help="torch, ONNX Runtime")
     parser.add_argument("--commands", type=Path, metavar="DATA", help="the development data")
     parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
     options = parser.parse_args(words)

@@ -5,7 +5,7 @@
         --mean 123.675 116.28 103.53 --scale 58.395 57.12 57.375
 
 FOLDER holds a file NAME.py a network, with ``road_probability(rgb uint8 (H, W, 3)) -> float32
-(H, W)``, and what it needs (onnxruntime, openvino). FILE is a network of one image (1, 3, H, W),
+(H, W)``, and what it needs (such as onnxruntime). FILE is a network of one image (1, 3, H, W),
 RGB, (levels of 0 to 255 - mean) / scale, by default 0 to 1; its first output is a class map or
 scores (1, C, h, w). Every image is shown to all of them in turn, on one thread: F of the mask at .5
 and MaxF by camera, and the median milliseconds. They measure; nothing here ever learns from what

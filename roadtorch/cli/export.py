@@ -10,13 +10,13 @@ from roadtorch.cli.options import PATH, SETTING_OPTION, suggest_detectors
 
 @click.command()
 @click.argument("name", shell_complete=suggest_detectors)
-@click.option("--out", type=PATH, required=True, help="File NAME.onnx; for web and hub, a folder.")
+@click.option("--out", type=PATH, required=True, help="File NAME.onnx; for web, a folder.")
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["onnx", "web", "hub"]),
+    type=click.Choice(["onnx", "web"]),
     default="onnx",
-    help="web: a page for browsers; hub: a folder for model hubs, which load_detector reads.",
+    help="web: a page for browsers.",
 )
 @SETTING_OPTION
 def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
@@ -29,17 +29,12 @@ def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]
     from roadtorch.base.settings import parse_assignments
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import export_detector
-    from roadtorch.export.folders import export_hub, export_page
+    from roadtorch.export.folders import export_page
     from roadtorch.layout.runtimes import MAX_DIFFERENCE
     from roadtorch.run.folder import lock_output
 
     detector = load_detector(name, **parse_assignments(assignments))
-    with lock_output(out if kind in ("web", "hub") else out.parent):
-        if kind == "hub":
-            for file in export_hub(detector, out):
-                click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
-            click.echo(f"load it: load_detector({str(out)!r})")
-            return
+    with lock_output(out if kind == "web" else out.parent):
         exported = export_page(detector, out) if kind == "web" else export_detector(detector, out)
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")

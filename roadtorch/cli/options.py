@@ -137,9 +137,7 @@ SETTING_OPTION = click.option(
     help="Override a setting; may be repeated.",
 )
 RUNTIME_OPTION = click.option(
-    "--runtime",
-    default="torch",
-    help="Library for the network: torch, onnxruntime (extra: onnx), openvino (extra: openvino).",
+    "--runtime", default="torch", help="Library for the network: torch, onnxruntime (extra: onnx)."
 )
 INPUTS_ARGUMENT = click.argument(
     "inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path()

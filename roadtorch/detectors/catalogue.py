@@ -5,10 +5,8 @@ group ``roadtorch.detectors``, each entry point naming an ``Entry`` or a sequenc
 """
 
 import fnmatch
-import os
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from pathlib import Path
 from typing import Any, Never, TypeVar
 
 from torch import nn
@@ -17,7 +15,7 @@ from roadtorch.base.compute import check_device
 from roadtorch.base.errors import ConfigError, unknown_name_error
 from roadtorch.base.image import ColourOrder
 from roadtorch.base.plugins import load_plugins
-from roadtorch.base.settings import merge, read_settings_file
+from roadtorch.base.settings import merge
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors import baselines, fusion, illuminant, layout, oneclass, texture, ufl
 from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
@@ -26,9 +24,6 @@ from roadtorch.layout.runtimes import REFERENCE, check_runtime
 Build = TypeVar("Build", bound=Callable[[Any], nn.Module])
 
 DETECTOR_ENTRY_POINTS = "roadtorch.detectors"
-
-DETECTOR_CONFIG = "detector.toml"
-"""File with a detector's name and settings in a folder of ``roadtorch export --format hub``."""
 
 ENTRIES: tuple[Entry, ...] = (
     *fusion.ENTRIES,
@@ -54,16 +49,15 @@ def load_detector(
     """Load a detector.
 
     Args:
-        name: of a detector, or path of a folder written by ``roadtorch export --format hub``.
+        name: of a detector.
         *positional: refused: all other arguments are named.
         camera: camera that takes the images, such as ``Camera.read("camera.toml")``; sets the ego
             car and, where the detector has one, the horizon.
         order: colour order of NumPy arrays: ``"bgr"`` for OpenCV's, else ``"rgb"``.
         device: torch device, such as ``"cuda"``; images are moved there, and results of ``detect``
             stay there. Those of ``stream`` are on the CPU.
-        runtime: library that computes the network on the CPU: ``"torch"``, ``"onnxruntime"`` or
-            ``"openvino"`` (extras ``onnx`` and ``openvino``). Of the detector's weights when it is
-            loaded, without gradients.
+        runtime: library that computes the network on the CPU: ``"torch"`` or ``"onnxruntime"``
+            (extra ``onnx``). Of the detector's weights when it is loaded, without gradients.
         **settings: changes of the defaults. Nested ones are dictionaries:
             ``load_detector("cpf", texture={"bins": 64})``.
 
@@ -79,13 +73,10 @@ def load_detector(
     >>> detection.mask.numpy().dtype
     dtype('bool')
     """
-    if positional or not isinstance(name, str | os.PathLike):
+    if positional or not isinstance(name, str):
         where, value = ("settings", positional[0]) if positional else ("name", name)
         hint = 'write load_detector("fusion", threshold=0.5), camera=… and order=… likewise'
         raise ConfigError(where, f"got {type(value).__name__} by position", hint)
-    if name not in _catalogue() and os.path.isdir(name):
-        stored = read_settings_file(Path(name, DETECTOR_CONFIG))
-        name, settings = str(stored.pop("detector", "")), merge(stored, settings)
     entry = detector_entry(name)
     if not isinstance(camera, Camera | None):
         problem, hint = f"is {type(camera).__name__}", 'give Camera.read("camera.toml")'

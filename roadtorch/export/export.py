@@ -14,11 +14,13 @@ from torch import Tensor, nn
 from roadtorch.base.atomic import atomic_write, file_digest, make_folder
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, to_pixels
+from roadtorch.base.twins import use_twins
 from roadtorch.base.version import __version__
 from roadtorch.detectors.catalogue import detector_entry
 from roadtorch.detectors.detector import MIN_IMAGE_SIDE, Detector
 from roadtorch.detectors.fusion import Fusion, FusionSettings
 from roadtorch.detectors.layout import Cnn7, Cnn7Settings
+from roadtorch.export.steps import TWINS
 from roadtorch.imaging.resize import resize_maps, resize_to_image, resize_to_work, spatial_size
 from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.runtimes import (
@@ -122,14 +124,12 @@ def find_part(detector: Detector) -> ExportPart:
 def fusion_maps(analysis: Fusion, settings: FusionSettings, image: Tensor) -> dict[str, Tensor]:
     """Compute all outputs of `fusion` but the steps on connected regions.
 
-    Thin holes are not filled, and isolated road is not removed. In the graph the likelihood is
-    refined at the image's full size, however large.
+    Thin holes are not filled, and isolated road is not removed. The likelihood is refined at the
+    image's full size, however large.
     """
     small, full = resize_to_work(image, settings.working), spatial_size(image)
     cues = analysis(small)
-    likelihood = snap_to_edges(cues, small, image, settings.working, settings.threshold)
-    if not torch.compiler.is_exporting():
-        likelihood = resize_maps(likelihood, full)
+    likelihood = snap_to_edges(cues, small, image, settings.threshold)
     ego = resize_to_image(cues["ego"], full)
     likelihood = likelihood.masked_fill(ego, 0)
     mask = resize_to_image(likelihood >= settings.threshold, spatial_size(small))
@@ -243,7 +243,9 @@ def write_onnx(
         return part.compute(image.permute(0, 3, 1, 2).to(torch.float32) / 255)
 
     graph, sizes = ExportGraph(analysis, compute, part.outputs), {0: "N", 1: "H", 2: "W"}
-    program = trace_onnx(graph, torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8), "image", sizes)
+    example = torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8)
+    with use_twins(TWINS):
+        program = trace_onnx(graph, example, "image", sizes)
     program.model.producer_name, program.model.producer_version = "roadtorch", __version__
     program.model.metadata_props.update(metadata)
     for node in program.model.graph.all_nodes():

@@ -16,6 +16,7 @@ from torch import Tensor
 from roadtorch.base.errors import InputError, unknown_name_error
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
+from roadtorch.base.twins import has_twin
 from roadtorch.imaging.levels import order_statistic
 
 LUMA = (0.299, 0.587, 0.114)
@@ -225,19 +226,15 @@ class Exposure(Settings):
     )
 
 
+@has_twin
 @cached_per_image
 def brighten(image: Tensor, exposure: Exposure) -> Tensor:
     """Raise the median grey of an image's lower 45 % to ``ground`` by a gamma. Ours.
 
     Bright images are returned as they are, and the exponent is at least ``MIN_GAMMA``. It replaces
-    P1's brightness equalisation. image: (3, H, W) in [0, 1]; in an exported graph a batch.
+    P1's brightness equalisation. image: (3, H, W) in [0, 1].
     """
     lower = image[..., image.shape[-2] * 11 // 20 :, :].mean(-3).flatten(-2)
-    if torch.compiler.is_exporting():
-        middle = lower.sort(-1).values[..., (lower.shape[-1] - 1) // 2].clamp(0.01, 0.99)
-        exponents = (math.log(exposure.ground) / middle.log()).clamp(MIN_GAMMA, 1.0)
-        power = exponents[..., None, None, None]
-        return torch.where(power == 1, image, image.clamp(min=MIN_VALUE) ** power)
     grey = min(max(order_statistic(lower, (len(lower) - 1) // 2), 0.01), 0.99)
     exponent = min(max(math.log(exposure.ground) / math.log(grey), MIN_GAMMA), 1.0)
     # As 2 to the log2, which is three times as fast as a power.

@@ -1,27 +1,41 @@
 """Comparisons, order statistics and Otsu's threshold.
 
-NumPy compares five to ten times as fast as torch; an exported graph takes torch's operators.
+NumPy compares five to ten times as fast as torch, and OpenCV selects three times as fast.
 """
 
 import math
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
+from roadtorch.base.twins import has_twin
 
+
+@has_twin
 def is_at_least(values: Tensor, level: float) -> Tensor:
     """Return where values (…) are ``level`` or more, bool (…)."""
-    if torch.compiler.is_exporting():
-        return values >= level
     return torch.from_numpy(values.detach().cpu().numpy() >= level).to(values.device)
 
 
+@has_twin
 def is_above(values: Tensor, level: float) -> Tensor:
     """Return where values (…) exceed ``level``, bool (…)."""
-    if torch.compiler.is_exporting():
-        return values > level
     return torch.from_numpy(values.detach().cpu().numpy() > level).to(values.device)
+
+
+@has_twin
+def select(mask: Tensor, values: Tensor, others: Tensor) -> Tensor:
+    """Return values (H, W) where a bool mask holds, else others, in whose memory it may be."""
+    arrays = [map.cpu().numpy() for map in (values, mask.byte(), others)]
+    return torch.from_numpy(cv2.copyTo(*arrays)).to(others.device)
+
+
+@has_twin
+def descending_order(values: Tensor) -> Tensor:
+    """Return the indices (…, n) that sort values (…, n), largest first; equal ones keep theirs."""
+    return values.argsort(descending=True, stable=True)
 
 
 def order_statistic(values: Tensor, k: int) -> float:

@@ -1,12 +1,7 @@
-"""Resizing: to the working size of a detector, and back to the size of the image.
-
-An exported graph, which has sizes known at run time only and neither OpenCV nor NumPy, resizes by
-matrix products: OpenVINO's resize operator does not antialias (errors up to 0.45).
-"""
+"""Resizing: to the working size of a detector, and back to the size of the image."""
 
 import re
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,10 +13,9 @@ from torch.nn import functional as F
 
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
+from roadtorch.base.twins import has_twin
 
 SHORTEST = 16  # pixels: least side of an analysed image
-
-LONGEST = 10**9  # pixels: torch.export needs a bound
 
 
 class WorkingSize(Settings):
@@ -52,13 +46,10 @@ def side_length(pixels: int) -> Tensor:
     return torch.scalar_tensor(pixels, dtype=torch.float64)
 
 
+@has_twin
 def round_to_pixels(length: Tensor, least: int = SHORTEST) -> int:
     """Round a length, a scalar tensor, to whole pixels, ``least`` or more."""
-    pixels: Any = length.round().clamp(min=least).to(torch.int64).item()
-    if torch.compiler.is_exporting():  # a check imports SymPy
-        torch._check(pixels >= least)
-        torch._check(pixels <= LONGEST)
-    return pixels
+    return int(length.round().clamp(min=least))
 
 
 @cached_per_image
@@ -72,12 +63,10 @@ def spatial_size(maps: Tensor) -> tuple[int, int]:
     return maps.shape[-2], maps.shape[-1]
 
 
+@has_twin
 def resize_maps(maps: Tensor, size: tuple[int, int]) -> Tensor:
     """Resize floating-point maps (…, H, W), bilinear with antialiasing."""
     old_size = spatial_size(maps)
-    if torch.compiler.is_exporting():
-        rows, columns = (resize_matrix(*sides) for sides in zip(old_size, size, strict=True))
-        return rows @ maps @ columns.mT
     if old_size == tuple(size):
         return maps
     if maps.device.type == "cpu" and maps.dtype == torch.float32 and not maps.requires_grad:
@@ -122,13 +111,6 @@ def sparse_matrix(inputs: int, outputs: int, count: int = 1) -> csr_array:
     return csr_array(block_diag([matrix] * count))
 
 
-def resize_matrix(inputs: int, outputs: int) -> Tensor:
-    """Return the weights as one matrix (outputs, inputs), for sides known at run time only."""
-    scale = (side_length(inputs) / side_length(outputs)).to(torch.float32)
-    centre = (torch.arange(outputs) + 0.5) * scale
-    return triangle_weights(torch.arange(inputs), centre, scale.clamp(min=1.0))
-
-
 def triangle_weights(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
     """Return the weights (out, in) of pixels, (in,) or (out, in), for outputs with centres (out,).
 
@@ -140,13 +122,9 @@ def triangle_weights(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> T
     return triangle / triangle.sum(1, keepdim=True)
 
 
+@has_twin
 def resize_to_image(cue: Tensor, size: tuple[int, int]) -> Tensor:
     """Resize a cue (…, H, W) to the image: values bilinear, labels and masks nearest."""
-    if torch.compiler.is_exporting() and not cue.is_floating_point():
-        for axis in (-2, -1):
-            index = torch.arange(size[axis]) * cue.shape[axis] // size[axis]
-            cue = cue.index_select(axis, index)
-        return cue
     if cue.is_floating_point() or spatial_size(cue) == tuple(size):
         return resize_maps(cue, size)
     pixels = cue.cpu().numpy()

@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import Settings
+from roadtorch.base.twins import has_twin
 from roadtorch.imaging.color import Exposure, brighten, color_plane
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.layout.classes import NUM_CLASSES
@@ -121,22 +122,21 @@ class NormalisedImage(NamedTuple):
 
 
 def normalise(image: Tensor, normalisation: Normalisation) -> NormalisedImage:
-    """Normalise an image (3, H, W) in [0, 1]. Ours; P2 says "RGB pixel values".
-
-    Takes a batch in an exported graph, where the gain is NaN.
-    """
+    """Normalise an image (3, H, W) in [0, 1]. Ours; P2 says "RGB pixel values"."""
     if normalisation.kind == "none":
         return NormalisedImage(image, 1.0)
     if normalisation.kind.startswith("brightened"):
         image = brighten(image, normalisation.exposure)
     if normalisation.kind.endswith("image"):
-        centred = image - image.mean((-2, -1), keepdim=True)
-        if torch.compiler.is_exporting():
-            deviation = centred.square().mean((-3, -2, -1), keepdim=True).sqrt()
-            return NormalisedImage(centred / deviation.clamp(min=MIN_DEVIATION), math.nan)
-        gain = 1 / max(math.sqrt(centred.square().mean()), MIN_DEVIATION)
-        return NormalisedImage(centred * gain, gain)
+        return divide_by_deviation(image - image.mean((-2, -1), keepdim=True))
     return NormalisedImage((image - FIXED_MEAN) * FIXED_GAIN, FIXED_GAIN)
+
+
+@has_twin
+def divide_by_deviation(centred: Tensor) -> NormalisedImage:
+    """Divide an image (3, H, W) of mean 0 by its standard deviation, or ``MIN_DEVIATION``."""
+    gain = 1 / max(math.sqrt(centred.square().mean()), MIN_DEVIATION)
+    return NormalisedImage(centred * gain, gain)
 
 
 # --- the network ---------------------------------------------------------------------------

@@ -1,7 +1,7 @@
-"""Runtimes: torch, the reference, or another library that computes a network's graph on the CPU.
+"""Runtimes: torch, the reference, or ONNX Runtime, which computes a network's graph on the CPU.
 
-ONNX Runtime and OpenVINO take half of torch's time for the same network. Its ONNX graph, of one
-image of the network's size, is kept in the user's cache folder, since tracing takes seconds.
+It takes two thirds of torch's time for the same network. The graph, of one image of the network's
+size, is kept in the user's cache folder, since tracing takes seconds.
 """
 
 import hashlib
@@ -29,10 +29,8 @@ REFERENCE = "torch"
 
 TRACING_PACKAGES = ("onnx", "onnxscript")
 
-EXTRAS = {"onnxruntime": "onnx", "openvino": "openvino"}
-"""Extra of each runtime but the reference; the package is named like the runtime."""
-
-RUNTIMES = (REFERENCE, *EXTRAS)
+RUNTIMES = (REFERENCE, "onnxruntime")
+"""A runtime is named like its package."""
 
 OPSET = 18
 
@@ -48,7 +46,7 @@ def check_runtime(runtime: str, device: str | None = None) -> None:
     if runtime not in RUNTIMES:
         raise unknown_name_error("runtime", str(runtime), RUNTIMES)
     if runtime != REFERENCE:
-        require_packages(runtime, EXTRAS[runtime], *TRACING_PACKAGES, runtime)
+        require_packages(runtime, "onnx", *TRACING_PACKAGES, runtime)
         if device not in (None, "cpu"):
             raise ConfigError(device, f"{runtime} computes on the CPU", "leave one of them out")
 
@@ -80,7 +78,7 @@ def use_runtime(name: str, analysis: nn.Module, runtime: str) -> None:
         shape = (1, 3, network.settings.height, network.settings.width)
         pixels = torch.rand(shape, generator=torch.Generator().manual_seed(0))
         try:
-            encoder = CompiledEncoder(runtime, network_graph(network, pixels))
+            encoder = CompiledEncoder(network_graph(network, pixels))
             maps = [scores_to_potentials(encode(pixels)[0]) for encode in (encoder, network.encode)]
             difference = float((maps[0] - maps[1]).abs().max())
             if not difference <= MAX_DIFFERENCE:  # also true of NaN
@@ -92,28 +90,28 @@ def use_runtime(name: str, analysis: nn.Module, runtime: str) -> None:
 
 
 class CompiledEncoder:
-    """``encode`` of a network by a runtime: pixels (1, 3, H, W) → scores and features.
+    """``encode`` of a network by ONNX Runtime: pixels (1, 3, H, W) → scores and features.
 
-    Every process compiles the graph for itself: neither library survives a fork or can be pickled.
+    Every process compiles the graph for itself: the library does not survive a fork or pickling.
     What a process inherited is kept, as freeing it would wait for threads that do not exist.
     """
 
-    def __init__(self, runtime: str, graph: bytes) -> None:
-        self.runtime, self.graph = runtime, graph
+    def __init__(self, graph: bytes) -> None:
+        self.graph = graph
         self._functions: dict[int, GraphFunction] = {}  # by process
 
     def __call__(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Return scores and features, without gradients."""
         process = os.getpid()
         if process not in self._functions:
-            self._functions[process] = OPENERS[self.runtime](self.graph, 1)
+            self._functions[process] = open_onnxruntime(self.graph, 1)
         values = self._functions[process](pixels.detach().float().contiguous().numpy())
         scores, features = (torch.from_numpy(values[name]) for name in ENCODER_OUTPUTS)
         return scores, features
 
-    def __reduce__(self) -> tuple[type["CompiledEncoder"], tuple[str, bytes]]:
+    def __reduce__(self) -> tuple[type["CompiledEncoder"], tuple[bytes]]:
         """Pickle and copy the graph alone."""
-        return CompiledEncoder, (self.runtime, self.graph)
+        return CompiledEncoder, (self.graph,)
 
 
 # --- graphs ---------------------------------------------------------------------------------
@@ -218,26 +216,3 @@ def open_onnxruntime(graph: bytes | Path, threads: int) -> GraphFunction:
         return dict(zip(outputs, maps, strict=True))
 
     return run
-
-
-def open_openvino(graph: bytes | Path, threads: int) -> GraphFunction:
-    """Return a graph's function by OpenVINO on the CPU, in float32."""
-    import openvino
-
-    options = {"INFERENCE_NUM_THREADS": threads, "NUM_STREAMS": 1, "PERFORMANCE_HINT": "LATENCY"}
-    options["INFERENCE_PRECISION_HINT"] = "f32"
-    core = openvino.Core()
-    compiled = core.compile_model(core.read_model(graph), "CPU", options)
-
-    def run(values: np.ndarray) -> dict[str, np.ndarray]:
-        # A request of its own: several threads may use one detector.
-        results = compiled.create_infer_request().infer({0: values}, share_inputs=True)
-        return {output.any_name: results[output] for output in compiled.outputs}
-
-    return run
-
-
-OPENERS: Mapping[str, Callable[[bytes | Path, int], GraphFunction]] = {
-    "onnxruntime": open_onnxruntime,
-    "openvino": open_openvino,
-}

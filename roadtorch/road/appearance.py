@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.twins import has_twin
+
 RELATIVE_RIDGE = 0.3
 """Multiple of the mean variance added to each variance, against overfitting of 30 features."""
 
@@ -17,9 +19,6 @@ MIN_PIXELS = 20.0
 
 MAX_WEIGHT = 0.5
 """Largest weight of the appearance against the network."""
-
-SCHULZ_STEPS = 14
-"""Iterations of the inverse, enough for a condition number of 1,000."""
 
 DARK_LEVEL = 0.02
 """Added to channels before their logarithm, so that sensor noise in the dark is not colour."""
@@ -79,24 +78,10 @@ def add_ridge(scatter: Tensor) -> Tensor:
     return scatter + (RELATIVE_RIDGE * mean + 1e-12) * identity
 
 
+@has_twin
 def solve(matrix: Tensor, vector: Tensor) -> Tensor:
     """Solve A x = v, (…, C, 1), for symmetric positive definite matrices A (…, C, C)."""
-    if torch.compiler.is_exporting():  # ONNX has no operator for it
-        return invert(matrix) @ vector
     return torch.linalg.solve(matrix, vector)
-
-
-def invert(matrix: Tensor) -> Tensor:
-    """Invert symmetric positive definite matrices (…, C, C) by matrix products.
-
-    Schulz's iteration X ← X (2 I - A X), Z. Angew. Math. Mech. 13, 1933, doubles the correct
-    digits in each step.
-    """
-    identity = torch.eye(matrix.shape[-1]).to(matrix)
-    inverse = identity / matrix.abs().sum(-1).amax(-1)[..., None, None].clamp_min(1e-12)
-    for _ in range(SCHULZ_STEPS):
-        inverse = inverse @ (2 * identity - matrix @ inverse)
-    return inverse
 
 
 def average_log_odds(log_odds: Tensor, appearance: Tensor, weight: float) -> Tensor:

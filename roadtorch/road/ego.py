@@ -17,8 +17,8 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import cached_per_image
 from roadtorch.base.settings import Settings
+from roadtorch.base.twins import has_twin
 from roadtorch.imaging.levels import is_above
-from roadtorch.imaging.resize import side_length
 
 MIN_FREE = 0.1  # fraction of the image that an ego car must leave free
 
@@ -112,12 +112,10 @@ def outline_rows(outline: tuple[float, ...], width: int) -> Tensor:
     return torch.from_numpy(np.interp(positions, np.arange(len(outline)), outline)).float()
 
 
+@has_twin
 def any_pixel(mask: Tensor) -> bool:
-    """Return whether a bool mask has a pixel; in an exported graph, which cannot branch, True.
-
-    In NumPy, because ``Tensor.any`` takes thirty times as long.
-    """
-    return torch.compiler.is_exporting() or bool(mask.cpu().numpy().any())
+    """Return whether a bool mask has a pixel; ``Tensor.any`` takes thirty times as long."""
+    return bool(mask.cpu().numpy().any())
 
 
 # --- from a network's map ---------------------------------------------------------------
@@ -146,6 +144,7 @@ def find_ego_car(potential: Tensor) -> Tensor:
 # --- ground in its place ----------------------------------------------------------------
 
 
+@has_twin
 @cached_per_image
 def extrapolate_over_ego(maps: Tensor, ego: Tensor) -> Tensor:
     """Replace the ego car, bool (H, W), in maps (…, H, W) by the ground above it; a new tensor.
@@ -154,8 +153,6 @@ def extrapolate_over_ego(maps: Tensor, ego: Tensor) -> Tensor:
     nothing above them are filled from below, and columns that are all ego car from the side. At
     least one pixel must be free.
     """
-    if torch.compiler.is_exporting():
-        return _mirror_down_in_graph(maps, ego)
     ground, hidden = maps.reshape(-1, *ego.shape), ego
     for flip, transpose in ((False, False), (True, False), (False, True), (True, True)):
         if not any_pixel(hidden):
@@ -192,16 +189,3 @@ def _mirror_down(maps: Tensor, ego: Tensor) -> tuple[Tensor, Tensor]:
     ground[:, first:] = lower.view(len(maps), -1, width)
     hidden[first:] = torch.from_numpy(car & (free < 0)).to(ego.device)
     return ground, hidden
-
-
-def _mirror_down_in_graph(maps: Tensor, ego: Tensor) -> Tensor:
-    """Mirror maps (N, C, H, W) down over an ego car (N, H, W) that reaches the lower edge."""
-    height = maps.shape[-2]
-    rows = torch.arange(height)[:, None]
-    first = height - ego.to(torch.int64).sum(1, keepdim=True)
-    strip = (side_length(height) * MAX_STRIP).round().to(torch.int64).clamp(min=1)
-    run = first.minimum(strip).clamp(min=1)
-    step = (rows - first).clamp(min=0) % (2 * run)
-    source = (first - 1 - step.minimum(2 * run - 1 - step)).clamp(min=0)
-    source = torch.where(ego, source, rows)
-    return maps.gather(2, source[:, None].expand(-1, maps.shape[1], -1, -1))

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.imaging.levels import is_above, is_at_least
+from roadtorch.imaging.levels import is_above, is_at_least, select
 from roadtorch.imaging.resize import (
     WorkingSize,
     resize_maps,
@@ -67,19 +67,15 @@ def refine(
     small: the analysed image (3, h, w). image: at full size, (3, H, W). The result has at most
     ``MAX_ENLARGEMENT`` times the pixels of ``working``.
     """
-    return fill_thin_holes(snap_to_edges(maps, small, image, working, threshold), threshold)
+    most = MAX_ENLARGEMENT * working.pixels
+    larger = resize_to_work(image, WorkingSize(pixels=most)) if image[0].numel() > most else image
+    return fill_thin_holes(snap_to_edges(maps, small, larger, threshold), threshold)
 
 
 def snap_to_edges(
-    maps: Mapping[str, Tensor], small: Tensor, image: Tensor, working: WorkingSize, threshold: float
+    maps: Mapping[str, Tensor], small: Tensor, larger: Tensor, threshold: float
 ) -> Tensor:
-    """Enlarge a likelihood along the edges of the image, as ``refine`` before it fills holes.
-
-    In an exported graph the result has the size of the image, and may be a batch.
-    """
-    larger, most = image, MAX_ENLARGEMENT * working.pixels
-    if not torch.compiler.is_exporting() and image[0].numel() > most:
-        larger = resize_to_work(image, WorkingSize(pixels=most))
+    """Enlarge a likelihood along the edges of ``larger``, as ``refine`` before it fills holes."""
     likelihood = maps["likelihood"]
     if "ego" in maps and any_pixel(maps["ego"]):
         likelihood = likelihood.masked_fill(maps["ego"], 0)
@@ -90,10 +86,7 @@ def snap_to_edges(
     if "layout" in maps:
         stands = is_above(maps["layout"][..., VERTICAL, :, :], MAX_VERTICAL)
         keeps = keeps | (is_road & resize_to_image(stands, spatial_size(larger)))
-    if torch.compiler.is_exporting():
-        return torch.where(keeps, smooth, fine)
-    arrays = [map.cpu().numpy() for map in (smooth, keeps.byte(), fine)]
-    return torch.from_numpy(cv2.copyTo(*arrays)).to(fine.device)  # a third of the time
+    return select(keeps, smooth, fine)
 
 
 def guided_filter(likelihood: Tensor, image: Tensor, larger: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
+from roadtorch.imaging.levels import descending_order
 from roadtorch.imaging.resize import (
     resize_maps,
     resize_to_image,
@@ -88,12 +89,7 @@ def find_seed_segments(evidence: Tensor, row: Tensor, size: Tensor, fraction: fl
     the image, (n,). fraction: of the image, to be filled.
     """
     score = evidence + BOTTOM_BONUS * row - UPPER_HALF_PENALTY * (row < 0.5)
-    # The exporter to ONNX lacks ``argsort``; its ``sort`` is stable.
-    order = (
-        score.sort(descending=True).indices
-        if torch.compiler.is_exporting()
-        else score.argsort(descending=True, stable=True)
-    )
+    order = descending_order(score)
     sizes = size.expand_as(score).gather(-1, order)
     inside = sizes.cumsum(-1) - sizes < fraction
     return torch.zeros_like(inside).scatter(-1, order, inside)

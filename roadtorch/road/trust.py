@@ -7,7 +7,7 @@ a road. ``python -m train.calibrate trust`` fits and cross-validates both.
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from pydantic import Field
 from torch import Tensor
 
 from roadtorch.base.settings import Settings
+from roadtorch.base.twins import has_twin
 from roadtorch.imaging.levels import is_above
 
 
@@ -73,7 +74,7 @@ class Judgement(NamedTuple):
 
 
 def trust_features(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor]) -> TrustFeatures:
-    """Compute the features of a likelihood and its mask (H, W); in an exported graph, tensors (N,).
+    """Compute the features of a likelihood and its mask (H, W).
 
     cues: ``learned_road``, ``seed_area`` and ``ego``, (H, W).
     """
@@ -84,26 +85,29 @@ def trust_features(likelihood: Tensor, mask: Tensor, cues: Mapping[str, Tensor])
     )
     road, right = (masked_sum(likelihood, area) for area in (free, inside))
     seed = float_mask(cues["seed_area"])
-    features: list[Any] = [
-        high / low.clamp(min=1),
-        2 * right / (masked_sum(inside, inside) + road).clamp(min=1),
-        masked_sum(cues["learned_road"], seed) / masked_sum(seed, seed).clamp(min=1),
-        masked_sum(entropy(likelihood), free) / masked_sum(free, free),
-    ]
-    return TrustFeatures(*(features if torch.compiler.is_exporting() else map(float, features)))
+    return TrustFeatures(
+        ratio(high, low),
+        ratio(2 * right, masked_sum(inside, inside) + road),
+        ratio(masked_sum(cues["learned_road"], seed), masked_sum(seed, seed)),
+        ratio(masked_sum(entropy(likelihood), free), masked_sum(free, free)),
+    )
 
 
+@has_twin
+def ratio(part: Tensor, whole: Tensor) -> float:
+    """Divide a scalar by another, or by 1 if that is more."""
+    return float(part / whole.clamp(min=1))
+
+
+@has_twin
 def float_mask(area: Tensor) -> Tensor:
     """Convert a bool mask to float32; in NumPy, which is five times as fast."""
-    if torch.compiler.is_exporting():
-        return area.to(torch.float32)
     return torch.from_numpy(area.cpu().numpy().astype(np.float32)).to(area.device)
 
 
+@has_twin
 def masked_sum(values: Tensor, mask: Tensor) -> Tensor:
     """Return the sum of values (H, W) over a float mask (H, W), as a float64 scalar."""
-    if torch.compiler.is_exporting():
-        return (values * mask).sum((-2, -1))
     return values.reshape(-1).dot(mask.reshape(-1)).double()
 
 
@@ -115,23 +119,29 @@ def entropy(likelihood: Tensor) -> Tensor:
     return information.add_(complement * complement.clamp_min(tiny).log2_()).neg_()
 
 
+def expected_f(features: TrustFeatures) -> float:
+    """Predict the F-score of a mask by the linear regression, if there is a road at all."""
+    return INTERCEPT + sum(w * x for w, x in zip(FEATURE_WEIGHTS, features, strict=True))
+
+
+def road_log_odds(features: TrustFeatures) -> float:
+    """Predict the log odds that there is a road at all, by the logistic regression."""
+    odds = ROAD_INTERCEPT + ROAD_STABILITY * features.stability
+    return odds + ROAD_ENTROPY * features.entropy
+
+
+@has_twin
 def estimate_trust(
     features: TrustFeatures, road: bool | Tensor, settings: TrustSettings
 ) -> Judgement:
     """Predict the F-score of a mask, and name the feature that lowers it most.
 
-    road: whether the mask has a pixel. An exported graph returns the trust (N,) without a reason.
+    road: whether the mask has a pixel.
     """
-    expected: Any = INTERCEPT + sum(w * x for w, x in zip(FEATURE_WEIGHTS, features, strict=True))
-    odds: Any = ROAD_INTERCEPT + ROAD_STABILITY * features.stability
-    odds = odds + ROAD_ENTROPY * features.entropy
-    if torch.compiler.is_exporting():
-        presence = (odds.sigmoid() / FULL_TRUST_PROBABILITY).clamp(max=1)
-        return Judgement((presence * expected.clamp(0, 1)).where(road, 0.0), "")
     if not road:
         return Judgement(0.0, "no road found")
-    presence = min(1.0, 1 / (1 + math.exp(-odds)) / FULL_TRUST_PROBABILITY)
-    trust = presence * min(1.0, max(0.0, expected))
+    presence = min(1.0, 1 / (1 + math.exp(-road_log_odds(features))) / FULL_TRUST_PROBABILITY)
+    trust = presence * min(1.0, max(0.0, expected_f(features)))
     if trust >= settings.threshold:
         return Judgement(trust, "")
     if presence < 0.5:

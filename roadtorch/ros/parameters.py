@@ -27,7 +27,7 @@ class NodeParameters(Settings):
         default=(), strict=False, description="settings of the detector, KEY=VALUE"
     )
     runtime: str = Field(
-        default="torch", description="library for the network: torch, onnxruntime or openvino"
+        default="torch", description="library for the network: torch or onnxruntime"
     )
     cameras: tuple[TopicName, ...] = Field(
         default=(), strict=False, description="names of several cameras, prefixes of their topics"

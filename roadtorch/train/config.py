@@ -169,7 +169,7 @@ class Teacher(Settings):
         default="", description="weights of the teacher's network; empty for the shipped ones"
     )
     runtime: str = Field(
-        default="torch", description="library for its network: torch, onnxruntime or openvino"
+        default="torch", description="library for its network: torch or onnxruntime"
     )
     views: Literal["one", "mirrored"] = Field(
         default="one", description="the image alone, or averaged with its mirror (mirrored)"

@@ -1,7 +1,6 @@
 """Steps of the graph on batches, where Python branches on values or uses OpenCV and NumPy."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 
 import pytest
@@ -11,6 +10,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional as F
 
+from roadtorch.base.twins import use_twins
+from roadtorch.export.steps import TWINS
 from roadtorch.imaging.color import Exposure, brighten
 from roadtorch.imaging.levels import is_above, is_at_least
 from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_image, resize_to_work
@@ -29,13 +30,6 @@ BONNET = torch.zeros(HEIGHT, WIDTH)
 BONNET[50:, 20:], BONNET[54:, :20] = 0.95, 0.9
 EGO = torch.stack([BONNET, torch.zeros_like(BONNET)])
 ROAD = torch.rand(2, HEIGHT, WIDTH, generator=seeded_generator(3))
-
-
-@contextmanager
-def exporting() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(torch.compiler, "is_exporting", lambda: True)
-        yield
 
 
 def normalised(kind: str, image: Tensor) -> Tensor:
@@ -73,7 +67,7 @@ def test_a_step_on_a_batch_agrees_with_python_on_each_image(
 ) -> None:
     expected = torch.stack([step(*values) for values in zip(*parts, strict=True)])
 
-    with exporting():
+    with use_twins(TWINS):
         actual = step(*parts)
 
     assert torch.allclose(actual.double(), expected.double(), atol=2e-5)
@@ -86,7 +80,7 @@ SIDES = st.integers(2, 80)  # torch does not enlarge columns that are alone
 @given(SIDES, SIDES, SIDES, SIDES)
 def test_matrices_resize_as_torch_does(height: int, width: int, rows: int, columns: int) -> None:
     maps = torch.rand(2, 3, height, width)
-    with exporting():
+    with use_twins(TWINS):
         actual = resize_maps(maps, (rows, columns))
 
     expected = F.interpolate(maps, (rows, columns), mode="bilinear", antialias=True)

@@ -14,13 +14,12 @@ from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError
 from roadtorch.export.export import exportable_part
 from roadtorch.layout import runtimes
-from roadtorch.layout.runtimes import MAX_DIFFERENCE
+from roadtorch.layout.runtimes import MAX_DIFFERENCE, open_onnxruntime
 from roadtorch.run.memo import cache_key
 from roadtorch.run.workers import Workers
 from roadtorch.testing.scenes import render_scene
 from tests.networks import write_random_network
 
-OTHERS = ("onnxruntime", "openvino")
 SIZES = ((16, 17), (192, 256), (360, 480), (700, 333))
 """Below the size of the network, at it, above it, and upright."""
 
@@ -35,13 +34,12 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 # --- parity -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("runtime", OTHERS)
 @pytest.mark.parametrize("settings", [{}, {"crops": (0.3,)}], ids=["one view", "two views"])
 def test_masks_agree_with_torch_but_within_1e_4_of_the_threshold(
-    runtime: str, settings: dict[str, Any]
+    settings: dict[str, Any],
 ) -> None:
     reference = load_detector("fusion", **settings)
-    detector = load_detector("fusion", runtime=runtime, **settings)
+    detector = load_detector("fusion", runtime="onnxruntime", **settings)
 
     for seed, (height, width) in enumerate(SIZES):
         for dusk in (0.0, 0.9):
@@ -57,12 +55,9 @@ def test_masks_agree_with_torch_but_within_1e_4_of_the_threshold(
                 assert difference.max() <= MAX_DIFFERENCE
 
 
-@pytest.mark.parametrize("runtime", OTHERS)
-def test_processes_threads_and_copies_give_the_same_bytes(
-    runtime: str, weights: dict[str, Any]
-) -> None:
+def test_processes_threads_and_copies_give_the_same_bytes(weights: dict[str, Any]) -> None:
     images = [render_scene(seed, 48, 64).image for seed in range(4)]
-    detector = load_detector("fusion", runtime=runtime, **weights)
+    detector = load_detector("fusion", runtime="onnxruntime", **weights)
     expected = [detector.find_evidence(image).likelihood for image in images]
 
     def crash(_: object) -> Any:
@@ -84,8 +79,8 @@ def test_processes_threads_and_copies_give_the_same_bytes(
 def test_results_are_remembered_for_one_runtime(weights: dict[str, Any]) -> None:
     detectors = [load_detector("fusion", runtime=name, **weights) for name in runtimes.RUNTIMES]
 
-    assert len({cache_key(detector) for detector in detectors}) == 3
-    assert "runtime='openvino'" in repr(detectors[-1])
+    assert len({cache_key(detector) for detector in detectors}) == 2
+    assert "runtime='onnxruntime'" in repr(detectors[-1])
     with pytest.raises(ConfigError, match="runtime: has no effect on the exported file"):
         exportable_part(detectors[-1])
 
@@ -104,8 +99,8 @@ def test_a_graph_is_traced_once_and_again_if_damaged(
 
     monkeypatch.setattr(runtimes, "trace_onnx", counted)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    for runtime in OTHERS:
-        load_detector("fusion", runtime=runtime, **weights)
+    for _ in range(2):
+        load_detector("fusion", runtime="onnxruntime", **weights)
     (file,) = (tmp_path / "roadtorch").iterdir()
     data = file.read_bytes()
     assert len(traced) == 1
@@ -129,9 +124,13 @@ def test_a_graph_is_traced_once_and_again_if_damaged(
     ("name", "options", "message"),
     [
         ("fusion", {"runtime": "onnxrutime"}, "onnxrutime: unknown runtime (did you mean onnxr"),
-        ("fusion", {"runtime": "tensorrt"}, "unknown runtime (known: onnxruntime, openvino, torch"),
-        ("cpf", {"runtime": "openvino"}, "cpf: has no whole-image network for openvino (leave"),
-        ("layout:cnn-7", {"runtime": "openvino"}, "layout:cnn-7: has no whole-image network"),
+        ("fusion", {"runtime": "tensorrt"}, "unknown runtime (known: onnxruntime, torch)"),
+        (
+            "cpf",
+            {"runtime": "onnxruntime"},
+            "cpf: has no whole-image network for onnxruntime (leave",
+        ),
+        ("layout:cnn-7", {"runtime": "onnxruntime"}, "layout:cnn-7: has no whole-image network"),
     ],
 )
 def test_names_without_a_runtime_are_refused(
@@ -144,7 +143,7 @@ def test_names_without_a_runtime_are_refused(
 
 
 def biased(graph: bytes | Path, threads: int) -> Callable[..., Any]:
-    run = runtimes.open_onnxruntime(graph, threads)
+    run = open_onnxruntime(graph, threads)
     return lambda values: {name: maps + 1e-3 for name, maps in run(values).items()}
 
 
@@ -159,7 +158,7 @@ def broken(graph: bytes | Path, threads: int) -> Callable[..., Any]:
 def test_a_runtime_that_fails_or_differs_is_refused(
     opener: Any, message: str, monkeypatch: pytest.MonkeyPatch, weights: dict[str, Any]
 ) -> None:
-    monkeypatch.setattr(runtimes, "OPENERS", {"onnxruntime": opener})
+    monkeypatch.setattr(runtimes, "open_onnxruntime", opener)
 
     with pytest.raises(ConfigError, match=message) as raised:
         load_detector("fusion", runtime="onnxruntime", **weights)
@@ -168,7 +167,7 @@ def test_a_runtime_that_fails_or_differs_is_refused(
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runtimes, "find_spec", lambda name: None if "vino" in name else 1)
+    monkeypatch.setattr(runtimes, "find_spec", lambda name: None if name == "onnxruntime" else 1)
 
-    with pytest.raises(ConfigError, match=r"not installed \(pip install 'roadtorch\[openvino\]'"):
-        load_detector("fusion", runtime="openvino")
+    with pytest.raises(ConfigError, match=r"not installed \(pip install 'roadtorch\[onnx\]'"):
+        load_detector("fusion", runtime="onnxruntime")

@@ -77,7 +77,7 @@ def test_what_the_ego_car_map_leaves_of_a_bonnet_like_the_road_stays_no_road() -
     ego = below > missed
     likelihood = extrapolate_over_ego(0.9 - 0.8 * (below / 12 + 0.5).clamp(0, 1), ego)
 
-    refined = snap_to_edges({"likelihood": likelihood, "ego": ego}, small, image, working, 0.5)
+    refined = snap_to_edges({"likelihood": likelihood, "ego": ego}, small, image, 0.5)
 
     assert (refined[begins : begins + missed] > 0.5).double().mean() < 0.05
     assert (refined[: begins - 12] > 0.5).double().mean() > 0.99
@@ -85,16 +85,14 @@ def test_what_the_ego_car_map_leaves_of_a_bonnet_like_the_road_stays_no_road() -
 
 @pytest.mark.parametrize(("vertical", "is_road"), [(0.2, True), (0.4, False)])
 def test_edges_add_no_road_where_something_stands(vertical: float, is_road: bool) -> None:
-    working, post = WorkingSize(pixels=64 * 64), slice(30, 32)
+    post = slice(30, 32)
     image = torch.full((3, 64, 64), 0.5)  # the post looks like the road
     likelihood = torch.full((64, 64), 0.9)
     likelihood[:, post] = 0.4
     layout = torch.zeros(3, 64, 64)
     layout[VERTICAL, :, post] = vertical
 
-    refined = snap_to_edges(
-        {"likelihood": likelihood, "layout": layout}, image, image, working, 0.5
-    )
+    refined = snap_to_edges({"likelihood": likelihood, "layout": layout}, image, image, 0.5)
 
     assert bool((refined[:, post] >= 0.5).all()) is is_road
     assert bool((refined[:, post] >= 0.5).any()) is is_road
