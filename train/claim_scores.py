@@ -35,6 +35,7 @@ from roadtorch.evaluation.uncertainty import (
     percentile_interval,
     pool_replicates,
     sample_weights,
+    student_weights,
 )
 from scripts.figures.p2_layout import PRINTED_ORDER
 from train.calibrate import EXCLUDED
@@ -112,7 +113,7 @@ def measure(tally: Tally) -> Scores:
     recalls, roads = [], []
     for group in sorted(tally.road.keys() - set(EXCLUDED)):
         table = tally.table([group])
-        weights = sample_weights(len(table.names), generator)
+        weights = sample_weights(table.groups, generator)
         part = pool_replicates(table, math.nan, weights)
         roads.append(part.road)
         if part.layout is not None and bool(part.layout[0, 0].any()):
@@ -124,16 +125,11 @@ def measure(tally: Tally) -> Scores:
     return Scores(recall, areas.mean(0), metrics.auc(pooled))
 
 
-def seed_draws() -> Tensor:
-    """Draw the seeds of every replicate, int64 (replicates + 1, seeds); each once in the first."""
-    generator = torch.Generator().manual_seed(BOOTSTRAP_SEED + 1)
-    draws = torch.randint(len(SEEDS), (REPLICATES, len(SEEDS)), generator=generator)
-    return torch.cat([torch.arange(len(SEEDS))[None], draws])
-
-
 def mean_of_seeds(values: Sequence[Tensor]) -> Tensor:
-    """Return the mean of the seeds' scores (replicates + 1,), of drawn ones in the replicates."""
-    return torch.stack(list(values), 1).gather(1, seed_draws()).mean(1)
+    """Return the mean of the seeds' scores (replicates + 1,), their replicates of Student's t."""
+    weights = student_weights(len(values), torch.Generator().manual_seed(BOOTSTRAP_SEED + 1))
+    weights = torch.cat([torch.ones_like(weights[:1]), weights])
+    return (weights * torch.stack(list(values), 1)).mean(1)
 
 
 def difference_columns(title: str, values: Tensor) -> dict[str, str]:

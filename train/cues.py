@@ -22,6 +22,7 @@ from tqdm import tqdm
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detectors.fusion import ScratchFusionSettings, seed_likelihoods
+from roadtorch.evaluation.uncertainty import percentile_interval, sample_weights
 from roadtorch.imaging.resize import WorkingSize, resize_maps, resize_to_work, spatial_size
 from roadtorch.imaging.segments import paint_segments, segment_mean
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, opinion_pool
@@ -46,7 +47,6 @@ PIXEL_WEIGHT = 4.0
 """Weight of the network's log odds by pixel against their mean over a superpixel."""
 
 ALONE = "network alone"
-DRAWS = 500
 
 
 class Variant(NamedTuple):
@@ -156,15 +156,6 @@ def score_table(counts: np.ndarray, cameras: np.ndarray, weights: np.ndarray) ->
     )
 
 
-def resample(cameras: np.ndarray, at: np.random.Generator) -> np.ndarray:
-    """Count how often each image is resampled (n,), with replacement within its camera."""
-    weights = np.zeros(len(cameras))
-    for camera in np.unique(cameras):
-        members = np.flatnonzero(cameras == camera)
-        np.add.at(weights, at.choice(members, len(members)), 1)
-    return weights
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description="What each cue brings beside the network.")
     parser.add_argument("many", type=Path)
@@ -172,8 +163,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     ways, cameras = count_images(options.many, options.weights)
-    at, ones = np.random.default_rng(35), np.ones(len(cameras))
-    draws = [resample(cameras, at) for _ in range(DRAWS)]
+    ones, *draws = sample_weights(cameras.tolist(), torch.Generator().manual_seed(35)).numpy()
     level = {
         name: score_table(result.counts, cameras, ones).mean(0).argmax()
         for name, result in ways.items()
@@ -186,7 +176,7 @@ def main() -> None:
     for name, result in ways.items():
         f = cross_validated_f(score_table(result.counts, cameras, ones))
         less = np.array(means[name]) - np.array(means[ALONE])
-        low, high = np.quantile(less, [0.025, 0.975])
+        low, high = percentile_interval(torch.from_numpy(less))
         print(
             f"| {name} | {f.mean():.3f} | {f.min():.3f} | {less.mean():+.3f} "
             f"({low:+.3f} to {high:+.3f}) | {1000 * np.median(result.seconds):.1f} |"

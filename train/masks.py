@@ -267,7 +267,7 @@ def format_folds(folds: Sequence[Mapping[str, Arrays]]) -> dict[str, str]:
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
     scores: dict[str, list[Tensor]] = {}
     for cells in folds:
-        weights = sample_weights(len(cells[SHIPPED]["counts"]), generator)
+        weights = sample_weights(("",) * len(cells[SHIPPED]["counts"]), generator)
         for method, cell in cells.items():
             scores.setdefault(method, []).append(pooled_f(cell["counts"], weights))
     means = {method: torch.stack(values).mean(0) for method, values in scores.items()}

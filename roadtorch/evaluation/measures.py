@@ -8,7 +8,6 @@ append it here or pass it to `evaluate`.
 import math
 import statistics
 from collections.abc import Callable
-from itertools import product
 from typing import Any
 
 import torch
@@ -19,7 +18,7 @@ from roadtorch.evaluation.measure import Formula, Measure
 from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
 from roadtorch.evaluation.tally import ImageTable, PooledCounts
 from roadtorch.evaluation.trust_measures import TRUST_MEASURES
-from roadtorch.layout.classes import CLASS_NAMES, NUM_CLASSES
+from roadtorch.layout.classes import CLASS_NAMES
 
 # --- formulas ----------------------------------------------------------
 
@@ -222,40 +221,24 @@ def _boundary_measure(index: int, tolerance: float) -> Measure:
 BOUNDARY_MEASURES = tuple(_boundary_measure(*pair) for pair in enumerate(boundary.TOLERANCES))
 
 
-# --- the layout: from potentials, or from labels that may abstain ----------------------------
+# --- the layout --------------------------------------------------------------------------
 
 
 def _layout_measure(
     key: str, name: str, meaning: str, function: Callable[[Tensor], Tensor], **more: Any
 ) -> Measure:
-    """Return a measure of the confusion that the key names; more: further fields of ``Measure``."""
+    """Return a measure of the confusion; more: further fields of ``Measure``."""
 
     def formula(part: PooledCounts) -> Tensor | None:
-        confusion = part.labels if key.startswith("labelled") else part.layout
-        return None if confusion is None else function(confusion)
+        return None if part.layout is None else function(part.layout)
 
+    more.setdefault("tables", ("layout",))
     return Measure(f"layout/{key}", name, meaning, formula, **more)
 
 
 def _recall_measure(index: int, name: str) -> Measure:
-    return _layout_measure(
-        name,
-        name,
-        f"Fraction of {name} pixels labelled {name}.",
-        lambda confusion: metrics.class_recalls(confusion)[..., index],
-        tables=("layout",),
-    )
-
-
-def _confusion_measure(truth: int, decided: int) -> Measure:
-    true, confused = CLASS_NAMES[truth], CLASS_NAMES[decided]
-    return _layout_measure(
-        f"confusion/{true}/{confused}",
-        f"{true} as {confused}",
-        f"Fraction of {true} pixels labelled {confused}.",
-        lambda confusion: metrics.normalised_confusion(confusion)[..., truth, decided],
-        better=None,
-    )
+    meaning = f"Fraction of {name} pixels labelled {name}."
+    return _layout_measure(name, name, meaning, lambda c: metrics.class_recalls(c)[..., index])
 
 
 LAYOUT_MEASURES = (
@@ -269,33 +252,10 @@ LAYOUT_MEASURES = (
         tables=("layout", "compared"),
     ),
     _layout_measure(
-        "accuracy",
-        "accuracy",
-        "Fraction of labelled pixels with the right class.",
-        metrics.layout_accuracy,
-        tables=("layout",),
-    ),
-    *(_confusion_measure(*pair) for pair in product(range(NUM_CLASSES), repeat=2)),
-    _layout_measure(
         "void_as_vertical/mean",
         "mean, void vertical",
         "Mean recall of the three classes, void counted as vertical.",
         lambda confusion: metrics.mean_class_recall(metrics.void_as_vertical(confusion)),
-        tables=("layout",),
-    ),
-    _layout_measure(
-        "labelled/mean",
-        "mean, labelled",
-        "Mean recall of the three classes, on pixels with a label.",
-        metrics.mean_class_recall,
-        tables=("layout",),
-    ),
-    _layout_measure(
-        "labelled_share",
-        "labelled fraction",
-        "Fraction of pixels with a label.",
-        metrics.labelled_fraction,
-        tables=("layout",),
     ),
 )
 

@@ -276,16 +276,3 @@ def mean_class_recall(confusion: Tensor) -> Tensor:
     P2 calls it "global average accuracy (normalized diagonal)".
     """
     return class_recalls(confusion).nanmean(-1)
-
-
-def layout_accuracy(confusion: Tensor) -> Tensor:
-    """Compute the fraction of labelled pixels with the right label, float64 (...)."""
-    labelled = confusion[..., :3, :3]
-    right = labelled.diagonal(dim1=-2, dim2=-1)
-    return _ratio(right.sum(-1), labelled.sum((-2, -1)))
-
-
-def labelled_fraction(confusion: Tensor) -> Tensor:
-    """Compute the fraction of the pixels with truth that have a label, float64 (...)."""
-    with_truth = confusion[..., :3, :]
-    return _ratio(with_truth[..., :3].sum((-2, -1)), with_truth.sum((-2, -1)))

@@ -263,10 +263,7 @@ def _pool(
 ) -> PooledCounts:
     """Add up masks and counts by likelihood level, at each group's threshold; average AUCs."""
     areas = [area for area in images.auc.tolist() if not math.isnan(area)]
-    layout, labels = (
-        rows.sum(0) if rows is not None and rows.any() else None
-        for rows in (images.layout, images.labels)
-    )
+    layout = None if images.layout is None else images.layout.sum(0)
     outcomes = [
         metrics.confusion_at(counts[group], thresholds[group])
         for group in counts
@@ -279,7 +276,6 @@ def _pool(
         layout,
         reduce(add, outcomes) if outcomes else None,
         torch.tensor(sum(areas) / len(areas) if areas else math.nan, dtype=torch.float64),
-        labels,
         images=images,
     )
 

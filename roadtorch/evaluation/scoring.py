@@ -49,22 +49,15 @@ def count_image(
     # Parts that were cached for other detectors count as this detector's work, too.
     seconds = time.perf_counter() - start + shared.saved_seconds - saved_before
     mask, layout = scene.warp(detection.mask), detection.cues.get("layout")
-    labels = {
-        "layout": None if layout is None else layout.argmax(0),
-        "labels": detection.cues.get("layout_labels"),
-    }
-    confusions = {
-        kind: count_layout(scene.warp(values), truth.layout)
-        for kind, values in labels.items()
-        if values is not None and truth.layout is not None
-    }
+    confusion = None
+    if layout is not None and truth.layout is not None:
+        confusion = count_layout(scene.warp(layout.argmax(0)), truth.layout)
     likelihood = scene.warp(detection.likelihood)
     return ImageCounts(
         count_levels(likelihood, truth.road, truth.valid, scene.dataset.levels),
         count_mask(mask, truth.road, truth.valid),
         count_boundary(mask, truth.road, truth.valid),
-        confusions.get("layout"),
-        confusions.get("labels"),
+        confusion,
         seconds,
         math.nan if detection.trust is None else detection.trust,
     )

@@ -9,16 +9,27 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation import metrics
+from roadtorch.evaluation.boundary import TOLERANCES
 from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
 
 UNGROUPED = "all"  # name of the only group of a set without groups
 IMAGE_LEVELS = 256  # levels of the histograms of single images
-INITIAL_ROWS = 64  # of a column, before it grows
+
+ROW = np.dtype([
+    ("road", np.int32, (2, IMAGE_LEVELS)),
+    ("mask", np.int64, 4),
+    ("boundary", np.int64, (len(TOLERANCES), 4)),
+    ("layout", np.int64, (4, 4)),
+    ("numbers", np.float64, 4),
+])  # fmt: skip
+"""Counts of an image: 8-bit levels of road and background, outcomes of the mask, boundary, layout;
+then AUC, MaxF, seconds, trust."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +40,6 @@ class ImageCounts:
     mask: ConfusionCounts
     boundary: Tensor  # int64 (tolerances, 4), see boundary.py
     layout: Tensor | None  # confusion (4, 4) of the strongest potentials
-    labels: Tensor | None  # confusion (4, 4) of labels that may abstain
     seconds: float = math.nan  # of detection, with the parts that were cached for it
     trust: float = math.nan  # predicted F of the mask; NaN where the detector gives none
 
@@ -52,8 +62,7 @@ class ImageTable:
     road: RoadCounts  # int32 (n, IMAGE_LEVELS)
     outcomes: Tensor  # int64 (n, 4), the fields of ConfusionCounts
     boundary: Tensor  # int64 (n, tolerances, 4)
-    layout: Tensor | None  # int64 (n, 4, 4)
-    labels: Tensor | None  # int64 (n, 4, 4)
+    layout: Tensor | None  # int64 (n, 4, 4), zeros where an image has none
     auc: Tensor  # float64 (n,), NaN without road or background
     max_f: Tensor  # float64 (n,), NaN without road
     seconds: Tensor  # float64 (n,)
@@ -71,64 +80,53 @@ class ImageTable:
 
 @dataclass(eq=False)
 class Tally:
-    """Counts of one detector: pixels by likelihood and group, and columns by image.
+    """Counts of one detector: pixels by likelihood and group, and a row of each image.
 
-    Rows are written into a few large tensors that double when they are full: thousands of small
-    ones between the large temporary ones of counting would fragment the memory.
+    The rows are bytes of ``ROW``: thousands of small tensors between the large temporary ones of
+    counting would fragment the memory.
     """
 
     road: dict[str, RoadCounts] = field(default_factory=dict)
     keys: list[tuple[str, str]] = field(default_factory=list)  # name and group of each row
-    columns: dict[str, Tensor] = field(default_factory=dict, repr=False)
+    rows: bytearray = field(default_factory=bytearray, repr=False)
 
     def add(self, item: LabelledItem, score: ImageCounts) -> None:
         """Add the counts of one image."""
         group = item.group or UNGROUPED
-        area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
         self.road[group] = self.road[group] + score.road if group in self.road else score.road
-        coarse = metrics.coarsen(score.road, IMAGE_LEVELS)
-        values = {
-            "road": torch.stack([coarse.road, coarse.background]).to(torch.int32),
-            "mask": torch.stack(score.mask),
-            "boundary": score.boundary,
-            "numbers": torch.tensor([area, best, score.seconds, score.trust], dtype=torch.float64),
-        }
-        confusions = {"layout": score.layout, "labels": score.labels}
-        values |= {key: counts for key, counts in confusions.items() if counts is not None}
-        row = len(self.keys)
-        for key in values.keys() - self.columns.keys():
-            self.columns[key] = values[key].new_zeros((INITIAL_ROWS, *values[key].shape))
-        for key, column in self.columns.items():  # also those that this image lacks
-            while len(column) <= row:
-                column = torch.cat([column, torch.zeros_like(column)])
-            if key in values:
-                column[row] = values[key]
-            self.columns[key] = column
         self.keys.append((item.name, group))
+        coarse, row = metrics.coarsen(score.road, IMAGE_LEVELS), np.zeros((), ROW)
+        row["road"] = torch.stack([coarse.road, coarse.background])
+        row["mask"], row["boundary"] = torch.stack(score.mask), score.boundary
+        row["layout"] = 0 if score.layout is None else score.layout
+        area, best = float(metrics.auc(score.road)), float(metrics.max_f(score.road)[0])
+        row["numbers"] = area, best, score.seconds, score.trust
+        self.rows += row.tobytes()
 
     def table(self, groups: Iterable[str] | None = None) -> ImageTable:
         """Return the images of some groups, group by group, or all in their order."""
         indices = range(len(self.keys))
         if groups is not None:
             indices = [i for group in groups for i in indices if self.keys[i][1] == group]
-        return self._rows(indices)
+        return self._select(indices)
 
     def select(self, names: Container[str]) -> ImageTable:
         """Return the images with these names, in their order."""
-        return self._rows([i for i, (name, _) in enumerate(self.keys) if name in names])
+        return self._select([i for i, (name, _) in enumerate(self.keys) if name in names])
 
-    def _rows(self, indices: Sequence[int]) -> ImageTable:
-        chosen = torch.tensor(list(indices), dtype=torch.int64)
-        columns = {key: column[chosen] for key, column in self.columns.items()}
+    def _select(self, indices: Sequence[int]) -> ImageTable:
+        rows = np.frombuffer(self.rows, ROW)[np.array(indices, np.int64)]
+        road, mask, boundary, layout, numbers = (
+            torch.from_numpy(np.ascontiguousarray(rows[name])) for name in ROW.fields or ()
+        )
         return ImageTable(
             [self.keys[i][0] for i in indices],
             [self.keys[i][1] for i in indices],
-            RoadCounts(*columns["road"].unbind(1)),
-            columns["mask"],
-            columns["boundary"],
-            columns.get("layout"),
-            columns.get("labels"),
-            *columns["numbers"].unbind(1),
+            RoadCounts(*road.unbind(1)),
+            mask,
+            boundary,
+            layout if layout.any() else None,
+            *numbers.unbind(1),
         )
 
 
@@ -145,7 +143,6 @@ class PooledCounts:
     layout: Tensor | None
     at_threshold: ConfusionCounts | None  # at the threshold of each group; None where there is none
     image_auc: Tensor  # mean of the AUCs of single images, float64 (…)
-    labels: Tensor | None = None  # confusion of labels that may abstain; replicates lack it
     threshold: float | None = None  # where all groups share one; replicates lack it
     images: ImageTable | None = None  # replicates lack them
 

@@ -1,11 +1,10 @@
-"""Measures of trust, the predicted F of a mask: rank correlation, failure detection, risk.
+"""Measures of trust, the predicted F of a mask: rank correlation, failure detection.
 
 All are over single images, never over pixels. Only the order of trusts counts; where equal trusts
 have no order, the result is the mean over all of their orders.
 
 Sources: Spearman, American Journal of Psychology 1904; Fawcett, An introduction to ROC
-analysis, 2006; Geifman, Uziel, El-Yaniv, ICLR 2019 (the risk-coverage curve, its area, and
-the ideal one).
+analysis, 2006.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +14,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from roadtorch.evaluation.curves import Curve
 from roadtorch.evaluation.measure import Measure, TableName
 from roadtorch.evaluation.metrics import f_measure
 from roadtorch.evaluation.tally import ImageTable, PooledCounts
@@ -81,24 +79,6 @@ def failure_auc(trust: Tensor, f: Tensor, bad: float = FAILURE_F) -> float:
     return float(won / pairs) if pairs else float("nan")
 
 
-def risk_coverage_curve(trust: Tensor, f: Tensor) -> Curve:
-    """Compute the mean of 1 - F (y) of the 1, 2, … n most trusted images, by their fraction (x).
-
-    The ideal trust orders the images by F: no curve is below its own.
-    """
-    _, indices, counts = trust.unique(return_inverse=True, return_counts=True)
-    loss = 1 - f.to(torch.float64)
-    mean_loss = torch.zeros(len(counts), dtype=torch.float64).index_add_(0, indices, loss) / counts
-    covered = torch.arange(1, len(trust) + 1, dtype=torch.float64)
-    risk = mean_loss.flip(0).repeat_interleave(counts.flip(0)).cumsum(0) / covered
-    return Curve(covered / len(trust), risk)
-
-
-def aurc(curve: Curve) -> float:
-    """Return AURC, the mean risk over all coverages; NaN without images."""
-    return float(curve.y.mean())
-
-
 # --- measures over single images: the headline is that of all images ------------------------
 
 
@@ -147,27 +127,5 @@ TRUST_MEASURES = (
         "Mean difference of trust and the F of the image's mask.",
         lambda samples: float((samples.trust - samples.f).abs().mean()),
         "lower",
-    ),
-    _measure(
-        "aurc",
-        "AURC",
-        "Area under the risk-coverage curve: mean of 1 - F over the most trusted images, averaged "
-        "over all numbers of images.",
-        lambda samples: aurc(risk_coverage_curve(samples.trust, samples.f)),
-        "lower",
-    ),
-    _measure(
-        "aurc_ideal",
-        "AURC, ideal",
-        "AURC of a trust that orders the images by F.",
-        lambda samples: aurc(risk_coverage_curve(samples.f, samples.f)),
-        None,
-    ),
-    _measure(
-        "aurc_random",
-        "AURC, random",
-        "AURC of a random order, which is the mean of 1 - F.",
-        lambda samples: float((1 - samples.f).mean()),
-        None,
     ),
 )

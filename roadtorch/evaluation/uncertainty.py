@@ -4,6 +4,9 @@ Pixels of one image are not independent, so whole images are drawn, within each 
 the group has images. All scores of all detectors over the same images use the same draws: the
 effect of an easy or a hard draw on both of two detectors cancels in their difference.
 
+Percentiles of replicates are too close together for few values, such as three drives or five
+seeds: their weights are drawn so that the mean of any values has Student's t distribution.
+
 Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13 (percentiles).
 """
 
@@ -11,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import torch
+from scipy.special import stdtrit
 from torch import Tensor
 
 from roadtorch.evaluation import metrics
@@ -32,10 +36,32 @@ def bootstrap_weights(
     return torch.zeros_like(indices).scatter_add_(1, indices, torch.ones_like(indices))
 
 
-def sample_weights(images: int, generator: torch.Generator) -> Tensor:
-    """Return weights of images, float64 (1 + ``REPLICATES``, images): ones, then replicates'."""
-    draws = bootstrap_weights(images, generator)
-    return torch.cat([torch.ones_like(draws[:1]), draws]).to(torch.float64)
+def sample_weights(groups: Sequence[str], generator: torch.Generator) -> Tensor:
+    """Return weights of images of groups, float64 (1 + ``REPLICATES``, n): ones, then replicates'.
+
+    Each group has as many images in a replicate as it has.
+    """
+    weights = torch.ones(1 + REPLICATES, len(groups), dtype=torch.float64)
+    for group in sorted(set(groups)):
+        members = torch.tensor([name == group for name in groups])
+        draws = bootstrap_weights(int(members.sum()), generator, REPLICATES)
+        weights[1:, members] = draws.to(torch.float64)
+    return weights
+
+
+def student_weights(
+    values: int, generator: torch.Generator, replicates: int | None = None
+) -> Tensor:
+    """Draw weights of few values, float64 (replicates, values): each row sums to ``values``.
+
+    The weighted mean of values is their mean plus their standard error times a t of values - 1
+    degrees of freedom, so that a percentile interval is Student's; ours. Weights may be negative.
+    """
+    shape = (REPLICATES if replicates is None else replicates, values)
+    normal = torch.randn(shape, generator=generator, dtype=torch.float64)
+    others = torch.randn((shape[0], values - 1), generator=generator, dtype=torch.float64)
+    scale = (values / others.square().sum(1, keepdim=True)).sqrt()
+    return 1 + (normal - normal.mean(1, keepdim=True)) * (scale if values > 1 else 0)
 
 
 def pooled_f(counts: Tensor, weights: Tensor) -> Tensor:
@@ -57,9 +83,10 @@ def percentile_interval(values: Tensor) -> Interval:
 
 
 def mean_interval(values: Tensor) -> Interval:
-    """Return the 95 % interval of the mean of values (n,), each of one image."""
-    weights = bootstrap_weights(len(values), torch.Generator().manual_seed(BOOTSTRAP_SEED))
-    return percentile_interval(weights.double() @ values.double() / len(values))
+    """Return the 95 % interval of the mean of values (n,), each of one image: Student's t."""
+    mean, error = float(values.double().mean()), float(values.double().std()) / len(values) ** 0.5
+    reach = float(stdtrit(len(values) - 1, 0.975)) * error
+    return Interval(mean - reach, mean + reach)
 
 
 # --- the scores of an evaluation -----------------------------------------------------------------

@@ -52,7 +52,7 @@ def score_held_out(weights: Mapping[str, str], held_out: Sequence[HumanLabels]) 
     detectors["prior:rows"] = load_detector("prior:rows")
     images = [read_image(labels.image) for labels in held_out]
     truths = [labels_to_truth(labels.labels) for labels in held_out]
-    draws = sample_weights(len(images), torch.Generator().manual_seed(BOOTSTRAP_SEED))
+    draws = sample_weights(("",) * len(images), torch.Generator().manual_seed(BOOTSTRAP_SEED))
     scores = {}
     for name, detector in detectors.items():
         masks = [Inference(detector)(image).mask for image in images]

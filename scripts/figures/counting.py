@@ -14,16 +14,15 @@ from roadtorch.base.atomic import atomic_write
 from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.methods import Contender, collect_contenders
-from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
 from roadtorch.evaluation.result import pool_groups
 from roadtorch.evaluation.scoring import score_dataset
 from roadtorch.evaluation.tally import ImageResult, PooledCounts, Tally
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
-    REPLICATES,
     bootstrap_weights,
     percentile_interval,
     pool_replicates,
+    student_weights,
 )
 
 REPORT = 40  # images between two yields
@@ -74,7 +73,7 @@ def _write_counts(path: Path, result: ImageResult) -> ImageResult:
 
 
 class Replicates(NamedTuple):
-    """Counts pooled over drives, and of each drive with the times that it is drawn.
+    """Counts pooled over drives, and of each drive with its weights.
 
     Either those of all images, or of bootstrap replicates, (replicates, …).
     """
@@ -83,8 +82,8 @@ class Replicates(NamedTuple):
     drives: Sequence[tuple[Tensor, PooledCounts]]
 
     def mean(self, score: Callable[[PooledCounts], Tensor]) -> Tensor:
-        """Return the mean of a score over the drawn drives."""
-        total = sum(times * score(part) for times, part in self.drives)
+        """Return the weighted mean of a score over the drives."""
+        total = sum(weights * score(part) for weights, part in self.drives)
         return torch.as_tensor(total) / len(self.drives)
 
 
@@ -95,40 +94,23 @@ def observe(tally: Tally) -> Replicates:
 
 
 def replicate(tally: Tally) -> Replicates:
-    """Draw drives with replacement, where there are several, and images within each.
+    """Draw images within each drive; means over few drives get Student's t.
 
-    Tallies of the same images get the same draws, so that differences are paired.
+    Tallies of the same images get the same draws, so that differences are paired. Pooled counts
+    are those of these drives.
     """
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
-    names = list(tally.road)
-    times = torch.ones(REPLICATES, 1, dtype=torch.int64)
-    if len(names) > 1:
-        times = bootstrap_weights(len(names), generator)
-    drives = []
-    for column, name in enumerate(names):
-        table = tally.table([name])
-        weights = bootstrap_weights(len(table.names), generator)
-        drives.append((times[:, column], pool_replicates(table, math.nan, weights)))
-    return Replicates(_pool_drives(drives), drives)
-
-
-def _pool_drives(drives: Sequence[tuple[Tensor, PooledCounts]]) -> PooledCounts:
-    def total(part_of: Callable[[PooledCounts], Tensor]) -> Tensor:
-        parts = [(times, part_of(part)) for times, part in drives]
-        shaped = [times.reshape(-1, *[1] * (part.ndim - 1)) * part for times, part in parts]
-        return torch.stack(shaped).sum(0)
-
-    road = RoadCounts(total(lambda part: part.road.road), total(lambda part: part.road.background))
-    mask = ConfusionCounts(*total(lambda part: torch.stack(part.mask, 1)).unbind(1))
-    layout = None
-    if drives[0][1].layout is not None:
-        layout = total(lambda part: torch.as_tensor(part.layout))
-    boundary = total(lambda part: part.boundary)
-    return PooledCounts(road, mask, boundary, layout, None, total(lambda part: part.image_auc))
+    by_drive = student_weights(len(tally.road), generator).unbind(1)
+    tables = [tally.table([name]) for name in tally.road]
+    weights = [bootstrap_weights(len(table.names), generator) for table in tables]
+    parts = [pool_replicates(table, math.nan, w) for table, w in zip(tables, weights, strict=True)]
+    whole = pool_replicates(tally.table(tally.road), math.nan, torch.cat(weights, 1))
+    return Replicates(whole, list(zip(by_drive, parts, strict=True)))
 
 
 def with_interval(value: Tensor, replicates: Tensor, style: str = ".3f") -> str:
     """Format a score with its 95 % interval, ".957 (.929–.971)"; "to" between signed ends."""
-    ends = (float(value), *percentile_interval(replicates))
+    limits = (-math.inf, math.inf) if "+" in style else (0.0, 1.0)
+    ends = (float(value), *percentile_interval(replicates.clamp(*limits)))
     score, low, high = (f"{end:{style}}".replace("0.", ".", 1) for end in ends)
     return f"{score} ({low} to {high})" if "+" in style else f"{score} ({low}–{high})"

@@ -242,7 +242,6 @@ def test_a_class_without_pixels_has_no_recall_and_is_left_out_of_the_mean():
     assert metrics.class_recalls(confusion).isnan().tolist() == [True, False, True]
     assert float(metrics.mean_class_recall(confusion)) == 0.75
     assert math.isnan(metrics.mean_class_recall(torch.zeros(4, 4, dtype=torch.int64)))
-    assert math.isnan(metrics.layout_accuracy(torch.zeros(4, 4, dtype=torch.int64)))
 
 
 def test_measures_of_a_confusion_by_hand():
@@ -252,18 +251,14 @@ def test_measures_of_a_confusion_by_hand():
     rows = [[0.8, 0.2, 0.0], [0.1, 0.6, 0.3], [0.0, 0.1, 0.9]]
     assert shares.tolist() == [pytest.approx(row) for row in rows]
     assert float(metrics.mean_class_recall(CONFUSION)) == pytest.approx((0.8 + 0.6 + 0.9) / 3)
-    assert float(metrics.layout_accuracy(CONFUSION)) == pytest.approx(23 / 30)
     assert metrics.class_recalls(CONFUSION).tolist() == pytest.approx([0.8, 0.6, 0.9])
     assert literal.tolist() == pytest.approx([0.8, 6 / 14, 0.9])
-    assert float(metrics.labelled_fraction(CONFUSION)) == pytest.approx(30 / 35)
 
 
 def test_measures_of_several_confusions_are_those_of_each():
     stacked = torch.stack([CONFUSION, 2 * CONFUSION.T])
 
-    for formula in (
-        *(metrics.class_recalls, metrics.normalised_confusion, metrics.void_as_vertical),
-        *(metrics.mean_class_recall, metrics.layout_accuracy, metrics.labelled_fraction),
-    ):
+    formulas = metrics.class_recalls, metrics.normalised_confusion, metrics.void_as_vertical
+    for formula in (*formulas, metrics.mean_class_recall):
         alone = torch.stack([formula(CONFUSION), formula(2 * CONFUSION.T)])
         assert torch.equal(formula(stacked), alone)

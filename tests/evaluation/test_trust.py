@@ -15,7 +15,6 @@ from roadtorch.evaluation import trust_measures
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, select_changed
 from roadtorch.evaluation.report.adaptation import Adaptation, summary_table
 from roadtorch.evaluation.trust_measures import TrustSamples
-from tests.reference import trust as slow
 from tests.reports import make_contender, make_scored_run
 
 TENTHS = st.integers(0, 10).map(lambda tenths: tenths / 10)  # few values: many are equal
@@ -42,19 +41,6 @@ def test_ranks_and_areas_equal_those_of_scipy_and_scikit_learn(pairs):
     if 0 < bad.sum() < len(bad):
         expected = float(roc_auc_score(bad, -trusts))
         assert trust_measures.failure_auc(trusts, f, 0.6) == pytest.approx(expected, abs=1e-12)
-
-
-@settings(deadline=None, max_examples=20)
-@given(images(6))
-def test_the_risk_of_equals_is_the_mean_over_their_orders(pairs):
-    trusts, f = columns(pairs)
-
-    curve = trust_measures.risk_coverage_curve(trusts, f)
-
-    risks = slow.risks(trusts.tolist(), f.tolist())
-    assert curve.y.tolist() == pytest.approx(risks, abs=1e-9)
-    assert trust_measures.aurc(curve) == pytest.approx(sum(risks) / len(risks), abs=1e-9)
-    assert curve.x.tolist() == pytest.approx([(k + 1) / len(f) for k in range(len(f))])
 
 
 def test_within_groups_what_differs_between_them_counts_for_nothing():
@@ -84,7 +70,6 @@ def test_constant_values_are_nan():
     for pair in ((constant, f), (nothing, nothing)):
         assert math.isnan(trust_measures.rank_correlation(*pair))
         assert math.isnan(trust_measures.failure_auc(*pair, 0.6))
-    assert math.isnan(trust_measures.aurc(trust_measures.risk_coverage_curve(nothing, nothing)))
 
 
 # --- disagreement -----------------------------------------------------------------------

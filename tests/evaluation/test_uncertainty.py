@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import pytest
 import torch
@@ -16,17 +16,39 @@ from roadtorch.evaluation.result import DetectorScores
 from roadtorch.testing.scenes import RenderedScene
 from tests.evaluation.conftest import GROUPS, scores_of, tally_of
 
+TRIALS = 2000
 
-def test_interval_of_a_mean_is_the_textbook_one():
+
+def by_images(values: Tensor, generator: torch.Generator) -> Tensor:
+    weights = uncertainty.bootstrap_weights(values.shape[1], generator, 2000)
+    return values @ weights.double().T / values.shape[1]
+
+
+def by_few(values: Tensor, generator: torch.Generator) -> Tensor:
+    weights = uncertainty.student_weights(values.shape[1], generator, 3000)
+    return values @ weights.T / values.shape[1]
+
+
+@pytest.mark.parametrize(
+    ("draw", "count"), [(by_few, 3), (by_few, 5), (by_few, 14), (by_images, 150)]
+)
+def test_intervals_of_95_percent_cover_the_true_mean_that_often(
+    draw: Callable[[Tensor, torch.Generator], Tensor], count: int
+) -> None:
     generator = torch.Generator().manual_seed(1)
-    values = torch.randn(200, generator=generator, dtype=torch.float64)
+    samples = torch.randn(TRIALS, count, generator=generator, dtype=torch.float64)
 
-    weights = uncertainty.bootstrap_weights(200, generator.manual_seed(2), 4000)
-    low, high = uncertainty.percentile_interval(weights.to(values.dtype) @ values / 200)
+    intervals = map(uncertainty.percentile_interval, draw(samples, generator))
 
-    error = float(values.std()) / math.sqrt(200)
-    assert low == pytest.approx(float(values.mean()) - 1.96 * error, abs=0.1 * error)
-    assert high == pytest.approx(float(values.mean()) + 1.96 * error, abs=0.1 * error)
+    covered = [low <= 0 <= high for low, high in intervals]
+    assert 0.94 <= sum(covered) / TRIALS <= 0.96
+
+
+def test_the_interval_of_a_mean_covers_the_true_one_that_often() -> None:
+    samples = torch.randn(2000, 4, generator=torch.Generator().manual_seed(2))
+    covered = [low <= 0 <= high for low, high in map(uncertainty.mean_interval, samples)]
+
+    assert 0.94 <= sum(covered) / len(covered) <= 0.96
 
 
 def test_replicates_without_a_value_are_left_out():

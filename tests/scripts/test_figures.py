@@ -20,7 +20,7 @@ from roadtorch.evaluation.curves import Curve, area
 from roadtorch.evaluation.methods import Predictor, contender_from_name
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.evaluation.tally import ImageCounts, Tally
-from roadtorch.evaluation.uncertainty import mean_interval
+from roadtorch.evaluation.uncertainty import percentile_interval
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
@@ -59,15 +59,6 @@ def test_a_parent_stands_over_the_middle_of_its_children() -> None:
     assert p1_stages.node_columns([-1, 0, 0, 1, 1, 2]) == [1.25, 0.5, 2.0, 0.0, 1.0, 2.0]
 
 
-def test_the_interval_of_a_mean_is_that_of_its_standard_error() -> None:
-    values = torch.arange(100.0)
-
-    low, high = mean_interval(values)
-
-    error = float(values.std()) / 10
-    assert (low, high) == pytest.approx((49.5 - 1.96 * error, 49.5 + 1.96 * error), abs=0.4)
-
-
 # --- P2 ---------------------------------------------------------------------------------
 
 
@@ -78,7 +69,7 @@ def tally_of(**drives: tuple[list[float], list[bool]]) -> Tally:
         values, true = torch.tensor([likelihood]), torch.tensor([road])
         maps = true, torch.ones_like(true)
         levels, mask = metrics.count_levels(values, *maps), metrics.count_mask(values >= 0.5, *maps)
-        score = ImageCounts(levels, mask, count_boundary(values >= 0.5, *maps), None, None)
+        score = ImageCounts(levels, mask, count_boundary(values >= 0.5, *maps), None)
         tally.add(LabelledItem(drive, Path(drive), Path(drive), drive), score)
     return tally
 
@@ -114,7 +105,7 @@ def test_at_every_threshold_isolated_areas_are_discarded() -> None:
         assert torch.equal(joined >= threshold, remove_isolated(mask, seed))
 
 
-def test_replicates_draw_drives_and_the_images_within() -> None:
+def test_means_over_drives_have_intervals_of_student() -> None:
     drives = {str(n): ([0.9, 0.1], [bool(n % 2), not n % 2]) for n in range(8)}  # 1, 0, 1, 0, …
     tally = tally_of(**drives)
 
@@ -122,8 +113,8 @@ def test_replicates_draw_drives_and_the_images_within() -> None:
 
     means = drawn.mean(p2_road.pooled_auc)
     assert float(counting.observe(tally).mean(p2_road.pooled_auc)) == 0.5
-    assert means.mul(8).frac().eq(0).all()  # of 8 drives, each whole
-    assert float(means.std()) == pytest.approx((0.25 / 8) ** 0.5, rel=0.1)
+    reach = 2.365 * (2 / 7 / 8) ** 0.5  # t of 7 degrees of freedom
+    assert percentile_interval(means) == pytest.approx((0.5 - reach, 0.5 + reach), abs=0.06)
     assert torch.equal(drawn.pooled.road.road.sum(-1), torch.full((len(means),), 8))
 
 

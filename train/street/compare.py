@@ -28,7 +28,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, max_f
-from roadtorch.evaluation.uncertainty import REPLICATES, percentile_interval, sample_weights
+from roadtorch.evaluation.uncertainty import percentile_interval, sample_weights
 from roadtorch.layout.classes import VERTICAL
 from roadtorch.run.memo import cache_key, read_cached, write_cached
 from scripts.readme_figures import keep_records
@@ -141,12 +141,7 @@ def record(name: str, detector: Detector, options: argparse.Namespace) -> Record
 
 def draw_weights(cameras: np.ndarray) -> Tensor:
     """Draw how often each image counts, float64 (draws, n): the first row is all ones."""
-    generator = torch.Generator().manual_seed(SEED)
-    weights = torch.empty(REPLICATES + 1, len(cameras), dtype=torch.float64)
-    for camera in np.unique(cameras):
-        rows = torch.from_numpy((cameras == camera).nonzero()[0])
-        weights[:, rows] = sample_weights(len(rows), generator)
-    return weights
+    return sample_weights(cameras.tolist(), torch.Generator().manual_seed(SEED))
 
 
 def pool(records: Records, weights: Tensor, members: np.ndarray) -> Tensor:

@@ -160,7 +160,7 @@ def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
         return no_verdict(f"{frames} frames are too few to decide", frames)
     generator = torch.Generator().manual_seed(VERDICT_SEED)
     blocks = [torch.stack([part.sum(0) for part in rows.split(RUN_LENGTH)]) for rows in counts]
-    weights = sample_weights(len(blocks[0]), generator)
+    weights = sample_weights(("",) * len(blocks[0]), generator)
     scores = [pooled_f(sums, weights) for sums in blocks]
     initial, adapted, averaged = (float(values[0]) for values in scores)
     change = percentile_interval(scores[1][1:] - scores[0][1:])
