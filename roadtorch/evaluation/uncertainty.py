@@ -59,8 +59,8 @@ def student_weights(
     """
     shape = (REPLICATES if replicates is None else replicates, values)
     normal = torch.randn(shape, generator=generator, dtype=torch.float64)
-    others = torch.randn((shape[0], values - 1), generator=generator, dtype=torch.float64)
-    scale = (values / others.square().sum(1, keepdim=True)).sqrt()
+    freedom = torch.randn((shape[0], values - 1), generator=generator, dtype=torch.float64)
+    scale = (values / freedom.square().sum(1, keepdim=True)).sqrt()
     return 1 + (normal - normal.mean(1, keepdim=True)) * (scale if values > 1 else 0)
 
 

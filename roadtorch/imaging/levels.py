@@ -26,10 +26,10 @@ def is_above(values: Tensor, level: float) -> Tensor:
 
 
 @has_twin
-def select(mask: Tensor, values: Tensor, others: Tensor) -> Tensor:
-    """Return values (H, W) where a bool mask holds, else others, in whose memory it may be."""
-    arrays = [map.cpu().numpy() for map in (values, mask.byte(), others)]
-    return torch.from_numpy(cv2.copyTo(*arrays)).to(others.device)
+def select(mask: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    """Return the first map (H, W) where a bool mask holds, else the second, which may change."""
+    arrays = [map.cpu().numpy() for map in (first, mask.byte(), second)]
+    return torch.from_numpy(cv2.copyTo(*arrays)).to(second.device)
 
 
 @has_twin
