@@ -107,12 +107,12 @@ def classifiers(_: Sequence[str]) -> str:
 
 
 def training(_: Sequence[str]) -> str:
-    """Return the settings of both kinds of training."""
-    from roadtorch.train.config import ImageTraining, PatchTraining
+    """Return the settings of all kinds of training."""
+    from roadtorch.train.config import ImageTraining, PatchTraining, SelfTraining
 
     lines: list[str] = []
-    for title, kind in (("images", ImageTraining), ("patches", PatchTraining)):
-        lines += [f'### `kind = "{title}"`', "", *settings_list(kind)]
+    for kind in (SelfTraining, ImageTraining, PatchTraining):
+        lines += [f'### `kind = "{kind.name}"`', "", *settings_list(kind)]
     return "\n".join(lines)
 
 

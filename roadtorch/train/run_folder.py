@@ -35,8 +35,8 @@ CHECKPOINT_FORMAT = 2
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
 IMAGES, WEIGHTS, ADAPTATION_PAGE = "images.csv", "weights.safetensors", "adaptation.html"
 RUN_FILES = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, ADAPTATION_PAGE)
-INITIAL_LABELS = "labels-1"
-"""Folder of the initial network's labels."""
+LABELS = "labels-"
+"""Beginning of the names of folders of a network's labels; the number of the round follows."""
 
 OTHER_OUT = "give another --out"
 BAD_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
@@ -48,9 +48,15 @@ def config_hash(values: Mapping[str, Any]) -> str:
 
 
 def make_record(
-    config: Mapping[str, Any], images: Sequence[Item], corrections: Mapping[str, Any] | None
+    config: Mapping[str, Any],
+    images: Sequence[Item],
+    corrections: Mapping[str, Any] | None,
+    source: Sequence[Path] = (),
 ) -> dict[str, Any]:
-    """Return the content of run.json: settings, images and corrections, with a key of each."""
+    """Return the content of run.json: settings, images and corrections, with a key of each.
+
+    source: files of source images and their truth.
+    """
     files = [(image_file_name(image), file_digest(image.path)) for image in images]
     return {
         "roadtorch": __version__,
@@ -61,6 +67,7 @@ def make_record(
             "settings": cache_key(config, file_digests(config)),
             "images": cache_key(files),
             "corrections": cache_key(corrections),
+            "source": cache_key(*source),
         },
     }
 
@@ -100,7 +107,7 @@ class RunFolder:
 
     def begin(self, record: Mapping[str, Any]) -> None:
         """Remove half-written files of killed runs, and write the record of this run."""
-        remove_leftovers([self.path, self.path / INITIAL_LABELS])
+        remove_leftovers([self.path, *self.path.glob(f"{LABELS}*")])
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
 
     def _read_record(self) -> dict[str, Any] | None:
@@ -136,7 +143,7 @@ class RunFolder:
         try:
             regular_file_size(path)
             with suppress_warnings():  # about damaged files
-                state = torch.load(path, weights_only=True)
+                state = torch.load(path, map_location="cpu", weights_only=True)
             number = int(state["format"])
         except Exception:  # zipfile, pickle and torch raise anything for foreign bytes
             raise WeightsError(path, *BAD_CHECKPOINT) from None

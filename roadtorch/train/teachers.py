@@ -205,7 +205,9 @@ def label_with_network(
 def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
     """Compute potentials (5, h, w) in [0, 1] of an image (3, h, w), averaged over mirroring."""
     pixels = normalise(image, network.settings.normalisation).pixels
-    maps = scores_to_potentials(network(torch.stack([pixels, pixels.flip(-1)])))
+    device = next(network.parameters()).device
+    scores = network(torch.stack([pixels, pixels.flip(-1)]).to(device))
+    maps = scores_to_potentials(scores).to(image.device)
     return resize_maps((maps[0] + maps[1].flip(-1)) / 2, spatial_size(image))
 
 

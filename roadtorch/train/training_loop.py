@@ -19,7 +19,8 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest
 from roadtorch.layout.weights import LayoutNetwork, load_tensors
 from roadtorch.train.config import Descent, Stopping
-from roadtorch.train.run_folder import BAD_CHECKPOINT, CHECKPOINT, RunFolder
+from roadtorch.train.run_folder import BAD_CHECKPOINT, CHECKPOINT, LABELS, RunFolder
+from roadtorch.train.source import SourceImage
 
 # --- randomness -------------------------------------------------------------------------
 
@@ -79,13 +80,21 @@ class TrainingInputs(NamedTuple):
     """The inputs of a training.
 
     files: prepared images. corrected: file of the correction by prepared image. initial: network
-    with the initial weights, if any. labels: folder for that network's labels.
+    with the initial weights, if any. out: folder of the run, for labels by a network. number: of
+    the round, from 1.
     """
 
     files: Sequence[Path]
     corrected: Mapping[Path, Path]
     initial: LayoutNetwork | None
-    labels: Path
+    out: Path
+    number: int = 1
+    device: str = "cpu"
+
+    @property
+    def labels(self) -> Path:
+        """Folder of the network's labels for this round."""
+        return self.out / f"{LABELS}{self.number}"
 
 
 class Batch(NamedTuple):
@@ -100,9 +109,11 @@ class Batch(NamedTuple):
 class TrainingProgress:
     """The progress of a run, from which it is resumed with the weights and the optimizer's state.
 
-    loss, count: sums over the finished part of the epoch. rows: the finished epochs.
+    epoch, chunk, steps, finished: of the current round. loss, count: sums over the finished part
+    of the epoch. rows: the finished epochs of all rounds.
     """
 
+    round: int = 1
     epoch: int = 0
     chunk: int = 0
     steps: int = 0
@@ -112,21 +123,57 @@ class TrainingProgress:
     finished: bool = False
     rows: list[dict[str, Any]] = field(default_factory=list)
 
+    @property
+    def losses(self) -> list[float]:
+        """Losses of the finished epochs of this round."""
+        return [row["loss"] for row in self.rows if row["round"] == self.round]
+
+
+class Recipe:
+    """A kind of training: what the loop does in each of its rounds. Most have one."""
+
+    loss: Callable[[Any, Batch], Tensor]
+    source: Sequence[SourceImage] = ()
+
+    def __init__(self, descent: Descent, stopping: Stopping) -> None:
+        self._rules = descent, stopping
+
+    @property
+    def rounds(self) -> int:
+        """Number of rounds, each with an optimiser of its own."""
+        return 1
+
+    def rules(self, number: int) -> tuple[Descent, Stopping]:
+        """Return the descent and the end of a round."""
+        return self._rules
+
+    def parameter_groups(self, network: nn.Module, number: int) -> list[dict[str, Any]]:
+        """Return the parameters that learn in a round: ``params``, and ``factor`` on their rate."""
+        return [{"params": list(network.parameters()), "factor": 1.0}]
+
+    def initialise(self, network: nn.Module, samples: Any) -> None:
+        """Set what depends on samples in a new network, before the first round."""
+
+    def finish_round(self, network: nn.Module, out: Path, number: int) -> None:
+        """Write the results of a round with its averaged network."""
+
 
 @dataclass
 class Loop:
-    """The epochs of a run: a network, its averaged copy and their progress.
+    """The epochs of a round: a network, its averaged copy and their progress.
 
     chunks: number of parts of an epoch, between which a run can be interrupted and resumed.
     batches: yields the batches of an epoch and a chunk, always the same. loss: of a network, summed
-    over a batch. part: number of this training, from 1, and count of those that share the bar.
-    validate: F of a network on held-out images.
+    over a batch. groups: the parameters that learn (``Recipe.parameter_groups``). part: number of
+    this training, from 1, and count of those that share the bar. title: what comes before the
+    epoch. validate: F of a network on held-out images.
     """
 
     network: LayoutNetwork
     chunks: int
     batches: Callable[[int, int], Iterator[Batch]]
-    loss: Callable[[nn.Module, Batch], Tensor]
+    loss: Callable[[Any, Batch], Tensor]
+    groups: list[dict[str, Any]]
     descent: Descent
     stopping: Stopping
     progress: TrainingProgress
@@ -134,19 +181,21 @@ class Loop:
     stop: StopRequest
     quiet: bool = False
     part: tuple[int, int] = (1, 1)
+    title: str = ""
+    device: str = "cpu"
     validate: Callable[[Any], float] | None = None
 
     def __post_init__(self) -> None:
-        """Create the averaged network and the optimizer."""
+        """Move the network to the device; create its average and the optimizer."""
         descent = self.descent
+        self.network.to(self.device)
         self.average = MovingAverage(self.network, descent.ema)
         self.best = self.average.network.state_dict()  # the current weights, without ``validate``
         rate, decay = descent.learning_rate, descent.weight_decay
-        weights = self.network.parameters()
         self._optimiser: torch.optim.Optimizer = (
-            torch.optim.AdamW(weights, rate, weight_decay=decay)
+            torch.optim.AdamW(self.groups, rate, weight_decay=decay)
             if descent.method == "adam"
-            else torch.optim.SGD(weights, rate, descent.momentum, weight_decay=decay)
+            else torch.optim.SGD(self.groups, rate, descent.momentum, weight_decay=decay)
         )
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -217,15 +266,14 @@ class Loop:
         )
 
     def _title(self, epoch: int) -> str:
-        part, parts = self.part
-        half = f"half {part} of {parts}, " if parts > 1 else ""
-        return f"{half}epoch {epoch} of {self.stopping.epochs}"
+        return f"{self.title}epoch {epoch} of {self.stopping.epochs}"
 
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
         epochs = progress.epoch + progress.chunk / self.chunks
+        self._rate = self.descent.learning_rate_at(epochs / self.stopping.epochs)
         for group in self._optimiser.param_groups:
-            group["lr"] = self.descent.learning_rate_at(epochs / self.stopping.epochs)
+            group["lr"] = self._rate * group["factor"]
         for batch in self.batches(progress.epoch, progress.chunk):
             loss += self.step(batch)
             progress.count += len(batch.inputs)
@@ -240,7 +288,9 @@ class Loop:
     def step(self, batch: Batch) -> float:
         """Take one step down the mean loss of a batch; return the loss summed over the batch."""
         self._optimiser.zero_grad(set_to_none=False)
-        with torch.autocast("cpu", torch.bfloat16, self.descent.precision == "bfloat16"):
+        batch = Batch(*(part.to(self.device) for part in batch))
+        kind, is_coarse = batch.inputs.device.type, self.descent.precision == "bfloat16"
+        with torch.autocast(kind, torch.bfloat16, is_coarse):
             loss = self.loss(self.network, batch)
         (loss / len(batch.inputs)).backward()
         self._optimiser.step()
@@ -250,17 +300,17 @@ class Loop:
         """Log an epoch and decide whether it was the last."""
         progress = self.progress
         row = {
-            "round": 1,
+            "round": progress.round,
             "epoch": progress.epoch + 1,
             "loss": progress.loss / max(1, progress.count),
             "samples": progress.count,
-            "learning_rate": self._optimiser.param_groups[0]["lr"],
+            "learning_rate": self._rate,
             "seconds": round(progress.seconds, 1),
         }
         progress.rows.append(row)
         progress.epoch += 1
         progress.chunk, progress.loss, progress.count, progress.seconds = 0, 0.0, 0, 0.0
-        losses = [entry["loss"] for entry in progress.rows]
+        losses = progress.losses
         progress.finished = self.stopping.is_reached(losses)
         if self.validate:
             row["held_out_f"] = round(self.validate(self.average.network.eval()), 5)

@@ -14,10 +14,10 @@ from roadtorch.base.signals import StopRequest
 from roadtorch.data.corrections import HumanLabels
 from roadtorch.data.events import NOT_ROAD, ROAD_LABEL, VOID_LABEL, layout_layer, road_layer
 from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
-from roadtorch.imaging.resize import resize_maps
+from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.backbone_network import BackboneNetwork
-from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY
+from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import (
     EGO_OUTPUT,
     ROAD_OUTPUT,
@@ -28,7 +28,8 @@ from roadtorch.layout.image_network import (
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
 from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
-from roadtorch.train import augmentation
+from roadtorch.train.augmentation import sample_ego_cars
+from roadtorch.train.batches import augment_batch
 from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
@@ -48,6 +49,7 @@ from roadtorch.train.training_loop import (
     IMAGE_ORDER,
     IMAGE_VARIATION,
     Batch,
+    Recipe,
     TrainingInputs,
     make_generator,
     seed_torch,
@@ -75,6 +77,7 @@ class ImageSamples:
     sampling_weights: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
     corrected: Mapping[Path, Path]
+    device: str = "cpu"
     read: Callable[..., Arrays] = field(default_factory=make_cached_reader)
 
     @property
@@ -89,68 +92,45 @@ class ImageSamples:
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """Yield the one batch of a chunk; its targets are ``Targets`` stacked to eight planes."""
-        training = self.training
-        generator = make_generator(training.random_seed, IMAGE_ORDER, 0, epoch)
+        training, seed = self.training, self.training.random_seed
+        generator = make_generator(seed, IMAGE_ORDER, 0, epoch)
         order = sample_members(self.sampling_weights, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
-        size = (training.network.height, training.network.width)
-        generator = make_generator(training.random_seed, IMAGE_VARIATION, 0, epoch, chunk)
-        geometry = training.augmentation.geometry
-        transforms = augmentation.sample_affine(len(members), size, geometry, generator)
-        seeds = torch.randint(2**62, (len(members),), generator=generator).tolist()
-        samples = map(self._augment, members, transforms.split(1), seeds)
-        images, targets = map(torch.cat, zip(*samples, strict=True))
-        scales = training.scales
-        scale = scales[int(torch.randint(len(scales), (), generator=generator))]
-        if scale != 1:
-            size = scale_size(*size, scale)
-            images, targets = (resize_maps(maps, size) for maps in (images, targets))
-        yield Batch(images, targets, torch.ones(len(images)))
+        generator = make_generator(seed, IMAGE_VARIATION, 0, epoch, chunk)
+        scale = training.scales[int(torch.randint(len(training.scales), (), generator=generator))]
+        size = scale_size(training.network.height, training.network.width, scale)
+        resize = partial(resize_maps, size=size)
+        cars = partial(sample_ego_cars, self.ego_cars) if self.ego_cars else None
+        samples = self._read_samples(members)
+        images, planes = augment_batch(*samples, training.augmentation, resize, cars, generator)
+        pixels = [normalise(image, training.network.normalisation).pixels for image in images]
+        yield Batch(torch.stack(pixels), planes, torch.ones(len(images)))
 
-    def _augment(self, member: int, transform: Tensor, seed: int) -> tuple[Tensor, Tensor]:
-        """Return an augmented, normalised image (1, 3, H, W) and its targets (1, 8, H, W)."""
-        training, rng = self.training, torch.Generator().manual_seed(seed)
-        settings = training.augmentation
-        image, targets = self._read_sample(member)
-        image = augmentation.warp_affine(image, transform, "border")
-        planes = augmentation.warp_affine(torch.cat(targets, 1), transform, "zeros")
-
-        def is_chosen(probability: float) -> bool:
-            return float(torch.rand((), generator=rng)) < probability
-
-        if is_chosen(settings.surface.probability):
-            parts = Targets(*planes.split(TARGET_PLANES, 1))
-            ground = parts.layout[:, HORIZONTAL : HORIZONTAL + 1] * (1 - parts.road)
-            image = augmentation.retexture_road(image, parts.road, ground, settings.surface, rng)
-        if is_chosen(settings.shadow.probability):
-            image = augmentation.add_shadow(image, settings.shadow, rng)
-        if self.ego_cars and is_chosen(settings.ego_car.probability):
-            car = augmentation.sample_ego_car(self.ego_cars, settings.ego_car, rng)
-            image, planes = augmentation.paste_ego_car(image, planes, car)
-        if is_chosen(settings.weather.probability):
-            parts = Targets(*planes.split(TARGET_PLANES, 1))
-            sky, ground = (parts.layout[:, k : k + 1] for k in (SKY, HORIZONTAL))
-            scene = augmentation.SceneMasks(sky, ground, parts.road, parts.ego * parts.ego_weight)
-            image = augmentation.add_weather(image, scene, settings.weather, rng)
-        if is_chosen(settings.night.probability):
-            parts = Targets(*planes.split(TARGET_PLANES, 1))
-            unlit = (parts.layout[:, SKY : SKY + 1] + parts.ego).clamp_max(1)
-            image = augmentation.darken_to_night(image, unlit, settings.night, rng)
-        image = augmentation.jitter_light(image, settings.light, rng)
-        return normalise(image[0], training.network.normalisation).pixels[None], planes
-
-    def _read_sample(self, member: int) -> tuple[Tensor, Targets]:
-        """Return a prepared image (1, 3, H, W) in [0, 1] and its targets."""
-        training, file, network = self.training, self.files[member], None
-        arrays = self.read(file, "image", "maps", "ego")
-        image, maps, ego = (from_uint8(arrays[name])[None] for name in ("image", "maps", "ego"))
+    def _read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Return prepared images (n, 3, H, W) in [0, 1] and their stacked ``Targets``."""
+        training, files = self.training, [self.files[member] for member in members]
+        images, maps, ego = self._read(files, "image", "maps", "ego")
+        network = None
         if self.labels:
-            network = from_uint8(self.read(self.labels[member], "maps")["maps"])[None]
-        targets = make_targets(maps, ego[None], network, training.teacher, training.rounds)
-        if file in self.corrected:
-            planes = from_uint8(self.read(self.corrected[file], "planes")["planes"])[None]
-            targets = corrected_targets(targets, planes, training.corrections.weight)
-        return image, targets
+            (network,) = self._read([self.labels[member] for member in members], "maps")
+        targets = make_targets(maps, ego[:, None], network, training.teacher, training.rounds)
+        if self.corrected:
+            none = torch.zeros(CORRECTION_PLANES, *spatial_size(images), dtype=torch.uint8)
+            planes = [
+                self.read(self.corrected[file], "planes")["planes"]
+                if file in self.corrected
+                else none
+                for file in files
+            ]
+            stacked = from_uint8(torch.stack(planes).to(self.device))
+            targets = corrected_targets(targets, stacked, training.corrections.weight)
+        return images, torch.cat(targets, 1)
+
+    def _read(self, files: Sequence[Path], *names: str) -> list[Tensor]:
+        """Read named arrays of files, stacked, on the device, in [0, 1]."""
+        arrays = [self.read(file, *names) for file in files]
+        stacks = (torch.stack([entry[name] for entry in arrays]) for name in names)
+        return [from_uint8(stack.to(self.device)) for stack in stacks]
 
 
 def sample_members(weights: Tensor, count: int, rng: torch.Generator) -> Tensor:
@@ -167,6 +147,9 @@ def sample_members(weights: Tensor, count: int, rng: torch.Generator) -> Tensor:
 
 # --- corrections ------------------------------------------------------------------------
 
+
+CORRECTION_PLANES = 3 + NUM_CLASSES
+"""Planes of a correction: road, not road, void and the layout."""
 
 MIN_CORRECTED = 0.5
 """Fraction of a cell's pixels that have to be corrected for the cell to count as corrected."""
@@ -197,15 +180,15 @@ def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Target
     )
 
 
-def reweight_corrected(weights: Tensor, corrected: Tensor, fraction: float) -> Tensor:
-    """Scale weights (n,) so that corrected images, bool (n,), get ``fraction`` of their sum.
+def reweight(weights: Tensor, chosen: Tensor, fraction: float) -> Tensor:
+    """Scale weights (n,) so that chosen images, bool (n,), get ``fraction`` of their sum.
 
-    Unchanged if all images are corrected, or none.
+    Unchanged if all images are chosen, or none.
     """
-    if not corrected.any() or corrected.all():
+    if not chosen.any() or chosen.all():
         return weights
-    corrected_sum, rest_sum = weights[corrected].sum(), weights[~corrected].sum()
-    return weights * torch.where(corrected, fraction / corrected_sum, (1 - fraction) / rest_sum)
+    chosen_sum, rest_sum = weights[chosen].sum(), weights[~chosen].sum()
+    return weights * torch.where(chosen, fraction / chosen_sum, (1 - fraction) / rest_sum)
 
 
 # --- held-out images --------------------------------------------------------------------
@@ -273,10 +256,11 @@ TEACHER_KEYS = {"detector", "weights", "runtime", "views", "working"}
 """Settings of a teacher on which its maps depend."""
 
 
-class ImageRecipe:
+class ImageRecipe(Recipe):
     """Training of a whole-image network."""
 
     def __init__(self, training: ImageTraining) -> None:
+        super().__init__(training.descent, training.stopping)
         self._training = training
         self.loss = partial(image_loss, training=training)
         self._teacher = load_teacher(training.teacher)
@@ -344,5 +328,6 @@ class ImageRecipe:
                 cars.setdefault(name, []).append(file)
         weights = torch.tensor([sizes[name] ** -training.recordings.balance for name in names])
         corrected = torch.tensor([file in inputs.corrected for file in files])
-        weights = reweight_corrected(weights, corrected, training.corrections.fraction)
-        return ImageSamples(training, files, labels, weights, cars, inputs.corrected)
+        weights = reweight(weights, corrected, training.corrections.fraction)
+        corrected, device = inputs.corrected, inputs.device
+        return ImageSamples(training, files, labels, weights, cars, corrected, device)

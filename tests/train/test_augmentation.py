@@ -1,6 +1,7 @@
 """Augmentation of whole images: geometry, light, weather; ego cars pasted over streets."""
 
 import math
+import random
 from collections import Counter
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from roadtorch.train.augmentation import (
     paste_ego_car,
     retexture_road,
     sample_affine,
-    sample_ego_car,
+    sample_ego_cars,
     warp_affine,
     wet_road,
 )
@@ -259,12 +260,12 @@ def write_frame(path: Path, level: int) -> Path:
 
 def test_each_recording_is_lent_as_often_however_many_frames_it_has(tmp_path: Path) -> None:
     frames = [write_frame(tmp_path / f"{level}.npz", level) for level in range(6)]
-    recordings, at = {"one": frames[:1], "five": frames[1:]}, seeded_generator(4)
+    recordings = {"one": frames[:1], "five": frames[1:]}
 
-    cars = [sample_ego_car(recordings, STILL_CAR, at) for _ in range(300)]
+    cars = sample_ego_cars(recordings, 300, random.Random(4))
 
-    levels = Counter(round(float(car.image[0, 0, 0, 0]) * 255) for car in cars)
+    levels = Counter((cars.image[:, 0, 0, 0] * 255).round().int().tolist())
     assert levels[0] == pytest.approx(150, abs=30)  # 3.5 deviations
     assert all(levels[level] == pytest.approx(30, abs=18) for level in range(1, 6))
     # Only the known ego car is lent.
-    assert cars[0].ego[0, 0, :, 0].tolist() == [0, 0, 1]
+    assert cars.ego[0, 0, :, 0].tolist() == [0, 0, 1]

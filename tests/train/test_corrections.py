@@ -21,7 +21,7 @@ from roadtorch.train.corrections import write_fusion_config
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, merge_corrections, oversample
 from roadtorch.train.run import FUSION_CONFIG, Outcome, TrainingRequest, make_recipe, train
 from roadtorch.train.teachers import Targets
-from roadtorch.train.whole_images import corrected_targets, reweight_corrected
+from roadtorch.train.whole_images import corrected_targets, reweight
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, training_of, write_config
 
@@ -88,12 +88,12 @@ def test_void_counts_for_nothing_and_nothing_said_changes_nothing() -> None:
 def test_corrected_images_get_their_share_of_the_visits() -> None:
     weights, corrected = torch.tensor([1.0, 3.0, 2.0, 2.0]), torch.tensor([1, 0, 0, 1]).bool()
 
-    moved = reweight_corrected(weights, corrected, 0.7)
+    moved = reweight(weights, corrected, 0.7)
 
     assert float(moved[corrected].sum() / moved.sum()) == pytest.approx(0.7)
     assert float(moved[3] / moved[0]) == pytest.approx(2)
-    assert torch.equal(reweight_corrected(weights, corrected | True, 0.7), weights)
-    assert torch.equal(reweight_corrected(weights, corrected & False, 0.7), weights)
+    assert torch.equal(reweight(weights, corrected | True, 0.7), weights)
+    assert torch.equal(reweight(weights, corrected & False, 0.7), weights)
 
 
 def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import signal
 from functools import partial
 from pathlib import Path
@@ -25,13 +24,21 @@ from roadtorch.train.training_loop import (
     Batch,
     Loop,
     MovingAverage,
+    Recipe,
     TrainingProgress,
 )
 from roadtorch.train.whole_images import image_loss
 from tests.command import Call
 from tests.draws import seeded_generator
 from tests.train.conftest import Trained
-from tests.train.runs import PATCHES, rows_of, training_of, write_bonnets, write_config
+from tests.train.runs import (
+    PATCHES,
+    interrupt_after,
+    rows_of,
+    training_of,
+    write_bonnets,
+    write_config,
+)
 
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
@@ -164,19 +171,6 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
 # --- cut short -------------------------------------------------------------------------------
 
 
-def interrupt_after(steps: int, patch: pytest.MonkeyPatch) -> None:
-    """Send this process SIGTERM in the middle of its n-th step from now."""
-    original, remaining = Loop.step, [steps]
-
-    def step(loop: Loop, batch: Batch) -> float:
-        remaining[0] -= 1
-        if remaining[0] == 0:
-            os.kill(os.getpid(), signal.SIGTERM)
-        return original(loop, batch)
-
-    patch.setattr(Loop, "step", step)
-
-
 @pytest.mark.parametrize("kind", WHOLE)
 def test_a_run_in_pieces_ends_with_the_bits_of_a_whole_one(
     kind: str, whole: dict[str, Path], trained: Trained, monkeypatch: pytest.MonkeyPatch
@@ -219,10 +213,11 @@ def stepped(precision: str) -> tuple[float, ImageNetwork]:
     descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})
     loss = partial(image_loss, training=ImageTraining())
     no_samples = (1, lambda *_: iter(()))
+    groups = Recipe(descent, Stopping()).parameter_groups(network, 1)
     last = (TrainingProgress(), RunFolder(Path()), StopRequest())
     targets = torch.rand(2, sum(TARGET_PLANES), 32, 40, generator=seeded_generator(1))
     batch = Batch(torch.randn(2, 3, 32, 40, generator=seeded_generator(2)), targets, torch.ones(2))
-    return Loop(network, *no_samples, loss, descent, Stopping(), *last).step(batch), network
+    return Loop(network, *no_samples, loss, groups, descent, Stopping(), *last).step(batch), network
 
 
 def test_a_step_in_bfloat16_is_that_in_float32_to_its_digits() -> None:

@@ -1,0 +1,442 @@
+"""Self-training: a network learns from rendered worlds, then from real images that it labels. Ours.
+
+The networks of `fusion` are made so, each in one run from ImageNet's features. Before each round
+but the first the detector with the averaged network of the round before labels the target images
+(unsupervised domain adaptation by self-training; Zou et al., ECCV 2018; DAFormer, Hoyer et al.,
+CVPR 2022).
+"""
+
+import random
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from hashlib import sha256
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import write_pixels
+from roadtorch.base.signals import StopRequest
+from roadtorch.data.corrections import HumanLabels
+from roadtorch.detectors.catalogue import load_detector
+from roadtorch.imaging.resize import resize_maps, spatial_size
+from roadtorch.inputs.item import Item, evenly_spaced
+from roadtorch.layout.backbone_network import BackboneNetwork
+from roadtorch.layout.classes import NUM_CLASSES, VERTICAL
+from roadtorch.layout.image_network import compute_cues, count_upper_rows, resize_rows
+from roadtorch.layout.pretrained import (
+    IMAGENET,
+    load_imagenet_weights,
+    measure_levels,
+    scale_layers,
+    wheel_package,
+)
+from roadtorch.layout.weights import LayoutNetwork, resize_network, save_network, weights_path
+from roadtorch.road.bayes import log_odds
+from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
+from roadtorch.train.augmentation import sample_ego_cars
+from roadtorch.train.batches import augment_batch, split_targets
+from roadtorch.train.config import Descent, SelfTraining, Stopping
+from roadtorch.train.prepared import (
+    Preparation,
+    from_uint8,
+    image_file_name,
+    prepare,
+    to_uint8,
+)
+from roadtorch.train.recordings import recording_name
+from roadtorch.train.source import (
+    find_source_images,
+    prepare_source,
+    truth_targets,
+)
+from roadtorch.train.teachers import Targets, shows_ego_car
+from roadtorch.train.training_loop import (
+    IMAGE_ORDER,
+    IMAGE_VARIATION,
+    Batch,
+    Recipe,
+    TrainingInputs,
+    make_generator,
+    seed_torch,
+)
+from roadtorch.train.whole_images import reweight, sample_members, target_loss
+
+SOURCE = "source"
+"""Folder, beside the prepared target images, of prepared source images."""
+
+STRIDE = 2
+"""Pixels of the network's input for each at which the loss is computed."""
+
+CROPS = (0.3,)
+"""Crops of the detector that labels (``FusionSettings.crops``)."""
+
+MIN_EGO = 0.7
+"""Mean of detected ego car and its potential from which a target's pixel is ego car."""
+
+LEVEL_BATCHES = 30
+"""Batches over which the statistics of a new head's features are measured."""
+
+SHEET = (4, 4)
+"""Rows and columns of a sheet of target images with their road."""
+
+SHEET_SIZE = (240, 320)
+
+
+# --- labels -----------------------------------------------------------------------------
+
+
+class SelfTeacher:
+    """`fusion` with a network: labels averaged over sizes of its input, and mirrored."""
+
+    def __init__(self, weights: Path, sizes: Sequence[tuple[int, int]]) -> None:
+        self._detector = load_detector("fusion", weights={"file": str(weights)}, crops=CROPS)
+        self._fusion: Any = self._detector.get_submodule("analysis")
+        self._networks = [resize_network(self._fusion.network, *size) for size in sizes]
+
+    def label(self, image: Tensor) -> Tensor:
+        """Return sky, vertical, horizontal, road and not ego car (5, H, W) of an image (3, H, W).
+
+        The road is the geometric mean of the views' odds, so that one uncertain view does not
+        outvote several certain ones.
+        """
+        layouts, roads, cars = list[Tensor](), list[Tensor](), list[Tensor]()
+        for network in self._networks:
+            self._fusion.network = network
+            for is_mirrored in (False, True):
+                view = image.flip(-1) if is_mirrored else image
+                cues = self._detector.detect(view)
+                car = cues.cues["ego"].float() + compute_cues(network, view)["ego"]
+                planes = torch.cat([cues.cues["layout"], cues.likelihood[None], car[None] / 2])
+                planes = planes.flip(-1) if is_mirrored else planes
+                layouts.append(planes[:NUM_CLASSES])
+                roads.append(log_odds(planes[NUM_CLASSES]))
+                cars.append(planes[-1])
+        street = (torch.stack(cars).mean(0) <= MIN_EGO).float()
+        road = torch.stack(roads).mean(0).sigmoid() * street
+        return torch.cat([torch.stack(layouts).mean(0), road[None], street[None]])
+
+    def compute(self, image: Tensor, name: str, size: tuple[int, int]) -> Arrays:
+        """Return the labels of an image as ``maps``, uint8 of a size."""
+        return {"maps": to_uint8(resize_maps(self.label(image), size).clamp(0, 1))}
+
+
+def label_targets(maps: Tensor, training: SelfTraining) -> Targets:
+    """Return the targets of labels (n, 5, H, W) in [0, 1] of ``SelfTeacher``; of no ego car."""
+    layout, road, street = maps.split([NUM_CLASSES, 1, 1], 1)
+    settings, best = training.target, layout.topk(2, 1).values
+    is_clear = (best[:, :1] - best[:, 1:] >= settings.margin) & (street > 0.5)
+    certainty = (2 * road - 1).abs()
+    weight = (certainty >= settings.road_margin) * certainty**settings.confidence
+    none = torch.zeros_like(road)
+    return Targets(layout, is_clear.to(road), road, weight, none, none)
+
+
+# --- samples ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DomainSamples:
+    """Source and target images of a round in augmented batches; a chunk is one batch.
+
+    source: prepared source images. labels: file of the labels by prepared target image.
+    sampling_weights: (n,), of both, in this order. ego_cars: source images that show one, by kind.
+    """
+
+    training: SelfTraining
+    number: int
+    source: Sequence[Path]
+    labels: Mapping[Path, Path]
+    sampling_weights: Tensor
+    ego_cars: Mapping[str, Sequence[Path]]
+    device: str = "cpu"
+    read: Callable[..., Arrays] = field(default_factory=make_cached_reader)
+
+    @property
+    def chunks(self) -> int:
+        """Batches of an epoch."""
+        return max(1, round(self.training.samples_per_epoch / self.training.descent.batch))
+
+    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
+        """Yield the one batch of a chunk; its targets are ``Targets`` stacked, at the loss's size.
+
+        Borders of road are weighed, see ``weigh_borders``.
+        """
+        training, key = self.training, (self.training.random_seed, IMAGE_ORDER, self.number, epoch)
+        count = training.samples_per_epoch
+        order = sample_members(self.sampling_weights, count, make_generator(*key))
+        members = order.tensor_split(self.chunks)[chunk].tolist()
+        generator = make_generator(key[0], IMAGE_VARIATION, self.number, epoch, chunk)
+        choice = random.Random(int(torch.randint(2**62, (), generator=generator)))
+        size = choice.choice(training.sizes)
+        rows = count_upper_rows(choice.choice(training.upper_rows), size[0])
+        resize = partial(resize_rows, size=size, rows=rows)
+        cars = partial(sample_ego_cars, self.ego_cars) if self.ego_cars else None
+        samples = self._read_samples(members)
+        images, planes = augment_batch(*samples, training.augmentation, resize, cars, generator)
+        planes = F.avg_pool2d(planes, STRIDE)
+        if training.source.border:
+            is_exact = torch.tensor([member < len(self.source) for member in members])
+            planes = weigh_borders(planes, is_exact.to(planes.device), training.source.border)
+        images = images.contiguous(memory_format=torch.channels_last)
+        yield Batch(images, planes, torch.ones(len(images)))
+
+    def _read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Return prepared images (n, 3, H, W) in [0, 1] and their stacked ``Targets``."""
+        files, images, planes = [*self.source, *self.labels], list[Tensor](), list[Tensor]()
+        for member in members:
+            arrays = self.read(files[member])
+            image = from_uint8(arrays["image"].to(self.device))
+            images.append(image)
+            if member < len(self.source):
+                codes, ego = (arrays[name][None, None].to(self.device) for name in ("codes", "ego"))
+                targets = truth_targets(codes, from_uint8(ego))
+            else:
+                maps = self.read(self.labels[files[member]], "maps")["maps"].to(self.device)
+                fine = F.interpolate(from_uint8(maps)[None], spatial_size(image), mode="bilinear")
+                targets = label_targets(fine, self.training)
+            planes.append(torch.cat(targets, 1))
+        return torch.stack(images), torch.cat(planes)
+
+
+def weigh_borders(planes: Tensor, is_exact: Tensor, border: float) -> Tensor:
+    """Weigh road and layout of stacked ``Targets`` (n, 8, H, W) where road meets the vertical.
+
+    is_exact: bool (n,), whether the truth is a renderer's: there ``border`` is added to a weight of
+    1. Machine labels are uncertain there, and get the weight 0.
+    """
+    targets = split_targets(planes)
+    vertical = targets.layout[:, VERTICAL : VERTICAL + 1] * targets.layout_weight
+    near_road, near_vertical = (F.max_pool2d(mask, 3, 1, 1) for mask in (targets.road, vertical))
+    added = torch.where(is_exact, border, -1.0)[:, None, None, None]
+    gain = (1 + near_road * near_vertical * added).clamp_min(0)
+    layout_weight, road_weight = (
+        weight * gain for weight in (targets.layout_weight, targets.road_weight)
+    )
+    return torch.cat(targets._replace(layout_weight=layout_weight, road_weight=road_weight), 1)
+
+
+# --- recipe -----------------------------------------------------------------------------
+
+
+class SelfTrainingRecipe(Recipe):
+    """Training on source and target images, in rounds."""
+
+    def __init__(self, training: SelfTraining, source: Sequence[Path]) -> None:
+        super().__init__(training.descent, Stopping(rule="epochs"))
+        if not source:
+            raise ConfigError("--source", "is missing", "give folders of rendered worlds")
+        self._training = training
+        self.source = find_source_images(source)
+        self._truth = {image.item.name: image for image in self.source}
+        self._prepared = Path()
+        self._images = dict[str, Item]()
+        self._kinds = dict[Path, str]()
+        self._files: Sequence[Path] = ()
+        sides = zip(*training.sizes, strict=True)
+        height, width = (max(side) for side in sides)
+        self._size = 9 * height // 8, 6 * width // 5  # room for what augmentation enlarges
+
+    # --- preparation ------------------------------------------------------------------------
+
+    def key(self, image: Item) -> str:
+        """Return the cache key of a prepared target image."""
+        return cache_key("target", self._size, image.path)
+
+    def survey(self, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool) -> None:
+        """Prepare the source images in a folder inside ``folder``."""
+        self._prepared, self._images = folder, {image_file_name(image): image for image in images}
+        preparation = Preparation(folder / SOURCE, self._source_key, self._prepare_source)
+        items = [image.item for image in self.source]
+        prepared = prepare(items, preparation, stop, quiet, "source")
+        named = zip(self.source, prepared, strict=False)  # fewer where a stop was requested
+        self._kinds = {item.file: image.kind for image, item in named if item.file}
+        if not self._kinds and not stop.requested:
+            raise InputError("--source", "holds no usable image", "see the messages above")
+
+    def _source_key(self, item: Item) -> str:
+        return cache_key("source", self._size, *self._truth[item.name].files)
+
+    def _prepare_source(self, image: Tensor, name: str) -> Arrays:
+        return prepare_source(image, self._truth[name], self._size)
+
+    def prepare(self, image: Tensor, name: str) -> Arrays:
+        """Prepare a target image: ``image`` alone, its labels are those of a round."""
+        return {"image": to_uint8(resize_maps(image, self._size).clamp(0, 1))}
+
+    def encode_correction(self, correction: HumanLabels) -> Arrays:
+        """Raise ConfigError: nobody's labels have a part."""
+        message = "have no part in a training on rendered worlds"
+        raise ConfigError(
+            "--corrections", message, "fine-tune its result with --config corrections"
+        )
+
+    # --- network ----------------------------------------------------------------------------
+
+    def make_network(self, initial: LayoutNetwork | None) -> BackboneNetwork:
+        """Return a new network with random weights, or the initial one."""
+        if isinstance(initial, BackboneNetwork):
+            return initial
+        with seed_torch(self._training.random_seed, 0):
+            return BackboneNetwork(self._training.network)
+
+    def initialise(self, network: nn.Module, samples: DomainSamples) -> None:
+        """Load ImageNet's weights, or scale random ones, and measure the levels of features."""
+        training = self._training
+        assert isinstance(network, BackboneNetwork)
+        if training.initial_weights not in ("", IMAGENET):
+            return
+        count = min(LEVEL_BATCHES, samples.chunks)
+        images = (batch.inputs for chunk in range(count) for batch in samples.batches(0, chunk))
+        with seed_torch(training.random_seed, 1):
+            if training.initial_weights:
+                load_imagenet_weights(network.backbone, training.network.backbone)
+            else:
+                scale_layers(network.backbone, next(islice(images, 1)))
+        measure_levels(network, images)
+
+    # --- rounds -----------------------------------------------------------------------------
+
+    @property
+    def rounds(self) -> int:
+        """Number of rounds."""
+        return len(self._training.rounds)
+
+    def rules(self, number: int) -> tuple[Descent, Stopping]:
+        """Return the descent and the end of a round."""
+        settings, (descent, stopping) = self._training.rounds[number - 1], super().rules(number)
+        if settings.learning_rate:
+            descent = descent.model_copy(update={"learning_rate": settings.learning_rate})
+        return descent, stopping.model_copy(update={"epochs": settings.epochs})
+
+    def parameter_groups(self, network: nn.Module, number: int) -> list[dict[str, Any]]:
+        """Return heads and backbone; what is frozen needs no gradients."""
+        training, factor = self._training, self._training.rounds[number - 1].backbone
+        assert isinstance(network, BackboneNetwork)
+        backbone = network.backbone
+        backbone.requires_grad_(bool(factor))
+        if training.frozen_blocks:
+            for part in (backbone.stem, *backbone.blocks[: training.frozen_blocks]):
+                part.requires_grad_(False)
+        groups = [{"params": list(network.heads.parameters()), "factor": 1.0}]
+        learning = [weight for weight in backbone.parameters() if weight.requires_grad]
+        return groups + ([{"params": learning, "factor": factor}] if learning else [])
+
+    def loss(self, network: nn.Module, batch: Batch) -> Tensor:
+        """Sum the mean losses of a batch's images."""
+        scores = network(batch.inputs).float()
+        scores = F.interpolate(scores, spatial_size(batch.targets), mode="bilinear")
+        return target_loss(scores, split_targets(batch.targets), self._training.heads)
+
+    def make_samples(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> DomainSamples:
+        """Return the samples of a round; label the target images if it has some."""
+        training, source, labels = self._training, list(self._kinds), dict[Path, Path]()
+        self._files = inputs.files
+        fraction = training.rounds[inputs.number - 1].target
+        if fraction:
+            labels = self._label(inputs, stop, quiet)
+        stems = [
+            file.relative_to(self._prepared).with_suffix("").with_suffix("") for file in labels
+        ]
+        recordings = [recording_name(str(stem), training.target.separator) for stem in stems]
+        weights = [
+            *balanced_weights(list(self._kinds.values()), training.source.balance),
+            *balanced_weights(recordings, training.target.balance),
+        ]
+        is_target = torch.arange(len(weights)) >= len(source)
+        cars = dict[str, list[Path]]()
+        for file, kind in self._kinds.items():
+            if shows_ego_car(file):
+                cars.setdefault(kind, []).append(file)
+        chances = reweight(torch.tensor(weights), is_target, fraction)
+        samples = (training, inputs.number, source, labels, chances, cars, inputs.device)
+        return DomainSamples(*samples)
+
+    def _label(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> dict[Path, Path]:
+        """Label the target images with the network of the round before; return files of labels."""
+        training = self._training
+        weights = weights_path(training.initial_weights)
+        if inputs.number > 1:
+            weights = round_weights(inputs.out, inputs.number - 1)
+        sizes = sorted({min(training.sizes), max(training.sizes)})
+        teacher = SelfTeacher(weights, sizes)
+        size = self._size[0] // STRIDE, self._size[1] // STRIDE
+        prepared = self._prepared
+        files = {
+            file.relative_to(prepared).with_suffix("").as_posix(): file for file in inputs.files
+        }
+        items = [self._images[name] for name in files]
+
+        def key(image: Item) -> str:
+            return cache_key(weights, sizes, size, image.path)
+
+        preparation = Preparation(inputs.labels, key, partial(teacher.compute, size=size))
+        labelled = prepare(items, preparation, stop, quiet)
+        return {files[item.name]: item.file for item in labelled if item.file}
+
+    def finish_round(self, network: nn.Module, out: Path, number: int) -> None:
+        """Write the weights of a round and a sheet of target images with their road."""
+        path, sheet = round_weights(out, number), out / f"sheet-{number}.jpg"
+        if sheet.exists():  # of an interrupted run
+            return
+        assert isinstance(network, BackboneNetwork)
+        save_network(path, network, {"round": number})
+        detector, (rows, columns) = load_detector("fusion", weights={"file": str(path)}), SHEET
+        tiles = list[np.ndarray]()
+        for file in evenly_spaced(self._files, rows * columns)[: rows * columns]:
+            image = resize_maps(from_uint8(read_arrays(file, "image")["image"]), SHEET_SIZE)
+            tiles.append(detector.detect(image).overlay())
+        tiles += [np.zeros_like(tiles[0])] * (rows * columns - len(tiles))
+        lines = [np.hstack(tiles[k : k + columns]) for k in range(0, len(tiles), columns)]
+        write_pixels(sheet, np.vstack(lines))
+
+    # --- card -------------------------------------------------------------------------------
+
+    def format_card(self, origin: Mapping[str, Any], command: str) -> str:
+        """Format the card beside the weights of a run."""
+        training, backbone = self._training, self._training.network.backbone
+        weights = training.initial_weights or "random weights"
+        if weights == IMAGENET:
+            package = wheel_package(backbone).replace("_", "-")
+            weights = f"ImageNet's object labels, package `{package}` (Apache-2.0)"
+        kinds = Counter(self._kinds.values())
+        targets = [file.relative_to(self._prepared).as_posix() for file in self._files]
+        source = [file.relative_to(self._prepared).as_posix() for file in self._kinds]
+        counts = ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items()))
+        rows = {
+            "backbone": f"{backbone}, from {weights}",
+            "source": f"{len(source)} images with a renderer's truth ({counts})",
+            "source's names": f"SHA-256 {names_digest(source)}",
+            "target": f"{len(targets)} images, labelled by the run's own network",
+            "target's names": f"SHA-256 {names_digest(targets)}",
+            "command": f"`{command}`" if command else "",
+            "seed": str(training.random_seed),
+            "config": f"SHA-256 {origin['config_sha256']}, roadtorch {origin['roadtorch']}",
+            "human road labels": "none",
+            "terms": "not stated yet: those of the images above apply",
+        }
+        lines = ["# A network of one self-training run", "", "| | |", "|---|---|"]
+        return "\n".join([*lines, *(f"| {key} | {row} |" for key, row in rows.items()), ""])
+
+
+def balanced_weights(names: Sequence[str], balance: float) -> list[float]:
+    """Return sampling weights: n items of one name weigh n^(1 - balance) together."""
+    sizes = Counter(names)
+    return [sizes[name] ** -balance for name in names]
+
+
+def round_weights(out: Path, number: int) -> Path:
+    """Return the path of the weights after a round."""
+    return out / f"round-{number}.safetensors"
+
+
+def names_digest(names: Sequence[str]) -> str:
+    """Return the SHA-256 of a list of names, sorted, one a line."""
+    return sha256("".join(f"{name}\n" for name in sorted(names)).encode()).hexdigest()
