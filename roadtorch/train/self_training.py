@@ -142,7 +142,7 @@ def label_targets(maps: Tensor, training: SelfTraining) -> Targets:
 # --- samples ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DomainSamples:
     """Source and target images of a round in augmented batches; a chunk is one batch.
 
@@ -362,9 +362,11 @@ class SelfTrainingRecipe(Recipe):
     def _label(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> dict[Path, Path]:
         """Label the target images with the network of the round before; return files of labels."""
         training = self._training
-        weights = weights_path(training.initial_weights)
-        if inputs.number > 1:
-            weights = round_weights(inputs.out, inputs.number - 1)
+        weights = (
+            round_weights(inputs.out, inputs.number - 1)
+            if inputs.number > 1
+            else weights_path(training.initial_weights)
+        )
         sizes = sorted({min(training.sizes), max(training.sizes)})
         teacher = SelfTeacher(weights, sizes)
         size = self._size[0] // STRIDE, self._size[1] // STRIDE
