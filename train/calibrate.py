@@ -43,6 +43,7 @@ from roadtorch.evaluation.trust_measures import (
     rank_correlation,
 )
 from roadtorch.road.trust import FULL_TRUST_PROBABILITY, TrustFeatures, trust_features
+from train.worlds.plans import ROADLESS
 from train.worlds.reader import read_world
 
 CAMVID_STEP = 4
@@ -53,9 +54,6 @@ DRIVES = ("0001TP", "0006R0", "0016E5")
 
 EXCLUDED = ("india_zed",)
 """Folders of many/ that its README excludes from means."""
-
-PLACES = ("room", "things", "wall", "field", "water")
-"""Kinds of ``train.worlds`` without road."""
 
 LEVELS = np.arange(-40, 40.01, 0.25)
 """Edges of the histograms of log odds."""
@@ -188,7 +186,7 @@ def choose_trust(root: Path, name: str, settings: dict[str, Any], worlds: Path |
             )
     judged = JudgedImages(*(np.array(column) for column in zip(*rows, strict=True)))
     rendered_rows = np.char.startswith(judged.camera, "world ")
-    roadless = np.isin(judged.camera, [f"world {place}" for place in PLACES])
+    roadless = np.isin(judged.camera, [f"world {place}" for place in ROADLESS])
     expected = np.empty_like(judged.f)
     for camera in np.unique(judged.camera):
         members = judged.camera == camera

@@ -1,138 +1,142 @@
-"""Rendered worlds without Blender: plans, lenses, truth of thin objects, framing."""
+"""Rendered worlds without Blender: plans, tables, lenses, truth, development, lists of a pack."""
 
+import csv
+import subprocess
+import sys
 import tomllib
 from collections import Counter
+from importlib.util import find_spec
 from pathlib import Path
 from random import Random
 
+import cv2
 import numpy as np
 import pytest
 
 from roadtorch.camera.ground import Lens, project_rays
-from train.worlds.framing import measure_framing, predict_one_sided, select_worlds
-from train.worlds.lens import (
-    SENSOR,
-    angle_polynomial,
-    bend,
-    image_circle,
-    sample_fisheye,
-    write_lens,
-)
-from train.worlds.plans import FISHEYES, HELD_OUT, SCHEDULE, SCHEDULED, STREETS, TOWNS, plan_world
-from train.worlds.sensor import develop
-from train.worlds.truth import HORIZONTAL, ROAD, VERTICAL, VOID, settle_truth
+from train.worlds import lens as lenses
+from train.worlds.pack import append_row, compare_with_list, draw_sheet
+from train.worlds.plans import FISHEYES, HELD_OUT, PACK, RIDERS, ROADLESS, SCHEDULE, plan_world
+from train.worlds.sensor import Exposure, blur_by_motion, develop
+from train.worlds.tables import parse_cell, read_column, read_table
+from train.worlds.truth import EGO, HORIZONTAL, ROAD, VERTICAL, VOID, settle_truth
+
+SHAPES = {"box", "ball", "limb", "wheel", "tyre", "disc", "extrude", "turned"}
 
 
-@pytest.mark.parametrize("first", [SCHEDULED, SCHEDULED + 17, SCHEDULED + HELD_OUT + 5])
-def test_any_stretch_of_numbers_is_balanced(first: int) -> None:
-    plans = [plan_world(number) for number in range(first, first + len(SCHEDULE))]
-    names = Counter(plan.name for plan in plans)
-    towns = [plan for plan in plans if plan.kinds == {"town": 1}]
-    assert names["fisheyefront"] == names["fisheyerear"] == 1
-    assert names["fisheyeside"] == 2
-    assert names["people"] == 4
-    assert len(towns) == 12
-    assert sum(plan.hours == {"night": 1} for plan in towns) == 4
-    assert sum(plan.wet is True for plan in towns) == 4
+@pytest.mark.parametrize("first", [PACK[0], PACK[0] + 17, PACK[0] + HELD_OUT + 5])
+def test_any_hundred_numbers_are_balanced(first: int) -> None:
+    plans = [plan_world(number) for number in range(first, first + 100)]
+    names, mounts = Counter(plan.name for plan in plans), Counter(plan.mount for plan in plans)
+
+    assert len(PACK) % len(SCHEDULE) == 0
+    assert (names["wetnight"], names["plaza"], names["setts"]) == (8, 6, 4)
+    assert names["fisheyefront"] == names["fisheyerear"] == names["fisheyeside"] / 2 == 4
+    assert [mounts[mount] for mount in (*FISHEYES, *RIDERS)] == [4, 4, 4, 4, 8, 4]
+    assert Counter(plan.hand for plan in plans) == {1: 50, -1: 50}
+    assert sum(set(plan.ground) == set(ROADLESS) for plan in plans) == 6
+    assert sum(plan.light == {"night": 1} for plan in plans) == 14
 
 
-@pytest.mark.parametrize("first", [TOWNS, TOWNS + HELD_OUT + 7])
-def test_streets_are_equal_parts_of_light_weather_and_side_of_traffic(first: int) -> None:
-    plans = [plan_world(number) for number in range(first, first + len(STREETS))]
-    towns = [plan for plan in plans if plan.kinds == {"town": 1}]
-    parts = Counter((plan.name, "sun" in plan.hours, plan.hand) for plan in towns)
-    assert len(towns) > 0.7 * len(plans)
-    assert set(parts.values()) == {6}
-    assert len(parts) == 6  # dry by day, at night, in rain; right, left
-    fisheyes = sum(plan.mount in FISHEYES for plan in plans)
-    assert 1 / 6 <= fisheyes / len(plans) <= 1 / 5
+def test_a_plan_comes_back_as_evenly_as_its_count_allows() -> None:
+    turns: dict[tuple, list[int]] = {}
+    for turn, plan in enumerate(SCHEDULE):
+        key = (plan.name, plan.mount, *plan.ground, *plan.light)
+        turns.setdefault(key, []).append(turn)
+
+    for row in turns.values():
+        gaps = np.diff([*row, row[0] + len(SCHEDULE)])
+        assert gaps.max() < 2 * len(SCHEDULE) / len(row)
+
+
+def test_tables_name_only_what_there_is() -> None:
+    kinds, colours = {row["kind"] for row in read_table("kinds")}, read_column("colours", "percent")
+    things = {row["thing"] for row in read_table("things")} | {"child"}
+    assert [parse_cell(text) for text in ("a=.5", "0:-.8", "3")] == [{"a": 0.5}, (0, -0.8), 3]
+
+    assert {name for plan in SCHEDULE for name in plan.ground} <= kinds | set(ROADLESS)
+    assert {row["shape"].rstrip("±") for row in read_table("things")} <= SHAPES | things
+    assert {row["truth"] for row in read_table("strips")} <= {HORIZONTAL, VOID}
+    tones = " ".join(str(row["colours"]) for row in read_table("strips")).split()
+    assert set(tones) | set(read_column("weights", "weights")["seasons"]) <= set(colours)
+    for name, weights in read_column("weights", "weights").items():
+        if name.split()[0] in ("people", "obstacles", "posts", "vehicles"):
+            assert set(weights) <= things
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_a_sampled_fisheye_is_the_lens_that_is_written(seed: int) -> None:
-    fisheye = sample_fisheye(Random(seed), 384, 288)
-    table = tomllib.loads(write_lens(fisheye, {"pitch": 30.0}))
+    fisheye = lenses.sample_fisheye(Random(seed), 384, 288)
+    table = tomllib.loads(lenses.write_lens(fisheye, {"pitch": 30.0}))
     mount = table.pop("mount")
     lens = Lens(**{**table, "coefficients": tuple(table["coefficients"])})
     angles = np.linspace(0.05, np.radians(fisheye.view / 2), 7)
-    radii = bend(angles, fisheye.coefficients)
+    radii = lenses.bend_rays(angles, fisheye.coefficients)
 
     pixels, _ = project_rays(lens, np.stack([np.sin(angles), np.zeros(7), np.cos(angles)], 1))
     assert pixels[:, 0] == pytest.approx(fisheye.centre_x + fisheye.focal_x * radii, abs=0.01)
     assert mount["view"] == pytest.approx(fisheye.view, abs=0.01)
 
-    millimetres = radii * fisheye.focal_x / fisheye.width * SENSOR
-    weights = angle_polynomial(fisheye)
+    millimetres = radii * fisheye.focal_x / fisheye.width * lenses.SENSOR
+    weights = lenses.angle_polynomial(fisheye)
     fitted = sum(weight * millimetres**k for k, weight in enumerate(weights))
     assert np.abs(fitted - angles).max() * fisheye.focal_x < 0.3  # pixels
 
 
 def test_beyond_the_circle_of_a_fisheye_the_image_is_black_and_void() -> None:
-    fisheye = sample_fisheye(Random(3), 96, 72)._replace(focal_x=20.0, focal_y=20.0)
-    circle = image_circle(fisheye)
-    light = np.ones((72, 96, 3), np.float32)
-    look = develop(
-        light, np.full((72, 96), ROAD, np.uint8), "sun", np.random.default_rng(0), circle=circle
-    )
-    assert (look.truth == np.where(circle, ROAD, VOID)).all()
-    assert look.image[:4, :4].max() < 60 < look.image[30:40, 40:50].min()
+    fisheye = lenses.sample_fisheye(Random(3), 96, 72)._replace(focal_x=20.0, focal_y=20.0)
+    circle = lenses.image_circle(fisheye)
+    light, truth = np.ones((72, 96, 3), np.float32), np.full((72, 96), ROAD, np.uint8)
+    photo = develop(light, truth, Exposure("sun", circle=circle), np.random.default_rng(0))
+    assert (photo.truth == np.where(circle, ROAD, VOID)).all()
+    assert photo.image[:4, :4].max() < 60 < photo.image[30:40, 40:50].min()
+
+
+def test_speed_blurs_the_world_and_not_what_carries_the_camera() -> None:
+    stripes = np.tile(np.array([0.1, 0.9], np.float32), (96, 64))[..., None].repeat(3, 2)
+    truth = np.full((96, 128), ROAD, np.uint8)
+    truth[64:] = EGO
+    blurred = blur_by_motion(stripes, truth, 1.0, np.random.default_rng(1))
+    contrast = np.abs(np.diff(blurred, axis=1)).mean((1, 2))
+    assert contrast[10:50].mean() < 0.3
+    assert contrast[75:90].mean() == pytest.approx(0.8, abs=0.05)
 
 
 def test_a_pixel_is_vertical_from_a_third_on() -> None:
-    codes = np.full((3, 9), ROAD, np.uint8)
-    codes[:, 1] = VERTICAL  # a post of a third of a pixel
-    codes[:2, 4] = VERTICAL  # less
-    codes[:, 6:8] = HORIZONTAL
-    assert settle_truth(codes, 3).tolist() == [[VERTICAL, ROAD, HORIZONTAL]]
+    points = np.full((3, 9), ROAD, np.uint8)
+    points[:, 1] = VERTICAL  # a post of a third of a pixel
+    points[:2, 4] = VERTICAL  # less
+    points[:, 6:8] = HORIZONTAL
+    assert settle_truth(points, 3).tolist() == [[VERTICAL, ROAD, HORIZONTAL]]
 
 
-def test_framing_tells_where_the_road_leaves_the_image() -> None:
-    road, valid = np.zeros((10, 50), bool), np.ones((10, 50), bool)
-    road[4:, :30] = True
-    road[8:] = True
-    framing = measure_framing(road, valid)
-    assert framing is not None
-    assert framing.asymmetry == pytest.approx((150 - 70) / 220)
-    assert framing.left_only == pytest.approx(4 / 6)
-    assert framing.right_only == 0
+def test_a_pack_is_compared_with_a_list(tmp_path: Path) -> None:
+    for folder in ("images", "truth"):
+        (tmp_path / folder).mkdir()
+    truth = np.full((6, 8), ROAD, np.uint8)
+    for name in ("50000_town_sun", "50001_wetnight_night", "50002_motorcycle_dusk"):
+        cv2.imwrite(str(tmp_path / "truth" / f"{name}.png"), truth)
+        cv2.imwrite(str(tmp_path / "images" / f"{name}.jpg"), truth)
+        append_row(tmp_path, name, truth)
+    table = tmp_path / "worlds.csv"
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
 
-    valid[:, 0] = False  # a border column that nobody labelled
-    cropped = measure_framing(road, valid)
-    assert cropped is not None
-    assert cropped.left_only == framing.left_only
-    assert measure_framing(road & False, valid) is None
+    assert compare_with_list(tmp_path, table) == ([], [])
+    assert [(row["kind"], row["light"]) for row in rows][1] == ("wetnight", "night")
+    assert draw_sheet(tmp_path, range(50000, 50003), 2).shape == (24, 16, 3)
 
-
-def test_a_road_beyond_the_image_on_one_side_is_predicted_as_rendered() -> None:
-    """Mark the ground row by row, as a level camera sees a straight road."""
-    near, far, height, up, across, turn = 1.8, 7.5, 1.4, 0.4, 0.55, 0.05
-    slopes = (np.arange(400) + 0.5) / 400 * up
-    columns = np.linspace(-across, across, 801)
-    ground = (columns - turn)[None] * height / slopes[:, None]  # metres to the right
-    rows = (ground > -far) & (ground < near)
-
-    framing = measure_framing(rows, np.ones_like(rows))
-    predicted = predict_one_sided((near, far), height, (up, across), turn, 0.0)
-    assert framing is not None
-    assert predicted == pytest.approx(framing.left_only, abs=0.01)
-    assert framing.right_only == 0
-
-    level = predict_one_sided((near, far), height, (up, across), 0.0, 0.0)
-    wide = predict_one_sided((near, far + 4), height, (up, across), 0.0, 0.0)
-    assert wide > level
-    assert predict_one_sided((5.0, 5.0), height, (up, across), 0.0, 0.0) == 0
-    assert predict_one_sided((near, far), height, (up, across), 0.0, -up - 0.1) == 0
+    (tmp_path / "images" / f"{rows[0]['name']}.jpg").unlink()
+    truth[0, 0] = VOID
+    cv2.imwrite(str(tmp_path / "truth" / f"{rows[2]['name']}.png"), truth)
+    assert compare_with_list(tmp_path, table) == ([rows[0]["name"]], [rows[2]["name"]])
 
 
-def test_worlds_are_selected_by_kind_and_side_of_traffic(tmp_path: Path) -> None:
-    (tmp_path / "truth").mkdir()
-    sides = {"40000_town_sun": "right", "40001_townrain_dusk": "left", "40006_robot_sun": "left"}
-    for name in sides:
-        (tmp_path / "truth" / f"{name}.png").touch()
-    rows = [f"{name},{side}" for name, side in sides.items()]
-    (tmp_path / "worlds.csv").write_text("\n".join(["name,traffic", *rows]))
+@pytest.mark.skipif(find_spec("bpy") is None, reason="needs Blender's module, bpy 5.0.1")
+def test_a_number_gives_the_same_truth_twice(tmp_path: Path) -> None:
+    command, table = [sys.executable, "-m", "train.worlds"], tmp_path / "first" / "worlds.csv"
+    for folder in ("first", "second"):
+        numbers = ("50000", "50001", "--out", tmp_path / folder)
+        subprocess.run([*command, *numbers], check=True)
 
-    towns = ["40000_town_sun", "40001_townrain_dusk"]
-    assert select_worlds(tmp_path, "town", "") == towns
-    assert select_worlds(tmp_path, "town", "left") == towns[1:]
-    assert select_worlds(tmp_path, "", "left") == [*towns[1:], "40006_robot_sun"]
+    subprocess.run([*command, "--check", table, "--out", tmp_path / "second"], check=True)

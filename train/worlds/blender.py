@@ -22,3 +22,5 @@ def _import_on_one_processor(name: str) -> Any:
 
 
 bpy: Any = _import_on_one_processor("bpy")
+mathutils: Any = import_module("mathutils")  # bpy brings it
+Matrix, Vector, noise = mathutils.Matrix, mathutils.Vector, mathutils.noise

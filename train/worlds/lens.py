@@ -36,21 +36,21 @@ class Fisheye(NamedTuple):
         return self.width / self.focal_x * self.focal_y / self.height
 
 
-def bend(angle: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+def bend_rays(angle: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
     """Return the radius, over the focal length, of rays at angles in radians."""
     powers = [angle ** (2 * k + 3) for k in range(len(coefficients))]
     return angle + sum(c * power for c, power in zip(coefficients, powers, strict=True))
 
 
-def sample_fisheye(at: Random, width: int, height: int) -> Fisheye:
+def sample_fisheye(rng: Random, width: int, height: int) -> Fisheye:
     """Sample a lens of 120 to 190 degrees whose circle is inside, across or outside the image."""
-    view = at.uniform(120, 190)
-    bent = (at.uniform(-0.05, 0.02), at.uniform(-0.006, 0.004), 0.0, 0.0)
-    coefficients = bent if at.random() < 0.65 else (0.0, 0.0, 0.0, 0.0)
-    shape = at.choice(SHAPES)
+    view = rng.uniform(120, 190)
+    bent = (rng.uniform(-0.05, 0.02), rng.uniform(-0.006, 0.004), 0.0, 0.0)
+    coefficients = bent if rng.random() < 0.65 else (0.0, 0.0, 0.0, 0.0)
+    shape = rng.choice(SHAPES)
     # radius of the circle in halves of the image's height: whole in it, across it, around it
-    reach = at.choice([at.uniform(0.93, 1.0), at.uniform(0.95, 1.05) * shape, hypot(1, shape)])
-    end = float(bend(np.array(radians(view / 2)), coefficients))
+    reach = rng.choice([rng.uniform(0.93, 1.0), rng.uniform(0.95, 1.05) * shape, hypot(1, shape)])
+    end = float(bend_rays(np.array(radians(view / 2)), coefficients))
     focal_y = reach * height / 2 / end
     focal_x = focal_y * (width / height) / shape
     middle = ((width - 1) / 2, (height - 1) / 2)
@@ -60,7 +60,7 @@ def sample_fisheye(at: Random, width: int, height: int) -> Fisheye:
 def angle_polynomial(lens: Fisheye) -> list[float]:
     """Fit angles by a polynomial of the radius on the sensor in millimetres; five coefficients."""
     angles = np.linspace(0, radians(lens.view / 2), 400)
-    radii = bend(angles, lens.coefficients) * lens.focal_x / lens.width * SENSOR
+    radii = bend_rays(angles, lens.coefficients) * lens.focal_x / lens.width * SENSOR
     scale = radii[-1]
     table = (radii / scale)[:, None] ** np.arange(5)
     weights = np.linalg.lstsq(table, angles, rcond=None)[0]
@@ -71,7 +71,7 @@ def image_circle(lens: Fisheye) -> np.ndarray:
     """Return the pixels that the lens sees, bool (H, W)."""
     y, x = np.mgrid[0 : lens.height, 0 : lens.width]
     radius = np.hypot((x - lens.centre_x) / lens.focal_x, (y - lens.centre_y) / lens.focal_y)
-    return radius <= bend(np.array(radians(lens.view / 2)), lens.coefficients)
+    return radius <= bend_rays(np.array(radians(lens.view / 2)), lens.coefficients)
 
 
 def write_lens(lens: Fisheye, mount: dict[str, float]) -> str:

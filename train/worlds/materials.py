@@ -1,28 +1,37 @@
-"""Materials: colour variation, grain, cracks, stones, water, snow, windows."""
+"""Materials: colour variation, grain, cracks, stones, leaves, water, snow, windows."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-import bpy
-
-from train.worlds.photographs import lay_photograph
-from train.worlds.stage import Material, Stage
+from train.worlds.blender import bpy
+from train.worlds.plans import Weights
+from train.worlds.scene import Material, Scene
+from train.worlds.tables import read_column
 
 Colour = Sequence[float]
 """Linear RGB, 0 to 1."""
+Tones = str | Sequence[Colour]
+"""Colours to sample from, or "NAME NAME" of colours.csv."""
 
 BLACK = (0.0, 0.0, 0.0)
 
 
-def palette(text: str) -> list[tuple[float, ...]]:
-    """Parse colours given in percent: ``"32 24 16, 40 36 30"``."""
-    return [tuple(float(part) / 100 for part in one.split()) for one in text.split(",")]
+COLOURS: dict[str, str] = read_column("colours", "percent")
+"""Colours by what has them, in percent, separated by ";"."""
 
 
-def drawn(stage: Stage, colours: Sequence[Colour], spread: float = 0.25) -> tuple[float, ...]:
+def sample_colour(scene: Scene, tones: Tones, spread: float = 0.25) -> tuple[float, ...]:
     """Sample one of some colours, with random brightness and tint."""
-    at, light = stage.at, stage.at.uniform(1 - spread, 1 + spread)
-    return tuple(min(0.95, max(0.0, c * light * at.gauss(1, 0.06))) for c in at.choice(colours))
+    rng, light = scene.rng, scene.rng.uniform(1 - spread, 1 + spread)
+    if isinstance(tones, str):
+        rows = ";".join(COLOURS[name] for name in tones.split()).split(";")
+        tones = [[float(part) / 100 for part in row.split()] for row in rows]
+    return tuple(min(0.95, max(0.0, c * light * rng.gauss(1, 0.06))) for c in rng.choice(tones))
+
+
+def scale(colour: Colour, by: float) -> tuple[float, ...]:
+    """Return a brighter or darker colour."""
+    return tuple(part * by for part in colour)
 
 
 class Nodes:
@@ -35,48 +44,57 @@ class Nodes:
 
     def add(self, kind: str, inputs: dict[Any, Any], output: Any = 0, **properties: Any) -> Any:
         """Add a node; inputs by name or number, values or other nodes' sockets."""
-        made = self.tree.nodes.new(kind)
+        node = self.tree.nodes.new(kind)
         for name, value in properties.items():
-            setattr(made, name, value)
+            setattr(node, name, value)
         for name, value in inputs.items():
             if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, made.inputs[name])
+                self.tree.links.new(value, node.inputs[name])
             else:
-                made.inputs[name].default_value = value
-        return made.outputs[output] if made.outputs else None
+                node.inputs[name].default_value = value
+        return node.outputs[output] if node.outputs else None
 
-    def math(self, what: str, a: Any, b: Any = 0.0) -> Any:
+    def math(self, operation: str, a: Any, b: Any = 0.0) -> Any:
         """Combine two numbers by an operation."""
-        return self.add("ShaderNodeMath", {0: a, 1: b}, operation=what)
+        return self.add("ShaderNodeMath", {0: a, 1: b}, operation=operation)
 
-    def mix(self, share: Any, a: Any, b: Any) -> Any:
+    def mix(self, fraction: Any, a: Any, b: Any) -> Any:
         """Mix colours: b by a fraction, a for the rest."""
-        a, b = ((*one, 1.0) if isinstance(one, tuple | list) else one for one in (a, b))
-        return self.add("ShaderNodeMix", {0: share, 6: a, 7: b}, 2, data_type="RGBA")
+        a, b = ((*part, 1.0) if isinstance(part, tuple | list) else part for part in (a, b))
+        return self.add("ShaderNodeMix", {0: fraction, 6: a, 7: b}, 2, data_type="RGBA")
 
     def step(self, value: Any, low: float, high: float) -> Any:
         """Return 0 below low and 1 above high (or reversed), smooth between."""
-        given = {0: value, 1: low, 2: high, 3: 0.0, 4: 1.0}
-        return self.add("ShaderNodeMapRange", given, interpolation_type="SMOOTHSTEP")
+        inputs = {0: value, 1: low, 2: high, 3: 0.0, 4: 1.0}
+        return self.add("ShaderNodeMapRange", inputs, interpolation_type="SMOOTHSTEP")
 
-    def place(self) -> Any:
+    def split(self, vector: Any, axis: int) -> Any:
+        """Return one coordinate of a vector."""
+        return self.add("ShaderNodeSeparateXYZ", {0: vector}, axis)
+
+    def position(self) -> Any:
         """Return the position in the world, in metres."""
         return self.add("ShaderNodeNewGeometry", {}, "Position")
 
-    def noise(self, scale: float, detail: float = 3.0, where: Any = None) -> Any:
-        """Return smooth noise about .5 with ``scale`` bumps a metre."""
-        given = {"Vector": where or self.place(), "Scale": scale, "Detail": detail}
-        return self.add("ShaderNodeTexNoise", given | {"Roughness": 0.65}, "Fac")
+    def noise(self, bumps: float, detail: float = 3.0, position: Any = None) -> Any:
+        """Return smooth noise about .5 with some bumps a metre."""
+        inputs = {"Vector": position or self.position(), "Scale": bumps, "Detail": detail}
+        return self.add("ShaderNodeTexNoise", inputs | {"Roughness": 0.65}, "Fac")
 
-    def cells(self, size: float, where: Any = None) -> Any:
+    def cells(self, size: float, position: Any = None) -> Any:
         """Return the distance to the edge of irregular cells, in metres over size."""
-        given = {"Vector": where or self.place(), "Scale": 1 / size}
-        return self.add("ShaderNodeTexVoronoi", given, "Distance", feature="DISTANCE_TO_EDGE")
+        inputs = {"Vector": position or self.position(), "Scale": 1 / size}
+        return self.add("ShaderNodeTexVoronoi", inputs, "Distance", feature="DISTANCE_TO_EDGE")
 
     def bump(self, height: Any, strength: float, distance: float) -> Any:
         """Return the normals of an uneven surface."""
-        given = {"Strength": strength, "Distance": distance, "Height": height}
-        return self.add("ShaderNodeBump", given)
+        inputs = {"Strength": strength, "Distance": distance, "Height": height}
+        return self.add("ShaderNodeBump", inputs)
+
+    def emit(self, colour: Any, strength: Any, kind: str = "ShaderNodeEmission") -> Any:
+        """Return a shader that emits light, of a material or, as a background, of the sky."""
+        colour = (*colour, 1) if isinstance(colour, tuple | list) else colour
+        return self.add(kind, {"Color": colour, "Strength": strength})
 
 
 def new_surface() -> Nodes:
@@ -84,230 +102,252 @@ def new_surface() -> Nodes:
     return Nodes(bpy.data.materials.new("surface"))
 
 
-def finished(
-    stage: Stage, nodes: Nodes, look: Any, rough: Any, more: dict[str, Any] | None = None
-) -> Material:
+def finish(scene: Scene, nodes: Nodes, colour: Any, rough: Any, **inputs: Any) -> Material:
     """Finish a material: add haze, whose colour hides it with distance.
 
-    more: further inputs of the shader, such as ``Normal``.
+    inputs: further inputs of the shader, such as ``Normal``.
     """
-    given = {"Base Color": look, "Roughness": rough, **(more or {})}
-    shader = nodes.add("ShaderNodeBsdfPrincipled", given)
+    named = {name.replace("_", " "): value for name, value in inputs.items()}
+    surface = {"Base Color": colour, "Roughness": rough, **named}
+    shader = nodes.add("ShaderNodeBsdfPrincipled", surface)
     ray = nodes.tree.nodes.new("ShaderNodeLightPath").outputs
-    gone = nodes.math("DIVIDE", ray["Ray Length"], -stage.haze.reach)
-    gone = nodes.math("SUBTRACT", 1.0, nodes.math("EXPONENT", gone))
-    gone = nodes.math("MULTIPLY", gone, ray["Is Camera Ray"])
-    air = nodes.add("ShaderNodeEmission", {"Color": (*stage.haze.colour, 1)})
-    seen = nodes.add("ShaderNodeMixShader", {0: gone, 1: shader, 2: air})
-    nodes.add("ShaderNodeOutputMaterial", {"Surface": seen})
+    clear = nodes.math("EXPONENT", nodes.math("DIVIDE", ray["Ray Length"], -scene.haze.reach))
+    hidden = nodes.math("MULTIPLY", nodes.math("SUBTRACT", 1.0, clear), ray["Is Camera Ray"])
+    air = nodes.emit(scene.haze.colour, 1.0)
+    visible = nodes.add("ShaderNodeMixShader", {0: hidden, 1: shader, 2: air})
+    nodes.add("ShaderNodeOutputMaterial", {"Surface": visible})
     return nodes.owner
 
 
 def plain(
-    stage: Stage, colour: Colour, rough: float = 0.8, metal: float = 0.0, vary: float = 0.15
+    scene: Scene, colour: str | Colour, rough: float = 0.8, metal: float = 0.0, vary: float = 0.15
 ) -> Material:
     """Return a material of one slightly varied colour: paint, plastic, metal."""
-    nodes, dark = new_surface(), tuple(c * (1 - vary) for c in colour)
-    look = nodes.mix(nodes.noise(stage.at.uniform(0.3, 3)), dark, tuple(colour))
-    return finished(stage, nodes, look, rough, {"Metallic": metal})
+    nodes = new_surface()
+    colour = sample_colour(scene, colour) if isinstance(colour, str) else colour
+    noise = nodes.noise(scene.rng.uniform(0.3, 3))
+    mixed = nodes.mix(noise, scale(colour, 1 - vary), tuple(colour))
+    return finish(scene, nodes, mixed, rough, Metallic=metal)
 
 
 def lamp(colour: Colour, strength: float) -> Material:
     """Return an emitting material: bulbs, tail lights, lit windows."""
     nodes = new_surface()
-    given = {"Color": (*colour, 1), "Strength": strength}
-    nodes.add("ShaderNodeOutputMaterial", {"Surface": nodes.add("ShaderNodeEmission", given)})
+    nodes.add("ShaderNodeOutputMaterial", {"Surface": nodes.emit(tuple(colour), strength)})
     return nodes.owner
 
 
+class Soil(NamedTuple):
+    """Natural ground in patches of two colours; leaves: the fraction under fallen leaves."""
+
+    first: Colour
+    second: Colour
+    grain: float
+    contrast: float
+    leaves: float = 0.0
+
+
+def sample_soil(scene: Scene, tones: Tones, others: Tones = "") -> Soil:
+    """Sample natural ground."""
+    first, second = sample_colour(scene, tones), sample_colour(scene, others or tones)
+    return Soil(first, second, scene.rng.uniform(1, 12), scene.rng.uniform(0.15, 0.6))
+
+
 def ground(
-    stage: Stage,
-    colour: Colour,
-    other: Colour,
-    grain: float,
-    contrast: float = 0.25,
-    bump: float = 0.3,
-    photo: tuple[str, str] = ("", ""),
+    scene: Scene, soil: Soil, bump: float = 0.3, bare: Colour = (), wear: Sequence[float] = ()
 ) -> Material:
     """Return grass, earth, leaves or snow: patches of two colours with soft transitions.
 
-    photo: kinds of photographs of both.
-    """
-    nodes = new_surface()
-    look, fine = _patches(stage, nodes, (colour, other), grain, contrast, photo)
-    return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, bump, 0.05)})
-
-
-def trodden(
-    stage: Stage,
-    colours: tuple[Colour, Colour],
-    grain: float,
-    contrast: float,
-    bare: Colour,
-    wear: tuple[float, float],
-    photo: tuple[str, str] = ("", ""),
-) -> Material:
-    """Return the surrounding ground (two colours, grain, contrast) worn bare by wheels.
-
     wear: fractions of ``bare`` over the whole width, and in the two wheel tracks.
     """
-    at, nodes = stage.at, new_surface()
-    look, fine = _patches(stage, nodes, colours, grain, contrast, photo)
-    share = nodes.math("MULTIPLY", _wheel_tracks(stage, nodes, _across(nodes)), wear[1])
-    share = nodes.math("ADD", share, wear[0])
-    share = nodes.math("MULTIPLY", share, nodes.step(nodes.noise(at.uniform(0.4, 2)), 0.2, 0.7))
-    look = nodes.mix(share, look, lay_photograph(stage, nodes, photo[0] and "earth", tuple(bare)))
-    return finished(stage, nodes, look, 0.95, {"Normal": nodes.bump(fine, 0.3, 0.05)})
+    rng, nodes = scene.rng, new_surface()
+    fine = nodes.noise(soil.grain, 4)
+    wide = nodes.step(nodes.noise(rng.uniform(0.05, 0.6)), 0.1, 0.9)
+    colour = nodes.mix(wide, tuple(soil.first), tuple(soil.second))
+    colour = nodes.mix(nodes.step(fine, 0.3, 0.7), nodes.mix(soil.contrast, colour, BLACK), colour)
+    worn: Any = 0.0
+    if wear:
+        track = nodes.math("MULTIPLY", _wheel_tracks(scene, nodes, _across(nodes)), wear[1])
+        track = nodes.math("ADD", track, wear[0])
+        patchy = nodes.step(nodes.noise(rng.uniform(0.4, 2)), 0.2, 0.7)
+        worn = nodes.math("MULTIPLY", track, patchy)
+        colour = nodes.mix(worn, colour, tuple(bare))
+    if soil.leaves:
+        colour = _leaves(scene, nodes, colour, soil.leaves, worn)
+    return finish(scene, nodes, colour, 0.95, Normal=nodes.bump(fine, bump, 0.05))
 
 
-def _patches(
-    stage: Stage,
-    nodes: Nodes,
-    colours: tuple[Colour, Colour],
-    grain: float,
-    contrast: float,
-    photo: tuple[str, str],
-) -> tuple[Any, Any]:
-    """Return a colour in patches of two with grain, and the height of the grain."""
-    fine = nodes.noise(grain, 4)
-    wide = nodes.step(nodes.noise(stage.at.uniform(0.05, 0.6)), 0.1, 0.9)
-    looks = [
-        lay_photograph(stage, nodes, kind, tuple(colour), tuple(colour))
-        for kind, colour in zip(photo, colours, strict=True)
-    ]
-    look = nodes.mix(wide, *looks)
-    return nodes.mix(nodes.step(fine, 0.3, 0.7), nodes.mix(contrast, look, BLACK), look), fine
+def _leaves(scene: Scene, nodes: Nodes, colour: Any, cover: float, worn: Any) -> Any:
+    """Strew fallen leaves over a fraction of the ground, fewer where it is worn."""
+    rng = scene.rng
+    for size in (rng.uniform(0.05, 0.09), rng.uniform(0.07, 0.14)):
+        inputs = {"Vector": nodes.position(), "Scale": 1 / size}
+        cell = nodes.add("ShaderNodeTexVoronoi", inputs, "Color")
+        kind, lies = nodes.split(cell, 0), nodes.split(cell, 1)
+        first, second, third = (tuple(sample_colour(scene, "leaves", 0.35)) for _ in range(3))
+        leaf = nodes.mix(nodes.step(kind, 0.3, 0.32), first, second)
+        leaf = nodes.mix(nodes.step(kind, 0.7, 0.72), leaf, third)
+        leaf = nodes.mix(nodes.step(nodes.cells(size), 0.09, 0.02), leaf, scale(first, 0.3))
+        density = nodes.math("SUBTRACT", cover, nodes.math("MULTIPLY", worn, cover * 0.9))
+        heaped = nodes.math("MULTIPLY", nodes.noise(rng.uniform(0.3, 1.5)), 0.8)
+        heaped = nodes.math("ADD", nodes.math("ADD", density, heaped), -0.4)
+        lies = nodes.math("SUBTRACT", heaped, lies)
+        colour = nodes.mix(nodes.step(lies, -0.01, 0.01), colour, leaf)
+    return colour
 
 
 def _across(nodes: Nodes) -> Any:
     """Return the offset from the middle of the road in metres, the first UV coordinate."""
-    across = nodes.add("ShaderNodeTexCoord", {}, "UV")
-    return nodes.math("ABSOLUTE", nodes.add("ShaderNodeSeparateXYZ", {0: across}, 0))
+    uv = nodes.add("ShaderNodeTexCoord", {}, "UV")
+    return nodes.math("ABSOLUTE", nodes.split(uv, 0))
 
 
-def _wheel_tracks(stage: Stage, nodes: Nodes, across: Any) -> Any:
+def _wheel_tracks(scene: Scene, nodes: Nodes, across: Any) -> Any:
     """Return the wear by wheels, 0 to 1."""
-    gauge = stage.at.uniform(1.5, 1.9)
+    gauge = scene.rng.uniform(1.5, 1.9)
     wave = nodes.math("COSINE", nodes.math("MULTIPLY", across, 6.28 / gauge))
     return nodes.step(wave, 0.4, -0.8)
 
 
-def paved(
-    stage: Stage,
-    colour: Colour,
-    half: float,
-    wet: float = 0.0,
-    stones: float = 0.0,
-    slush: Colour | None = None,
-    ruts: float = 0.0,
-    edge: Colour | None = None,
-    photo: str = "",
-) -> Material:
-    """Return a road surface: grain, patches, cracks, wheel tracks, edges; wet, stones, slush.
+class Paving(NamedTuple):
+    """Properties of a paved surface.
 
-    half: its half width in metres, the scale of the first UV coordinate. wet: fraction under water.
-    stones: their size in metres. ruts: brightness of wheel tracks. photo: kind of photographs, by
-    default cobbles where there are stones, else asphalt.
+    colour: of the surface; pattern: "asphalt", "cobbles", "setts" or "slabs"; size: of its stones
+    in metres. water: 0 dry, 1 wet all over, more is mirror-like. slush: colour of snow, if any.
     """
-    at, nodes = stage.at, new_surface()
+
+    colour: Colour
+    pattern: str = "asphalt"
+    size: float = 0.0
+    water: float = 0.0
+    slush: Colour = ()
+
+
+SIZES = {"asphalt": (0, 0), "cobbles": (0.06, 0.25), "setts": (0.1, 0.26), "slabs": (0.2, 0.9)}
+"""Sizes in metres of the stones of each pattern, from … to."""
+
+
+def sample_paving(scene: Scene, tones: Tones, patterns: Weights, slush: Colour = ()) -> Paving:
+    """Sample a paved surface with the weather's water."""
+    pattern = scene.pick(patterns)
+    size = scene.between(SIZES[pattern])
+    return Paving(sample_colour(scene, tones), pattern, size, scene.water, slush)
+
+
+def sample_grey(scene: Scene) -> tuple[float, ...]:
+    """Sample a colour of asphalt."""
+    tone = scene.rng.uniform(0.04, 0.34)
+    return tuple(tone * scene.rng.uniform(0.95, 1.05) for _ in range(3))
+
+
+def pave(
+    scene: Scene, paving: Paving, half: float = 99.0, ruts: float = 0.0, edge: Colour = ()
+) -> Material:
+    """Return a paved surface: grain, patches, stones, cracks, wheel tracks, edges; wet, slush.
+
+    half: its half width in metres, the scale of the first UV coordinate. ruts: brightness of wheel
+    tracks. edge: colour of what frays its edges.
+    """
+    rng, nodes = scene.rng, new_surface()
     across = _across(nodes)
-    fine, wide = nodes.noise(at.uniform(15, 60)), nodes.noise(at.uniform(0.1, 0.5))
-    dark = tuple(c * at.uniform(0.75, 1) for c in colour)
-    look: Any = nodes.mix(nodes.step(wide, 0.3, 0.7), dark, tuple(colour))
-    flat, grain = look, nodes.mix(at.uniform(0.1, 0.45), look, BLACK)
-    look = nodes.mix(nodes.step(fine, 0.3, 0.75), grain, look)
-    if stones:
-        joints = nodes.step(nodes.cells(stones), 0.12, 0.02)
-        look = nodes.mix(joints, look, nodes.mix(at.uniform(0.3, 0.75), look, BLACK))
-    look = lay_photograph(stage, nodes, photo or ("cobbles" if stones else "asphalt"), flat, look)
-    if not stones and stage.chance(0.3):
-        look = _cracked(nodes, look, at.uniform(0.15, 0.6), at.uniform(0.004, 0.012))
-    track = _wheel_tracks(stage, nodes, across)
+    fine, wide = nodes.noise(rng.uniform(15, 60)), nodes.noise(rng.uniform(0.1, 0.5))
+    dark = scale(paving.colour, rng.uniform(0.75, 1))
+    colour: Any = nodes.mix(nodes.step(wide, 0.3, 0.7), dark, tuple(paving.colour))
+    colour = _stones(scene, nodes, paving, colour)
+    gritty = nodes.mix(rng.uniform(0.1, 0.45), colour, BLACK)
+    colour = nodes.mix(nodes.step(fine, 0.3, 0.75), gritty, colour)
+    if not paving.size and scene.chance(0.3):
+        colour = _cracks(nodes, colour, rng.uniform(0.15, 0.6), rng.uniform(0.004, 0.012))
+    track = _wheel_tracks(scene, nodes, across)
     if ruts:
         tone = BLACK if ruts > 0 else (0.9, 0.85, 0.75)
-        look = nodes.mix(nodes.math("MULTIPLY", track, abs(ruts)), look, tone)
-    if slush:
-        share = nodes.math("ADD", nodes.noise(at.uniform(0.3, 1.2)), at.uniform(-0.25, 0.25))
-        share = nodes.math("SUBTRACT", share, nodes.math("MULTIPLY", track, at.uniform(0, 0.4)))
-        look = nodes.mix(nodes.step(share, 0.35, 0.55), look, tuple(slush))
+        colour = nodes.mix(nodes.math("MULTIPLY", track, abs(ruts)), colour, tone)
+    if paving.slush:
+        lies = nodes.math("ADD", nodes.noise(rng.uniform(0.3, 1.2)), rng.uniform(-0.2, 0.28))
+        swept = nodes.math("MULTIPLY", track, rng.uniform(0, 0.4) * (half < 99))
+        lies = nodes.step(nodes.math("SUBTRACT", lies, swept), 0.35, 0.55)
+        colour = nodes.mix(lies, colour, tuple(paving.slush))
     if edge:
-        frayed = nodes.math("MULTIPLY", nodes.noise(at.uniform(0.5, 2)), 0.9)
+        frayed = nodes.math("MULTIPLY", nodes.noise(rng.uniform(0.5, 2)), 0.9)
         near = nodes.step(nodes.math("ADD", across, frayed), half + 0.15, half + 0.6)
-        look = nodes.mix(near, look, tuple(edge))
-    rough: Any = at.uniform(0.6, 1)
-    if wet:
-        look, rough = under_water(nodes, look, at.uniform(0.1, 0.7), wet, at.uniform(0.45, 0.66))
-    normal = nodes.bump(fine, at.uniform(0.05, 0.4), 0.02)
-    return finished(stage, nodes, look, rough, {"Normal": normal})
+        colour = nodes.mix(near, colour, tuple(edge))
+    rough: Any = rng.uniform(0.6, 1)
+    uneven = rng.uniform(0.05, 0.4)
+    if paving.water:
+        colour, rough = _flood(nodes, colour, rng.uniform(0.1, 0.7), paving.water)
+        uneven *= max(0.06, 1 - 0.7 * paving.water)
+    return finish(scene, nodes, colour, rough, Normal=nodes.bump(fine, uneven, 0.02))
 
 
-def slabs(
-    stage: Stage, colour: Colour, size: float, wet: float = 0.0, slush: Colour | None = None
-) -> Material:
-    """Return a pavement of slabs with a longer side in metres; wet or under snow."""
-    at, nodes = stage.at, new_surface()
-    x, y = (nodes.add("ShaderNodeSeparateXYZ", {0: nodes.place()}, k) for k in (0, 1))
+def _stones(scene: Scene, nodes: Nodes, paving: Paving, colour: Any) -> Any:
+    """Return the colour of cobbles, setts in courses or slabs, with their joints."""
+    rng, size = scene.rng, paving.size
+    if paving.pattern == "cobbles":
+        joints = nodes.step(nodes.cells(size), 0.12, 0.02)
+        return nodes.mix(joints, colour, nodes.mix(rng.uniform(0.3, 0.75), colour, BLACK))
+    if not size:
+        return colour
+    setts = paving.pattern == "setts"
+    x, y = (nodes.split(nodes.position(), axis) for axis in (0, 1))
+    if setts and scene.chance(0.5):  # laid in arcs
+        wave = nodes.math("SINE", nodes.math("MULTIPLY", x, 6.28 / rng.uniform(1.1, 1.9)))
+        y = nodes.math("ADD", y, nodes.math("MULTIPLY", wave, rng.uniform(0.1, 0.3)))
+    turn = rng.choice([0.0, 0.0, 1.57, 0.785])
     flat = nodes.add("ShaderNodeCombineXYZ", {0: x, 1: y})
-    light, dark, joint = (tuple(c * by for c in colour) for by in (1.0, at.uniform(0.7, 1), 0.45))
-    given = {
-        "Vector": flat,
-        "Scale": 1.0,
-        "Brick Width": size,
-        "Mortar Size": at.uniform(0.006, 0.02),
+    flat = nodes.add("ShaderNodeMapping", {0: flat, "Rotation": (0, 0, turn)})
+    light, shade = paving.colour, scale(paving.colour, rng.uniform(0.55 if setts else 0.7, 1))
+    row = size * (rng.uniform(0.7, 1.0) if setts else rng.choice([0.5, 1.0]))
+    inputs = {
+        **{"Vector": flat, "Scale": 1.0, "Bias": rng.uniform(-0.6, 0.6)},
+        **{"Brick Width": size, "Row Height": row},
+        "Mortar Size": rng.uniform(0.008, 0.02) if setts else rng.uniform(0.004, 0.015),
+        **{"Color1": (*light, 1), "Color2": (*shade, 1)},
+        "Mortar": (*scale(light, rng.uniform(0.35, 0.6) if scene.chance(0.85) else 1.3), 1),
     }
-    given |= {"Row Height": size * at.choice([0.5, 1.0]), "Bias": at.uniform(-0.6, 0.6)}
-    given |= {"Color1": (*light, 1), "Color2": (*dark, 1), "Mortar": (*joint, 1)}
-    look = nodes.add("ShaderNodeTexBrick", given, "Color", offset=at.choice([0.0, 0.5]))
-    look = lay_photograph(stage, nodes, "slabs", tuple(colour), look)
-    stain = nodes.step(nodes.noise(at.uniform(0.3, 2)), 0.35, 0.65)
-    look = nodes.mix(nodes.math("MULTIPLY", stain, at.uniform(0, 0.4)), look, BLACK)
-    if slush:
-        share = nodes.math("ADD", nodes.noise(at.uniform(0.3, 1.2)), at.uniform(-0.15, 0.3))
-        look = nodes.mix(nodes.step(share, 0.35, 0.55), look, tuple(slush))
-    rough: Any = at.uniform(0.6, 1)
-    if wet:
-        look, rough = under_water(nodes, look, at.uniform(0.1, 0.7), wet, at.uniform(0.45, 0.66))
-    return finished(stage, nodes, look, rough)
+    offset = 0.5 if setts else rng.choice([0.0, 0.5])
+    stones = nodes.add("ShaderNodeTexBrick", inputs, "Color", offset=offset)
+    stain = nodes.step(nodes.noise(rng.uniform(0.3, 2)), 0.35, 0.65)
+    return nodes.mix(nodes.math("MULTIPLY", stain, rng.uniform(0, 0.4)), stones, BLACK)
 
 
-def under_water(nodes: Nodes, look: Any, grain: float, wet: float, shine: float) -> tuple[Any, Any]:
-    """Darken and smooth a fraction of a surface where water stands; return colour and roughness."""
-    water = nodes.step(nodes.noise(grain), 0.75 - wet * 0.6, 0.6 - wet * 0.6)
-    water = nodes.math("SUBTRACT", 1.0, water)
-    look = nodes.mix(nodes.math("MULTIPLY", water, 0.5), look, BLACK)
-    return look, nodes.math("SUBTRACT", 0.7, nodes.math("MULTIPLY", water, shine))
+def _flood(nodes: Nodes, colour: Any, grain: float, water: float) -> tuple[Any, Any]:
+    """Darken and smooth a fraction of a surface where water is; return colour and roughness."""
+    level = 0.75 - water * 0.6
+    dry = nodes.step(nodes.noise(grain), level, level - 0.15)
+    film = nodes.math("SUBTRACT", 1.0, dry)
+    colour = nodes.mix(nodes.math("MULTIPLY", film, 0.5), colour, BLACK)
+    shine = 0.45 + 0.2 * min(water, 1.2)
+    return colour, nodes.math("SUBTRACT", 0.72, nodes.math("MULTIPLY", film, shine))
 
 
-def _cracked(nodes: Nodes, look: Any, often: float, wide: float) -> Any:
+def _cracks(nodes: Nodes, colour: Any, often: float, wide: float) -> Any:
     """Return dark lines between cells distorted by noise, metres apart."""
-    bend = nodes.add("ShaderNodeTexNoise", {"Vector": nodes.place(), "Scale": 0.8}, "Color")
-    where = nodes.add("ShaderNodeVectorMath", {0: nodes.place(), 1: bend}, operation="ADD")
-    line = nodes.step(nodes.cells(1 / often * 2, where), wide, wide / 3)
+    bend = nodes.add("ShaderNodeTexNoise", {"Vector": nodes.position(), "Scale": 0.8}, "Color")
+    inputs = {0: nodes.position(), 1: bend}
+    position = nodes.add("ShaderNodeVectorMath", inputs, operation="ADD")
+    line = nodes.step(nodes.cells(1 / often * 2, position), wide, wide / 3)
     part = nodes.step(nodes.noise(0.25, 1), 0.45, 0.6)  # not everywhere
-    return nodes.mix(nodes.math("MULTIPLY", line, part), look, nodes.mix(0.6, look, BLACK))
+    return nodes.mix(nodes.math("MULTIPLY", line, part), colour, nodes.mix(0.6, colour, BLACK))
 
 
-def facade(stage: Stage, colour: Colour) -> Material:
+def facade(scene: Scene) -> Material:
     """Return a wall with rows of windows every 2 to 4 metres, some lit at night."""
-    at, nodes = stage.at, new_surface()
-    where = nodes.add("ShaderNodeTexCoord", {}, "Object")
-    x, y, z = (nodes.add("ShaderNodeSeparateXYZ", {0: where}, k) for k in range(3))
-    along = nodes.math("DIVIDE", nodes.math("ADD", x, y), at.uniform(2, 4))
-    up = nodes.math("DIVIDE", z, at.uniform(2.6, 3.4))
+    rng, nodes, colour = scene.rng, new_surface(), sample_colour(scene, "wall")
+    position = nodes.add("ShaderNodeTexCoord", {}, "Object")
+    x, y, z = (nodes.split(position, axis) for axis in range(3))
+    along = nodes.math("DIVIDE", nodes.math("ADD", x, y), rng.uniform(2, 4))
+    up = nodes.math("DIVIDE", z, rng.uniform(2.6, 3.4))
     inside = []
-    for one, half in ((along, at.uniform(0.15, 0.4)), (up, at.uniform(0.2, 0.35))):
-        off = nodes.math("SUBTRACT", nodes.math("FRACT", one), 0.5)
+    for grid, half in ((along, rng.uniform(0.15, 0.4)), (up, rng.uniform(0.2, 0.35))):
+        off = nodes.math("SUBTRACT", nodes.math("FRACT", grid), 0.5)
         inside.append(nodes.step(nodes.math("ABSOLUTE", off), half, half - 0.03))
     pane = nodes.math("MULTIPLY", *inside)
-    wall = nodes.mix(nodes.noise(at.uniform(0.3, 8)), tuple(c * 0.7 for c in colour), tuple(colour))
-    wall = lay_photograph(stage, nodes, "wall", wall)
-    look = nodes.mix(pane, wall, (0.03, 0.035, 0.05))
+    wall = nodes.mix(nodes.noise(rng.uniform(0.3, 8)), scale(colour, 0.7), tuple(colour))
+    mixed = nodes.mix(pane, wall, (0.03, 0.035, 0.05))
     rough = nodes.math("SUBTRACT", 0.9, nodes.math("MULTIPLY", pane, 0.8))
-    if not stage.night:
-        return finished(stage, nodes, look, rough)
+    if not scene.night:
+        return finish(scene, nodes, mixed, rough)
     lit = nodes.math("MULTIPLY", nodes.step(nodes.noise(0.35, 1), 0.52, 0.56), 0.4)
-    shine = {
-        "Emission Color": (1, 0.7, 0.35, 1),
-        "Emission Strength": nodes.math("MULTIPLY", pane, lit),
-    }
-    return finished(stage, nodes, look, rough, shine)
+    strength = nodes.math("MULTIPLY", pane, lit)
+    warm = (1, 0.7, 0.35, 1)
+    return finish(scene, nodes, mixed, rough, Emission_Color=warm, Emission_Strength=strength)

@@ -1,215 +1,142 @@
-"""Images without road: rooms, table tops, walls, fields and water.
+"""Places without road: rooms, table tops, walls, fields and water.
 
 They teach that an image need not have a road. Floors, fields and water are ground; whatever stands
 on them is vertical.
 """
 
+from collections.abc import Callable
 from math import atan, cos, sin, sqrt
 from typing import Any
 
-import bpy
-from mathutils import Vector
-
+from train.worlds import materials
+from train.worlds.blender import Vector, bpy
 from train.worlds.camera import sample_lens
-from train.worlds.materials import (
-    Colour,
-    Nodes,
-    drawn,
-    facade,
-    finished,
-    ground,
-    lamp,
-    new_surface,
-    palette,
-    paved,
-    plain,
-    slabs,
-)
-from train.worlds.people import person
-from train.worlds.roads import EARTHS, GREENS, LITTER, PAVINGS, SNOW
-from train.worlds.stage import Material, Point, Stage, box, loose, turned
-from train.worlds.surroundings import WALLS, crown
+from train.worlds.materials import finish, ground, new_surface, plain, sample_colour, sample_soil
+from train.worlds.scene import Material, Point, Scene
+from train.worlds.shapes import box, revolve
+from train.worlds.sides import crown, sample_leaf, tuft
 from train.worlds.truth import HORIZONTAL, VERTICAL
 
-PLACES = ("room", "things", "wall", "field", "water")
+FACES = {"floor": [(0, 1, 2, 3)], "ceiling": [(4, 5, 6, 7)]}
+FACES["walls"] = [(1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (0, 1, 5, 4)]
 
-INDOORS = palette("60 55 48, 50 50 52, 30 20 12, 70 70 66, 20 25 35, 45 12 8, 10 20 12, 5 5 5")
 
-
-def build_nowhere(stage: Stage) -> str:
-    """Build one of the places with its camera; return its kind."""
-    kind = stage.at.choice(PLACES)
+def build_place(scene: Scene, name: str) -> None:
+    """Build a place with its camera."""
     data: Any = bpy.data.cameras.new("camera")
     data.sensor_fit, data.clip_start, data.clip_end = "VERTICAL", 0.02, 2000
-    data.angle_y = 2 * atan(sample_lens(stage).half_up)
-    builders = {"room": _room, "things": _things, "wall": _wall, "field": _field, "water": _water}
-    where, target = builders[kind](stage)
-    camera = stage.add("camera", data, where)
-    gaze = Vector(target) - Vector(where)
+    data.angle_y = 2 * atan(sample_lens(scene).half_up)
+    position, target = PLACES[name](scene)
+    camera = scene.blender.camera = scene.add("camera", data, position)
+    gaze = Vector(target) - Vector(position)
     camera.rotation_euler = gaze.to_track_quat("-Z", "Y").to_euler()
-    camera.rotation_euler.rotate_axis("Z", stage.at.gauss(0, 0.05))
-    stage.scene.camera = camera
-    return kind
+    camera.rotation_euler.rotate_axis("Z", scene.rng.gauss(0, 0.05))
 
 
-def _any_surface(stage: Stage) -> Material:
-    """Sample a surface: plain, patched, tiled, of stones, printed."""
-    at, colours = stage.at, INDOORS + PAVINGS
-    first, second = drawn(stage, colours, 0.5), drawn(stage, colours, 0.5)
-    kind = at.choice(["plain", "ground", "slabs", "stones", "printed"])
+def _sample_surface(scene: Scene) -> Material:
+    """Sample a surface: plain, patched, paved, printed with stripes, checks or rings."""
+    rng, colours = scene.rng, "indoors paving"
+    first, second = sample_colour(scene, colours, 0.5), sample_colour(scene, colours, 0.5)
+    kind = rng.choice(["plain", "ground", "paved", "paved", "Checker", "Wave", "Voronoi"])
     if kind == "plain":
-        return plain(stage, first, at.uniform(0.1, 0.9))
+        return plain(scene, first, rng.uniform(0.1, 0.9))
     if kind == "ground":
-        return ground(stage, first, second, at.uniform(1, 60), at.uniform(0.1, 0.8))
-    if kind == "slabs":
-        return slabs(stage, first, at.uniform(0.05, 0.8))
-    if kind == "stones":
-        return paved(stage, first, 99, 0.0, at.uniform(0.05, 0.5))
-    return _printed(stage, first, second)
+        return ground(scene, sample_soil(scene, colours)._replace(grain=rng.uniform(1, 60)))
+    if kind == "paved":
+        patterns = {"slabs": 2, "setts": 1, "cobbles": 1}
+        return materials.pave(scene, materials.sample_paving(scene, [first], patterns))
+    nodes = new_surface()
+    inputs = {"Vector": nodes.position(), "Scale": rng.uniform(1, 20)}
+    fraction = nodes.add(f"ShaderNodeTex{kind}", inputs, 0 if kind == "Voronoi" else "Fac")
+    return finish(scene, nodes, nodes.mix(fraction, first, second), 0.7)
 
 
-def _printed(stage: Stage, first: Colour, second: Colour) -> Material:
-    """Return stripes, checks or rings of two colours."""
-    nodes, at = new_surface(), stage.at
-    scale = at.uniform(1, 20)
-    kinds = {"ShaderNodeTexChecker": "Fac", "ShaderNodeTexWave": "Fac", "ShaderNodeTexVoronoi": 0}
-    kind = at.choice(list(kinds))
-    share = nodes.add(kind, {"Vector": nodes.place(), "Scale": scale}, kinds[kind])
-    return finished(stage, nodes, nodes.mix(share, tuple(first), tuple(second)), 0.7)
-
-
-def _plane(stage: Stage, look: Material, size: float, truth: int) -> None:
-    corners = [(x * size, y * size, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    mesh = stage.mesh([((corners, [(0, 1, 2, 3)]), look)])
-    mesh.uv_layers.new(name="UV")
-    stage.put(mesh, truth)
-
-
-def _thing(stage: Stage, size: float) -> Any:
-    """Return a box, a vessel, a ball or leaves of about a size."""
-    at, look = stage.at, _any_surface(stage)
-    kind = at.choice(["box", "box", "vessel", "ball", "leaves"])
-    if kind == "box":
-        a, b, c = (size * at.uniform(0.2, 1) for _ in range(3))
-        return stage.mesh([(box((0, 0, c / 2), (a, b, c)), look)])
-    if kind == "leaves":
-        points, faces = crown(stage, 300, 0.15)
-        shape = [(x * size, y * size, (z + 1) * size) for x, y, z in points]
-        return stage.mesh([((shape, faces), look)])
-    rows = [k / 8 for k in range(9)]
-    widths = [at.uniform(0.1, 0.5) for _ in rows]
-    if kind == "ball":
-        widths = [sqrt(max(0.001, 0.25 - (row - 0.5) ** 2)) for row in rows]
-    profile = [(size * width, size * row) for row, width in zip(rows, widths, strict=True)]
-    return stage.mesh([(turned(profile, 16), look)], smooth=True)
-
-
-def _scatter(stage: Stage, count: int, size: float, reach: float, near: float = 0.0) -> None:
-    """Scatter objects on the ground, from ``near`` to ``reach`` metres ahead."""
-    at = stage.at
+def _scatter(
+    scene: Scene, count: int, size: float, low: Point, high: Point, leaf: Material = None
+) -> None:
+    """Scatter boxes, vessels, balls and leaves (or bushes of a leaf) of about a size in a box."""
+    rng, rows = scene.rng, [k / 8 for k in range(9)]
     for _ in range(count):
-        where = (at.uniform(-reach, reach), at.uniform(near, reach), 0.0)
-        stage.put(_thing(stage, size * at.uniform(0.3, 1)), VERTICAL, where, at.uniform(0, 6))
+        material, big = leaf or _sample_surface(scene), size * rng.uniform(0.2, 1)
+        kind = "leaves" if leaf else rng.choice(["box", "box", "vessel", "ball", "leaves"])
+        widths = [rng.uniform(0.1, 0.5) for _ in rows]
+        if kind == "box":
+            shape = box((0, 0, big / 2), (big, size * rng.uniform(0.2, 1), big))
+        elif kind == "leaves":
+            points, faces = crown(scene, 300)
+            shape = [(x * big, y * big, (z + 1) * big) for x, y, z in points], faces
+        else:
+            if kind == "ball":
+                widths = [sqrt(max(0.001, 0.25 - (row - 0.5) ** 2)) for row in rows]
+            shape = revolve([(big * w, big * row) for row, w in zip(rows, widths, strict=True)], 16)
+        mesh = scene.mesh([(shape, material)], kind in ("vessel", "ball"))
+        x, y, z = (rng.uniform(*limits) for limits in zip(low, high, strict=True))
+        scene.put(mesh, VERTICAL, (x, y, z), rng.uniform(0, 6))
 
 
-def _room(stage: Stage) -> tuple[Point, Point]:
-    at = stage.at
-    wide, deep, tall = at.uniform(1.2, 6), at.uniform(3, 14), at.uniform(2.3, 4)
-    floor, wall, roof = (_any_surface(stage) for _ in range(3))
+def _build_room(scene: Scene) -> tuple[Point, Point]:
+    rng, between = scene.rng, scene.rng.uniform
+    wide, deep, tall = between(1.2, 6), between(3, 14), between(2.3, 4)
     points = [(x, y, 0.0) for x, y in ((-wide, -2), (wide, -2), (wide, deep), (-wide, deep))]
-    mesh = stage.mesh([((points, [(0, 1, 2, 3)]), floor)])
-    mesh.uv_layers.new(name="UV")
-    stage.put(mesh, HORIZONTAL)
     points += [(x, y, tall) for x, y, _ in points]
-    sides = stage.mesh([((points, [(1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (0, 1, 5, 4)]), wall)])
-    stage.put(sides, VERTICAL)
-    stage.put(stage.mesh([((points, [(4, 5, 6, 7)]), roof)]), VERTICAL)
-    for _ in range(at.choice([1, 2, 4])):
-        middle = (at.uniform(-0.7, 0.7) * wide, at.uniform(0.5, deep - 1), tall - 0.02)
-        shade = box(middle, (at.uniform(0.3, 1.2), at.uniform(0.3, 1.2), 0.03))
-        stage.put(stage.mesh([(shade, lamp((1, 0.9, 0.75), at.uniform(8, 40)))]), VERTICAL)
-    for _ in range(at.randint(2, 12)):
-        where = (at.uniform(-1, 1) * wide, at.uniform(1.5, deep), 0.0)
-        stage.put(_thing(stage, at.uniform(0.3, 2)), VERTICAL, where, at.uniform(0, 6))
-    if stage.chance(0.3):
-        stage.put(stage.mesh(person(stage)), VERTICAL, (at.uniform(-1, 1), at.uniform(2, deep), 0))
-    where = (at.uniform(-0.5, 0.5) * wide, -1.5, at.uniform(0.3, 2.0))
-    return where, (at.gauss(0, 1.0), 3.0, at.uniform(0.2, 1.8))
+    for name, faces in FACES.items():
+        truth = HORIZONTAL if name == "floor" else VERTICAL
+        scene.put_surface(points, faces, _sample_surface(scene), truth)
+    for _ in range(rng.choice([1, 2, 4])):
+        middle = (between(-0.7, 0.7) * wide, between(0.5, deep - 1), tall - 0.02)
+        shade = box(middle, (between(0.3, 1.2), between(0.3, 1.2), 0.03))
+        scene.put(scene.mesh([(shade, materials.lamp((1, 0.9, 0.75), between(8, 40)))]), VERTICAL)
+    _scatter(scene, rng.randint(2, 12), between(0.4, 2), (-wide, 1.5, 0), (wide, deep, 0))
+    position = (between(-0.5, 0.5) * wide, -1.5, between(0.3, 2.0))
+    return position, (rng.gauss(0, 1.0), 3.0, between(0.2, 1.8))
 
 
-def _things(stage: Stage) -> tuple[Point, Point]:
+def _build_things(scene: Scene) -> tuple[Point, Point]:
     """Build a table top or another support of objects, seen from above or obliquely."""
-    at = stage.at
-    _plane(stage, _any_surface(stage), 4, at.choice([VERTICAL, HORIZONTAL]))
-    size = at.uniform(0.05, 0.4)
-    _scatter(stage, at.choice([1, 3, 12, 30]), size, at.uniform(2, 6) * size, -3 * size)
-    far = at.uniform(3, 8) * size
-    tilt = at.uniform(0.3, 1.5)
-    return (at.gauss(0, size), -far * cos(tilt), far * sin(tilt) + 0.05), (0.0, 0.0, size * 0.3)
+    rng, size = scene.rng, scene.rng.uniform(0.05, 0.4)
+    scene.put_plane(4, 0, _sample_surface(scene), rng.choice([VERTICAL, HORIZONTAL]))
+    reach, count = rng.uniform(2, 6) * size, rng.choice([1, 3, 12, 30])
+    _scatter(scene, count, size, (-reach, -3 * size, 0), (reach, reach, 0))
+    far, tilt = rng.uniform(3, 8) * size, rng.uniform(0.3, 1.5)
+    return (rng.gauss(0, size), -far * cos(tilt), far * sin(tilt) + 0.05), (0, 0, size * 0.3)
 
 
-def _wall(stage: Stage) -> tuple[Point, Point]:
+def _build_wall(scene: Scene) -> tuple[Point, Point]:
     """Build a facade, a page or a fabric that fills the image."""
-    at, half = stage.at, stage.at.uniform(0.5, 15)
-    look = facade(stage, drawn(stage, WALLS)) if half > 3 else _any_surface(stage)
-    stage.put(stage.mesh([(box((0, 6, 0), (6 * half, 0.5, 6 * half)), look)]), VERTICAL)
-    if stage.chance(0.5):
-        _scatter_up(stage, at.choice([2, 9]), half)
-    return (at.gauss(0, half / 3), 5 - half * at.uniform(0.5, 1.2), 0.0), (0.0, 6.0, at.gauss(0, 1))
+    rng, half = scene.rng, scene.rng.uniform(0.5, 15)
+    material = materials.facade(scene) if half > 3 else _sample_surface(scene)
+    scene.put(scene.mesh([(box((0, 6, 0), (6 * half, 0.5, 6 * half)), material)]), VERTICAL)
+    _scatter(scene, rng.choice([0, 0, 2, 9]), half / 2, (-half, 5.3, -half), (half, 5.3, half))
+    return (rng.gauss(0, half / 3), 5 - half * rng.uniform(0.5, 1.2), 0.0), (0, 6, rng.gauss(0, 1))
 
 
-def _scatter_up(stage: Stage, count: int, half: float) -> None:
-    """Scatter objects in front of a wall."""
-    at = stage.at
-    for _ in range(count):
-        where = (at.uniform(-1, 1) * half, 5.3, at.uniform(-1, 1) * half)
-        stage.put(_thing(stage, half * at.uniform(0.1, 0.5)), VERTICAL, where, at.uniform(0, 6))
-
-
-def _field(stage: Stage) -> tuple[Point, Point]:
+def _build_field(scene: Scene) -> tuple[Point, Point]:
     """Build a meadow, crop, earth, sand or snow with plants and without a way."""
-    at = stage.at
-    colours = at.choice([GREENS, GREENS, EARTHS, LITTER, SNOW])
-    soil = ground(stage, drawn(stage, colours), drawn(stage, colours), at.uniform(0.5, 9), 0.5)
-    _plane(stage, soil, 600, HORIZONTAL)
-    leaf = ground(stage, drawn(stage, GREENS, 0.4), drawn(stage, GREENS, 0.4), 3, 0.3, 0)
-    bush = stage.mesh([(crown(stage, 700, 0.2), leaf)])
-    for _ in range(at.choice([0, 8, 60])):
-        size = at.uniform(0.3, 4)
-        where = (at.gauss(0, 20), at.uniform(4, 90), size * 0.6)
-        stage.put(bush, VERTICAL, where, at.uniform(0, 6), (size, size, size))
-    _tufts(stage)
-    tall = at.uniform(0.4, 3)
-    return (0.0, 0.0, tall), (at.gauss(0, 3), 10.0, tall - at.uniform(0, 3.5))
+    rng, tall = scene.rng, scene.rng.uniform(0.4, 3)
+    soil = sample_soil(scene, rng.choice(["green", "green", "earth", "litter", "snow"]))
+    leaves = rng.choice([0.0, 0.0, rng.uniform(0.2, 1)])
+    scene.put_plane(600, 0, ground(scene, soil._replace(leaves=leaves)), HORIZONTAL)
+    _scatter(scene, rng.choice([0, 8, 40]), 4, (-40, 4, 0), (40, 90, 0), sample_leaf(scene))
+    mesh = tuft(scene, "green litter", rng.uniform(0.05, 0.9), 0.6)
+    for _ in range(rng.choice([0, 400, 1200])):
+        position = (rng.gauss(0, 9), 1.5 + rng.expovariate(0.08), 0.0)
+        scene.put(mesh, HORIZONTAL, position, rng.uniform(0, 6))
+    return (0.0, 0.0, tall), (rng.gauss(0, 3), 10.0, tall - rng.uniform(0, 3.5))
 
 
-def _tufts(stage: Stage) -> None:
-    """Scatter tufts of blades."""
-    at = stage.at
-    blade, points = plain(stage, drawn(stage, GREENS + LITTER, 0.35), 0.8, vary=0.5), []
-    tall = at.uniform(0.05, 0.9)
-    for _ in range(160):
-        x, y, turn = at.uniform(-0.6, 0.6), at.uniform(-0.6, 0.6), at.uniform(0, 6.28)
-        dx, dy, high = 0.025 * cos(turn), 0.025 * sin(turn), at.uniform(0.3, 1) * tall
-        points += [(x + dx, y + dy, 0), (x - dx, y - dy, 0), (x + at.gauss(0, 0.1), y, high)]
-    mesh = stage.mesh([(loose(points), blade)])
-    for _ in range(at.choice([0, 400, 1200])):
-        where = (at.gauss(0, 9), 1.5 + at.expovariate(0.08), 0.0)
-        stage.put(mesh, HORIZONTAL, where, at.uniform(0, 6))
-
-
-def _water(stage: Stage) -> tuple[Point, Point]:
+def _build_water(scene: Scene) -> tuple[Point, Point]:
     """Build a lake or the sea with its far shore."""
-    at, nodes = stage.at, Nodes(bpy.data.materials.new("water"))
-    tone = drawn(stage, palette("2 4 5, 4 6 5, 8 9 8"))
-    waves = nodes.bump(nodes.noise(at.uniform(0.3, 4)), at.uniform(0.05, 0.6), 0.1)
-    look = finished(stage, nodes, nodes.mix(0.5, tone, tone), 0.05, {"Normal": waves})
-    _plane(stage, look, 700, HORIZONTAL)
-    leaf = ground(stage, drawn(stage, GREENS, 0.4), drawn(stage, GREENS, 0.4), 0.4, 0.3, 0)
-    bush, far = stage.mesh([(crown(stage, 700, 0.2), leaf)]), at.uniform(20, 200)
-    for _ in range(at.choice([0, 40])):
-        size = far * at.uniform(0.03, 0.09)
-        where = (at.uniform(-2, 2) * far, far + at.uniform(0, 9), size * 0.5)
-        stage.put(bush, VERTICAL, where, at.uniform(0, 6), (size * 1.5, size, size))
-    tall = at.uniform(0.5, 5)
-    return (0.0, 0.0, tall), (at.gauss(0, 3), 10.0, tall - at.uniform(-0.5, 3))
+    rng, nodes, tall = scene.rng, new_surface(), scene.rng.uniform(0.5, 5)
+    tone, far = sample_colour(scene, "water"), rng.uniform(20, 200)
+    waves = nodes.bump(nodes.noise(rng.uniform(0.3, 4)), rng.uniform(0.05, 0.6), 0.1)
+    scene.put_plane(700, 0, finish(scene, nodes, (*tone, 1), 0.05, Normal=waves), HORIZONTAL)
+    shore = (-2 * far, far, 0), (2 * far, far + 9, 0)
+    _scatter(scene, rng.choice([0, 40]), far / 10, *shore, sample_leaf(scene))
+    return (0.0, 0.0, tall), (rng.gauss(0, 3), 10.0, tall - rng.uniform(-0.5, 3))
+
+
+PLACES: dict[str, Callable[[Scene], tuple[Point, Point]]] = {
+    **{"room": _build_room, "things": _build_things, "wall": _build_wall},
+    **{"field": _build_field, "water": _build_water},
+}
+"""Places, each built by a function that returns the camera's position and what it is aimed at."""

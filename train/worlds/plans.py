@@ -1,114 +1,58 @@
-"""Plans of worlds by number: kind of road, time of day, weather, people, camera mount."""
+"""Plans of worlds by number: ground, light, weather, crowd, camera mount, side of traffic.
 
-from collections.abc import Mapping
+A number's plan is ``SCHEDULE[number % 100]``. The pack on which networks learn is 50000 to 52999:
+thirty times the schedule. Numbers below 50000 gave other images before.
+"""
+
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-KINDS: Mapping[str, int] = {
-    "street": 5,
-    "rural": 4,
-    "motorway": 2,
-    "track": 5,
-    "trail": 3,
-    "overgrown": 10,
-    "yard": 2,
-    "bazaar": 3,
-    "lane": 2,
-}
-"""Kinds of road in worlds of all kinds, with their weights."""
+from train.worlds.tables import Row, read_table
 
-NOWHERE = "nowhere"
-"""Kind of a place without road."""
+PACK, HELD_OUT = range(50000, 53000), 9000
+"""Numbers of the pack; from which of each ten thousand on numbers are held out from training."""
+
+ROADLESS = ("room", "things", "wall", "field", "water", "square")
+"""Kinds of places without road."""
 
 FISHEYES = ("front", "rear", "left", "right")
-"""Mounts of fisheyes on a car; other mounts are car, truck and robot."""
+"""Mounts of fisheyes on a car; the other mounts are car, truck, robot, motorcycle and bicycle."""
 
-HOURS = {"sun": 9, "overcast": 7, "dusk": 2, "night": 3}
-"""Times of day, with their weights."""
+RIDERS = ("motorcycle", "bicycle")
 
-DARKER = {"sun": 6, "overcast": 6, "dusk": 4, "night": 5}
-DAY = {"sun": 5, "overcast": 4, "dusk": 3}
-NIGHT = {"night": 1}
-RAINY = {"overcast": 6, "dusk": 3, "night": 2}
+Weights = Mapping[str, float]
 
 
 class Plan(NamedTuple):
-    """The distributions from which a world is sampled.
+    """The distributions from which a world is sampled, a row of plans.csv.
 
-    name: part of the file's name; "" stands for the kind of road. kinds, hours: with their weights.
-    wet: whether it rains on a wet road; None samples it. crowd: whether many people, cyclists and
-    small obstacles are near and on the road. mount: of the camera. hand: the side on which traffic
-    keeps in a town, 1 right, -1 left; 0 samples it.
+    name: part of the file's name; "" stands for the ground. ground, light: kinds with their
+    weights. weather: "any", "dry", "rain" (on a wet road) or "flooded" (a mirror-like road).
+    crowd: whether many people, cyclists and small obstacles are near and on the road. mount: of the
+    camera. hand: the side on which traffic keeps, 1 right, -1 left.
     """
 
     name: str
-    kinds: Mapping[str, int]
-    hours: Mapping[str, int] = HOURS
-    wet: bool | None = None
-    crowd: bool = False
-    mount: str = "car"
-    hand: int = 0
+    ground: Weights
+    light: Weights
+    weather: str
+    crowd: int
+    mount: str
+    hand: int
 
 
-TOWN = {"town": 1}
-DRY_TOWN = Plan("town", TOWN, DAY, wet=False)
-DARK_TOWN = Plan("town", TOWN, NIGHT)
-WET_TOWN = Plan("townrain", TOWN, RAINY, wet=True)
-PEOPLE = Plan("people", {"town": 4, "street": 1, "bazaar": 1}, DARKER, crowd=True)
-SURROUND = {"town": 6, "street": 2, "yard": 3, "rural": 1, "lane": 1, "track": 1}
-FRONT, REAR, LEFT, RIGHT = (
-    Plan(f"fisheye{name}", SURROUND, DARKER, mount=mount)
-    for name, mount in (("front", "front"), ("rear", "rear"), ("side", "left"), ("side", "right"))
-)
-TRUCK = Plan("truck", {"town": 4, "motorway": 2, "rural": 2, "yard": 1}, DARKER, mount="truck")
-ROBOT = Plan("robot", {"town": 4, "yard": 1, "lane": 1, "trail": 1}, DARKER, mount="robot")
-ROADS = {"ramp": 3, "motorway": 2, "rural": 2}
-LITTER = {"litter": 1}
-MIXED = Plan("", KINDS, DARKER)
+def spread_evenly(rows: Iterable[Row]) -> tuple[Plan, ...]:
+    """Return plans in turn, each as evenly spaced as its count allows, its side alternating."""
+    turns = []
+    for order, (*values, count) in enumerate(row.values() for row in rows):
+        for turn in range(count):
+            turns.append(((turn + 0.5) / count, order, Plan(*values, hand=(1, -1)[turn % 2])))
+    return tuple(plan for *_, plan in sorted(turns, key=lambda turn: turn[:2]))
 
-SCHEDULE = (
-    *(DRY_TOWN, DARK_TOWN, FRONT, WET_TOWN, PEOPLE, Plan("", LITTER, DARKER)),
-    *(DARK_TOWN, LEFT, DRY_TOWN, MIXED, WET_TOWN, PEOPLE),
-    *(REAR, DARK_TOWN, TRUCK, WET_TOWN, MIXED, DRY_TOWN),
-    *(PEOPLE, RIGHT, DARK_TOWN, Plan("", ROADS, DARKER), WET_TOWN, ROBOT),
-    *(DRY_TOWN, PEOPLE, MIXED, Plan("", {NOWHERE: 1}, DARKER)),
-)
-"""Plans in turn, so that any range of numbers is balanced."""
 
-STREETS = tuple(
-    plan._replace(hand=hand)
-    for plan in (
-        *(DRY_TOWN, DARK_TOWN, WET_TOWN._replace(crowd=True), FRONT),
-        *(DRY_TOWN._replace(crowd=True), DARK_TOWN, WET_TOWN, TRUCK),
-        *(DRY_TOWN, DARK_TOWN._replace(crowd=True), WET_TOWN, LEFT),
-        *(DRY_TOWN, DARK_TOWN._replace(crowd=True), WET_TOWN._replace(crowd=True), FRONT),
-        *(DRY_TOWN._replace(crowd=True), DARK_TOWN, WET_TOWN, REAR),
-        *(DRY_TOWN, DARK_TOWN, WET_TOWN._replace(crowd=True), RIGHT, ROBOT),
-    )
-    for hand in (1, -1)
-)
-"""Plans in turn of towns above all: a third of them by day, by night and in the rain, half of them
-with traffic that keeps right. A fifth of the worlds are fisheyes, a few trucks and robots."""
-
-SCHEDULED, TOWNS = 30000, 40000
-"""First numbers of worlds planned in turn by ``SCHEDULE`` and by ``STREETS``."""
-
-HELD_OUT = 9000
-"""From which of each ten thousand on numbers are held out from training."""
-
-RANGES = {
-    0: Plan("", KINDS),
-    10000: Plan("", TOWN),
-    12000: Plan("", ROADS),
-    14000: Plan("", LITTER),
-    20000: Plan("", {NOWHERE: 1}),
-}
-"""Plans by first number, below those planned in turn."""
+SCHEDULE = spread_evenly(read_table("plans"))
 
 
 def plan_world(number: int) -> Plan:
     """Return the plan of a world's number."""
-    if number >= TOWNS:
-        return STREETS[(number - TOWNS) % len(STREETS)]
-    if number >= SCHEDULED:
-        return SCHEDULE[(number - SCHEDULED) % len(SCHEDULE)]
-    return RANGES[max(first for first in RANGES if first <= number)]
+    return SCHEDULE[number % len(SCHEDULE)]
