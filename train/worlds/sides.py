@@ -119,7 +119,7 @@ def _build_posts(scene: Scene, road: Road) -> None:
     count = max(count, 8) if scene.night and scene.water > 0.9 else count
     grey = plain(scene, "grey", 0.6)
     tall, spacing, beyond = rng.uniform(4, 9), rng.randint(8, 17), rng.uniform(0.2, 0.9)
-    warm = sample_colour(scene, "lamp", 0)
+    warm, gain = sample_colour(scene, "lamp", 0), rng.uniform(1, 4) if scene.water > 0.9 else 1
     spots = [(START + 3 + k * spacing, scene.hand * (-1) ** (k * both)) for k in range(count)]
     for index, side in spots:
         if index > 115 or not road.is_open(index):
@@ -130,7 +130,7 @@ def _build_posts(scene: Scene, road: Road) -> None:
         parts: Parts = [(revolve([(0.11, 0), (0.06, tall)], 8), grey), (arm, grey)]
         if scene.night:
             parts.append((box((-side * 1.4, 0, tall - 0.1), (0.5, 0.25, 0.1)), lamp(warm, 60)))
-            scene.add_lamp((x - side * 1.4, y, z + tall - 0.4), warm, rng.uniform(150, 600))
+            scene.add_lamp((x - side * 1.4, y, z + tall - 0.4), warm, gain * rng.uniform(150, 600))
         scene.put(scene.mesh(parts), VERTICAL, (x, y, z), -course.headings[index])
 
 

@@ -80,7 +80,7 @@ def _put_people(scene: Scene, road: Road, count: int) -> None:
 def _put_obstacles(scene: Scene, road: Road, count: int) -> None:
     """Place small things at the edges of the road, behind its kerbs and on it; cones in a row."""
     rng, course, half = scene.rng, road.course, road.course.half
-    cast, spots = Cast(scene, WEIGHTS["obstacles"], min(count, 4)), []
+    cast, spots = Cast(scene, WEIGHTS["obstacles"], min(count, 3) + 1), []
     for _ in range(count):
         across = rng.choice((-1, 1)) * (half + rng.gauss(0, 0.5))
         if scene.chance(0.2):
