@@ -331,7 +331,7 @@ def count_frames(path: Path) -> int:
     return count
 
 
-def frame_decoder(stream: "VideoStream") -> "Callable[[VideoFrame], Tensor]":
+def frame_decoder(stream: "VideoStream") -> Callable[["VideoFrame"], Tensor]:
     """Return the function that decodes frames of a stream, ``upright_image``."""
     reformatter = import_av().video.reformatter.VideoReformatter()
     return partial(upright_image, reformatter, aspect=pixel_aspect(stream))

@@ -70,7 +70,7 @@ OTHER_TEXT = {
     "camera.toml": ("0.", "0.1"),
     "config.toml": ("0.4", "0.6"),
     "lens.yaml": ("60", "50"),
-    "calib/um_000000.txt": ("1", "2"),
+    "calib/um_000000.txt": ("1.3000", "1.4000"),  # the focal length
 }
 
 
