@@ -28,7 +28,7 @@ MAX_STRIP = 0.08
 MIN_MEAN, MEAN_PER_AREA = 0.7, 0.5
 """Least mean potential of an ego car, and its increase with the fraction of the image that the car
 covers: lane markings near the lower edge get about 0.5, bonnets mostly more, and a larger mistake
-loses more ground (train/README.md, "The ego car's edge")."""
+loses more ground ("The ego car's edge" in train/README.md at 0ee65af)."""
 
 MIN_FILL = 0.6  # fraction of the pixels below a column's first row that must be ego car
 

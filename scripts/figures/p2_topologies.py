@@ -3,7 +3,7 @@
 A small version, some minutes on one core: seven networks for P2's fifteen, each trained once on a
 fifth of the free images as ``configs/cnn7.toml`` says but for one epoch, one patch a superpixel and
 batches of 32: 32 thousand patches where P2 has 4.8 million. It compares networks with one another,
-not with P2's. (P2's fifteen at four times the patches: train/README.md.)
+not with P2's. (P2's fifteen at four times the patches: train/README.md at 0ee65af.)
 
 P2 prints the ranges that its networks are from, and the size of CNN-7 alone; the others are ours
 from the same ranges, under its names.

@@ -10,7 +10,7 @@ from roadtorch.layout.weights import read_origin, shipped_weights
 from train import free_images
 from train.free_images import main, recordings, round_robin
 
-STREET_IMAGES = Path(free_images.__file__).parent / "street/images.csv"
+STREET_IMAGES = Path(free_images.__file__).parent / "more_images.csv"
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 """Compare weights with those that ship, image by image: one table, differences with intervals.
 
-    python -m train.street.compare DATA --worlds HELD… --cache DIR NAME=FIRST[+SECOND]…
-    python -m train.street.compare DATA --cache DIR --large --sets many camvid idd NAME=…
-    python -m train.street.compare DATA --cache DIR --keep    # docs/figures/street.json
+    python -m train.compare DATA --worlds HELD… --cache DIR NAME=FIRST[+SECOND]…
+    python -m train.compare DATA --cache DIR --large --sets many camvid idd NAME=…
+    python -m train.compare DATA --cache DIR --keep    # docs/figures/street.json
 
 FIRST and SECOND are files of `fusion`'s networks, or names of shipped ones; SECOND counts with
 --large alone, which compares `fusion:large`. --keep records figures of what ships instead. DATA
@@ -33,7 +33,6 @@ from roadtorch.layout.classes import VERTICAL
 from roadtorch.run.memo import cache_key, read_cached, write_cached
 from scripts.readme_figures import keep_records
 from train.calibrate import EXCLUDED
-from train.street.pack import obstacle_mask, world_kind
 from train.worlds.reader import read_world
 from train.worlds.truth import VOID
 
@@ -75,6 +74,18 @@ class Records(NamedTuple):
 
 Score = Callable[[Records, Tensor], Tensor]
 """Score (draws,) of records, of weights (draws, n) of their images."""
+
+
+def world_kind(name: str) -> str:
+    """Return the tens of thousands, the kind and "night" of a world, of NUMBER_KIND_LIGHT."""
+    number, kind, light = name.split("_")[:3]
+    return f"{number[0]} {kind}" + " night" * (light == "night")
+
+
+def obstacle_mask(road: Tensor, vertical: Tensor) -> Tensor:
+    """Return where something vertical has road above and below it in its column, bool (H, W)."""
+    above, below = road.cumsum(0) > 0, road.flip(0).cumsum(0).flip(0) > 0
+    return vertical & above & below
 
 
 # --- counting ---------------------------------------------------------------------------
@@ -299,7 +310,7 @@ def keep_shipped(options: argparse.Namespace) -> None:
             key, draws = f"street.{name}.{label}", score(records, weights)
             ends = zip((".low", ".high"), percentile_interval(draws[1:]), strict=True)
             values |= {key: float(draws[0]), **{key + end: float(value) for end, value in ends}}
-    keep_records("street", "python -m train.street.compare DATA --cache OUT --keep", values)
+    keep_records("street", "python -m train.compare DATA --cache OUT --keep", values)
 
 
 def main() -> None:
