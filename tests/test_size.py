@@ -18,30 +18,30 @@ LINES = {
     "roadtorch/annotate": 2_410,
     "roadtorch/base": 2_025,
     "roadtorch/camera": 2_180,
-    "roadtorch/cli": 2_075,
+    "roadtorch/cli": 2_085,
     "roadtorch/data": 2_555,
     "roadtorch/detectors": 2_180,
     "roadtorch/evaluation": 3_660,
     "roadtorch/export": 875,
     "roadtorch/imaging": 1_150,
     "roadtorch/inputs": 1_490,
-    "roadtorch/layout": 1_685,
+    "roadtorch/layout": 1_695,
     "roadtorch/oneclass": 1_790,
     "roadtorch/road": 1_595,
     "roadtorch/ros": 570,
     "roadtorch/run": 2_725,
     "roadtorch/testing": 640,
-    "roadtorch/train": 3_515,
+    "roadtorch/train": 4_430,
     "roadtorch/ufl": 1_355,
     "scripts": 5_545,
-    "tests": 29_520,
-    "train": 7_450,
+    "tests": 29_630,
+    "train": 4_450,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 125
+OPTIONS = 127
 COMMAND_COUNT = 12
 
 REASON = "cut something, or raise the number and state the reason in the same commit"
