@@ -10,6 +10,7 @@ from click import Command
 from click.testing import CliRunner, Result
 from PIL import Image
 
+from roadtorch.base.atomic import RESULTS_FILE
 from roadtorch.cli import main
 
 Call = Callable[..., Result]
@@ -61,7 +62,9 @@ def read_index_rows(out: Path) -> dict[str, dict[str, str]]:
 
 
 def files_in(folder: Path) -> set[str]:
-    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    """Return the names of all files but the ledger of results."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != RESULTS_FILE)
+    return {str(path.relative_to(folder)) for path in files}
 
 
 def bytes_in(folder: Path) -> dict[str, bytes]:

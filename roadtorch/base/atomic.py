@@ -1,20 +1,24 @@
-"""Atomic writes, locks on folders, and text formats: JSON and CSV."""
+"""Atomic writes, locks on folders, the ledger of results, and text formats: JSON and CSV."""
 
 import csv
 import errno
+import glob
 import hashlib
 import io
 import json
 import os
 import re
 import secrets
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from time import monotonic, sleep
 
-from roadtorch.base.bounded import to_printable
-from roadtorch.base.errors import InputError, UnwritableError
+from roadtorch.base.bounded import read_regular, to_printable
+from roadtorch.base.errors import ConfigError, InputError, UnwritableError
 
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """Pattern of the names of temporary files, including those of earlier versions."""
@@ -36,8 +40,10 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "'")
 # --- digests ----------------------------------------------------------------------------
 
 
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes; "" if it is no readable regular file."""
+def file_digest(path: Path, data: bytes | None = None) -> str:
+    """Return the SHA-256 of a file's bytes, if given ``data``; "" if it is no readable file."""
+    if data is not None:
+        return hashlib.sha256(data).hexdigest()
     try:
         if path.is_file():
             with path.open("rb") as file:
@@ -180,6 +186,131 @@ def _folder_lock(folder: Path) -> Iterator[Callable[..., None]]:
         yield lock
     finally:
         os.close(handle)
+
+
+# --- results ----------------------------------------------------------------------------
+
+RESULTS_FILE = ".roadtorch.json"
+"""Ledger of the files below its folder that roadtorch wrote: their names, by the input of each."""
+
+
+def read_results(folder: Path) -> dict[str, str]:
+    """Return the input of each result in the ledger of a folder; empty where it is unreadable."""
+    try:
+        ledger = json.loads(read_regular(folder / RESULTS_FILE))
+        return {name: origin for origin, names in ledger.items() for name in names}
+    except (OSError, ValueError, AttributeError, TypeError):
+        return {}
+
+
+@contextmanager
+def claim_results(
+    folder: Path,
+    results: Mapping[str, str],
+    overwrite: bool | None = None,
+    is_same: Callable[[str], bool] = lambda name: False,
+    hint: str = "give another --out",
+) -> Iterator[None]:
+    """Refuse to replace files that are no earlier results of the same input; list the new ones.
+
+    The ledger of the folder lists all of them in the block, so that a killed run can be resumed,
+    and afterwards those that exist. Raises ConfigError for the first file that would be replaced.
+
+    results: the input of each file by its name; ``{}`` stands for any text, and a name that ends in
+    ``/`` is a folder. overwrite: replace results of other inputs; None where no option does.
+    is_same: returns whether the input of a result, though elsewhere, has the earlier one's bytes.
+    """
+    ledger, find = read_results(folder), _make_finder(folder)
+    for name, origin in results.items():
+        owner = ledger.get(name)
+        if owner == origin or (overwrite and owner is not None) or not (file := find(name)):
+            continue
+        if owner is None:
+            raise ConfigError(folder / file, "exists and was not written by roadtorch", hint)
+        if not is_same(name):
+            hint += ", or --overwrite" * (overwrite is False)
+            raise ConfigError(folder / file, f"is a result of {owner or 'another input'}", hint)
+    _write_results(folder, {**ledger, **results})
+    try:
+        yield
+    finally:
+        find = _make_finder(folder)
+        ledger = {**read_results(folder), **results}
+        with suppress(InputError):  # the file written above lists all of them
+            names = [name for name in ledger if name not in results or find(name)]
+            _write_results(folder, {name: ledger[name] for name in names})
+
+
+def _write_results(folder: Path, ledger: Mapping[str, str]) -> None:
+    """Write the ledger of a folder, unless it is up to date; remove one that would be empty."""
+    if ledger == read_results(folder):
+        return
+    inputs: dict[str, list[str]] = {}
+    for name, origin in sorted(ledger.items()):
+        inputs.setdefault(origin, []).append(name)
+    if inputs:
+        write_text(folder / RESULTS_FILE, json.dumps(inputs, indent=0, sort_keys=True) + "\n")
+    else:
+        (folder / RESULTS_FILE).unlink(missing_ok=True)
+
+
+def _make_finder(folder: Path) -> Callable[[str], str | None]:
+    """Return a function that finds the first file of a name of ``claim_results`` in a folder."""
+
+    @cache
+    def names_in(parent: str) -> list[str]:
+        with suppress(OSError):
+            names = os.listdir(folder / parent)
+            return sorted(name for name in names if not LEFTOVER.fullmatch(name))
+        return []
+
+    def find(name: str) -> str | None:
+        name += "{}" * name.endswith("/")
+        head, braces, _ = name.partition("{}")
+        if not braces:
+            return name if os.path.lexists(folder / name) else None
+        parent, slash, start = head.rpartition("/")
+        names, pattern = names_in(parent), glob.escape(name).replace("{}", "*")
+        for number in range(bisect_left(names, start), len(names)):
+            if not names[number].startswith(start):
+                break
+            if fnmatchcase(file := f"{parent}{slash}{names[number]}", pattern):
+                return file
+        return None
+
+    return find
+
+
+def relative_name(path: str | os.PathLike[str], folder: Path) -> str:
+    """Return the name of a file seen from a folder; links to folders are resolved, to files not."""
+    parent, name = os.path.split(os.path.abspath(path))
+    path = os.path.join(os.path.realpath(parent), name)
+    with suppress(ValueError):  # on another drive of Windows
+        path = os.path.relpath(path, os.path.realpath(folder))
+    return Path(path).as_posix()
+
+
+def make_result_filter() -> Callable[[str], bool]:
+    """Return a function that tells whether a path is listed in a ledger beside or above it."""
+
+    @cache
+    def ledgers_of(folder: str) -> list[tuple[str, Mapping[str, str]]]:
+        """Return the ledgers in and above a folder, each with the folder's name seen from it."""
+        above, name = os.path.split(folder)
+        ledgers = [] if above == folder else ledgers_of(above)
+        results = read_results(Path(folder))
+        return [(f"{prefix}{name}/", ledger) for prefix, ledger in ledgers] + [
+            ("", results)
+        ] * bool(results)
+
+    def is_result(path: str) -> bool:
+        folder, name = os.path.split(os.path.abspath(path))
+        names = name, f"{name}/"
+        return any(
+            prefix + end in results for prefix, results in ledgers_of(folder) for end in names
+        )
+
+    return is_result
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

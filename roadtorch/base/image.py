@@ -97,16 +97,19 @@ def read_image(path: str | os.PathLike[str]) -> Tensor:
     """
     if isinstance(path, str) and url_scheme(path):
         return decode_image(read_url(path), strip_password(path))
-    path = Path(path)
+    return decode_image(read_file(Path(path)), Path(path))
+
+
+def read_file(path: Path) -> bytes:
+    """Return the bytes of an image file; InputError if it cannot be read."""
     try:
-        data = read_regular(path)
+        return read_regular(path)
     except FileNotFoundError:
         raise InputError(path, "does not exist", "check the name") from None
     except IsADirectoryError:
         raise InputError(path, "is a folder", "give an image file") from None
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror}", "check the file") from None
-    return decode_image(data, path)
 
 
 def warn_of_unread(folder: object, names: Iterable[str]) -> None:

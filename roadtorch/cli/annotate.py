@@ -55,7 +55,7 @@ def annotate_command(
 
         click.echo(corrections_report(out, folder))
     elif exported:
-        from roadtorch.base.atomic import share_folder
+        from roadtorch.base.atomic import claim_results, relative_name, share_folder
         from roadtorch.data.correction_formats import CORRECTION_FORMATS
         from roadtorch.data.corrections import read_corrections
 
@@ -63,7 +63,10 @@ def annotate_command(
             raise click.UsageError("Missing option '--to'")
         corrections = read_corrections(out, folder)
         context.with_resource(share_folder(to))
-        CORRECTION_FORMATS[exported].write(corrections, to)
+        labels = CORRECTION_FORMATS[exported]
+        results = dict.fromkeys(labels.files(corrections), relative_name(out, to))
+        context.with_resource(claim_results(to, results, hint="give another --to"))
+        labels.write(corrections, to)
         click.echo(f"{plural(len(corrections), 'image')} written to {to}")
     elif imported:
         from roadtorch.annotate.session import import_labels

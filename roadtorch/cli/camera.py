@@ -30,6 +30,7 @@ def camera_command(
     one of them, with the ego car tinted, the horizon blue, the seed row orange. --camera-info
     adds the lens; if it has distortion, detectors see rectified views.
     """
+    from roadtorch.base.atomic import claim_results, relative_name
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.image import write_jpeg
     from roadtorch.base.progress import Progress
@@ -44,12 +45,16 @@ def camera_command(
     check_file = out.with_suffix(".jpg")
     lens = None if camera_info is None else read_camera_info(camera_info)
     places = locate_frames(footage, max_frames)
-    _check_outputs(out, check_file, {place.path.resolve() for place in places})
-    frames = Progress(read_frames(places), total=len(places), unit="frame")
-    camera = estimate_camera(frames, footage[0], lens)
-    camera.write(out)
-    sample = places[:: max(1, len(places) // MEAN_FRAMES)]
-    write_jpeg(check_file, draw_check_image(camera, list(read_frames(sample))))
+    inputs = {place.path.resolve() for place in places}
+    if check_file == out or {out.resolve(), check_file.resolve()} & inputs:
+        raise ConfigError(out, "would replace footage or its own image", "name it camera.toml")
+    origin = ", ".join(relative_name(path, out.parent) for path in footage)
+    with claim_results(out.parent, {out.name: origin, check_file.name: origin}):
+        frames = Progress(read_frames(places), total=len(places), unit="frame")
+        camera = estimate_camera(frames, footage[0], lens)
+        camera.write(out)
+        sample = places[:: max(1, len(places) // MEAN_FRAMES)]
+        write_jpeg(check_file, draw_check_image(camera, list(read_frames(sample))))
     ego = "none found"
     if has_ego_car(camera.ego):
         rows = outline_rows(camera.ego.outline, camera.width)
@@ -59,19 +64,3 @@ def camera_command(
     click.echo(f"horizon: row {camera.horizon:.2f}; seed row: {camera.seed_row:.2f}")
     size = f"{camera.frames} frames of {camera.width}×{camera.height} pixels"
     click.echo(f"{size}; wrote {out}, and {check_file} to check it")
-
-
-def _check_outputs(out: Path, check_file: Path, inputs: set[Path]) -> None:
-    """Raise ConfigError if writing would replace a file that is no earlier output."""
-    from roadtorch.base.errors import ConfigError, RoadtorchError
-    from roadtorch.camera.camera import Camera
-
-    if check_file == out or {out.resolve(), check_file.resolve()} & inputs:
-        raise ConfigError(out, "would replace footage or its own image", "name it camera.toml")
-    if out.exists():
-        try:
-            Camera.read(out)
-        except RoadtorchError:
-            raise ConfigError(out, "exists and is no camera file", "give another --out") from None
-    elif check_file.exists():
-        raise ConfigError(check_file, "exists and is not ours", "give another --out")

@@ -20,6 +20,8 @@ from roadtorch.cli.options import (
     suggest_datasets,
 )
 
+REPORT_FILES = ("metrics.json", "images.csv", "tables.md", "report.html", "montage.{}.jpg")
+
 if TYPE_CHECKING:
     from roadtorch.evaluation.methods import Contender
     from roadtorch.evaluation.result import Evaluation, Failure
@@ -106,6 +108,7 @@ def evaluate_command(
     threshold chosen on the other groups. --submit writes maps for KITTI's server, of the images
     in ROOT/image_2 or ROOT/testing/image_2.
     """
+    from roadtorch.base.atomic import claim_results, relative_name
     from roadtorch.base.settings import parse_assignments
     from roadtorch.camera.camera import Camera
     from roadtorch.data.catalogue import open_dataset, open_dataset_spec
@@ -113,9 +116,9 @@ def evaluate_command(
     from roadtorch.data.kitti_road import use_birds_eye_view
     from roadtorch.data.label_folders import add_conditions
     from roadtorch.evaluation.evaluate import evaluate
-    from roadtorch.evaluation.methods import compute_with, parse_reference
+    from roadtorch.evaluation.methods import compute_with, parse_contenders, parse_reference
     from roadtorch.evaluation.report.tables import SCREEN_WIDTH, format_tables
-    from roadtorch.evaluation.tuning import choice_table, tune_thresholds
+    from roadtorch.evaluation.tuning import choice_table, tune_thresholds, tuned_file
     from roadtorch.run.folder import lock_output
     from roadtorch.run.workers import configure_threads
 
@@ -129,7 +132,11 @@ def evaluate_command(
         contender = compute_with(parse_reference(names[0], settings, camera), runtime)
         write_submission(context, contender, root, out, jobs)
     if out is not None:
+        origin = f"{dataset} {split or ''} {relative_name(root, out)}"
+        named = (parse_contenders(name, settings, camera) for name in names if tune)
+        files = (*REPORT_FILES, *(tuned_file(entry) for entries in named for entry in entries))
         context.with_resource(lock_output(out))  # fail before the long run
+        context.with_resource(claim_results(out, dict.fromkeys(files, origin)))
     labelled = leave_out(open_dataset(dataset, root, split, road=road, void=void), left_out)
     for line in labelled.summary.splitlines():
         click.echo(f"roadtorch: {line}", err=True)
@@ -189,14 +196,13 @@ def write_files(
     from roadtorch.base.atomic import write_text
     from roadtorch.base.settings import to_toml
     from roadtorch.evaluation.report.files import write_report  # slow: it imports matplotlib
-    from roadtorch.evaluation.tuning import provenance
+    from roadtorch.evaluation.tuning import provenance, tuned_file
 
     write_report(evaluation, out, command, montage)
     for choice in choices:
         comment = provenance(choice, evaluation, command)
         config = to_toml(choice.contender.detector, choice.settings)
-        file = out / f"{choice.contender.name.replace(':', '-')}.toml"
-        write_text(file, f"{comment}\n{config}\n")
+        write_text(out / tuned_file(choice.contender), f"{comment}\n{config}\n")
 
 
 def write_submission(
@@ -228,9 +234,9 @@ def write_submission(
     base = find_kitti_folder(root, "testing")
     maps = BirdsEyeWriter(out, find_calibration_folder(base))
     images = find_submission_images(base / "image_2", maps.calib, out)
-    todo = plan_run(Inputs(images, []), out, maps.suffixes)
+    todo = plan_run(Inputs(images, []), out, maps.suffixes, files=[SUBMISSION_FILE])
     effective = to_toml(detector.name, detector.settings)
-    run = context.with_resource(open_run(out, effective, todo.count, RunOptions(jobs)))
+    run = context.with_resource(open_run(out, effective, todo, RunOptions(jobs)))
     method = Method(cache_key(detector), ("map",))
     if failed := run.process_images(images, Task(Inference(detector), maps, method)):
         click.echo(f"roadtorch: {out / SUBMISSION_FILE} not written: maps are missing", err=True)

@@ -127,7 +127,7 @@ def grid_command(
     todo = plan_run(selected, out, grids.suffixes, GridOutput(grids, inference, selection.topic))
     effective = to_toml(detector.name, detector.settings)
     effective = "\n".join([effective, f"# {settings.model_dump_json()}", placement.as_comment])
-    run = context.with_resource(open_run(out, effective, todo.count, options))
+    run = context.with_resource(open_run(out, effective, todo, options))
     key = cache_key(detector, effective)
     method, footage_method = Method(key, kinds), Method(cache_key(key, selection, frame_id), ())
     context.exit(run.process(todo, Task(inference, grids, method), footage_method))

@@ -119,6 +119,7 @@ def infer_command(
     from roadtorch.base.settings import to_toml
     from roadtorch.inputs.find import select_inputs
     from roadtorch.layout.runtimes import check_runtime
+    from roadtorch.run.folder import COCO_FILE, RUN_FILE
     from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
     from roadtorch.run.memo import cache_key
@@ -145,14 +146,16 @@ def infer_command(
     bits = 16 if depth == "16" else 8
     maps = MapWriter(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
     viewer = context.with_resource(open_viewer()) if view else None
-    todo = plan_run(selected, out, maps.suffixes, MapOutput(maps, save, selection.topic, viewer))
+    outputs = MapOutput(maps, save, selection.topic, viewer)
+    files = [RUN_FILE, *[COCO_FILE] * ("polygons" in kinds)]
+    todo = plan_run(selected, out, maps.suffixes, outputs, files)
     footage_options = {**asdict(selection), "steady": steady}
     key = cache_key(detector, depth)
     method, footage_method = Method(key, kinds), Method(cache_key(key, footage_options), ())
     task = Task(Inference(detector, camera), maps, method)
     recorded_options = {**asdict(options), **footage_options, "save": kinds, "depth": bits}
     record = record_run(out, detector, todo.row_names, recorded_options, command_line(context))
-    with open_run(out, effective, todo.count, options, record) as run:
+    with open_run(out, effective, todo, options, record) as run:
         try:
             code = run.process(todo, task, footage_method, steady)
         finally:

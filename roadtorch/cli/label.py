@@ -47,6 +47,6 @@ def label_command(
     labels = LabelWriter(out, ["labels", *["overlay"] * overlay])
     todo = plan_run(Inputs(find_images(inputs, out), []), out, labels.suffixes)
     effective = to_toml("labeller", settings)
-    run = context.with_resource(open_run(out, effective, todo.count, options))
+    run = context.with_resource(open_run(out, effective, todo, options))
     task = Task(Labelling(settings), labels, Method(cache_key(settings), tuple(labels.kinds)))
     context.exit(run.process_images(todo.images, task))

@@ -31,12 +31,13 @@ ImageSizes = Mapping[str, tuple[int, int]]
 class CorrectionFormat(NamedTuple):
     """A file format in which other programs keep labels.
 
-    write: writes corrections to a folder. read: returns labels uint8 (H, W) by image, from a path
-    and the sizes of the images, without images that have no labels; raises DatasetError for files
-    that cannot be read or do not fit the images.
+    write: writes corrections to a folder. files: returns the names of what it writes. read: returns
+    labels uint8 (H, W) by image, from a path and the sizes of the images, without images that have
+    no labels; raises DatasetError for files that cannot be read or do not fit the images.
     """
 
     write: Callable[[Sequence[Correction], Path], None]
+    files: Callable[[Sequence[Correction]], list[str]]
     read: Callable[[Path, ImageSizes], dict[str, np.ndarray]]
 
 
@@ -53,6 +54,9 @@ def _require_unique_stems(names: Iterable[str]) -> None:
 # --- label images -----------------------------------------------------------------------
 
 
+PNG_LAYERS = ("labels", "road", "layout")
+
+
 def write_png(corrections: Sequence[Correction], folder: Path) -> None:
     """Write FOLDER/labels/NAME.png, and FOLDER/road and FOLDER/layout as data sets have them.
 
@@ -62,11 +66,17 @@ def write_png(corrections: Sequence[Correction], folder: Path) -> None:
     _require_unique_stems(correction.name for correction in corrections)
     for correction in corrections:
         road = np.where(correction.road > 1, 255, correction.road)
-        layers = {"labels": correction.labels, "road": road, "layout": correction.layout}
-        for layer, values in layers.items():
+        layers = (correction.labels, road, correction.layout)
+        for layer, values in zip(PNG_LAYERS, layers, strict=True):
             path = (folder / layer / correction.name).with_suffix(".png")
             make_folder(path.parent)
             write_labels(path, torch.from_numpy(values))
+
+
+def png_files(corrections: Sequence[Correction]) -> list[str]:
+    """Return the names of the files of ``write_png``."""
+    stems = [PurePath(correction.name).with_suffix(".png") for correction in corrections]
+    return [(layer / stem).as_posix() for layer in map(PurePath, PNG_LAYERS) for stem in stems]
 
 
 def read_png(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
@@ -343,6 +353,6 @@ def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
 
 
 CORRECTION_FORMATS: Mapping[str, CorrectionFormat] = {
-    "png": CorrectionFormat(write_png, read_png),
-    "coco": CorrectionFormat(write_coco_labels, read_coco_labels),
+    "png": CorrectionFormat(write_png, png_files, read_png),
+    "coco": CorrectionFormat(write_coco_labels, lambda _: [_COCO_FILE], read_coco_labels),
 }

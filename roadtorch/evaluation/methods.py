@@ -217,17 +217,21 @@ def contender_from_maps(name: str, folder: Path) -> Contender:
 
 
 def _prepare_maps(folder: Path, decision: DetectorSettings, dataset: Dataset) -> Predictor:
-    """Return the reader of maps, after a look at all for the level that is 1."""
-    maps = [
-        path
-        for item in dataset.items
-        for path in likelihood_maps.find_maps(folder, _map_names(dataset, item))
-    ]
-    if not maps:
+    """Return the reader of maps, after a look at all for the level that is 1.
+
+    Raises InputError without any map, and for a map that two images would share.
+    """
+    owners: dict[Path, str] = {}
+    for item in dataset.items:
+        for path in likelihood_maps.find_maps(folder, _map_names(dataset, item)):
+            if (owner := owners.setdefault(path, item.name)) != item.name:
+                problem = f"would be the map of {owner} and of {item.name}"
+                raise InputError(path, problem, "keep maps in the folders that the images have")
+    if not owners:
         problem = f"has a likelihood map of none of {len(dataset.items)} images"
         endings = ", NAME".join(likelihood_maps.MAP_ENDINGS)
         raise InputError(folder, problem, f"give a folder with NAME{endings}, or a detector")
-    return partial(_read_maps, likelihood_maps.open_maps(folder, decision, maps), dataset)
+    return partial(_read_maps, likelihood_maps.open_maps(folder, decision, [*owners]), dataset)
 
 
 def _map_names(dataset: Dataset, item: LabelledItem) -> list[str]:

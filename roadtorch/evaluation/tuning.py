@@ -71,6 +71,11 @@ def choice_table(choices: Sequence[ThresholdChoice]) -> Table:
     return table
 
 
+def tuned_file(contender: Contender) -> str:
+    """Return the name of the config with a contender's chosen threshold."""
+    return f"{contender.name.replace(':', '-')}.toml"
+
+
 def provenance(choice: ThresholdChoice, evaluation: Evaluation, command: str) -> str:
     """Return comment lines for a config: the origin of its threshold, and the gain."""
 

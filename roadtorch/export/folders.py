@@ -21,6 +21,8 @@ SERVICE_WORKER = "offline.js"
 RUNTIME_FILES = ("ort.wasm.min.mjs", "ort-wasm-simd-threaded.mjs", "ort-wasm-simd-threaded.wasm")
 """Files that the page needs of onnxruntime-web, an npm package under the MIT licence."""
 
+WEB_FILES = ("road.onnx", "street.jpg", *(f.name for f in STATIC.iterdir()), *RUNTIME_FILES)
+
 RUNTIME_VERSION = "1.30.0"
 
 RUNTIME_FOLDER = Path("node_modules/onnxruntime-web/dist")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torch import Tensor
 
-from roadtorch.base.bounded import reason
+from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, InputError, unknown_name_error
 from roadtorch.camera.calibration import lens_from_camera_info
 from roadtorch.camera.ground import Lens
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+METADATA, METADATA_KEY = "metadata.yaml", "rosbag2_bagfile_information"
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 RATE_MESSAGES = 16  # messages from which the rate is estimated
 DEFAULT_STEP = 0.1  # seconds between images whose stamps and times of recording are all the same
@@ -49,20 +50,32 @@ def is_bag(origin: str) -> bool:
     """Return whether a path is a bag by its suffix, or a folder with a ROS 2 recording."""
     path = Path(origin)
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() or bool(_recording_files(path))
-    return path.suffix in BAG_SUFFIXES
+        return bool(listed_recordings(origin) or _recording_files(path))
+    return path.suffix.lower() in BAG_SUFFIXES
+
+
+def listed_recordings(folder: str) -> set[str]:
+    """Return the names of the files of a bag that is a folder: its list, and what that names."""
+    try:
+        data = read_regular(Path(folder, METADATA)).decode(errors="replace")
+    except OSError:
+        return set()
+    if METADATA_KEY not in data:
+        return set()
+    return {METADATA, *(file.name for file in _recording_files(Path(folder)) if file.name in data)}
 
 
 def bag_source(
     origin: str,
     topic: str | None = None,
     selection: Selection = Selection(),  # noqa: B008  # it is frozen
+    name: str = "",
 ) -> Source:
     """Make a source of the images of a topic, by default of the only one.
 
     Images come in the order of recording. Time stamps are those of the headers, or of the recording
     where a header has none; where they step, ``seconds`` go on by the time of recording. A message
-    that cannot be decoded raises when its item is read.
+    that cannot be decoded raises when its item is read. name: of the results, by default the bag's.
 
     Raises:
         InputError: if it is no bag or has no images.
@@ -73,9 +86,11 @@ def bag_source(
     if not selection.start and selection.end is None:
         count = len(range(images.count)[:: selection.every][: selection.limit])
     step = 1 / images.rate if images.rate else DEFAULT_STEP
-    every = partial(_bag_frames, origin, images.name, step)
+    path = Path(origin)
+    name = name or (path.name if path.is_dir() else path.stem)
+    every = partial(_bag_frames, origin, name, images.name, step)
     return Source(
-        name=_source_name(origin),
+        name=name,
         origin=origin,
         items=lambda: selection.select(every()),
         rate=images.rate and images.rate / selection.every,
@@ -162,7 +177,7 @@ class BagMessage(NamedTuple):
     damage: str
 
 
-def _bag_frames(origin: str, topic: str, step: float) -> Generator[Item]:
+def _bag_frames(origin: str, source: str, topic: str, step: float) -> Generator[Item]:
     with _open_bag(origin) as bag:
         clock, first, recorded = FrameClock(origin, step), None, 0
         for number, message in enumerate(_read_messages(origin, bag, topic)):
@@ -174,7 +189,7 @@ def _bag_frames(origin: str, topic: str, step: float) -> Generator[Item]:
             read = partial(_raise_unreadable, where, message.damage)
             if message.content is not None:
                 read = partial(decode_message, message.content, where)
-            name = f"{_source_name(origin)}/{number:06d}"
+            name = f"{source}/{number:06d}"
             yield Item(name, where, read, number=number, seconds=seconds, stamp=message.stamp)
 
 
@@ -211,13 +226,8 @@ def _read_messages(origin: str, bag: "AnyReader", topic: str) -> Generator[BagMe
 # --- bags -------------------------------------------------------------------------------
 
 
-def _source_name(origin: str) -> str:
-    path = Path(origin)
-    return path.name if path.is_dir() else path.stem
-
-
 def _recording_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix in BAG_SUFFIXES[1:])
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in BAG_SUFFIXES[1:])
 
 
 @contextmanager
@@ -233,8 +243,11 @@ def _open_bag(origin: str) -> "Iterator[AnyReader]":
         problem = "cannot be read without the package rosbags"
         raise ConfigError(origin, problem, "pip install 'roadtorch[bags]'") from None
     paths = [path]
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
+    if path.is_dir() and not listed_recordings(origin):
         paths = _recording_files(path)
+        if len(paths) > 1:
+            problem = f"holds {len(paths)} recordings and no {METADATA} that lists them"
+            raise InputError(origin, problem, "give one of them, or ros2 bag reindex")
     if not all(file.is_file() or file.is_dir() for file in paths):
         raise InputError(origin, "is or contains a pipe or a device", "give a bag")
     try:

@@ -1,11 +1,13 @@
 """Resolution of a command's inputs to images and sources of frames."""
 
 import codecs
+import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 from typing import NamedTuple
@@ -13,11 +15,12 @@ from typing import NamedTuple
 from torch import Tensor
 
 from roadtorch.base.bounded import strip_password
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import READABLE_FORMATS, read_image
 from roadtorch.base.urls import WEB_SCHEMES, slug, url_scheme
-from roadtorch.inputs.bags import bag_source, is_bag
+from roadtorch.inputs.bags import BAG_SUFFIXES, bag_source, is_bag
 from roadtorch.inputs.images import (
+    ListedFile,
     drop_duplicates,
     is_image_name,
     list_files,
@@ -76,22 +79,43 @@ def find_inputs(
             images.append(image)
         elif scheme in STREAMS:
             sources.append(stream_source(argument, name, selection))
-        elif is_bag(argument):
+        elif is_bag(argument) and not Path(argument).is_dir():
             sources.append(bag_source(argument, selection.topic, selection))
         else:
-            files = list_files(
-                argument, lambda name: is_image_name(name) or is_video_name(name), exclude
-            )
+            files = list_files(argument, _is_footage, exclude)
             for file in files:
-                if not file.name.lower().endswith(VIDEO_SUFFIXES):
-                    images.append(make_image_item(file))
-                else:
+                if file.path.is_dir() or file.name.lower().endswith(BAG_SUFFIXES):
+                    sources.append(_open_bag_in_folder(file, selection, alone=len(files) == 1))
+                elif file.name.lower().endswith(VIDEO_SUFFIXES):
                     sources.append(video_source(file.path, file.stem, selection))
+                else:
+                    images.append(make_image_item(file))
             if not files:
                 raise InputError(argument, "holds no images", f"give {READABLE_FORMATS} files")
     if inputs and not images and not sources:
         raise InputError(inputs[0], "contains no names", "give one a line")
     return Inputs(drop_duplicates(images), sources)
+
+
+def _is_footage(path: str) -> bool:
+    """Return whether a path is an image, a video or a bag by its name."""
+    is_hidden = os.path.basename(path)[:1] in ("", ".")
+    return is_image_name(path) or is_video_name(path) or (not is_hidden and is_bag(path))
+
+
+def _open_bag_in_folder(file: ListedFile, selection: Selection, alone: bool) -> Source:
+    """Open a bag; unless it is alone, one that cannot be opened raises when it is read."""
+    name = (file.name if file.path.is_dir() else file.stem).strip(".") or file.path.resolve().name
+
+    def fail(error: RoadtorchError) -> Iterator[Item]:
+        raise error
+
+    try:
+        return bag_source(str(file.path), selection.topic, selection, name)
+    except RoadtorchError as error:
+        if alone:
+            raise
+        return Source(name, str(file.path), partial(fail, error))
 
 
 def select_inputs(inputs: Iterable[str], selection: Selection, out: Path) -> Inputs:

@@ -3,8 +3,9 @@
 import glob
 import hashlib
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from itertools import takewhile
 from os.path import basename, dirname
 from pathlib import Path, PurePosixPath
@@ -13,24 +14,34 @@ from urllib.parse import urlsplit
 
 from torch import Tensor
 
-from roadtorch.base.atomic import file_digest
+from roadtorch.base.atomic import file_digest, make_result_filter
 from roadtorch.base.bounded import strip_password, strip_user
 from roadtorch.base.decoding import is_image_start
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image import (
     IMAGE_SUFFIXES,
     READABLE_FORMATS,
-    UNREAD_SUFFIXES,
     decode_image,
+    read_file,
     read_image,
     warn_of_unread,
 )
 from roadtorch.base.urls import open_url, read_chunks, read_url, slug, url_scheme
+from roadtorch.inputs.bags import listed_recordings
 from roadtorch.inputs.item import Item
 
 IMAGE_START = 16  # bytes by which the formats are told apart
 
-RESULT_SUFFIXES = (".likelihood.png", ".mask.png", ".overlay.jpg")  # our results, never inputs
+RESULT_SUFFIXES = (
+    *(".likelihood.png", ".mask.png", ".overlay.jpg", ".grid.jpg"),
+    *(".overlay.mp4", ".mask.mp4", ".likelihood.mp4"),
+)
+"""Results of roadtorch, never inputs, wherever they lie; others are known by a ledger."""
+
+SIDE_FILES = re.compile(
+    r".*\.(txt|csv|jsonl?|xml|ya?ml|toml|md|html|log|ini|np[yz]|py|xmp|srt|gpx|db|svg|pdf|pt|safetensors)"
+)
+"""Files beside images that hold no images."""
 
 
 class ListedFile(NamedTuple):
@@ -51,14 +62,23 @@ def list_files(
     """Return the matching files of a folder or glob in a fixed order; a single file as it is.
 
     Folders are searched recursively except for hidden ones and ``exclude``. A glob stands for the
-    files that it matches or, if none of them is wanted, for the folders. Names are relative to the
-    folder, or to the part of the glob before its first wildcard. InputError for a URL.
+    files that it matches or, if none of them is wanted, for the folders. Results of roadtorch are
+    left out; what else might hold images is reported. A folder that ``accepts`` is one file: a bag.
+    Names are relative to the folder, or to the part of the glob before its first wildcard.
+    InputError for a URL.
     """
     path = os.fspath(location)
     if not path:
         raise InputError("''", "is an empty name", "give a file or a folder")
     if url_scheme(path):
         raise InputError(path, "cannot be read from a URL", "download it, or mount it")
+    is_result = make_result_filter()
+
+    def is_wanted(file: str) -> bool:
+        """Return whether neither a file nor a folder between it and the root is a result."""
+        below = takewhile(lambda part: part != root, (Path(file), *Path(file).parents))
+        return not any(is_result(str(part)) for part in below)
+
     if glob.has_magic(path) and not os.path.exists(path):
         root = Path(*takewhile(lambda part: not glob.has_magic(part), Path(path).parts))
         paths = sorted(glob.glob(path, recursive=True), key=lambda match: -match.count(os.sep))
@@ -68,25 +88,34 @@ def list_files(
             for match in paths
         }
         matches = {match: os.path.isdir(match) for match in sorted(unique.values())}
-        files = [match for match in matches if not matches[match] and accepts(basename(match))]
+        files = [match for match in matches if not matches[match] and accepts(match)]
+        files = list(filter(is_wanted, files))
         folders = [match for match in matches if matches[match] and not files]
     elif os.path.isdir(path):
         root, files, folders = Path(path), [], [path]
     else:
         return [ListedFile(Path(path), Path(path).name)]
     for folder in folders:
-        below = list(_files_below(folder, exclude))
-        files += [file for file in below if accepts(basename(file))]
-        unread = [file for file in below if file.lower().endswith((os.sep, *UNREAD_SUFFIXES))]
-        warn_of_unread(folder, [os.path.relpath(file, folder) for file in unread])
+        below = list(filter(is_wanted, _files_below(folder, exclude)))
+        files += [file for file in below if accepts(file)]
+        unread = [os.path.relpath(file, folder) for file in below if may_be_footage(file)]
+        names = {os.path.relpath(file, folder) for file in files}
+        warn_of_unread(folder, [name for name in unread if name not in names])
     paths = map(Path, dict.fromkeys(files))
     return [ListedFile(path, path.relative_to(root).as_posix()) for path in paths]
 
 
-def _files_below(folder: str, exclude: Path | None) -> Iterator[str]:
-    """Yield the files below a folder, sorted, and links to folders elsewhere, which end in a /.
+def may_be_footage(path: str) -> bool:
+    """Return whether a file that exists may hold images: it is not hidden, no result, no text."""
+    name = basename(path.rstrip(os.sep)).lower()
+    is_other = name.startswith(".") or is_result_name(name) or bool(SIDE_FILES.fullmatch(name))
+    return not is_other and os.path.exists(path)
 
-    Hidden folders and ``exclude`` are left out.
+
+def _files_below(folder: str, exclude: Path | None) -> Iterator[str]:
+    """Yield the files below a folder, sorted, bags, and links to folders elsewhere with a / at end.
+
+    Hidden folders and ``exclude`` are left out, and the files of a bag that is a folder.
     """
     # Path.resolve raises for a link to itself.
     left_out, root = os.path.realpath(exclude) if exclude else None, os.path.realpath(folder)
@@ -102,20 +131,32 @@ def _files_below(folder: str, exclude: Path | None) -> Iterator[str]:
         for link, target in zip(links, map(os.path.realpath, links), strict=True):
             if os.path.commonpath([target, root]) not in (target, root):
                 yield link + os.sep
-        yield from (os.path.join(top, name) for name in sorted(names))
+        recordings = listed_recordings(top)
+        if recordings:
+            yield top
+        yield from (os.path.join(top, name) for name in sorted({*names} - recordings))
+
+
+def is_result_name(name: str) -> bool:
+    """Return whether a lower-case file name is that of a result of roadtorch."""
+    return name.endswith(RESULT_SUFFIXES) or ".cue." in name
 
 
 def is_image_name(name: str) -> bool:
-    """Return whether a file name is that of an image: not hidden, no result of roadtorch."""
-    name = name.lower()
-    is_ours = name.endswith(RESULT_SUFFIXES) or ".cue." in name
-    return name.endswith(IMAGE_SUFFIXES) and not name.startswith(".") and not is_ours
+    """Return whether a path's name is that of an image: not hidden, no result of roadtorch."""
+    name = basename(name).lower()
+    return name.endswith(IMAGE_SUFFIXES) and name[0] != "." and not is_result_name(name)
 
 
 def make_image_item(file: ListedFile) -> Item:
     """Make an item of an image file."""
-    path, read, digest = file.path, partial(read_image, file.path), partial(file_digest, file.path)
-    return Item(file.stem, str(path), read, digest, path.suffix, path)
+    path = file.path
+    read, digest, load = (
+        partial(read_image, path),
+        partial(file_digest, path),
+        partial(read_file, path),
+    )
+    return Item(file.stem, str(path), read, digest, path.suffix, path, load=load)
 
 
 # --- images over HTTP -------------------------------------------------------------------
@@ -187,7 +228,11 @@ def find_images(
 
 
 def drop_duplicates(images: Sequence[Item]) -> list[Item]:
-    """Drop repeated images; InputError if none of them exists."""
+    """Drop repeated images, by folder and file name; InputError if none of them exists."""
     if images and not any(item.file is None or item.file.exists() for item in images):
         raise InputError(images[0].origin, "does not exist", "check the name")
-    return list(dict.fromkeys(images))
+    real_folder, once = cache(os.path.realpath), dict[object, Item]()
+    for item in images:
+        file = item.file and (real_folder(item.file.parent), item.file.name)
+        once.setdefault(file or item, item)
+    return [*once.values()]

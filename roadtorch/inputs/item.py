@@ -5,6 +5,7 @@ An image is a frame without a clock.
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import TypeVar
@@ -14,6 +15,7 @@ from torch import Tensor
 from roadtorch.base.atomic import file_digest, folder_digest
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.image import decode_image
 from roadtorch.base.urls import url_scheme
 
 _Value = TypeVar("_Value")
@@ -27,23 +29,26 @@ class Item:
         name: relative path of its results, without suffix.
         origin: path or URL, used in messages.
         read: returns the sRGB image in [0, 1], shape (3, H, W); raises InputError.
-        digest: returns the SHA-256 of the file, "" if it cannot be read; None for frames.
+        digest: returns the SHA-256 of the file, or of its bytes if they are given, "" if it cannot
+            be read; None for frames.
         suffix: suffix of the file; empty for frames.
         file: path, if it is a file on this machine.
         number: index in the source, from 0; skipped items are counted.
         seconds: time since the start of the source; None without a clock.
         stamp: absolute time of the source in nanoseconds.
+        load: returns the bytes of the file; None where only ``read`` is possible.
     """
 
     name: str
     origin: str
     read: Callable[[], Tensor] = field(compare=False, repr=False)
-    digest: Callable[[], str] | None = field(default=None, compare=False, repr=False)
+    digest: Callable[..., str] | None = field(default=None, compare=False, repr=False)
     suffix: str = ""
     file: Path | None = None
     number: int = 0
     seconds: float | None = None
     stamp: int | None = None
+    load: Callable[[], bytes] | None = field(default=None, compare=False, repr=False)
 
     @property
     def path(self) -> Path:
@@ -51,6 +56,14 @@ class Item:
         if self.file is None:
             raise InputError(self.origin, "is not on this machine", "give files, not URLs")
         return self.file
+
+    def hold(self) -> "Item":
+        """Return an item that reads its file once: image and digest are of the same bytes."""
+        if self.load is None or self.digest is None:
+            return self
+        data, digest = cache(self.load), self.digest
+        read = lambda: decode_image(data(), self.file)  # noqa: E731
+        return replace(self, read=read, digest=lambda: digest(data()))
 
     @property
     def row_name(self) -> str:
@@ -135,16 +148,21 @@ class Source:
     @property
     def row_name(self) -> str:
         """Name in index.csv: that of the results with the suffix of the file."""
-        return to_printable(self.name + self._location.suffix)
+        return to_printable(self.name + self.location.suffix)
 
     @property
-    def _location(self) -> Path:
-        is_url = bool(url_scheme(self.origin))
-        return self.path or Path(self.origin.partition("?")[0] if is_url else self.origin)
+    def location(self) -> Path:
+        """Path of the file or folder that is read, or that of a URL."""
+        return self.path or Path(self.origin.partition("?")[0] if self.is_url else self.origin)
+
+    @property
+    def is_url(self) -> bool:
+        """True where the origin is an address."""
+        return bool(url_scheme(self.origin))
 
     def digest(self) -> str:
         """Return the SHA-256 of the file, or of the files in a folder; "" if there is none."""
-        path = self._location
+        path = self.location
         return folder_digest(path) if path.is_dir() else file_digest(path)
 
     def subsample(self, limit: int) -> "Source":

@@ -6,6 +6,7 @@ from contextlib import closing, contextmanager, suppress
 from functools import partial
 from heapq import heappop, heappush
 from itertools import islice
+from os.path import basename
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +19,7 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, report_decoding_errors
 from roadtorch.base.urls import encode_url
 from roadtorch.inputs.clock import FrameClock
+from roadtorch.inputs.images import is_result_name
 from roadtorch.inputs.item import Item, Selection, Source
 
 if TYPE_CHECKING:
@@ -32,7 +34,6 @@ VIDEO_SUFFIXES = (
 )
 """Suffixes that folders are searched for; FFmpeg reads further ones, if named."""
 
-VIDEO_RESULTS = (".overlay.mp4", ".mask.mp4", ".likelihood.mp4")  # our results, never inputs
 ANSWER_TIMEOUT = 10.0  # seconds until a URL has to answer
 
 SQUARE_TOLERANCE = 0.01  # of pixels that count as square: encoders round the aspect ratio
@@ -43,8 +44,8 @@ END_TOLERANCE = 0.5
 
 def is_video_name(name: str) -> bool:
     """Return whether a file name is that of a video and of no result of roadtorch."""
-    name = name.lower()
-    return name.endswith(VIDEO_SUFFIXES) and not name.endswith(VIDEO_RESULTS) and name[0] != "."
+    name = basename(name).lower()
+    return name.endswith(VIDEO_SUFFIXES) and not is_result_name(name) and name[0] != "."
 
 
 def import_av() -> Any:

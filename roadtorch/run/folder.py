@@ -2,11 +2,17 @@
 
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from roadtorch.base.atomic import lock_folder, make_folder, remove_leftovers, write_text
+from roadtorch.base.atomic import (
+    claim_results,
+    lock_folder,
+    make_folder,
+    remove_leftovers,
+    write_text,
+)
 from roadtorch.base.bounded import read_regular, to_printable
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.likelihood_maps import INFER_CONFIG
@@ -32,13 +38,21 @@ def lock_output(out: Path) -> Iterator[None]:
 
 
 @contextmanager
-def open_result_folder(out: Path, effective: str, overwrite: bool) -> Iterator[None]:
-    """Lock an output folder and write the effective settings, as TOML, into it.
+def open_result_folder(
+    out: Path,
+    effective: str,
+    overwrite: bool,
+    results: Mapping[str, str] = {},
+    is_same: Callable[[str], bool] = lambda name: False,
+) -> Iterator[None]:
+    """Lock an output folder, claim results, and write the effective settings, as TOML, into it.
 
-    Raises as ``lock_output``, and ConfigError where the folder holds results of different settings,
-    unless ``overwrite``: the second run would skip what the first one did, and mix their results.
+    Raises as ``lock_output`` and ``claim_results``, and ConfigError where the folder holds results
+    of different settings, unless ``overwrite``: the second run would skip what the first one did,
+    and mix their results.
     """
-    with lock_output(out):
+    results = {INDEX_FILE: "", INFER_CONFIG: "", **results}
+    with lock_output(out), claim_results(out, results, overwrite, is_same):
         config, effective = out / INFER_CONFIG, effective + "\n"
         try:
             differs = config.exists() and read_regular(config) != to_printable(effective).encode()

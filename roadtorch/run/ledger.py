@@ -6,6 +6,7 @@ sorted at the end.
 
 import csv
 import io
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -126,6 +127,17 @@ class Ledger:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.rows = read_index(path)
+        self._folder = path.parent.stat()
+
+    def check_folder(self) -> None:
+        """Raise InputError where the folder is no longer the one in which the run began."""
+        folder = self.path.parent
+        with suppress(OSError):
+            if os.path.samestat(folder.stat(), self._folder):
+                return
+        error = InputError(folder, "was moved during the run", "run it again, --out where it is")
+        error.exit_code = ExitCode.SOME_FAILED  # earlier results are kept
+        raise error
 
     def is_done(self, item: Item | Source, method: Method, suffixes: Sequence[str]) -> bool:
         """Return whether an item has all files, made with this method from its current bytes."""
@@ -143,6 +155,7 @@ class Ledger:
 
     def add(self, row: IndexRow) -> None:
         """Append a row, keeping earlier kinds of its method and bytes; InputError if unwritable."""
+        self.check_folder()
         earlier = self.rows.get(row.file)
         if earlier and (earlier.method, earlier.sha256) == (row.method, row.sha256):
             kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
@@ -176,4 +189,5 @@ def open_ledger(path: Path) -> Iterator[Ledger]:
     try:
         yield ledger
     finally:
+        ledger.check_folder()
         write_index(path, ledger.rows.values())

@@ -99,6 +99,7 @@ class Task:
 
     def __call__(self, item: Item) -> IndexRow:
         """Process an image and return its row; an error becomes a failed row."""
+        item = item.hold()
         return write_row(item, lambda: self.infer(item.read()), self.writer, self.method)
 
 
@@ -115,7 +116,7 @@ def write_row(
     try:
         detection = detect()
         if writer.suffixes:
-            make_folder((writer.folder / item.name).parent, OUT_HINT)
+            make_subfolder(writer.folder, item.name)
         changes = writer.write(item, detection)
         height, width = detection.mask.shape
         row = IndexRow(
@@ -133,6 +134,13 @@ def write_row(
     except Exception as error:  # one image that breaks a detector must not end a long run
         row = failed_row(item.row_name, to_input_error(item.origin, error))
         return replace(row, seconds=seconds)
+
+
+def make_subfolder(folder: Path, name: str) -> None:
+    """Make the folder of a result below an output folder; InputError where that is gone."""
+    if not folder.is_dir():
+        raise InputError(folder, "was moved during the run", "run it again, --out where it is")
+    make_folder((folder / name).parent, OUT_HINT)
 
 
 def elapsed_ms(start: float, ms: float = 0.0) -> str:

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,6 +65,7 @@ class Plan(NamedTuple):
 
     images: Sequence[Item]
     sources: Sequence[tuple[Source, Output]]
+    results: Mapping[str, Item | Source | None]  # by name, as in ``claim_results``; None: the run
 
     @property
     def count(self) -> int | None:
@@ -83,20 +84,22 @@ def plan_run(
     out: Path,
     suffixes: Sequence[str],
     output: Callable[[Source], Output] | None = None,
+    files: Sequence[str] = (),
 ) -> Plan:
     """Plan a run, and check that no two results share a file name; nothing is written yet.
 
     out: output folder. suffixes: of the results of a single image. output: returns the outputs of
-    a source. Raises ConfigError where two inputs would write the same file, or one would overwrite
-    an input image.
+    a source. files: of the run, beside index.csv and config.toml. Raises ConfigError where two
+    inputs would write the same file, or one would overwrite an input image.
     """
     run_files = INDEX_FILE, INFER_CONFIG, COCO_FILE, RUN_FILE
     owners: dict[str, str] = dict.fromkeys(run_files, "the run itself")
     sources = [(source, output(source)) for source in inputs.sources] if output else []
     numbered: dict[str, str] = {}
+    results: dict[str, Item | Source | None] = dict.fromkeys(files)
     # Path.resolve raises for a link to itself.
-    files = [item.file for item in inputs.images] + [source.path for source in inputs.sources]
-    images = {os.path.realpath(file) for file in files if file is not None}
+    paths = [item.file for item in inputs.images] + [source.path for source in inputs.sources]
+    images = {os.path.realpath(file) for file in paths if file is not None}
 
     def claim(name: str, origin: str, owner: str | None = None) -> None:
         """Claim a result's name as index.csv spells it: distinct file names may coincide there."""
@@ -109,14 +112,17 @@ def plan_run(
         owners[to_printable(name)] = origin
 
     for item in inputs.images:
+        results |= dict.fromkeys((item.name + suffix for suffix in suffixes), item)
         for suffix in [suffix for suffix in suffixes if "{}" not in suffix] or [""]:
             claim(item.name + suffix, item.origin)
         folder, _, last = item.name.rpartition("/")
         if re.fullmatch(FRAME_NUMBER, last):
             numbered[folder] = item.origin
     for source, outputs in sources:
+        ends = [*outputs.suffixes, *(f"/{{}}{suffix}" for suffix in outputs.frame_suffixes)]
+        results |= dict.fromkeys((source.name + end for end in ends), source)
         owner = numbered.get(source.name) if outputs.frame_suffixes else None
         claim(source.name, source.origin, owner)
         for suffix in outputs.suffixes:
             claim(source.name + suffix, source.origin)
-    return Plan(inputs.images, sources)
+    return Plan(inputs.images, sources, results)

@@ -84,7 +84,8 @@ def record_run(
             },
             "exit_status": int(len(done) < len(tried)) if status is None else status,
         }
-        write_json(folder / RUN_FILE, document)
+        if folder.is_dir():  # else it was moved during the run
+            write_json(folder / RUN_FILE, document)
 
 
 def _version(module: str) -> str:

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from heapq import nsmallest
 from pathlib import Path
 from time import perf_counter
@@ -12,9 +13,9 @@ from typing import Any
 
 import click
 
-from roadtorch.base.atomic import make_folder, remove_leftovers
+from roadtorch.base.atomic import make_folder, relative_name, remove_leftovers
 from roadtorch.base.bounded import plural
-from roadtorch.base.errors import RoadtorchError, to_input_error
+from roadtorch.base.errors import InputError, RoadtorchError, to_input_error
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest, stop_on_signals
 from roadtorch.inputs.item import Item, Source
@@ -30,6 +31,7 @@ from roadtorch.run.ledger import (
     Ledger,
     Method,
     open_ledger,
+    read_index,
 )
 from roadtorch.run.loop import (
     FrameResult,
@@ -124,14 +126,18 @@ class Run:
         """Process the frames of a source as far as possible, and return its recorded row."""
         count, folder = _Count(), self.folder / source.name
         remove_leftovers([folder.parent, folder])
+        self.ledger.check_folder()
         make_folder(folder.parent, OUT_HINT)
         self.ledger.drop_frames(source.name)
         error: BaseException | None = None
+        state = _file_state(source)
         try:
             with stop_on_signals() as stop, output.open() as writers:
                 rows = self._frame_rows(source, task, writers, output.cues, steady, stop)
                 for row in self._record(rows, "frame", total=source.count):
                     count.add(row)
+            if _file_state(source) != state:
+                raise InputError(source.origin, "changed while it was read", "run it again")
             stop.raise_if_requested()
         except (RoadtorchError, KeyboardInterrupt) as raised:
             error = raised
@@ -197,22 +203,40 @@ class Run:
 def open_run(
     out: Path,
     effective: str,
-    count: int | None,
+    plan: Plan,
     options: RunOptions,
     record: AbstractContextManager[None] | None = None,
 ) -> Iterator[Run]:
-    """Open a run over ``count`` items (None: unknown) into an output folder.
+    """Open a run of a plan into an output folder.
 
     effective: all settings as TOML, written to config.toml. record: context entered around the
     run, such as ``record_run``. Raises as ``open_result_folder`` and ``open_ledger``.
     """
+    results = {name: _input_name(owner, out) for name, owner in plan.results.items()}
+    index = cache(partial(read_index, out / INDEX_FILE))
+
+    def is_same(name: str) -> bool:
+        owner = plan.results[name]
+        if owner is None or owner.digest is None or owner.row_name not in index():
+            return False
+        return index()[owner.row_name].sha256 == owner.digest() != ""
+
     with (
-        options.workers(count) as workers,
-        open_result_folder(out, effective, options.overwrite),
+        options.workers(plan.count) as workers,
+        open_result_folder(out, effective, options.overwrite, results, is_same),
         record or nullcontext(),
         open_ledger(out / INDEX_FILE) as ledger,
     ):
         yield Run(out, ledger, workers, options)
+
+
+def _input_name(owner: Item | Source | None, out: Path) -> str:
+    """Return the name of an input in the ledger of results; empty for the run itself."""
+    if owner is None:
+        return ""
+    if isinstance(owner, Item):
+        return relative_name(owner.file, out) if owner.file else owner.origin
+    return owner.origin if owner.live or owner.is_url else relative_name(owner.location, out)
 
 
 def _trust(row: IndexRow) -> float:
@@ -262,6 +286,15 @@ class _Count:
         parts += [f"{self.doubtful} doubtful"] if self.doubtful else []
         parts += [f"{self.failed} failed"] if self.failed else []
         return ", ".join(parts)
+
+
+def _file_state(source: Source) -> tuple[float, ...]:
+    """Return what changes with the file of a source: the frames and the hash are read in turn."""
+    try:
+        state = source.location.stat()
+    except OSError:
+        return ()
+    return state.st_ino, state.st_size, state.st_mtime_ns
 
 
 def _source_row(source: Source, count: _Count, error: BaseException | None) -> IndexRow:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import torch
 
+from roadtorch.base.atomic import claim_results
 from roadtorch.base.image import read_image
 from roadtorch.data.corrections import HumanLabels, labels_to_truth
 from roadtorch.data.dataset import subsample_dataset
@@ -30,8 +31,8 @@ from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_pa
 from roadtorch.run.loop import Inference
 from roadtorch.train.config import ImageTraining, Training
 from roadtorch.train.prepared import image_file_name
-from roadtorch.train.run import FUSION_CONFIG, PREPARED, Outcome, TrainingRequest
-from roadtorch.train.run_folder import ADAPTATION_PAGE, RunFolder
+from roadtorch.train.run import Outcome, TrainingRequest
+from roadtorch.train.run_folder import ADAPTATION_PAGE, FUSION_CONFIG, PREPARED, RunFolder
 from roadtorch.train.teachers import teacher_agreement
 
 MIN_INTERVAL = 5
@@ -113,5 +114,6 @@ def write_page(
         epochs=RunFolder(request.out).read_log(),
         verdict=verdict,
     )
-    write_adaptation(request.out / ADAPTATION_PAGE, change, command)
+    with claim_results(request.out, {ADAPTATION_PAGE: ""}):
+        write_adaptation(request.out / ADAPTATION_PAGE, change, command)
     return True

@@ -50,6 +50,9 @@ from roadtorch.train.recordings import select_held_out
 from roadtorch.train.run_folder import (
     BAD_CHECKPOINT,
     CHECKPOINT,
+    CORRECTIONS,
+    FUSION_CONFIG,
+    PREPARED,
     WEIGHTS,
     RunFolder,
     config_hash,
@@ -60,11 +63,6 @@ from roadtorch.train.training_loop import Loop, TrainingInputs, TrainingProgress
 from roadtorch.train.whole_images import ImageRecipe, held_out_f
 
 KindRecipe = PatchRecipe | ImageRecipe | SelfTrainingRecipe
-
-PREPARED, CORRECTIONS = "prepared", "corrections"
-
-FUSION_CONFIG = "fusion.toml"
-"""Config of the detector ``fusion`` with the weights of a run with corrections."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import torch
 
 from roadtorch.base.atomic import (
     atomic_write,
+    claim_results,
     csv_text,
     file_digest,
     lock_folder,
@@ -34,9 +35,17 @@ CHECKPOINT_FORMAT = 2
 
 RUN, CHECKPOINT, LOG, CURVE = "run.json", "checkpoint.pt", "log.csv", "curve.png"
 IMAGES, WEIGHTS, ADAPTATION_PAGE = "images.csv", "weights.safetensors", "adaptation.html"
-RUN_FILES = (RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, ADAPTATION_PAGE)
 LABELS = "labels-"
 """Beginning of the names of folders of a network's labels; the number of the round follows."""
+
+CARD, PREPARED, CORRECTIONS = "weights.md", "prepared", "corrections"
+FUSION_CONFIG = "fusion.toml"
+"""Config of the detector ``fusion`` with the weights of a run with corrections."""
+
+RUN_FILES = (
+    *(RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, CARD, ADAPTATION_PAGE, FUSION_CONFIG),
+    *(f"{PREPARED}/", f"{CORRECTIONS}/", f"{LABELS}{{}}"),
+)
 
 OTHER_OUT = "give another --out"
 BAD_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
@@ -79,23 +88,25 @@ class RunFolder:
     path: Path
 
     @contextmanager
-    def lock(self) -> Iterator[None]:
-        """Create the folder and lock it; InputError if another run holds the lock."""
+    def lock(self, names: Iterable[str] = RUN_FILES) -> Iterator[None]:
+        """Create the folder, lock it and claim its files; InputError if another run has the lock.
+
+        Their input is not compared: see ``check``.
+        """
         make_folder(self.path, OTHER_OUT)
-        with lock_folder(self.path, f"wait for it, or {OTHER_OUT}"):
+        with (
+            lock_folder(self.path, f"wait for it, or {OTHER_OUT}"),
+            claim_results(self.path, dict.fromkeys(names, "")),
+        ):
             yield
 
     def check(self, record: Mapping[str, Any]) -> None:
-        """Check that the folder has no files of a run, or those of a run with this record.
+        """Check that the folder has no run, or a run with this record.
 
         record: of ``make_record``. Nothing is written. Raises ConfigError, InputError.
         """
         previous = self._read_record()
         if previous is None:
-            for name in RUN_FILES:
-                if (self.path / name).exists():
-                    message = f"holds {name} but no {RUN}"
-                    raise ConfigError(self.path, message, OTHER_OUT)
             return
         if previous["roadtorch"] != record["roadtorch"]:
             message = f"holds a run of roadtorch {previous['roadtorch']}"

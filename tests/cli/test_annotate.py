@@ -13,7 +13,7 @@ from roadtorch.data import correction_formats
 from roadtorch.data.corrections import read_corrections, read_logs
 from roadtorch.data.events import Confirm
 from roadtorch.detectors.catalogue import load_detector
-from tests.command import Call
+from tests.command import Call, files_in
 
 QUICK = ("--detector", "prior:triangle")
 
@@ -34,6 +34,25 @@ def not_run(monkeypatch: pytest.MonkeyPatch) -> None:
         self._listening.close()
 
     monkeypatch.setattr(PageServer, "run", run)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("png", "road/sub/c.png"), ("coco", "coco.json"), ("png", "labels/sub/c.png")],
+)
+def test_an_export_replaces_no_file_of_others(
+    call: Call, corrected: Path, tmp_path: Path, kind: str, name: str
+) -> None:
+    words = ("annotate", corrected, "--export", kind, "--to")
+    (tmp_path / "out" / name).parent.mkdir(parents=True)
+    (tmp_path / "out" / name).touch()
+
+    refused = call(*words, tmp_path / "out")
+
+    assert (refused.exit_code, files_in(tmp_path / "out")) == (2, {name})
+    assert f"{name}: exists and was not written by roadtorch" in refused.stderr
+    for _ in range(2):
+        assert call(*words, tmp_path / "new").exit_code == 0
 
 
 @pytest.mark.usefixtures("not_run")

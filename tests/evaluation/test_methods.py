@@ -1,11 +1,13 @@
 """Contenders: names, files and folders, the mean mask of other groups, the row prior."""
 
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from roadtorch.base.errors import ConfigError, WeightsError
+from roadtorch.base.errors import ConfigError, InputError, WeightsError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, subsample_dataset
 from roadtorch.evaluation import metrics
@@ -18,6 +20,7 @@ from roadtorch.evaluation.methods import (
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
 from roadtorch.road.bayes import prior_rows
+from roadtorch.testing.scenes import render_scene, write_image
 from tests.evaluation.conftest import GROUPS
 
 
@@ -62,6 +65,29 @@ def test_settings_reach_what_has_a_detector_and_go_before_those_of_a_file(files)
     ]
 
     assert thresholds == [0.75, 0.75, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("names", "problem"),
+    [
+        (["front/0", "rear/0"], ""),
+        (["0"], "0.png: would be the map of front/0 and of rear/0"),
+        (["front/0", "rear/0", "0"], "0.png: would be the map of"),
+    ],
+)
+def test_no_map_is_scored_for_two_images(files, dataset, names, problem):
+    items = [
+        replace(
+            item, name=f"{camera}/0", image=files / camera / "0.png", label=files / camera / "0.png"
+        )
+        for item, camera in zip(dataset.items, ("front", "rear"), strict=False)
+    ]
+    for name in names:
+        write_image(files / "theirs" / f"{name}.png", render_scene(0, 8, 8))
+    (entry,) = parse_contenders("theirs")
+
+    with pytest.raises(InputError, match=problem) if problem else nullcontext():
+        entry.prepare(replace(dataset, root=files, items=tuple(items)))
 
 
 @pytest.mark.parametrize(

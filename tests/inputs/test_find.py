@@ -2,19 +2,27 @@
 
 import io
 import os
+import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 import torch
 
+from roadtorch.base.atomic import claim_results, file_digest
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.urls import slug
 from roadtorch.inputs.find import find_inputs, open_source, parse_camera
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item, Selection, Source, evenly_spaced
+from roadtorch.testing.scenes import render_scene, write_image
+from tests.inputs.bags import ROS2, raw_image, write_bag
 from tests.videos import write_video
+
+BLACK = np.zeros((16, 16, 3), np.uint8)
 
 NAMES = ["b.jpg", "a.PNG", "c[1].jpg", "sub/c.webp", "sub/deep/d.tif", ".hidden/e.jpg", "notes.txt"]
 OWN = ["b.mask.png", "b.overlay.jpg", "b.likelihood.png", "b.cue.layout.png", "drive.overlay.mp4"]
@@ -234,3 +242,82 @@ def test_times_and_what_is_elsewhere() -> None:
     assert item(3, 0.5).nanoseconds == 500_000_000
     with pytest.raises(InputError, match=r"s3://b/a: is not on this machine \(give files"):
         assert Item("a", "s3://b/a", torch.rand).path
+
+
+# --- nothing left out, nothing twice, no results ------------------------------------------
+
+
+def test_bags_in_a_folder_stand_beside_its_images_and_videos(tmp_path: Path) -> None:
+    """A list of recordings makes a bag of a folder; other recordings are sources of their own."""
+    folder = tmp_path / "in"
+    for name in ("left", "right", "listed"):
+        write_bag(tmp_path / name, {"/image": [raw_image(ROS2, BLACK, "rgb8", 10**18)]}, "mcap")
+    shutil.copytree(tmp_path / "listed", folder / "listed")
+    for name in ("left", "right"):
+        (recording,) = (tmp_path / name).glob("*.mcap")
+        shutil.copy(recording, folder / f"listed/{name}.mcap")
+    (folder / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    write_video(folder / "drive.mp4")
+    for name in ("a.png", "listed/b.png"):
+        (folder / name).touch()
+    (folder / "metadata.yaml").write_text("licence: free\n")
+
+    images, sources = find_inputs([str(folder)])
+    one, _ = find_inputs([str(folder / "listed")])
+
+    assert [image.name for image in images] == ["a", "listed/b"]
+    names = ["drive", "old", "listed", "listed/left", "listed/right"]
+    assert [source.name for source in sources] == names
+    assert [item.name for item in sources[3].items()] == ["listed/left/000000"]
+    assert [image.name for image in one] == ["b"]
+    with pytest.raises(InputError, match=r"old\.bag: cannot be read as a bag"):
+        sources[1].items()
+    with (
+        pytest.warns(UserWarning, match=r"5 left out: drive\.mp4, old\.bag, listed, listed/left"),
+        suppress(InputError),
+    ):
+        find_images([folder])
+
+
+def test_results_in_a_ledger_are_no_inputs(tmp_path: Path) -> None:
+    names = ("camera.jpg", "labels/a.png", "frames/b.jpg", "photo.jpg", "labels/photo.png")
+    (tmp_path / "labels").mkdir()
+    with (
+        claim_results(tmp_path, {"camera.jpg": "", "frames/": ""}),
+        claim_results(tmp_path / "labels", {"a.png": "../photo.jpg"}),
+    ):
+        (tmp_path / "frames").mkdir()
+        for name in names:
+            (tmp_path / name).touch()
+
+    folder, pattern = (find_inputs([f"{tmp_path}{end}"]).images for end in ("", "/**/*.[jp]*"))
+    below, single = (find_inputs([f"{tmp_path}{end}"]).images for end in ("/frames", "/camera.jpg"))
+
+    assert [image.name for image in folder] == ["photo", "labels/photo"]
+    assert {image.name for image in pattern} == {"photo", "labels/photo"}
+    assert [image.name for image in (*below, *single)] == ["b", "camera"]
+
+
+def test_a_link_to_its_own_folder_shows_no_image_twice(tmp_path: Path) -> None:
+    (tmp_path / "a.png").touch()
+    (tmp_path / "again").symlink_to(".")
+
+    images = find_images([f"{tmp_path}/**/*.png"])
+    same, _ = find_inputs([str(tmp_path), str(tmp_path / "again")])
+
+    assert [image.name for image in images] == ["a"]
+    assert [image.name for image in same] == ["a"]
+
+
+def test_an_image_and_its_digest_are_of_the_same_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "snapshot.png"
+    write_image(path, render_scene(0, 16, 16))
+    (item,) = find_images([path])
+    image, digest, held = item.read(), file_digest(path), item.hold()
+
+    shown = held.read()
+    write_image(path, render_scene(1, 16, 16))
+
+    assert torch.equal(shown, image)
+    assert held.digest is not None
+    assert held.digest() == digest != file_digest(path)

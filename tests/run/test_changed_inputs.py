@@ -5,6 +5,7 @@ file. Size and modification time of the file are kept where possible: only its b
 """
 
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -25,6 +26,7 @@ from tests.command import Call, bytes_in, files_in
 from tests.reference import bev
 from tests.streets import drive
 from tests.train.runs import IMAGES
+from tests.videos import write_video
 
 SIZE = (48, 64)
 
@@ -101,6 +103,8 @@ EGO = "--set ego.mask=@ego.png"
 WEIGHTS = "--detector fusion --set weights.file=@weights.safetensors"
 ROWS = "--detector prior:rows"
 GREY = "--detector grey-uniformity"
+TRAIN = "train --config @train.toml --images @streets --threads 1"
+ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96"
 VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
 
 
@@ -155,16 +159,90 @@ def test_other_settings_of_a_file(
     assert "holds results of other settings" in again.stderr
 
 
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        (f"infer @streets {ROWS}", "config.toml index.csv run.json street_1.mask.png"),
+        (f"infer @streets {ROWS} --overwrite", "config.toml index.csv street_0.overlay.jpg"),
+        (f"infer @streets {ROWS} --save polygons", "coco.json street_0.coco.json"),
+        (f"infer @streets {GREY} --save npy,cues", "street_0.cue.x.png street_1.x.npy"),
+        (
+            f"infer @street.avi {ROWS} --save overlay,mask",
+            "street.overlay.mp4 street/000001.mask.png",
+        ),
+        (f"infer @street.avi {ROWS} --save bag", "street.road street.road/metadata.yaml"),
+        (f"grid @streets {VIEW} --fov 55 --pitch 3", "street_0.grid.yaml street_1.grid.npy"),
+        ("label @streets", "street_0.png config.toml"),
+        (f"evaluate kitti-road @ --submit {GREY}", "submission.zip um_road_000000.png"),
+        (
+            f"evaluate kitti-road @ --tune {GREY}",
+            "metrics.json montage.x.best.jpg grey-uniformity.toml",
+        ),
+        (TRAIN, "weights.safetensors log.csv prepared/x weights.md"),
+        (ADAPT, "camera.toml weights.safetensors frames/x adaptation.html"),
+    ],
+)
+def test_files_of_others_stay(
+    call: Call, root: Path, tmp_path: Path, line: str, names: str
+) -> None:
+    write_video(root / "street.avi", codec="mjpeg")
+    for name in names.split():
+        out = tmp_path / f"out of {Path(name).name}"
+        (out / name).parent.mkdir(parents=True)
+        (out / name).write_text("file\n")
+
+        result = call(*split_command(root, line), "--out", out)
+
+        assert result.exit_code == 2, result.output
+        assert f"{out / name.partition('/')[0]}" in result.stderr
+        assert files_in(out) == {name}
+        assert (out / name).read_text() == "file\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "other"),
+    [
+        (f"infer @streets {ROWS}", "streets"),
+        ("label @streets", "streets"),
+        (f"infer @street.avi {ROWS}", "street.avi"),
+        (f"infer @street.avi {ROWS} --save mask", "street.avi"),
+    ],
+)
+def test_results_of_another_input_stay(
+    call: Call, root: Path, tmp_path: Path, line: str, other: str
+) -> None:
+    write_video(root / "street.avi", codec="mjpeg")
+    words, out = split_command(root, line), tmp_path / "out"
+    (tmp_path / "far").mkdir()
+    moved, elsewhere = [tmp_path / folder / other for folder in ("moved", "far")]
+    assert call(*words, "--out", out).exit_code == 0
+    contents = bytes_in(out)
+    shutil.copytree(root, tmp_path / "moved")
+    if elsewhere.suffix:
+        write_video(elsewhere, (0.0, 0.1), codec="mjpeg")
+    else:
+        for seed in (2, 3):
+            write_image(elsewhere / f"street_{seed - 2}.png", render_scene(seed, *SIZE))
+
+    refused = call(
+        *[str(elsewhere) if word.endswith(other) else word for word in words], "--out", out
+    )
+
+    assert refused.exit_code == 2
+    assert f"is a result of ../in/{other}" in refused.stderr
+    assert bytes_in(out) == contents
+    same = call(*[str(moved) if word.endswith(other) else word for word in words], "--out", out)
+    assert (same.exit_code, "0 done" in same.stderr) == (0, True), same.stderr
+    words = [str(elsewhere) if word.endswith(other) else word for word in words]
+    assert call(*words, "--out", out, "--overwrite").exit_code == 0
+
+
 def without_archives(files: dict[str, bytes]) -> dict[str, bytes]:
     """Leave out archives, whose members have dates."""
     return {name: data for name, data in files.items() if not name.endswith(".zip")}
 
 
 # --- training, and what the page shows ---------------------------------------------------
-
-
-TRAIN = "train --config @train.toml --images @streets --threads 1"
-ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96"
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
     rows = read_index_rows(out)
     assert len(rows) == frames + 1 > 20
     assert rows["drive.mp4"]["status"] == f"partial: {path}: was interrupted (run it again)"
-    assert not list(out.glob(".*"))
+    assert not list(out.glob(".*.part"))
 
 
 def test_footage_is_smoothed_unless_refused(call: Call, drive: Path, tmp_path: Path) -> None:

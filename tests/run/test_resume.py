@@ -11,14 +11,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from roadtorch.inputs.item import Item
-from roadtorch.run import memo
+from roadtorch.run import loop, memo
 from roadtorch.run.ledger import IndexRow
 from roadtorch.run.loop import Task
 from tests.command import ROWS, Call, bytes_in, files_in, read_index_rows
+from tests.videos import write_video
 
 BeforeEach = Callable[[Callable[[Item], None]], AbstractContextManager[None]]
 
@@ -167,7 +169,7 @@ def test_a_death_costs_its_image_alone_and_is_told(
     assert f"roadtorch: failed: {why}\n" in result.stderr
     statuses = {name: row["status"] for name, row in read_index_rows(out).items()}
     assert statuses == {"a.jpg": "done", "b.png": f"failed: {why}", "sub/c.png": "done"}
-    assert not list(out.glob(".*"))
+    assert not list(out.glob(".*.part"))
     assert call(*run, out).exit_code == 0
     assert bytes_in(out) == bytes_in(tmp_path / "quiet")
 
@@ -188,6 +190,44 @@ def test_a_kill_costs_the_image_in_hand(run: Call, out: Path, before_each: Befor
 
 
 # --- nowhere to write -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_an_output_folder_that_was_moved_ends_the_run(
+    run: Call, out: Path, before_each: BeforeEach, is_replaced: bool
+) -> None:
+    def move(item: Item) -> None:
+        if item.name == "b":
+            out.rename(out.with_name("moved"))
+            if is_replaced:
+                out.mkdir()
+
+    with before_each(move):
+        result = run("--jobs", 1)
+
+    assert result.exit_code == 1
+    assert f"error: {out}: was moved during the run" in result.stderr
+    assert out.exists() == is_replaced
+    assert list(read_index_rows(out.with_name("moved"))) == ["a.jpg"]
+
+
+def test_a_video_that_changes_while_it_is_read_is_partial(
+    call: Call, tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    video = write_video(tmp_path / "drive.avi", codec="mjpeg")
+    conclude = loop._conclude
+
+    def grow(*parts: Any) -> Any:
+        with video.open("ab") as file:
+            file.write(b"more")
+        return conclude(*parts)
+
+    monkeypatch.setattr(loop, "_conclude", grow)
+
+    result = call("infer", video, *ROWS, "--out", out, "--save", "mask")
+
+    assert result.exit_code == 1
+    assert "drive.avi: changed while it was read" in read_index_rows(out)["drive.avi"]["status"]
 
 
 def test_closed_streams_cost_nothing(footage: Path, tmp_path: Path) -> None:

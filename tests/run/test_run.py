@@ -120,7 +120,8 @@ def test_results_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
     for effective in ("a = 1", "a = 2"):  # nothing was done with the first ones
         with open_result_folder(out, effective, overwrite=False):
             assert (out / "config.toml").read_text() == f"{effective}\n"
-    (out / "index.csv").write_text("file\n")
+    with open_result_folder(out, "a = 2", overwrite=False):
+        (out / "index.csv").write_text("file\n")
 
     with (
         pytest.raises(ConfigError, match=r"holds results of other settings \(config\.toml\)"),

@@ -59,7 +59,7 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
         (whole, request, ConfigError, "holds a run with other settings"),
         (changed, request, ConfigError, "holds a run with other settings"),
         (training, replace(request, images=images), ConfigError, "holds a run with other images"),
-        (training, foreign, ConfigError, r"holds log.csv but no run.json"),
+        (training, foreign, ConfigError, r"log.csv: exists and was not written by roadtorch"),
         (start, new, WeightsError, "holds a network with other settings"),
     ]
     for run, refused, error, message in rows:

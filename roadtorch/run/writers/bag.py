@@ -50,8 +50,8 @@ class BagWriter:
     """A bag written frame by frame, and renamed to its final path when it is closed.
 
     It is written in a sibling folder ``NAME.….unfinished``. ``close`` finishes and renames it, also
-    after an error or Ctrl-C, and replaces an earlier bag written by this class. The first frame
-    removes such folders of killed runs.
+    after an error or Ctrl-C, and replaces an earlier bag. The first frame removes such folders of
+    killed runs.
 
     Args:
         path: ``NAME.bag`` becomes a ROS 1 bag, any other name the folder of a ROS 2 bag (MCAP with
@@ -61,7 +61,6 @@ class BagWriter:
         draw: returns the overlay of a detection, uint8 RGB, shape (H, W, 3); None for no overlay.
 
     Raises:
-        InputError: for a path that exists and was not written by this class.
         ConfigError: where rosbags is not installed.
     """
 
@@ -78,9 +77,6 @@ class BagWriter:
         except ImportError:
             problem = "cannot be written, as rosbags is not installed"
             raise ConfigError(str(path), problem, "pip install 'roadtorch[bags]'") from None
-        if path.exists() and not _is_own_bag(path):
-            problem = "exists and was not written by roadtorch"
-            raise InputError(path, problem, "remove it, or give another name")
         make_folder(path.absolute().parent)
         self.path, self._frame_id, self._threshold, self._draw = path, frame_id, threshold, draw
         self._folder = path.with_name(f"{path.name}.{secrets.token_hex(4)}.unfinished")
@@ -201,19 +197,6 @@ class BagWriter:
         failure = write_error(self.path, error)
         saved = f"; finished frames are in {self._folder}" if self._folder.exists() else ""
         return InputError(self.path, failure.problem + saved, failure.hint)
-
-
-def _is_own_bag(path: Path) -> bool:
-    """Return whether a path is a bag that contains only topics of ``BagWriter``."""
-    from rosbags.highlevel import AnyReader
-
-    try:
-        with AnyReader([path]) as reader:
-            names = {link.topic for link in reader.connections}
-    except Exception:  # not a bag
-        return False
-    own_topics = {MASK_TOPIC, CONFIDENCE_TOPIC, OVERLAY_TOPIC, LABELS_TOPIC, GRID_TOPIC}
-    return bool(names) and names <= own_topics
 
 
 def _qos_profile(durability: str, depth: int) -> Any:

@@ -38,9 +38,9 @@ def find_submission_images(images: Path, calib: Path, out: Path) -> list[Item]:
     ]
 
 
-def _digest(*files: Path) -> str:
-    """Return the SHA-256 of several files; empty where one cannot be read."""
-    digests = [file_digest(file) for file in files]
+def _digest(image: Path, calibration: Path, data: bytes | None = None) -> str:
+    """Return the SHA-256 of two files, the first by its bytes; empty where one cannot be read."""
+    digests = [file_digest(image, data), file_digest(calibration)]
     return hashlib.sha256("".join(digests).encode()).hexdigest() if all(digests) else ""
 
 

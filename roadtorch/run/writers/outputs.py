@@ -19,7 +19,7 @@ from roadtorch.run.plan import Output, Writer, Writers
 from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
 from roadtorch.run.writers.grid import GridWriter
-from roadtorch.run.writers.maps import CUE_SUFFIXES, MAP_SUFFIXES, MapWriter
+from roadtorch.run.writers.maps import CUE_SUFFIXES, MapWriter
 from roadtorch.run.writers.video import VideoWriter
 
 DEFAULT_IMAGE_KINDS, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
@@ -85,10 +85,9 @@ class MapOutput:
         if "overlay-frames" in kinds:
             frame_kinds = frame_kinds - {"overlay-frames"} | {"overlay"}
         maps = replace(self.maps, kinds=frozenset(frame_kinds))
-        frame_suffixes = [MAP_SUFFIXES.get(kind, f".{kind}") for kind in frame_kinds]
         cues = not frame_kinds.isdisjoint(CUE_SUFFIXES)
         open_writers = partial(self._open, source, maps, streams)
-        return Output(kinds, [*streams.values()], frame_suffixes, open_writers, cues)
+        return Output(kinds, [*streams.values()], maps.suffixes, open_writers, cues)
 
     @contextmanager
     def _open(self, source: Source, maps: MapWriter, suffixes: dict[str, str]) -> Iterator[Writers]:

@@ -44,8 +44,8 @@ from roadtorch.train.config import ImageTraining
 from roadtorch.train.corrections import format_card, inherited_corrections
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import MAX_FRAMES
-from roadtorch.train.run import PREPARED, Outcome, TrainingRequest, prepare_folder, train
-from roadtorch.train.run_folder import WEIGHTS, RunFolder
+from roadtorch.train.run import Outcome, TrainingRequest, prepare_folder, train
+from roadtorch.train.run_folder import ADAPTATION_PAGE, CARD, LOG, PREPARED, WEIGHTS, RunFolder
 from roadtorch.train.teachers import resize_as_prepared
 from roadtorch.train.whole_images import ImageRecipe
 
@@ -88,7 +88,8 @@ def adapt(
     An interrupted run is resumed. Raises InputError for footage with fewer than two frames,
     ConfigError if ``out`` holds another run.
     """
-    with RunFolder(out).lock():
+    folders = (f"{name}/" for name in (FRAMES, TEACHER_LABELS, PREPARED, *HALVES))
+    with RunFolder(out).lock((CAMERA_FILE, WEIGHTS, CARD, LOG, ADAPTATION_PAGE, *folders)):
         remove_leftovers([out, out / FRAMES])
         frames = sample_frames(inputs, out / FRAMES, limit, quiet)
         error = _write_camera(frames, out / CAMERA_FILE, inputs[0])

@@ -18,7 +18,6 @@ from roadtorch.detectors.detector import Detection
 from roadtorch.inputs.bags import image_topic
 from roadtorch.inputs.item import Item
 from roadtorch.run.writers.bag import BagWriter, load_message_types
-from tests.inputs.bags import ROS2, raw_image, write_bag
 
 STAMP = 1_700_000_000_123_456_789
 
@@ -131,16 +130,6 @@ def test_what_a_killed_run_left_goes_and_all_else_stays(path: Path):
         assert leftover.exists()
         bag.write(item(STAMP), detection(0))
     assert sorted(path.parent.iterdir()) == sorted([path, sibling])
-
-
-def test_anything_else_of_that_name_is_refused(path: Path, tmp_path: Path):
-    path.mkdir(parents=True)
-    with pytest.raises(InputError, match="exists and was not written by roadtorch"):
-        BagWriter(path, "camera", 0.5)
-    images = {"/camera/image": [raw_image(ROS2, overlay(detection(0)), "rgb8", STAMP)]}
-    recording = write_bag(tmp_path / "recording", images)
-    with pytest.raises(InputError, match="exists and was not written by roadtorch"):
-        BagWriter(recording, "camera", 0.5)
 
 
 def test_a_failing_disk_is_one_line(path: Path, monkeypatch: pytest.MonkeyPatch):
