@@ -57,9 +57,9 @@ def _sample_pose(scene: Scene, side: str, half: float, end: float, tail: float) 
     pitch = rng.uniform(0, 25) if scene.chance(0.5) else rng.uniform(15, 60)
     if side in ("left", "right"):
         sign = -1 if side == "left" else 1
-        out, along, up = rng.uniform(0.1, 0.22), rng.uniform(0.3, 0.9), rng.uniform(0.85, 1.2)
+        out, along, up = rng.uniform(0.06, 0.2), rng.uniform(0.3, 0.9), rng.uniform(0.85, 1.2)
         yaw = 90 + (rng.gauss(0, 6) if scene.chance(0.6) else rng.uniform(-40, 40))
-        return Pose((sign * (half + out), along, up), -sign * yaw, rng.uniform(22, 70))
+        return Pose((sign * (half + out), along, up), -sign * yaw, rng.uniform(28, 75))
     if side == "rear":
         position = (rng.uniform(-0.2, 0.2), tail - rng.uniform(0.02, 0.06), rng.uniform(0.65, 1.15))
         return Pose(position, 180 + rng.gauss(0, 2), max(pitch, rng.uniform(5, 40)))
