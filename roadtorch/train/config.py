@@ -184,6 +184,11 @@ class Teacher(Settings):
         default="one", description="the image alone, or averaged with its mirror (mirrored)"
     )
     working: WorkingSize = WorkingSize()
+    combine: Literal["agreement", "teacher"] = Field(
+        default="agreement",
+        description="with initial weights: mean of teacher and initial network where they agree, "
+        "or teacher alone",
+    )
     margin: float = Field(
         default=0.5,
         ge=0,
@@ -238,19 +243,6 @@ class HeadWeights(Settings):
     )
 
 
-class Rounds(Settings):
-    """Self-training of a network with initial weights, one round a run."""
-
-    count: Literal[1] = Field(default=1, description="rounds of a run: 1")
-    combine: Literal["agreement", "teacher"] = Field(
-        default="agreement",
-        description="mean of teacher and initial network where they agree, or teacher alone",
-    )
-    start: Literal["fresh", "continued"] = Field(
-        default="fresh", description="train new weights (fresh) or the initial ones (continued)"
-    )
-
-
 class TrainingRound(Settings):
     """A round of a self-training."""
 
@@ -299,6 +291,7 @@ class TargetImages(Settings):
     confidence: float = Field(
         default=0.0, ge=0, le=10, description="weight of a pixel's road label p: |2p - 1| to this"
     )
+    masked: Fraction = Field(default=0.0, description="fraction of patches that are greyed out")
 
 
 class SelfTraining(CommonTraining):
@@ -347,7 +340,6 @@ class ImageTraining(CommonTraining):
     corrections: CorrectionWeight = CorrectionWeight()
     network: ImageNetworkSettings | BackboneNetworkSettings = ImageNetworkSettings()
     teacher: Teacher = Teacher()
-    rounds: Rounds = Rounds()
     recordings: Recordings = Recordings()
     augmentation: Augmentation = Augmentation()
     heads: HeadWeights = HeadWeights()

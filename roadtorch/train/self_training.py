@@ -81,6 +81,9 @@ CROPS = (0.3,)
 MIN_EGO = 0.7
 """Mean of detected ego car and its potential from which a target's pixel is ego car."""
 
+MASKED_PATCH = 32
+"""Side of a masked patch, pixels of the network's input, whose sides are multiples of it."""
+
 LEVEL_BATCHES = 30
 """Batches over which the statistics of a new head's features are measured."""
 
@@ -182,9 +185,11 @@ class DomainSamples:
         samples = self._read_samples(members)
         images, planes = augment_batch(*samples, training.augmentation, resize, cars, generator)
         planes = F.avg_pool2d(planes, STRIDE)
+        is_exact = torch.tensor([member < len(self.source) for member in members])
         if training.source.border:
-            is_exact = torch.tensor([member < len(self.source) for member in members])
             planes = weigh_borders(planes, is_exact.to(planes.device), training.source.border)
+        if training.target.masked:
+            images = mask_patches(images, ~is_exact, training.target.masked, generator)
         images = images.contiguous(memory_format=torch.channels_last)
         yield Batch(images, planes, torch.ones(len(images)))
 
@@ -221,6 +226,19 @@ def weigh_borders(planes: Tensor, is_exact: Tensor, border: float) -> Tensor:
         weight * gain for weight in (targets.layout_weight, targets.road_weight)
     )
     return torch.cat(targets._replace(layout_weight=layout_weight, road_weight=road_weight), 1)
+
+
+def mask_patches(
+    images: Tensor, chosen: Tensor, fraction: float, generator: torch.Generator
+) -> Tensor:
+    """Grey out a fraction of square patches in the chosen images, bool (n,), of (n, 3, H, W).
+
+    What a patch shows has to be told from its surroundings: MIC, Hoyer et al., CVPR 2023.
+    """
+    size = len(images), 1, *(side // MASKED_PATCH for side in spatial_size(images))
+    is_masked = (torch.rand(size, generator=generator) < fraction) & chosen[:, None, None, None]
+    pixels = is_masked.repeat_interleave(MASKED_PATCH, -1).repeat_interleave(MASKED_PATCH, -2)
+    return images.masked_fill(pixels.to(images.device), 0.5)
 
 
 # --- recipe -----------------------------------------------------------------------------
@@ -293,6 +311,7 @@ class SelfTrainingRecipe(Recipe):
         assert isinstance(network, BackboneNetwork)
         if training.initial_weights not in ("", IMAGENET):
             return
+        network.to(samples.device)
         count = min(LEVEL_BATCHES, samples.chunks)
         images = (batch.inputs for chunk in range(count) for batch in samples.batches(0, chunk))
         with seed_torch(training.random_seed, 1):

@@ -32,7 +32,7 @@ from roadtorch.road.bayes import centred_odds, log_odds
 from roadtorch.road.ego import extrapolate_over_ego
 from roadtorch.run.loop import Inference, until_stopped
 from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
-from roadtorch.train.config import ImageTraining, Rounds, Teacher
+from roadtorch.train.config import ImageTraining, Teacher
 from roadtorch.train.prepared import from_uint8, to_uint8
 
 # --- targets ----------------------------------------------------------------------------
@@ -64,7 +64,7 @@ TARGET_PLANES = (NUM_CLASSES, 1, 1, 1, 1, 1)
 
 
 def make_targets(
-    teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher, rounds: Rounds
+    teacher: Tensor, ego: Tensor, network: Tensor | None, settings: Teacher
 ) -> Targets:
     """Compute targets from the maps (B, 4, H, W) of the teacher and (B, 5, H, W) of a network.
 
@@ -79,10 +79,10 @@ def make_targets(
     if network is not None:
         network_layout, network_road, network_ego = network.split((NUM_CLASSES, 1, 1), 1)
         guess = (network_ego >= EGO_CERTAIN).to(ego)
-        if rounds.combine == "agreement":
+        if settings.combine == "agreement":
             agree = (best_class(layout) == best_class(network_layout)).to(road)
             agree_road = ((road >= 0.5) == (network_road >= 0.5)).to(road)
-        weight = 1.0 if rounds.combine == "teacher" else 0.5
+        weight = 1.0 if settings.combine == "teacher" else 0.5
         layout = torch.lerp(network_layout, layout, weight)
         road = torch.lerp(network_road, road, weight)
     ego = torch.where((ego - 0.5).abs() < EGO_KNOWN, guess, ego)
@@ -226,7 +226,7 @@ def teacher_agreement(
     for file in files:
         arrays = read_arrays(file, "image", "maps", "ego")
         image, maps, ego = (from_uint8(arrays[name]) for name in ("image", "maps", "ego"))
-        targets = make_targets(maps[None], ego[None, None], None, training.teacher, training.rounds)
+        targets = make_targets(maps[None], ego[None, None], None, training.teacher)
         potentials = network_maps(network, image)[None]
         layout = potentials[:, :NUM_CLASSES].argmax(1) == targets.layout.argmax(1)
         road = (potentials[:, ROAD_OUTPUT] >= 0.5) == (targets.road[:, 0] >= 0.5)

@@ -16,7 +16,6 @@ from roadtorch.data.events import NOT_ROAD, ROAD_LABEL, VOID_LABEL, layout_layer
 from roadtorch.evaluation.metrics import ConfusionCounts, count_mask, f_measure
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item
-from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import (
     EGO_OUTPUT,
@@ -113,7 +112,7 @@ class ImageSamples:
         network = None
         if self.labels:
             (network,) = self._read([self.labels[member] for member in members], "maps")
-        targets = make_targets(maps, ego[:, None], network, training.teacher, training.rounds)
+        targets = make_targets(maps, ego[:, None], network, training.teacher)
         if self.corrected:
             none = torch.zeros(CORRECTION_PLANES, *spatial_size(images), dtype=torch.uint8)
             planes = [
@@ -304,9 +303,7 @@ class ImageRecipe(Recipe):
     def make_network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
         """Return a new network, or the initial one."""
         settings = self._training.network
-        if isinstance(initial, BackboneNetwork):
-            return initial
-        if isinstance(initial, ImageNetwork) and self._training.rounds.start == "continued":
+        if isinstance(initial, WholeImageNetwork):
             return initial
         assert isinstance(settings, ImageNetworkSettings)  # a backbone needs initial weights
         with seed_torch(self._training.random_seed, 0):

@@ -115,7 +115,7 @@ EGO_CARS = {"kind": "images", "augmentation": {"ego_car": {"probability": 0.5}}}
     [
         ({"kind": "patch"}, r"patch: unknown kind of training \(did you mean patches\?\)"),
         ({"kind": "images", "shuffle_images": 3}, "shuffle_images: unknown setting"),
-        ({"kind": "images", "rounds": {"count": 2}}, "rounds.count: 2 was given"),
+        ({"kind": "images", "rounds": []}, "rounds: unknown setting"),
         ({"augmentation": {"min_scale": 2.0}}, "min_scale: is 2, more than .*max_scale, 1.4"),
         ({"network": {"topology": {"size1": 9}}}, "topology: leaves an empty or odd"),
         (BACKBONE | {"network": {"heads": 1, "width": 80}}, "network.width: .* multiple of 32"),

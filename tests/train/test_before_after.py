@@ -36,8 +36,7 @@ run = partial(invoke_command, train_command)
 
 def words(out: Path, images: Path, *more: object) -> list[object]:
     config = write_config(out.with_suffix(".toml"), IMAGES)
-    continued = ("--set", "rounds.start=continued")
-    return ["--config", config, "--images", images, "--out", out, *continued, *more]
+    return ["--config", config, "--images", images, "--out", out, *more]
 
 
 def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> None:

@@ -155,7 +155,6 @@ def test_a_run_can_start_from_the_weights_of_another_whatever_size_it_learned_at
         f"initial_weights={json.dumps(str(tmp_path / 'first'))}",
         "descent.learning_rate=1e-9",
     ]
-    changes += ["rounds.start=continued"] if kind == "images" else []
 
     run = folder_of(trained(kind, *changes, "stopping.epochs=1"))
 

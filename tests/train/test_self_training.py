@@ -20,11 +20,13 @@ from roadtorch.train.self_training import (
     SelfTrainingRecipe,
     balanced_weights,
     label_targets,
+    mask_patches,
     round_weights,
     weigh_borders,
 )
 from roadtorch.train.training_loop import TrainingInputs
 from tests.command import Call
+from tests.draws import seeded_generator
 from tests.train.runs import (
     SELF_TRAINING,
     interrupt_after,
@@ -234,6 +236,17 @@ def test_borders_of_road_and_vertical_weigh_where_truth_is_exact() -> None:
     for plane in (3, 5):
         assert weighed[0, plane, 0].tolist() == [1, 1, 1, 4, 4, 4, 1, 1]
         assert weighed[1, plane, 0].tolist() == [1, 1, 1, 0, 0, 0, 1, 1]
+
+
+def test_patches_of_target_images_are_masked_and_no_others() -> None:
+    images, chosen = torch.full((2, 3, 320, 320), 0.25), torch.tensor([False, True])
+
+    masked = mask_patches(images, chosen, 0.3, seeded_generator(1))
+
+    assert torch.equal(masked[0], images[0])
+    patches = masked[1, :, ::32, ::32]
+    assert torch.equal(patches.repeat_interleave(32, 1).repeat_interleave(32, 2), masked[1])
+    assert 0.2 < (patches == 0.5).float().mean() < 0.4
 
 
 # --- settings ---------------------------------------------------------------------------

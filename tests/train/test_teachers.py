@@ -15,7 +15,7 @@ from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import NUM_OUTPUTS, ImageNetwork, ImageNetworkSettings
 from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import read_arrays, write_arrays
-from roadtorch.train.config import ImageTraining, Rounds, Teacher, build_training
+from roadtorch.train.config import ImageTraining, Teacher, build_training
 from roadtorch.train.teachers import (
     Targets,
     centre_likelihood,
@@ -88,7 +88,7 @@ def test_only_certain_pixels_count() -> None:
     teacher = maps_of((0.9, 0.1, 0.0, 0.9), (0.5, 0.4, 0.1, 0.52), (0.2, 0.0, 0.8, 0.1))
     settings = Teacher(margin=0.5, road_margin=0.5, road_threshold=0.5)
 
-    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), None, settings, Rounds())
+    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), None, settings)
 
     assert weights(targets) == ([1, 0, 1], [1, 0, 1])
     torch.testing.assert_close(targets.layout, teacher[:, :NUM_CLASSES])
@@ -100,9 +100,7 @@ def test_only_agreement_with_the_network_to_start_from_counts() -> None:
         (0.8, 0.2, 0.0, 0.8, 0.0), (0.0, 1.0, 0.0, 0.1, 0.0), (0.0, 0.0, 1.0, 0.9, 0.0)
     )
 
-    targets = make_targets(
-        teacher, ego_of(0.5, 0.5, 0.5), network, EVEN, Rounds(combine="agreement")
-    )
+    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), network, EVEN)
 
     assert weights(targets) == ([1, 0, 1], [1, 0, 0])
     torch.testing.assert_close(targets.layout, (teacher + network[:, :4])[:, :NUM_CLASSES] / 2)
@@ -111,7 +109,9 @@ def test_only_agreement_with_the_network_to_start_from_counts() -> None:
 def test_the_teacher_alone_can_give_the_targets() -> None:
     teacher, network = maps_of((0.9, 0.1, 0.0, 0.9)), maps_of((0.0, 1.0, 0.0, 0.1, 0.0))
 
-    targets = make_targets(teacher, ego_of(0.5), network, EVEN, Rounds(combine="teacher"))
+    targets = make_targets(
+        teacher, ego_of(0.5), network, EVEN.model_copy(update={"combine": "teacher"})
+    )
 
     torch.testing.assert_close(targets.layout, teacher[:, :NUM_CLASSES])
     torch.testing.assert_close(targets.road, teacher[:, NUM_CLASSES:])
@@ -147,7 +147,7 @@ def test_the_ego_car(
 ) -> None:
     network = None if guess is None else maps_of((*GROUND[:3], *guess))
 
-    targets = make_targets(maps_of(GROUND), ego_of(shown), network, EVEN, Rounds())
+    targets = make_targets(maps_of(GROUND), ego_of(shown), network, EVEN)
 
     assert (targets.ego.item(), targets.ego_weight.item()) == (ego, 1)
     assert targets.road.item() == pytest.approx(road)

@@ -143,7 +143,7 @@ def _labelled_frames(
             continue  # skipped and reported before
         arrays = read_arrays(file, "maps", "ego")
         maps, ego = (from_uint8(arrays[name])[None] for name in ("maps", "ego"))
-        targets = make_targets(maps, ego[None], None, training.teacher, training.rounds)
+        targets = make_targets(maps, ego[None], None, training.teacher)
         yield image.read(), targets.road[0, 0] >= 0.5, targets.road_weight[0, 0] > 0
 
 
