@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from roadtorch.camera.camera import Camera
     from roadtorch.detectors.catalogue import list_detectors, load_detector, register_detector
     from roadtorch.detectors.detection import Detection
-    from roadtorch.detectors.detector import DetectorSettings, Entry
-    from roadtorch.run.loop import detect_stream
+    from roadtorch.detectors.entry import DetectorSettings, Entry
+    from roadtorch.detectors.stream import detect_stream
 
 __all__ = [
     "Camera",
@@ -36,10 +36,10 @@ __all__ = [
 _MODULES = {
     "Camera": "camera.camera",
     "Detection": "detectors.detection",
-    "DetectorSettings": "detectors.detector",
-    "Entry": "detectors.detector",
+    "DetectorSettings": "detectors.entry",
+    "Entry": "detectors.entry",
     "RoadtorchError": "base.errors",
-    "detect_stream": "run.loop",
+    "detect_stream": "detectors.stream",
     "list_detectors": "detectors.catalogue",
     "load_detector": "detectors.catalogue",
     "read_image": "base.image",

@@ -7,7 +7,7 @@ from pydantic import Field
 from torch import nn
 
 from roadtorch.detectors.catalogue import list_detectors, register_detector
-from roadtorch.detectors.detector import DetectorSettings
+from roadtorch.detectors.entry import DetectorSettings
 from roadtorch.testing.scenes import render_scene
 from tests.streets import write_camvid
 

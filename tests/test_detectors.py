@@ -28,13 +28,8 @@ from roadtorch.detectors.catalogue import (
     load_detector,
     register_detector,
 )
-from roadtorch.detectors.detector import (
-    Detector,
-    DetectorGrid,
-    DetectorSettings,
-    Entry,
-    WorkingSettings,
-)
+from roadtorch.detectors.detector import Detector
+from roadtorch.detectors.entry import DetectorGrid, DetectorSettings, Entry, WorkingSettings
 from roadtorch.road.seed_area import SeedArea
 from roadtorch.testing import contract_violations, street
 from roadtorch.testing.scenes import render_scene

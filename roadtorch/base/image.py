@@ -50,6 +50,8 @@ _LEVELS = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, 2)
 TINT_TABLE = cv2.addWeighted(_LEVELS, 1 - TINT, np.full_like(_LEVELS, SKY_BLUE), TINT, 0)
 """Lookup table from the level of a channel to that inside the mask: uint8 (256, 1, 3)."""
 
+MASK_ENDING = ".mask.png"  # of the masks of ``infer``
+
 OUTLINE_WIDTH = 1 / 240  # fraction of the shorter side; ours
 MIN_FONT_SIZE = 14  # pixels; ours: legible in an image of 320
 

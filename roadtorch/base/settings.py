@@ -23,6 +23,7 @@ THRESHOLDS_PREFIX = "thresholds/"
 """Prefix of the names of configs for detectors; the others are for training."""
 
 CONFIG_SUFFIX = ".toml"
+INFER_CONFIG = "config.toml"  # settings that ``infer`` writes beside its results
 
 
 class Settings(pydantic.BaseModel):

@@ -4,9 +4,12 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TypeVar
+
+_Value = TypeVar("_Value")
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -145,3 +148,19 @@ def stop_on_signals() -> Iterator[StopRequest]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def until_stopped(
+    values: Iterable[_Value], stop: StopRequest, live: bool = False
+) -> Iterator[_Value]:
+    """Yield values until a stop is requested; do not block on a live source."""
+    values = iter(values)
+    while not stop.requested:
+        stop.raises_at_once = live
+        try:
+            value = next(values)
+        except StopIteration:
+            return
+        finally:
+            stop.raises_at_once = False
+        yield value

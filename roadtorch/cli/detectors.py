@@ -11,7 +11,7 @@ import click
 from roadtorch.cli.options import suggest_detectors
 
 if TYPE_CHECKING:
-    from roadtorch.detectors.detector import Entry
+    from roadtorch.detectors.entry import Entry
 
 LINE_WIDTH = 100  # characters
 INNER_COLUMN_WIDTH = 14  # characters, at most

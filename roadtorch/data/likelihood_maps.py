@@ -13,9 +13,11 @@ from torch import Tensor
 
 from roadtorch.base.bounded import read_regular, reason
 from roadtorch.base.errors import ConfigError, DatasetError, InputError, check_unit_range
-from roadtorch.base.settings import build_settings, read_settings_file
+from roadtorch.base.image import MASK_ENDING
+from roadtorch.base.settings import INFER_CONFIG, build_settings, read_settings_file
 from roadtorch.data.label_images import COLOUR, find_spelling, missing_hint, read_label_pixels
-from roadtorch.detectors.detector import DetectorSettings, decide_mask
+from roadtorch.detectors.entry import DetectorSettings
+from roadtorch.detectors.mask import decide_mask
 from roadtorch.inputs.item import evenly_spaced
 
 MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
@@ -28,9 +30,6 @@ CHECKED_MAPS = 8  # maps of a folder whose values are looked at before the run
 
 INFER_WHITE = {"uint8": 255, "uint16": 65535}
 """Levels that are 1 in the maps and masks of ``infer``, which may hold 0 and 1 alone."""
-
-INFER_CONFIG, MASK_ENDING = "config.toml", ".mask.png"
-"""Settings that ``infer`` writes beside its maps, and the file name's end of its masks."""
 
 DECISION_KEYS = ("threshold", "isolated", "seed_area")
 """Settings that turn a likelihood into a mask."""

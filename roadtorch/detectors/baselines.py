@@ -5,13 +5,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from roadtorch.detectors.detector import (
-    Analysis,
-    DetectorSettings,
-    Entry,
-    Isolated,
-    WorkingSettings,
-)
+from roadtorch.detectors.entry import Analysis, DetectorSettings, Entry, Isolated, WorkingSettings
 from roadtorch.imaging.color import color_plane
 from roadtorch.imaging.resize import WorkingSize, resize_to_image
 from roadtorch.road.bayes import PRIORS, Prior

@@ -18,7 +18,8 @@ from roadtorch.base.plugins import load_plugins
 from roadtorch.base.settings import merge
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors import baselines, fusion, illuminant, layout, oneclass, texture, ufl
-from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
+from roadtorch.detectors.detector import Detector
+from roadtorch.detectors.entry import DetectorSettings, Entry
 from roadtorch.layout.runtimes import REFERENCE, check_runtime
 
 Build = TypeVar("Build", bound=Callable[[Any], nn.Module])

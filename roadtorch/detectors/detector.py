@@ -1,27 +1,23 @@
 """Detectors: an image in; a likelihood, a mask and cues out.
 
-A detector has two parts. Its analysis is an ``nn.Module`` that turns an image into cues, one of
-them ``likelihood``; those of roadtorch are in the other modules of ``detectors``. ``Detector`` is
-the part that all share: checking the image, the ego car, full size, the mask, batches and footage.
+``Detector`` is what all share around the analysis of an entry: checking the image, the ego car,
+full size, batches and footage.
 """
 
 import os
 import reprlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import nullcontext
-from dataclasses import dataclass, field
-from functools import reduce, wraps
-from typing import Annotated, Any, Literal, NamedTuple, cast, get_args, overload
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from functools import reduce
+from typing import Any, cast, get_args, overload
 
 import numpy as np
 import torch
-from pydantic import Field
 from torch import Tensor, nn
 
 from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError, check_unit_range
 from roadtorch.base.image import ColourOrder, ImageLike, as_image, check_order
-from roadtorch.base.settings import Settings, build_settings, merge
+from roadtorch.base.settings import merge
 from roadtorch.camera.views import (
     Rectification,
     merge_views,
@@ -30,170 +26,32 @@ from roadtorch.camera.views import (
     view_itself,
 )
 from roadtorch.detectors.detection import Cues, Detection
+from roadtorch.detectors.entry import DetectorSettings, Entry, Judge, WorkingSettings
+from roadtorch.detectors.mask import Evidence, decide_mask
+from roadtorch.detectors.stream import detect_stream
 from roadtorch.imaging.levels import is_above, is_at_least
 from roadtorch.imaging.resize import (
-    WorkingSize,
     resize_to_image,
     resize_to_work,
     spatial_size,
     working_size,
 )
+from roadtorch.inputs.item import Selection
 from roadtorch.layout.runtimes import REFERENCE, use_runtime
 from roadtorch.road.ego import (
-    Ego,
     any_pixel,
     ego_car,
     extrapolate_over_ego,
     has_ego_car,
     read_ego_mask,
 )
-from roadtorch.road.outlines import Outlines, refine
-from roadtorch.road.seed_area import SeedArea, remove_isolated, seed_rectangle
-from roadtorch.road.temporal_filter import Motion, TemporalFilter
-from roadtorch.road.trust import Judgement
+from roadtorch.road.outlines import refine
+from roadtorch.road.temporal_filter import TemporalFilter
 
 MIN_TRUST = 0.01
 """Least weight of a rectified view, whose trust may be 0."""
 
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
-
-Threshold = Annotated[
-    float, Field(ge=0, le=1, description="likelihood from which a pixel is road, 0 to 1")
-]
-Isolated = Annotated[
-    Literal["drop", "keep"],
-    Field(description="drop road regions that do not touch the seed area, if any does; or keep"),
-]
-
-TUNED_THRESHOLD = "likelihood from which a pixel is road; the default was chosen on CamVid's labels"
-"""Description of a threshold that was chosen on labelled images: CamVid's three drives."""
-
-
-class DetectorSettings(Settings):
-    """Settings of every detector: how its likelihood becomes a mask.
-
-    >>> from roadtorch import DetectorSettings, load_detector
-    >>> isinstance(load_detector("cpf").settings, DetectorSettings)
-    True
-    """
-
-    threshold: Threshold = 0.5
-    isolated: Isolated = "keep"
-    seed_area: SeedArea = Field(
-        default=SeedArea(), description="area assumed to be road; connected road touches it"
-    )
-    ego: Ego = Field(
-        default=Ego(), description="vehicle that carries the camera: likelihood 0, never seed"
-    )
-    rectification: Rectification | None = Field(
-        default=None, description="lens whose distortion is removed before the analysis; or none"
-    )
-
-
-class WorkingSettings(DetectorSettings):
-    """Settings of detectors that analyse the image at a working size and drop isolated road.
-
-    ``Detector`` resizes the image for the analysis, and its maps back to full size.
-    """
-
-    isolated: Isolated = "drop"
-    working: WorkingSize = WorkingSize()
-    outlines: Outlines = "smooth"
-
-
-Judge = Callable[[Tensor, Mapping[str, Tensor]], Judgement]
-"""Optional method ``judge`` of an analysis: predicts the trust in a mask, bool (h, w), from it and
-the cues of that size, with ``likelihood`` and ``ego``."""
-
-
-class Evidence(NamedTuple):
-    """Result of an image's analysis, before smoothing over time and the decision on the mask.
-
-    outputs: likelihood and cues at the working size. likelihood: float32 (H, W), 0 on the ego car.
-    ego: bool (H, W), of settings and analysis; None if neither has one. cues: without these two.
-    image: (3, H, W) in [0, 1]. motion: of a frame, for smoothing.
-    """
-
-    outputs: Mapping[str, Tensor]
-    likelihood: Tensor
-    ego: Tensor | None
-    cues: Cues
-    image: Tensor
-    motion: Motion | None = None
-
-    def cpu(self) -> "Evidence":
-        """Return the evidence with its maps and the image on the CPU."""
-        outputs, cues = (
-            {name: map.cpu() for name, map in maps.items()}
-            for maps in (self.outputs, self.cues.maps)
-        )
-        ego = None if self.ego is None else self.ego.cpu()
-        cues = Cues(cues, self.cues.size)
-        likelihood, image = self.likelihood.cpu(), self.image.cpu()
-        return Evidence(outputs, likelihood, ego, cues, image, self.motion)
-
-
-@dataclass(frozen=True)
-class DetectorGrid:
-    """Grid of detectors of one family, one for each combination of options, listed as one.
-
-    name: ``family:<option>:<option>[:preset]``, with placeholders. summary: one line. invalid:
-    names of combinations that are not offered, with the reason.
-    """
-
-    name: str
-    summary: str
-    invalid: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def family(self) -> str:
-        """Prefix of all names, including the colon."""
-        return self.name.partition(":")[0] + ":"
-
-    @property
-    def wildcard(self) -> str:
-        """Pattern that matches all detectors: ``family:*``, or ``family:*:preset``."""
-        last = self.name.rpartition(":")[2]
-        return f"{self.family}*" if last.startswith("<") else f"{self.family}*:{last}"
-
-    def matches(self, pattern: str) -> bool:
-        """Return whether a pattern names the family and the preset, if any."""
-        begin, _, end = self.wildcard.partition("*")
-        return pattern.startswith(begin) and pattern.endswith(end)
-
-
-@dataclass(frozen=True)
-class Entry:
-    """Entry of the catalogue of detectors; the entry points of other packages name theirs.
-
-    Attributes:
-        name: ``family[:option[:option]]``.
-        summary: one line for lists.
-        settings: class of its settings.
-        build: makes from them, usually as a class, the ``nn.Module`` whose ``forward(image)`` takes
-            an image in [0, 1], shape (3, H, W), and returns cues by name, shape (H, W) or
-            (C, H, W); one of them is ``likelihood``, in [0, 1], shape (H, W).
-        grid: grid of detectors that it is part of.
-        baseline: whether it ignores the image.
-        defaults: its defaults where they differ from those of the class, nested.
-
-    >>> from roadtorch import Entry
-    >>> from roadtorch.detectors.catalogue import detector_entry
-    >>> isinstance(detector_entry("cpf"), Entry)
-    True
-    """
-
-    name: str
-    summary: str
-    settings: type[DetectorSettings]
-    build: Callable[[Any], nn.Module]
-    grid: DetectorGrid | None = None
-    baseline: bool = False
-    defaults: Mapping[str, Any] = field(default_factory=dict)
-
-    def make_settings(self, changes: Mapping[str, Any]) -> DetectorSettings:
-        """Return its settings with changes, nested; ConfigError as ``build_settings``."""
-        return build_settings(self.settings, merge(self.defaults, changes))
 
 
 class Detector(nn.Module):
@@ -343,8 +201,6 @@ class Detector(nn.Module):
         ...     print(detection.name, detection)
         street <Detection 320×240, road 50%>
         """
-        from roadtorch.run.loop import Selection, detect_stream  # a layer above: see pyproject.toml
-
         return detect_stream(source, self, Selection(**selection), steady=steady)
 
     @one_torch_thread()
@@ -498,42 +354,6 @@ def _changes(
             yield f"{group}{key}", value
 
 
-def use_inference_mode(
-    run: Callable[..., Mapping[str, Tensor]],
-) -> Callable[..., dict[str, Tensor]]:
-    """Decorate an analysis to run in inference mode, on the CPU and if gradients are disabled.
-
-    Saves a fifteenth of the time. The maps go through NumPy, which makes them ordinary tensors.
-    """
-
-    @wraps(run)
-    def wrapped(*arguments: Any) -> dict[str, Tensor]:
-        if torch.compiler.is_exporting():
-            return dict(run(*arguments))
-        on_cpu = all(item.device.type == "cpu" for item in arguments if isinstance(item, Tensor))
-        with torch.inference_mode() if on_cpu and not torch.is_grad_enabled() else nullcontext():
-            maps = run(*arguments)
-        return {
-            name: torch.from_numpy(map.numpy()) if map.is_inference() else map
-            for name, map in maps.items()
-        }
-
-    return wrapped
-
-
-class Analysis(nn.Module):
-    """Analysis without weights: a function of image and settings that returns the cues."""
-
-    def __init__(self, run: Callable[[Tensor, Any], Mapping[str, Tensor]], settings: Any) -> None:
-        super().__init__()
-        self.run = run
-        self.settings = settings
-
-    def forward(self, image: Tensor) -> Mapping[str, Tensor]:
-        """Compute the cues of an image (3, H, W) in [0, 1]."""
-        return self.run(image, self.settings)
-
-
 def validate_image(image: Tensor) -> Tensor:
     """Return an image (3, H, W) as float32; InputError unless in [0, 1] and at least 16×16."""
     if not isinstance(image, Tensor) or not image.is_floating_point():
@@ -549,28 +369,3 @@ def validate_image(image: Tensor) -> Tensor:
     low, high = (float(bound) for bound in torch.aminmax(image))
     check_unit_range("image", low, high, "scale it to [0, 1]")
     return image.to(torch.float32)
-
-
-def decide_mask(
-    likelihood: Tensor,
-    settings: DetectorSettings,
-    seed: Tensor | None = None,
-    ego: Tensor | None = None,
-) -> Tensor:
-    """Return the mask, bool (H, W): likelihood ≥ threshold, isolated regions dropped if set.
-
-    seed: seed area, bool (H, W); None: the rectangle of the settings. ego: ego car, bool (H, W).
-    Road may touch the seed area by ground hidden under the ego car; if only hidden ground touches
-    it, no region is dropped.
-    """
-    if ego is not None and not any_pixel(ego):
-        ego = None
-    extended = likelihood if ego is None else extrapolate_over_ego(likelihood, ego)
-    mask = is_at_least(extended, settings.threshold)
-    if settings.isolated == "drop":
-        area = seed_rectangle(mask.shape, settings.seed_area) if seed is None else seed
-        mask = remove_isolated(mask, area)
-    if ego is None:
-        return mask
-    mask = mask & ~ego
-    return mask if mask.any() else is_at_least(likelihood, settings.threshold) & ~ego

@@ -10,11 +10,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from roadtorch.base.settings import Settings
-from roadtorch.detectors.detector import (
+from roadtorch.detectors.entry import (
     TUNED_THRESHOLD,
     Analysis,
     Entry,
-    Outlines,
     Threshold,
     WorkingSettings,
     use_inference_mode,
@@ -45,6 +44,7 @@ from roadtorch.road.bayes import (
     segment_road,
 )
 from roadtorch.road.ego import any_pixel, extrapolate_over_ego, find_ego_car
+from roadtorch.road.outlines import Outlines
 from roadtorch.road.seed_area import (
     distance_likelihood,
     find_seed_area,

@@ -5,7 +5,7 @@ from functools import partial
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detectors.detector import (
+from roadtorch.detectors.entry import (
     Analysis,
     Entry,
     Threshold,

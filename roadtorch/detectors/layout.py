@@ -5,7 +5,7 @@ from functools import partial
 from pydantic import Field
 from torch import Tensor, nn
 
-from roadtorch.detectors.detector import (
+from roadtorch.detectors.entry import (
     TUNED_THRESHOLD,
     Analysis,
     Entry,

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field, create_model
 from torch import Tensor
 
-from roadtorch.detectors.detector import (
+from roadtorch.detectors.entry import (
     Analysis,
     DetectorGrid,
     Entry,

@@ -6,7 +6,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detectors.detector import (
+from roadtorch.detectors.entry import (
     TUNED_THRESHOLD,
     Analysis,
     Entry,

@@ -7,7 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detectors.detector import Analysis, DetectorSettings, Entry, Threshold
+from roadtorch.detectors.entry import Analysis, DetectorSettings, Entry, Threshold
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from roadtorch.ufl.feature_maps import (
     MapSettings,

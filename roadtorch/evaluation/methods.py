@@ -26,7 +26,9 @@ from roadtorch.camera.camera import Camera
 from roadtorch.data import likelihood_maps
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import detector_entry, is_pattern, list_detectors, load_detector
-from roadtorch.detectors.detector import Detection, Detector, DetectorSettings
+from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detector import Detector
+from roadtorch.detectors.entry import DetectorSettings
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.image_network import ImageNetwork

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from roadtorch.base.errors import DatasetError
 from roadtorch.detectors.catalogue import detector_entry
-from roadtorch.detectors.detector import DetectorSettings
+from roadtorch.detectors.entry import DetectorSettings
 from roadtorch.evaluation.measure import Scores
 from roadtorch.evaluation.measures import IOU, F
 from roadtorch.evaluation.methods import Contender

@@ -20,7 +20,7 @@ from roadtorch.camera.ground_grid import GridSettings, ground_grid
 from roadtorch.camera.ground_points import ground_points
 from roadtorch.camera.mounting import CameraPlacement, Mounting, PitchFilter, build_placement
 from roadtorch.detectors.detection import Detection
-from roadtorch.detectors.detector import Evidence
+from roadtorch.detectors.mask import Evidence
 from roadtorch.imaging.motion import flow_image
 from roadtorch.road.temporal_filter import (
     Motion,
@@ -114,7 +114,7 @@ class CameraTopics:
         """Decide on the mask of an image, after temporal smoothing, and publish it."""
         with self.report_errors():
             evidence = evidence._replace(motion=motion.result())
-            self._publish(arrival, self.inference.detector.conclude(evidence, self.filter))
+            self._publish(arrival, self.inference.conclude(evidence, self.filter))
 
     def _publish(self, arrival: Arrival, detection: Detection) -> None:
         """Publish mask, confidence and grid, and the overlay where it has subscribers."""

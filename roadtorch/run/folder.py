@@ -15,7 +15,7 @@ from roadtorch.base.atomic import (
 )
 from roadtorch.base.bounded import read_regular, to_printable
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.data.likelihood_maps import INFER_CONFIG
+from roadtorch.base.settings import INFER_CONFIG
 from roadtorch.run.ledger import INDEX_FILE
 
 OUT_HINT = "give another --out"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import ConfigError
-from roadtorch.data.likelihood_maps import INFER_CONFIG
+from roadtorch.base.settings import INFER_CONFIG
 from roadtorch.inputs.find import Inputs
 from roadtorch.inputs.item import Item, Source
 from roadtorch.run.folder import COCO_FILE, OUT_HINT, RUN_FILE

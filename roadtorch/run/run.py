@@ -17,7 +17,8 @@ from roadtorch.base.atomic import make_folder, relative_name, remove_leftovers
 from roadtorch.base.bounded import plural
 from roadtorch.base.errors import InputError, RoadtorchError, to_input_error
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import StopRequest, stop_on_signals
+from roadtorch.base.signals import StopRequest, stop_on_signals, until_stopped
+from roadtorch.detectors.stream import FrameResult, detect_frames
 from roadtorch.inputs.item import Item, Source
 from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
 from roadtorch.run.folder import OUT_HINT, open_result_folder
@@ -34,14 +35,12 @@ from roadtorch.run.ledger import (
     read_index,
 )
 from roadtorch.run.loop import (
-    FrameResult,
     Inference,
     Task,
+    crashed_evidence,
     crashed_row,
-    detect_frames,
     elapsed_ms,
     run_behind,
-    until_stopped,
     write_row,
 )
 from roadtorch.run.plan import Output, Plan, RunOptions, Writers
@@ -168,7 +167,8 @@ class Run:
         """Detect and write the frames of a source in order, and yield their rows."""
         temporal_filter = TemporalFilter(TemporalFilterSettings()) if steady else None
         assert isinstance(task.infer, Inference)
-        results = detect_frames(source, task.infer, self.workers, temporal_filter, cues, stop)
+        spread = partial(self.workers.map, on_crash=crashed_evidence, live=source.live)
+        results = detect_frames(source, task.infer, temporal_filter, cues, stop, spread)
 
         def write(frame: FrameResult) -> IndexRow:
             row = write_row(frame.item, frame.detection, writers.files, task.method, frame.ms)

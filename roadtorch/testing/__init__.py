@@ -18,7 +18,9 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import InputError
-from roadtorch.detectors.detector import Detection, Detector, Entry
+from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detector import Detector
+from roadtorch.detectors.entry import Entry
 
 SIZES = ((16, 16), (17, 200), (61, 16), (48, 64), (241, 319))
 """Heights and widths of test images: smallest, long, small, and beyond the working size."""

@@ -12,10 +12,9 @@ from torch import Tensor
 from roadtorch.base.compute import single_threaded_process
 from roadtorch.base.errors import InputError, RoadtorchError, to_input_error
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import StopRequest
+from roadtorch.base.signals import StopRequest, until_stopped
 from roadtorch.detectors.detector import validate_image
 from roadtorch.inputs.item import Item
-from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, read_cached, write_cached
 from roadtorch.run.workers import WORKER_CRASH, make_workers
 

@@ -11,11 +11,10 @@ from torch import Tensor
 from roadtorch.base.errors import InputError
 from roadtorch.base.image import read_image
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import StopRequest
+from roadtorch.base.signals import StopRequest, until_stopped
 from roadtorch.camera.footage import detect_ego_car
 from roadtorch.imaging.resize import WorkingSize, resize_to_image, resize_to_work, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
-from roadtorch.run.loop import until_stopped
 from roadtorch.run.memo import Arrays, cache_key, read_cached, write_cached
 from roadtorch.train.config import Recordings
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import StopRequest
+from roadtorch.base.signals import StopRequest, until_stopped
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.disagreement import Agreement
@@ -30,7 +30,7 @@ from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.road.bayes import centred_odds, log_odds
 from roadtorch.road.ego import extrapolate_over_ego
-from roadtorch.run.loop import Inference, until_stopped
+from roadtorch.run.loop import Inference
 from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
 from roadtorch.train.config import ImageTraining, Teacher
 from roadtorch.train.prepared import from_uint8, to_uint8

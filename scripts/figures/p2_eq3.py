@@ -12,7 +12,9 @@ from roadtorch.base.image_cache import cached_per_image
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem, subsample_dataset
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detection, Detector, WorkingSettings
+from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detector import Detector
+from roadtorch.detectors.entry import WorkingSettings
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Contender, Predictor

@@ -16,7 +16,7 @@ from roadtorch.base.image import tint_mask, to_pixels
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.curves import Curve, area, operating_points, roc
 from roadtorch.evaluation.methods import Predictor, contender_from_name

@@ -13,7 +13,7 @@ from roadtorch.camera.camera import Camera
 from roadtorch.camera.footage import detect_ego_car, estimate_camera
 from roadtorch.camera.gradients import estimate_horizon
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import DetectorSettings
+from roadtorch.detectors.entry import DetectorSettings
 from roadtorch.detectors.fusion import UntrainedFusionSettings
 from roadtorch.detectors.illuminant import IlluminantSettings
 from roadtorch.imaging.resize import resize_maps

@@ -14,7 +14,7 @@ from roadtorch.data.likelihood_maps import (
     find_white_levels,
     is_infer_folder,
 )
-from roadtorch.detectors.detector import DetectorSettings
+from roadtorch.detectors.entry import DetectorSettings
 
 Content = str | bytes | np.ndarray | Image.Image
 

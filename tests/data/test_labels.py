@@ -16,7 +16,7 @@ from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
 from roadtorch.data.likelihood_maps import find_maps, open_maps
 from roadtorch.data.polygons import fill_polygon
-from roadtorch.detectors.detector import DetectorSettings
+from roadtorch.detectors.entry import DetectorSettings
 from tests.data.conftest import read_likelihood_map
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 

@@ -6,7 +6,7 @@ import torch
 
 from roadtorch.detectors.baselines import ENTRIES
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.testing.scenes import render_scene
 
 NAMES = [entry.name for entry in ENTRIES if not entry.baseline]

@@ -19,8 +19,8 @@ from torch import Tensor, nn
 from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import overlay_pixels, read_image
-from roadtorch.detectors.detection import to_pandas
-from roadtorch.detectors.detector import Detection, use_inference_mode
+from roadtorch.detectors.detection import Detection, to_pandas
+from roadtorch.detectors.entry import use_inference_mode
 from roadtorch.imaging import slic as superpixels
 from roadtorch.imaging.resize import resize_to_image
 from roadtorch.oneclass import base

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detection, Detector
+from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.road.ego import Ego, ego_car, extrapolate_over_ego
 from roadtorch.testing import detection_violations

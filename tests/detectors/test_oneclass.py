@@ -12,7 +12,8 @@ from torch import Tensor
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.image_cache import image_cache
 from roadtorch.detectors.catalogue import list_detectors, load_detector
-from roadtorch.detectors.detector import Detection, Detector
+from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.oneclass import ENTRIES
 from roadtorch.evaluation import metrics
 from roadtorch.imaging.color import REPRESENTATIONS, color_planes

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import metrics, uncertainty
 from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.metrics import RoadCounts

@@ -10,7 +10,7 @@ import torch
 from scipy.stats import spearmanr
 
 from roadtorch.data.dataset import LabelledItem
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import boundary, metrics
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from roadtorch.data.dataset import LabelledItem, subsample_dataset
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.methods import Contender, collect_contenders, contender_from_name
 from roadtorch.evaluation.scoring import score_dataset

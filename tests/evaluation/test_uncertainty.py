@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.data.dataset import Dataset
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import uncertainty
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.result import DetectorScores

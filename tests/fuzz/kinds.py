@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.settings import build_settings, parse_assignments, to_toml
+from roadtorch.base.settings import INFER_CONFIG, build_settings, parse_assignments, to_toml
 from roadtorch.camera.birds_eye import warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration, read_camera_info
 from roadtorch.camera.camera import Camera, EgoTemplate
@@ -27,7 +27,6 @@ from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.label_folders import add_conditions
 from roadtorch.data.label_images import ColourLabels
 from roadtorch.data.likelihood_maps import (
-    INFER_CONFIG,
     MapFolder,
     find_white_levels,
     read_decision_settings,

@@ -2,7 +2,7 @@
 
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,10 @@ from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import read_image
 from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
+from roadtorch.detectors.stream import FrameResult, detect_frames
 from roadtorch.inputs.item import Item, Selection, Source
 from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
-from roadtorch.run.loop import FrameResult, Inference, detect_frames, run_behind
+from roadtorch.run.loop import Inference, crashed_evidence, run_behind
 from roadtorch.run.workers import Workers
 from tests.command import Call, save_image
 from tests.streets import scene
@@ -149,6 +150,10 @@ def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
         list(detect_stream(source, ROWS))
 
 
+def mapping(workers: Workers) -> Callable[..., Any]:
+    return partial(workers.map, on_crash=crashed_evidence)
+
+
 def is_failed(frame: FrameResult) -> bool:
     return isinstance(frame.outcome, RoadtorchError)
 
@@ -173,7 +178,7 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
 
     never = Never()
 
-    frames = list(detect_frames(scene_source(5), Inference(GREY), workers, never))  # type: ignore[arg-type]
+    frames = list(detect_frames(scene_source(5), Inference(GREY), never, map_task=mapping(workers)))  # type: ignore[arg-type]
 
     for frame in frames:
         detection = frame.detection()
@@ -191,9 +196,9 @@ def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
             detect_frames(
                 scene_source(7),
                 Inference(GREY),
-                workers,
                 TemporalFilter(TemporalFilterSettings()),
                 cues,
+                map_task=mapping(workers),
             )
         )
         for workers in (Workers(), Workers(3))
@@ -211,11 +216,11 @@ def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
 @pytest.mark.parametrize("workers", [Workers(), Workers(2)])
 def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) -> None:
     source = scene_source(4, bad=1)
-    frames = list(detect_frames(source, Inference(ROWS), workers))
+    frames = list(detect_frames(source, Inference(ROWS), map_task=mapping(workers)))
     assert [frame.item.number for frame in frames if is_failed(frame)] == [1]
 
     second = Inference(ROWS, Camera(width=200, height=50, frames=10, horizon=0.4, seed_row=1.0))
-    for number, frame in enumerate(detect_frames(source, second, workers)):
+    for number, frame in enumerate(detect_frames(source, second, map_task=mapping(workers))):
         assert str(frame.outcome).startswith(f"frame {number}: is ")
 
 
@@ -238,7 +243,7 @@ def test_a_step_behind_keeps_order_and_its_results_come_before_an_error() -> Non
 def test_stopping_ends_the_frames() -> None:
     closed: list[bool] = []
     stop = StopRequest()
-    frames = detect_frames(scene_source(10**6, closed), Inference(ROWS), Workers(), stop=stop)
+    frames = detect_frames(scene_source(10**6, closed), Inference(ROWS), stop=stop)
     next(frames)
     stop.request(signal.SIGINT)
     assert len(list(frames)) <= 1

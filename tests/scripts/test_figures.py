@@ -13,7 +13,7 @@ from torch import Tensor
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation import metrics
 from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.curves import Curve, area

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from roadtorch.detectors.detector import DetectorSettings, Entry
+from roadtorch.detectors.entry import DetectorSettings, Entry
 from roadtorch.testing import ContractError, check_detector
 from roadtorch.testing.scenes import ROAD, SCENE_SKY, VOID, render_scene
 

@@ -9,7 +9,8 @@ from torch import nn
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import StopRequest
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.detectors.detector import Detector, DetectorSettings, Entry
+from roadtorch.detectors.detector import Detector
+from roadtorch.detectors.entry import DetectorSettings, Entry
 from roadtorch.imaging.levels import otsu_threshold
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import NUM_OUTPUTS, ImageNetwork, ImageNetworkSettings

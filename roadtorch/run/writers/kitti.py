@@ -12,7 +12,7 @@ from roadtorch.base.image import write_map
 from roadtorch.camera.birds_eye import warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration
 from roadtorch.data.kitti_road import result_name
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
 from roadtorch.run.ledger import DONE

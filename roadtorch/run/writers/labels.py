@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.image import write_jpeg, write_labels
-from roadtorch.detectors.detector import Detection, validate_image
+from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.detector import validate_image
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import HORIZONTAL, colour_layout
 from roadtorch.layout.labeller import LabellerSettings, label_layout

@@ -9,11 +9,17 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.atomic import write_json, write_text
-from roadtorch.base.image import write_map, write_mask, write_npy, write_pixels, write_rgb_png
+from roadtorch.base.image import (
+    MASK_ENDING,
+    write_map,
+    write_mask,
+    write_npy,
+    write_pixels,
+    write_rgb_png,
+)
 from roadtorch.base.version import __version__
-from roadtorch.data.likelihood_maps import MASK_ENDING
 from roadtorch.data.polygons import coco_annotation
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import LAYOUT_COLOURS, colour_layout
 from roadtorch.run.ledger import IndexRow

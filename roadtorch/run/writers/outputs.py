@@ -12,11 +12,11 @@ import numpy as np
 from roadtorch.base.errors import RoadtorchError, to_input_error
 from roadtorch.camera.mounting import MEDIAN_FRAMES, CameraPlacement, Pitch, median_pitch
 from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.stream import detect_frames
 from roadtorch.inputs.bags import camera_info, image_topic, is_bag
 from roadtorch.inputs.item import Source
-from roadtorch.run.loop import Inference, detect_frames
+from roadtorch.run.loop import Inference
 from roadtorch.run.plan import Output, Writer, Writers
-from roadtorch.run.workers import Workers
 from roadtorch.run.writers.bag import BagWriter
 from roadtorch.run.writers.grid import GridWriter
 from roadtorch.run.writers.maps import CUE_SUFFIXES, MapWriter
@@ -148,7 +148,7 @@ def fix_pitch(placement: CameraPlacement, infer: Inference, source: Source) -> C
     """Set one pitch for a source, the median of some frames' estimates; InputError without any."""
     pitches: list[Pitch] = []
     error: RoadtorchError | None = None
-    frames = detect_frames(source.subsample(MEDIAN_FRAMES), infer, Workers())
+    frames = detect_frames(source.subsample(MEDIAN_FRAMES), infer)
     with warnings.catch_warnings(), closing(frames):
         warnings.simplefilter("ignore")  # of its clock: reported when all frames are read
         for frame in frames:

@@ -11,7 +11,7 @@ import numpy as np
 
 from roadtorch.base.atomic import atomic_write, write_error
 from roadtorch.base.errors import InputError
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.inputs.video import ffmpeg_reason, import_av
 

@@ -14,7 +14,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 
 from roadtorch.base.errors import InputError
 from roadtorch.camera.ground_grid import Grid
-from roadtorch.detectors.detector import Detection
+from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.bags import image_topic
 from roadtorch.inputs.item import Item
 from roadtorch.run.writers.bag import BagWriter, load_message_types
