@@ -289,6 +289,17 @@ def threads_of_a_new_one() -> int:
         return new.submit(torch.get_num_threads).result()
 
 
+@pytest.mark.parametrize("name", ["fusion", "fusion:paper", "ufl", "oneclass:gaussian:HS"])
+def test_a_default_device_of_the_user_changes_nothing(name: str) -> None:
+    image = street(48, 64)
+    expected = load_detector(name).detect(image).likelihood
+
+    with torch.device("meta"):  # as of torch.set_default_device
+        likelihood = load_detector(name).detect(image).likelihood
+
+    assert torch.equal(likelihood, expected)
+
+
 @pytest.mark.usefixtures("two_threads")
 def test_in_several_threads_the_bytes_are_the_same() -> None:
     detector, image = load_detector("fusion"), street(240, 320)

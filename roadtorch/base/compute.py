@@ -4,7 +4,7 @@ import ctypes
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -24,20 +24,32 @@ def one_torch_thread() -> Iterator[None]:
     """Let torch compute in the calling thread inside the block, or in the decorated function.
 
     The same image then gives the same bytes: sums that threads share depend on their number.
-    Other threads keep their number throughout.
+    Other threads keep their number throughout. New tensors are on the CPU (``default_to_cpu``).
     """
     import torch
 
     with _THREAD_COUNT_LOCK:  # a new thread takes the default, which another may be changing
         count = torch.get_num_threads()
     if count == 1:
-        yield
+        with default_to_cpu():
+            yield
         return
     _set_calling_thread_count(1)
     try:
-        yield
+        with default_to_cpu():
+            yield
     finally:
         _set_calling_thread_count(count)
+
+
+@contextmanager
+def default_to_cpu() -> Iterator[None]:
+    """Make new tensors on the CPU inside the block, whatever ``torch.set_default_device`` says."""
+    import torch
+
+    is_cpu = torch.empty(0).device.type == "cpu"
+    with nullcontext() if is_cpu else torch.device("cpu"):
+        yield
 
 
 def _set_calling_thread_count(count: int) -> None:

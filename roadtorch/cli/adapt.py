@@ -82,7 +82,7 @@ def adapt_command(
         message = "adaptation starts from the weights of a whole-image network"
         hint = "keep kind = images, and give initial_weights=WEIGHTS"
         raise ConfigError("kind, initial_weights", message, hint)
-    limit = min(max_frames, QUICK_FRAMES) if quick else max_frames
+    limit = QUICK_FRAMES if quick else max_frames
     adaptation = adapt(footage, out, training, limit, quiet)
     outcome, verdict, frames = adaptation.outcome, str(adaptation.verdict), adaptation.frames
     if outcome.interrupted:

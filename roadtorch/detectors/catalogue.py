@@ -11,7 +11,7 @@ from typing import Any, Never, TypeVar
 
 from torch import nn
 
-from roadtorch.base.compute import check_device
+from roadtorch.base.compute import check_device, default_to_cpu
 from roadtorch.base.errors import ConfigError, unknown_name_error
 from roadtorch.base.image import ColourOrder
 from roadtorch.base.plugins import load_plugins
@@ -87,7 +87,8 @@ def load_detector(
     if device is not None:
         check_device(device, "device")
     check_runtime(runtime, device)
-    return Detector(entry, entry.make_settings(settings), order, device, runtime).eval()
+    with default_to_cpu():
+        return Detector(entry, entry.make_settings(settings), order, device, runtime).eval()
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:

@@ -78,7 +78,7 @@ def test_a_quick_run_takes_fewer_frames(street: Path, monkeypatch: pytest.Monkey
         raise InputError("a", "b", "c")
 
     monkeypatch.setattr("roadtorch.train.adaptation.adapt.adapt", take_limit)
-    for words in ((), ("--quick",), ("--quick", "--frames", "9")):
+    for words in ((), ("--quick",), ("--frames", "9")):
         assert adapt(street, "--out", "out", *words).exit_code == 2
 
     assert limits == [400, 60, 9]
