@@ -38,12 +38,16 @@ IMAGES, WEIGHTS, ADAPTATION_PAGE = "images.csv", "weights.safetensors", "adaptat
 LABELS = "labels-"
 """Beginning of the names of folders of a network's labels; the number of the round follows."""
 
+ROUND_WEIGHTS, SHEET = "round-{}.safetensors", "sheet-{}.jpg"
+"""Weights of a round, and target images with the road that its network finds."""
+
 CARD, PREPARED, CORRECTIONS = "weights.md", "prepared", "corrections"
 FUSION_CONFIG = "fusion.toml"
 """Config of the detector ``fusion`` with the weights of a run with corrections."""
 
 RUN_FILES = (
     *(RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, CARD, ADAPTATION_PAGE, FUSION_CONFIG),
+    *(ROUND_WEIGHTS, SHEET),
     *(f"{PREPARED}/", f"{CORRECTIONS}/", f"{LABELS}{{}}"),
 )
 

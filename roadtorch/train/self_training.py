@@ -52,6 +52,7 @@ from roadtorch.train.prepared import (
     to_uint8,
 )
 from roadtorch.train.recordings import recording_name
+from roadtorch.train.run_folder import ROUND_WEIGHTS, SHEET
 from roadtorch.train.source import (
     find_source_images,
     prepare_source,
@@ -87,10 +88,8 @@ MASKED_PATCH = 32
 LEVEL_BATCHES = 30
 """Batches over which the statistics of a new head's features are measured."""
 
-SHEET = (4, 4)
-"""Rows and columns of a sheet of target images with their road."""
-
-SHEET_SIZE = (240, 320)
+SHEET_TILES, TILE_SIZE = (4, 4), (240, 320)
+"""Rows and columns of a sheet of target images with their road, and the size of each."""
 
 
 # --- labels -----------------------------------------------------------------------------
@@ -404,15 +403,16 @@ class SelfTrainingRecipe(Recipe):
 
     def finish_round(self, network: nn.Module, out: Path, number: int) -> None:
         """Write the weights of a round and a sheet of target images with their road."""
-        path, sheet = round_weights(out, number), out / f"sheet-{number}.jpg"
+        path, sheet = round_weights(out, number), out / SHEET.format(number)
         if sheet.exists():  # of an interrupted run
             return
         assert isinstance(network, BackboneNetwork)
         save_network(path, network, {"round": number})
-        detector, (rows, columns) = load_detector("fusion", weights={"file": str(path)}), SHEET
+        detector = load_detector("fusion", weights={"file": str(path)})
+        rows, columns = SHEET_TILES
         tiles = list[np.ndarray]()
         for file in evenly_spaced(self._files, rows * columns)[: rows * columns]:
-            image = resize_maps(from_uint8(read_arrays(file, "image")["image"]), SHEET_SIZE)
+            image = resize_maps(from_uint8(read_arrays(file, "image")["image"]), TILE_SIZE)
             tiles.append(detector.detect(image).overlay())
         tiles += [np.zeros_like(tiles[0])] * (rows * columns - len(tiles))
         lines = [np.hstack(tiles[k : k + columns]) for k in range(0, len(tiles), columns)]
@@ -455,7 +455,7 @@ def balanced_weights(names: Sequence[str], balance: float) -> list[float]:
 
 def round_weights(out: Path, number: int) -> Path:
     """Return the path of the weights after a round."""
-    return out / f"round-{number}.safetensors"
+    return out / ROUND_WEIGHTS.format(number)
 
 
 def names_digest(names: Sequence[str]) -> str:

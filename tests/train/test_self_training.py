@@ -109,6 +109,12 @@ def test_the_command_takes_source_images(
     assert re.search(r"\| command \| `roadtorch train .*--source ", card)
 
 
+def test_a_foreign_sheet_is_not_replaced(request_of_run: TrainingRequest, tmp_path: Path) -> None:
+    (tmp_path / "sheet-2.jpg").touch()
+    with pytest.raises(ConfigError, match=r"sheet-2.jpg: exists and was not written by roadtorch"):
+        train(training_of("self-training"), replace(request_of_run, out=tmp_path))
+
+
 # --- rounds -----------------------------------------------------------------------------
 
 
