@@ -31,10 +31,10 @@ LINES = {
     "roadtorch/ros": 570,
     "roadtorch/run": 2_620,
     "roadtorch/testing": 640,
-    "roadtorch/train": 4_450,
+    "roadtorch/train": 4_455,
     "roadtorch/ufl": 1_355,
     "scripts": 5_545,
-    "tests": 29_885,
+    "tests": 29_900,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""
