@@ -16,11 +16,11 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_410,
-    "roadtorch/base": 2_180,
+    "roadtorch/base": 2_195,
     "roadtorch/camera": 2_180,
     "roadtorch/cli": 2_090,
     "roadtorch/data": 2_565,
-    "roadtorch/detectors": 2_390,
+    "roadtorch/detectors": 2_430,
     "roadtorch/evaluation": 3_670,
     "roadtorch/export": 875,
     "roadtorch/imaging": 1_150,
@@ -29,12 +29,12 @@ LINES = {
     "roadtorch/oneclass": 1_790,
     "roadtorch/road": 1_595,
     "roadtorch/ros": 570,
-    "roadtorch/run": 2_620,
+    "roadtorch/run": 2_610,
     "roadtorch/testing": 640,
     "roadtorch/train": 4_455,
     "roadtorch/ufl": 1_355,
     "scripts": 5_545,
-    "tests": 29_900,
+    "tests": 29_925,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""

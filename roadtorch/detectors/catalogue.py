@@ -20,6 +20,7 @@ from roadtorch.camera.camera import Camera
 from roadtorch.detectors import baselines, fusion, illuminant, layout, oneclass, texture, ufl
 from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.entry import DetectorSettings, Entry
+from roadtorch.detectors.rectified import Rectified
 from roadtorch.layout.runtimes import REFERENCE, check_runtime
 
 Build = TypeVar("Build", bound=Callable[[Any], nn.Module])
@@ -88,7 +89,21 @@ def load_detector(
         check_device(device, "device")
     check_runtime(runtime, device)
     with default_to_cpu():
-        return Detector(entry, entry.make_settings(settings), order, device, runtime).eval()
+        return build_detector(entry, entry.make_settings(settings), order, device, runtime)
+
+
+def build_detector(
+    entry: Entry,
+    settings: DetectorSettings,
+    order: ColourOrder | None = None,
+    device: str | None = None,
+    runtime: str = REFERENCE,
+) -> Detector:
+    """Build the detector of an entry, behind a lens where its settings have one."""
+    detector = Detector(entry, settings, order, device, runtime)
+    if settings.rectification is not None:
+        detector = Rectified(detector, settings.rectification)
+    return detector.eval()
 
 
 def list_detectors(pattern: str | None = None) -> list[str]:

@@ -18,23 +18,14 @@ from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import ConfigError, InputError, check_unit_range
 from roadtorch.base.image import ColourOrder, ImageLike, as_image, check_order
 from roadtorch.base.settings import merge
-from roadtorch.camera.views import (
-    Rectification,
-    merge_views,
-    rectified_views,
-    sample_view,
-    view_itself,
-)
 from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.detectors.entry import DetectorSettings, Entry, Judge, WorkingSettings
 from roadtorch.detectors.mask import Evidence, decide_mask
 from roadtorch.detectors.stream import detect_stream
-from roadtorch.imaging.levels import is_above, is_at_least
 from roadtorch.imaging.resize import (
     resize_to_image,
     resize_to_work,
     spatial_size,
-    working_size,
 )
 from roadtorch.inputs.item import Selection
 from roadtorch.layout.runtimes import REFERENCE, use_runtime
@@ -47,9 +38,6 @@ from roadtorch.road.ego import (
 )
 from roadtorch.road.outlines import refine
 from roadtorch.road.temporal_filter import TemporalFilter
-
-MIN_TRUST = 0.01
-"""Least weight of a rectified view, whose trust may be 0."""
 
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
 
@@ -88,6 +76,7 @@ class Detector(nn.Module):
         self.settings = settings
         self._defaults = entry.defaults
         # Read here, so that errors in the file are reported before any image is analysed.
+        self._has_ego_car = has_ego_car(settings.ego)
         self._ego_mask = read_ego_mask(settings.ego.mask) if settings.ego.mask else None
         analysis = entry.build(settings)
         if not isinstance(analysis, nn.Module):
@@ -220,67 +209,33 @@ class Detector(nn.Module):
         return self._find(image)
 
     def _find(self, image: Tensor) -> Evidence:
-        """Run ``_analyse`` without autocast; ConfigError inside ``torch.compile``."""
+        """Analyse an image without autocast; ConfigError inside ``torch.compile``.
+
+        Its ego car is the union of the settings' and the cue ``ego``.
+        """
         if torch.compiler.is_compiling():
             hint = "compile its backbone: detector.analysis.network.backbone = torch.compile(…)"
             raise ConfigError("torch.compile", "takes no detector", hint)
         device = next((weights.device for weights in self.parameters()), self.device)
         image = validate_image(image).to(device)
+        cars, ground, size = [], image, (image.shape[1], image.shape[2])
         with torch.autocast("cuda" if image.is_cuda else "cpu", enabled=False):
-            return self._analyse(image)
-
-    def _analyse(self, image: Tensor) -> Evidence:
-        """Analyse an image; its ego car is the union of the settings' and the cue ``ego``."""
-        cars, ground, size = [], image, spatial_size(image)
-        if has_ego_car(self.settings.ego):
-            cars = [ego_car(image, self.settings.ego, self._ego_mask)]
-            ground = extrapolate_over_ego(image, cars[0])
-        if self.settings.rectification is None:
-            outputs, likelihood = self._analyse_view(ground)
-        else:
-            outputs, likelihood = self._analyse_views(ground, self.settings.rectification)
-        cues = {name: map for name, map in outputs.items() if name != "likelihood"}
-        if "ego" in cues:
-            cars.append(resize_to_image(cues.pop("ego"), size))
-        ego = reduce(torch.logical_or, cars) if cars else None
-        if ego is not None and any_pixel(ego):
-            likelihood = likelihood.masked_fill(ego, 0)
-            if "seed_area" in cues:
-                cues["seed_area"] = resize_to_image(cues["seed_area"], size).masked_fill(ego, 0)
+            if self._has_ego_car:
+                cars = [ego_car(image, self.settings.ego, self._ego_mask)]
+                ground = extrapolate_over_ego(image, cars[0])
+            outputs, likelihood = self.find_maps(ground)
+            cues = {name: map for name, map in outputs.items() if name != "likelihood"}
+            if "ego" in cues:
+                cars.append(resize_to_image(cues.pop("ego"), size))
+            ego = reduce(torch.logical_or, cars) if cars else None
+            if ego is not None and any_pixel(ego):
+                likelihood = likelihood.masked_fill(ego, 0)
+                if "seed_area" in cues:
+                    seed = resize_to_image(cues["seed_area"], size)
+                    cues["seed_area"] = seed.masked_fill(ego, 0)
         return Evidence(outputs, likelihood, ego, Cues(cues, size), image)
 
-    def _analyse_views(
-        self, image: Tensor, rectification: Rectification
-    ) -> tuple[Mapping[str, Tensor], Tensor]:
-        """Analyse rectified views of an image, and itself; return its maps as ``_analyse_view``.
-
-        Each counts by its trust: a view of a bumper alone finds no road, and is not trusted.
-        """
-        size, settings = spatial_size(image), self.settings
-        lens = rectification.lens.at(size[1], size[0])
-        rectified = rectified_views(lens, rectification.pitch)
-        outputs, likelihoods, weights = list[Mapping[str, Tensor]](), list[Tensor](), list[float]()
-        for view in [*(sample_view(image, lens, view) for view in rectified), image]:
-            maps, likelihood = self._analyse_view(view)
-            ego = maps.get("ego")
-            if ego is not None:  # no road here; other views may see past it
-                likelihood = likelihood.masked_fill(resize_to_image(ego, spatial_size(view)), 0)
-            trust, _ = self._judge(is_at_least(likelihood, settings.threshold), maps, ego)
-            weights.append(1.0 if trust is None else max(trust, MIN_TRUST))
-            outputs.append(maps if ego is None else {**maps, "ego": ego.to(torch.float32)})
-            likelihoods.append(likelihood)
-        views = [*rectified, view_itself(lens)]
-        is_small = isinstance(settings, WorkingSettings)
-        small = working_size(*size, settings.working) if is_small else size
-        merged = {
-            name: merge_views([maps[name] for maps in outputs], lens, views, small, weights)
-            for name in outputs[0]
-        }
-        if "ego" in merged:
-            merged["ego"] = is_above(merged["ego"], 0.5)
-        return merged, merge_views(likelihoods, lens, views, size, weights).clamp(0, 1)
-
-    def _analyse_view(self, image: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
+    def find_maps(self, image: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
         """Return the maps of an image's analysis, and the likelihood (H, W) at its full size."""
         settings = self.settings if isinstance(self.settings, WorkingSettings) else None
         small = resize_to_work(image, settings.working) if settings else image
@@ -316,13 +271,13 @@ class Detector(nn.Module):
         if seed is not None:
             seed = resize_to_image(seed, spatial_size(likelihood))
         mask = decide_mask(likelihood, self.settings, seed, ego)
-        trust, doubt = self._judge(mask, outputs, ego)
+        trust, doubt = self.judge(mask, outputs, ego)
         cues = evidence.cues
         if ego is not None:
             cues = Cues({**cues.maps, "ego": ego}, cues.size)
         return Detection(likelihood, mask, cues, trust, doubt, image=evidence.image)
 
-    def _judge(
+    def judge(
         self, mask: Tensor, outputs: Mapping[str, Tensor], ego: Tensor | None
     ) -> tuple[float | None, str]:
         """Predict the trust in a mask (H, W), and its doubt; None if the detector predicts none."""

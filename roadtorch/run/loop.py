@@ -5,7 +5,7 @@ writing; of frames they only compute the evidence, for temporal smoothing and vi
 frames in order. Results do not depend on the number of workers.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,8 +28,7 @@ from roadtorch.run.folder import OUT_HINT
 from roadtorch.run.ledger import DONE, DOUBTFUL, IndexRow, Method, failed_row
 from roadtorch.run.workers import WORKER_CRASH
 
-Value = TypeVar("Value")
-Result = TypeVar("Result")
+_Value = TypeVar("_Value")
 
 # --- single images ------------------------------------------------------------------------
 
@@ -158,18 +157,13 @@ def crashed_evidence(_: object) -> tuple[InputError, float]:
     return InputError("image", *WORKER_CRASH), 0.0
 
 
-def run_behind(step: Callable[[Value], Result], values: Iterable[Value]) -> Iterator[Result]:
-    """Yield the results of a step, which runs in a thread while the value after its own is made."""
-    error = running = None
+def run_behind(step: Callable[[_Value], object], values: Iterable[_Value]) -> None:
+    """Run a step on each value, in order, in a thread that works while the next value is made."""
     with ThreadPoolExecutor(1) as thread:
+        running = thread.submit(int)
         try:
             for value in values:
-                if running is not None:
-                    yield running.result()
+                running.result()
                 running = thread.submit(step, value)
-        except Exception as raised:  # re-raised after the last result
-            error = raised
-        if running is not None:
-            yield running.result()
-        if error is not None:
-            raise error
+        finally:  # an error of the step precedes those of later values
+            running.result()

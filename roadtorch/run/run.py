@@ -2,7 +2,7 @@
 
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -79,7 +79,8 @@ class Run:
         again = sum(ledger.has_files(item, suffixes) for item in outdated)
         with stop_on_signals() as stop:
             results = self.workers.map(task, until_stopped(todo, stop), crashed_row)
-            tried = list(self._record(results, "image", total=len(todo)))
+            with closing(results), self._progress(results, "image", len(todo)) as bar:
+                tried = [self._record(row, bar) for row in bar]
             self._remove_leftovers(items)  # of workers that died
         stop.raise_if_requested()
         failed = sum(ledger.rows[item.row_name].failed for item in todo)
@@ -132,9 +133,9 @@ class Run:
         state = _file_state(source)
         try:
             with stop_on_signals() as stop, output.open() as writers:
-                rows = self._frame_rows(source, task, writers, output.cues, steady, stop)
-                for row in self._record(rows, "frame", total=source.count):
-                    count.add(row)
+                frames = self._detect_frames(source, task, output.cues, steady, stop)
+                with closing(frames), self._progress(frames, "frame", source.count) as bar:
+                    run_behind(partial(self._write_frame, task, writers, count, bar), bar)
             if _file_state(source) != state:
                 raise InputError(source.origin, "changed while it was read", "run it again")
             stop.raise_if_requested()
@@ -155,43 +156,39 @@ class Run:
             click.echo(f"roadtorch: {row.status}", err=True)
         return row
 
-    def _frame_rows(
-        self,
-        source: Source,
-        task: Task,
-        writers: Writers,
-        cues: bool,
-        steady: bool,
-        stop: StopRequest,
-    ) -> Iterator[IndexRow]:
-        """Detect and write the frames of a source in order, and yield their rows."""
+    def _detect_frames(
+        self, source: Source, task: Task, cues: bool, steady: bool, stop: StopRequest
+    ) -> Generator[FrameResult]:
+        """Detect the road in the frames of a source, in order."""
         temporal_filter = TemporalFilter(TemporalFilterSettings()) if steady else None
         assert isinstance(task.infer, Inference)
         spread = partial(self.workers.map, on_crash=crashed_evidence, live=source.live)
-        results = detect_frames(source, task.infer, temporal_filter, cues, stop, spread)
+        return detect_frames(source, task.infer, temporal_filter, cues, stop, spread)
 
-        def write(frame: FrameResult) -> IndexRow:
-            row = write_row(frame.item, frame.detection, writers.files, task.method, frame.ms)
-            start = perf_counter()
-            if not isinstance(frame.outcome, RoadtorchError):
-                for writer in writers.streams:
-                    writer.write(frame.item, frame.outcome)
-            return row if row.failed else replace(row, ms=elapsed_ms(start, float(row.ms)))
-
-        is_alone = self.workers == Workers() or source.live  # a camera's rows are due at once
-        with closing(results) as frames:
-            yield from map(write, frames) if is_alone else run_behind(write, frames)
+    def _write_frame(
+        self, task: Task, writers: Writers, count: "_Count", bar: Progress, frame: FrameResult
+    ) -> None:
+        """Write the results of a frame, and record its row."""
+        row = write_row(frame.item, frame.detection, writers.files, task.method, frame.ms)
+        start = perf_counter()
+        if not isinstance(frame.outcome, RoadtorchError):
+            for writer in writers.streams:
+                writer.write(frame.item, frame.outcome)
+        row = row if row.failed else replace(row, ms=elapsed_ms(start, float(row.ms)))
+        self._record(row, bar)
+        count.add(row)
 
     # --- output on the terminal ---------------------------------------------------------
 
-    def _record(self, rows: Any, unit: str, total: int | None) -> Iterator[IndexRow]:
-        """Add rows to the index as they arrive, show progress and print failures."""
-        with closing(rows), Progress(rows, total=total, unit=unit, quiet=self.options.quiet) as bar:
-            for row in bar:
-                if row.failed:
-                    bar.write(f"roadtorch: {row.status}", file=sys.stderr)
-                self.ledger.add(row)
-                yield row
+    def _progress(self, items: Any, unit: str, total: int | None) -> Progress:
+        return Progress(items, total=total, unit=unit, quiet=self.options.quiet)
+
+    def _record(self, row: IndexRow, bar: Progress) -> IndexRow:
+        """Add a row to the index, print it if it is a failure, and return it."""
+        if row.failed:
+            bar.write(f"roadtorch: {row.status}", file=sys.stderr)
+        self.ledger.add(row)
+        return row
 
     def _print_summary(self, done: str, counts: Mapping[str, int]) -> None:
         """Print one line on stderr with the counts that are not zero."""

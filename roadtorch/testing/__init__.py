@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import InputError
+from roadtorch.detectors.catalogue import build_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.entry import Entry
@@ -53,7 +54,7 @@ def check_detector(entry: Entry, **settings: Any) -> None:
 def contract_violations(entry: Entry, **settings: Any) -> list[str]:
     """Return violations of the contract, the first of each check; empty for a valid detector."""
     checked = entry.make_settings(settings)
-    detector, again = (Detector(entry, checked).eval() for _ in range(2))
+    detector, again = (build_detector(entry, checked) for _ in range(2))
     violations = [next(check(detector, again), None) for check in CONTRACT_CHECKS]
     return [f"{entry.name} {text}" for text in violations if text is not None]
 

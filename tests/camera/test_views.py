@@ -1,5 +1,6 @@
 """Rectified views of wide lenses: what they show, what comes back, and what a detector gains."""
 
+import copy
 import math
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,17 @@ from roadtorch.camera.camera import Camera
 from roadtorch.camera.footage import estimate_camera
 from roadtorch.camera.ground import Lens, camera_pose, pinhole_lens, pixel_rays, project_rays
 from roadtorch.camera.mounting import Mounting, build_placement
-from roadtorch.camera.views import View, merge_views, rectified_views, sample_view, view_itself
+from roadtorch.camera.views import (
+    Rectification,
+    View,
+    merge_views,
+    rectified_views,
+    sample_view,
+    view_itself,
+)
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
+from roadtorch.detectors.rectified import Rectified
 from tests.streets import drive, scene
 
 WIDTH, HEIGHT = 192, 144
@@ -235,7 +244,8 @@ def test_the_maps_of_a_fisheye_have_its_shape_and_end_at_its_circle(name: str) -
     assert detection.cues.keys() == plain.cues.keys()
     for cue, values in detection.cues.items():
         assert (values.shape, values.dtype) == (plain.cues[cue].shape, plain.cues[cue].dtype)
-    assert detect(name, image, lens).likelihood.equal(detection.likelihood)
+    wrapped = copy.deepcopy(Rectified(load_detector(name), Rectification(lens=lens)))
+    assert wrapped(image).likelihood.equal(detection.likelihood)
     with pytest.raises(InputError, match="the calibration 192×144"):
         detect(name, image[:, :72], lens)
 

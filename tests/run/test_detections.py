@@ -224,20 +224,30 @@ def test_a_frame_that_cannot_be_read_or_looked_at_is_missed(workers: Workers) ->
         assert str(frame.outcome).startswith(f"frame {number}: is ")
 
 
-def test_a_step_behind_keeps_order_and_its_results_come_before_an_error() -> None:
+def test_a_step_behind_keeps_order_and_ends_before_an_error() -> None:
+    seen: list[tuple[int, int]] = []
+
     def values() -> Iterator[int]:
         yield from range(3)
         raise InputError("drive.mp4", "ends early", "copy it again")
 
-    results = run_behind(lambda number: (number, threading.get_ident()), values())
-
-    first, *later = [next(results) for _ in range(3)]
-    assert [first[0], *(number for number, _ in later)] == [0, 1, 2]
-    assert first[1] != threading.get_ident()
     with pytest.raises(InputError, match="ends early"):
-        next(results)
+        run_behind(lambda number: seen.append((number, threading.get_ident())), values())
+
+    assert [number for number, _ in seen] == [0, 1, 2]
+    assert threading.get_ident() not in dict(seen).values()
     with pytest.raises(ZeroDivisionError):
-        list(run_behind(lambda number: 1 / number, iter([1, 0, 2])))
+        run_behind(lambda number: 1 / number, iter([1, 0, 2]))
+
+
+def test_a_live_frame_is_recorded_before_the_next_one_comes() -> None:
+    recorded = threading.Event()
+
+    def values() -> Iterator[threading.Event]:
+        yield recorded
+        assert recorded.wait(10)
+
+    run_behind(threading.Event.set, values())
 
 
 def test_stopping_ends_the_frames() -> None:

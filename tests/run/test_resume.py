@@ -15,8 +15,9 @@ from typing import Any
 
 import pytest
 
+from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.item import Item
-from roadtorch.run import loop, memo
+from roadtorch.run import memo
 from roadtorch.run.ledger import IndexRow
 from roadtorch.run.loop import Task
 from tests.command import ROWS, Call, bytes_in, files_in, read_index_rows
@@ -215,14 +216,14 @@ def test_a_video_that_changes_while_it_is_read_is_partial(
     call: Call, tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     video = write_video(tmp_path / "drive.avi", codec="mjpeg")
-    conclude = loop._conclude
+    conclude = Detector.conclude
 
     def grow(*parts: Any) -> Any:
         with video.open("ab") as file:
             file.write(b"more")
         return conclude(*parts)
 
-    monkeypatch.setattr(loop, "_conclude", grow)
+    monkeypatch.setattr(Detector, "conclude", grow)
 
     result = call("infer", video, *ROWS, "--out", out, "--save", "mask")
 
