@@ -259,8 +259,8 @@ COMMANDS = {
     "video": "infer clip.mp4 --limit {count}",
     "video-hd": "infer hd.mp4 --limit {count}",
     "bag": "infer drive",
-    "grid": "grid images --height 1.5 --pitch 3 --fov 60",
-    "grid-bag": "grid drive --height 1.5 --pitch 3",
+    "grid": "infer images --save grid --set grid.height=1.5 --set grid.pitch=3 --set grid.fov=60",
+    "grid-bag": "infer drive --save grid,bag --set grid.height=1.5 --set grid.pitch=3",
     "label": "label images",
     "evaluate": "evaluate camvid camvid --limit {count}",
     "train": "train --config adapt --images images --set stopping.epochs=1 "

@@ -207,7 +207,8 @@ COMMANDS = {
     "infer": f"infer ../work/images {{detector}} {{jobs}} {MAPS} --out out",
     "video": f"infer ../work/drive.mp4 {{detector}} {{jobs}} {MAPS},overlay-frames,bag --out out",
     "evaluate": "evaluate folder ../work {detector} {jobs} --detector prior:uniform --out out",
-    "grid": "grid ../work/images {detector} {jobs} --height 1.5 --pitch 2 --fov 90 --out out",
+    "grid": "infer ../work/images {detector} {jobs} --save grid --set grid.height=1.5 "
+    "--set grid.pitch=2 --set grid.fov=90 --out out",
     "label": "label ../work/images {jobs} --out out",
     "train": "train --config ../work/training.toml --images ../work/images_flat --threads 1 "
     "--corrections ../work/corrections --out out",

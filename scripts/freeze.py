@@ -48,6 +48,7 @@ PICTURES = (
 )
 MAPS = "likelihood,mask,overlay,cues,npy,polygons,json"
 FOOTAGE = f"{MAPS},overlay-frames,mask-video,likelihood-video,bag"
+GRID = "--set grid.height=1.5 --save grid"
 EPOCH = "--quiet --threads 1 --set stopping.epochs=1"
 OUTPUTS = {
     "infer/folder": f"infer pictures --save {MAPS}",
@@ -57,11 +58,11 @@ OUTPUTS = {
     "footage/ros2": f"infer drive --save {FOOTAGE}",
     "footage/ros1": f"infer drive.bag --save {FOOTAGE}",
     "footage/mixed": "infer pictures clip.mp4 drive.bag --detector labeller --limit 3",
-    "grid/pictures": "grid pictures --height 1.5 --fov 60 --likelihood --image",
-    "grid/pitched": "grid pictures --height 1.5 --fov 60 --pitch 3 --likelihood",
-    "grid/video": "grid clip.mp4 --height 1.5 --fov 60 --limit 8 --image",
-    "grid/ros2": "grid drive --height 1.5",
-    "grid/ros1": "grid drive.bag --height 1.5 --pitch 3",
+    "grid/pictures": f"infer pictures {GRID},grid-likelihood,grid-image --set grid.fov=60",
+    "grid/pitched": f"infer pictures {GRID},grid-likelihood --set grid.fov=60 --set grid.pitch=3",
+    "grid/video": f"infer clip.mp4 {GRID},grid-image --set grid.fov=60 --limit 8",
+    "grid/ros2": f"infer drive {GRID},bag",
+    "grid/ros1": f"infer drive.bag {GRID},bag --set grid.pitch=3",
     "label/margin": "label pictures --overlay",
     "label/maximum": "label pictures --set support=maximum",
     "label/submit": "evaluate kitti-road kitti --submit",

@@ -17,7 +17,7 @@ from roadtorch.base.bounded import reason
 from roadtorch.base.documents import ForeignDocument, describe_validation_error, read_document
 from roadtorch.base.errors import ConfigError, DatasetError, InputError
 from roadtorch.base.settings import build_settings
-from roadtorch.camera.ground import COEFFICIENT_COUNTS, GroundCamera, Lens, make_pose
+from roadtorch.camera.ground import COEFFICIENT_COUNTS, Lens
 
 CAMERA_INFO_HINT = (
     "give a file of camera_calibration, of ros2 topic echo --once on camera_info, of OpenCV's "
@@ -277,32 +277,3 @@ def _pad_to_4x4(values: tuple[float, ...], columns: int) -> Tensor:
     matrix = torch.eye(4, dtype=torch.float64)
     matrix[:3, :columns] = torch.tensor(values, dtype=torch.float64).view(3, columns)
     return matrix
-
-
-def kitti_ground_camera(
-    calibration: Calibration, width: int, height: int, mount: tuple[float, float] = (0.0, 0.0)
-) -> GroundCamera:
-    """Return KITTI's left colour camera over its road plane, for images of a size in pixels.
-
-    The robot's frame begins below that camera, or such that it is at ``mount``; KITTI's road has x
-    to the right, y down and z ahead, and counts pixels from one. Raises InputError if the optical
-    axis misses the image: it is of another camera, or cropped.
-    """
-    intrinsics = np.array(calibration.projection).reshape(3, 4)
-    u, v = float(intrinsics[0, 2]), float(intrinsics[1, 2])  # the principal point, from one
-    if not (1 <= u <= width and 1 <= v <= height):
-        problem = f"is {width}×{height} pixels, the calibration's centre {u:.0f}, {v:.0f}"
-        raise InputError("image", problem, "give images of that camera at their own size")
-    rotation, centre = _camera_in_road(calibration)
-    road_to_robot = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    lens = Lens(
-        width=width,
-        height=height,
-        focal_x=float(intrinsics[0, 0]),
-        focal_y=float(intrinsics[1, 1]),
-        centre_x=u - 1,
-        centre_y=v - 1,
-    )
-    # The file's rotations are rounded, so that their inverse differs from their transpose.
-    axes = np.linalg.inv(road_to_robot @ rotation)
-    return GroundCamera(lens, make_pose(axes, np.array([*mount, -centre[1]])))

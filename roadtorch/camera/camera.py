@@ -31,6 +31,7 @@ from roadtorch.camera.gradients import (
     soft_normalize,
 )
 from roadtorch.camera.ground import Lens, pitch_from_horizon
+from roadtorch.camera.ground_grid import GridSettings
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.road.ego import Ego, ego_car, has_ego_car
 
@@ -137,6 +138,9 @@ class Camera(Settings):
     )
     lens: Lens | None = Field(
         default=None, description="calibration; images are rectified if it has distortion"
+    )
+    grid: GridSettings = Field(
+        default=GridSettings(), description="the camera over the ground, and its grid"
     )
     ego: Ego = Field(default=Ego(), description="the vehicle that carries the camera")
     template: EgoTemplate = Field(default=EgoTemplate(), description="gradients of the ego car")

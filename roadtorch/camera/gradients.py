@@ -211,7 +211,7 @@ MIN_GROUND_FRACTION = 0.25  # fraction of columns that have to end in ground
 MAX_DISAGREEMENT = 0.15  # between ground and vanishing point
 MIN_HORIZON_DEVIATION = 0.025  # root-mean-square error where they agree
 
-PITCH_HINT = "give --pitch, or --camera with a file of roadtorch camera"
+PITCH_HINT = "give --set grid.pitch, or --camera with a file of roadtorch camera"
 
 
 class Horizon(NamedTuple):

@@ -98,7 +98,7 @@ def pinhole_lens(width: int, height: int, degrees: float) -> Lens:
     """
     if not 1 <= degrees <= 170:
         hint = "give 1 to 170 degrees from side to side"
-        raise ConfigError("--fov", f"{degrees:g} degrees were given", hint)
+        raise ConfigError("grid.fov", f"{degrees:g} degrees were given", hint)
     focal = width / 2 / math.tan(math.radians(degrees) / 2)
     x, y = (width - 1) / 2, (height - 1) / 2
     return Lens(width=width, height=height, focal_x=focal, focal_y=focal, centre_x=x, centre_y=y)
@@ -137,9 +137,9 @@ def camera_pose(
         ConfigError: for values beyond the limits.
     """
     for option, value, low, high, unit in (
-        ("--height", height, 0.01, 1000, "metres"),
-        ("--pitch", pitch, MIN_PITCH, MAX_PITCH, "degrees; positive looks down"),
-        ("--roll", roll, -MAX_ROLL, MAX_ROLL, "degrees"),
+        ("grid.height", height, 0.01, 1000, "metres"),
+        ("grid.pitch", pitch, MIN_PITCH, MAX_PITCH, "degrees; positive looks down"),
+        ("grid.roll", roll, -MAX_ROLL, MAX_ROLL, "degrees"),
     ):
         if not low <= value <= high:
             raise ConfigError(option, f"{value:g} was given", f"give {low:g} to {high:g} {unit}")
@@ -255,7 +255,7 @@ def pitch_from_horizon(lens: Lens, horizon: float, roll: float = 0.0) -> float:
     outside the image.
     """
     if not 0 <= horizon <= 1:
-        hint = "give a fraction of the height, 0 to 1, or --pitch"
+        hint = "give a fraction of the height, 0 to 1, or grid.pitch"
         raise ConfigError("horizon", f"{horizon:g} lies outside the image", hint)
     row = horizon * lens.height - 0.5
     _, down, ahead = pixel_rays(lens, np.array([[lens.centre_x, row]]))[0].tolist()

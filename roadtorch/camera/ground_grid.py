@@ -18,7 +18,7 @@ from torch import Tensor
 
 from roadtorch.base.errors import InputError
 from roadtorch.base.settings import Settings
-from roadtorch.camera.ground import GroundCamera
+from roadtorch.camera.ground import MAX_PITCH, MAX_ROLL, MIN_PITCH, GroundCamera
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # values of cells, those of nav_msgs/OccupancyGrid
 SAMPLES_ALONG = 2  # samples per cell along a ray
@@ -33,12 +33,41 @@ EGO_MARGIN = 0.03  # of the height, by which an ego car's estimated outline may 
 BORDER_SAMPLES = 64  # pixels of each side of the image whose rays bound the view
 
 _Metres = Annotated[float, Field(gt=0, le=1000)]
+_Position = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class GridSettings(Settings):
-    """Extent and resolution of the grid, and the threshold of road."""
+    """The camera over the ground, and the cells of its grid."""
 
-    resolution: float = Field(default=0.1, ge=0.005, le=10, description="side of a cell, metres")
+    height: float | None = Field(
+        default=None, ge=0.01, le=1000, description="height of the camera above the ground, metres"
+    )
+    pitch: float | None = Field(
+        default=None,
+        ge=MIN_PITCH,
+        le=MAX_PITCH,
+        description="pitch in degrees, positive downwards; of the camera file or the images if "
+        "unset",
+    )
+    roll: float = Field(
+        default=0.0,
+        ge=-MAX_ROLL,
+        le=MAX_ROLL,
+        description="roll in degrees, positive if the right side is lower",
+    )
+    fov: float | None = Field(
+        default=None,
+        ge=1,
+        le=170,
+        description="horizontal field of view in degrees; the lens of the camera file, or of "
+        "camera_info, if unset",
+    )
+    x: _Position = Field(
+        default=0.0, description="metres of the camera ahead of the robot's origin"
+    )
+    y: _Position = Field(default=0.0, description="metres of the camera to the left of it")
+    frame: str = Field(default="base_link", description="TF frame of the robot")
+    cell: float = Field(default=0.1, ge=0.005, le=10, description="side of a cell, metres")
     range: _Metres = Field(default=30.0, description="metres ahead of the camera")
     side: _Metres = Field(default=15.0, description="metres to each side of the camera")
     max_cells_per_pixel: float = Field(
@@ -47,16 +76,13 @@ class GridSettings(Settings):
         le=1000,
         description="most cells that a pixel covers; others are unknown",
     )
-    threshold: float = Field(
-        default=0.5, ge=0, le=1, description="mean likelihood from which a cell is road"
-    )
 
     @field_validator("range")
     @classmethod
     def _check_cells(cls, value: float, info: ValidationInfo) -> float:
-        cells = value / info.data.get("resolution", 0.1)
+        cells = value / info.data.get("cell", 0.1)
         if not MIN_CELLS <= cells <= MAX_CELLS:
-            raise ValueError(f"give {MIN_CELLS} to {MAX_CELLS} times the resolution")
+            raise ValueError(f"give {MIN_CELLS} to {MAX_CELLS} times the cell")
         return value
 
 
@@ -86,20 +112,25 @@ class Grid:
 
 
 def ground_grid(
-    road: Tensor, camera: GroundCamera, settings: GridSettings, ego: Tensor | None = None
+    road: Tensor,
+    camera: GroundCamera,
+    settings: GridSettings,
+    ego: Tensor | None = None,
+    threshold: float = 0.5,
 ) -> Grid:
     """Project a mask or likelihood onto the ground.
 
     Args:
         road: mask, bool, or likelihood in [0, 1], shape (H, W).
         camera: the camera that took the image.
-        settings: extent, resolution and threshold.
+        settings: extent and size of the cells.
         ego: the ego car, bool, shape (H, W); unknown in the grid, with what touches it.
+        threshold: mean likelihood from which a cell is road.
 
     Raises:
         InputError: for a size other than the lens's, and when no ground within range is visible.
     """
-    lens, size = camera.lens, settings.resolution
+    lens, size = camera.lens, settings.cell
     if tuple(road.shape) != (lens.height, lens.width):
         problem = f"is {road.shape[1]}×{road.shape[0]} pixels, the lens {lens.width}×{lens.height}"
         hint = "give a map of the lens's size, or lens.at(width, height)"
@@ -108,14 +139,14 @@ def ground_grid(
     likelihood = _sample_bilinear(road.float(), rays)
     visible = rays.inside
     if ego is not None and ego.any():
-        hidden = ego | (_near_ego(ego) & (road < settings.threshold))
+        hidden = ego | (_near_ego(ego) & (road < threshold))
         visible = visible & (_sample_bilinear(hidden.float(), rays) < 0.5)
     likelihood, visible = _cell_means(likelihood, visible, rays)
     distance = (rays.distance[1:] + rays.distance[:-1]) / 2
-    ends = visible & (likelihood < settings.threshold)
+    ends = visible & (likelihood < threshold)
     free = distance[ends.int().argmax(0)] - size / (2 * SAMPLES_ALONG)
     free = torch.where(ends.any(0), free, math.inf)  # start of a ray's first cell without road
-    area = distance[:, None] * (visible & (likelihood >= settings.threshold))
+    area = distance[:, None] * (visible & (likelihood >= threshold))
     blocked = float((area * (distance[:, None] > free)).sum() / area.sum().clamp_min(1e-9))
     index, ray, inside = rays.index, rays.ray, rays.visible
     is_free = inside & visible[index, ray] & (rays.radius < free[ray])
@@ -170,14 +201,14 @@ class RaySamples:
 def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
     """Return the pixels at which a camera sees its rays' samples; InputError without ground."""
     low, high = _azimuth_range(camera)
-    count = math.ceil((high - low) / (settings.resolution / settings.range / SAMPLES_ACROSS)) + 2
+    count = math.ceil((high - low) / (settings.cell / settings.range / SAMPLES_ACROSS)) + 2
     azimuth = np.linspace(low, high, count)
     reach = math.hypot(settings.range, min(settings.side, settings.range))
-    step = settings.resolution / SAMPLES_ALONG
+    step = settings.cell / SAMPLES_ALONG
     distance = (np.arange(math.ceil(reach / step) + 1) + 0.5) * step
     if len(distance) * count > MAX_SAMPLES:
         problem = f"{len(distance) * count} samples are too many"
-        raise InputError("grid", problem, "give a coarser resolution or a shorter range")
+        raise InputError("grid", problem, "give larger cells or a shorter range")
     direction = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], 1)
     foot = np.array([*camera.pose.position[:2], 0.0])
     pixels, inside = camera.project((foot + distance[:, None, None] * direction).reshape(-1, 3))
@@ -199,7 +230,7 @@ def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
 def _ray_widths(azimuth: Tensor, distance: Tensor, settings: GridSettings) -> tuple[Tensor, Tensor]:
     """Return the first and one past the last ray within a cell's width of each sample, (K+1, B)."""
     turn = float(azimuth[1] - azimuth[0])
-    half = (settings.resolution / 2 / distance / turn).round().long()[:, None]
+    half = (settings.cell / 2 / distance / turn).round().long()[:, None]
     ray = torch.arange(len(azimuth))
     return (ray - half).clamp_min(0), (ray + half + 1).clamp_max(len(azimuth))
 
@@ -208,7 +239,7 @@ def _cells_in_rays(
     azimuth: Tensor, distance: Tensor, settings: GridSettings
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return polar coordinates of the cells' centres around the camera's foot: ``RaySamples``."""
-    distance, size = (distance[1:] + distance[:-1]) / 2, settings.resolution
+    distance, size = (distance[1:] + distance[:-1]) / 2, settings.cell
     columns, rows = math.ceil(settings.range / size), 2 * math.ceil(settings.side / size)
     x = (torch.arange(columns, dtype=torch.float64) + 0.5) * size
     y = ((torch.arange(rows, dtype=torch.float64) + 0.5 - rows / 2) * size)[:, None]

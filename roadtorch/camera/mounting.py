@@ -1,23 +1,17 @@
-"""Camera over the ground for each image, from options, files and layouts."""
+"""Camera over the ground for each image, from settings, camera files and layouts."""
 
-import json
 import math
 import statistics
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
+import tomli_w
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.camera.calibration import (
-    Calibration,
-    kitti_ground_camera,
-    read_calibration,
-    read_camera_info,
-)
+from roadtorch.base.settings import Settings, build_settings, merge
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.gradients import estimate_horizon
 from roadtorch.camera.ground import (
@@ -28,30 +22,11 @@ from roadtorch.camera.ground import (
     pinhole_lens,
     pitch_from_horizon,
 )
+from roadtorch.camera.ground_grid import GridSettings
 
 MEDIAN_FRAMES = 9  # whose median is the pitch of a source, or of the last ones of a live camera
 MIN_PITCH_CHANGE = 0.3  # degrees; an estimate is .4 off in the median
-
-
-@dataclass(frozen=True)
-class Mounting:
-    """Options about the camera, exactly one of ``fov``, ``camera_info`` and ``calibration``."""
-
-    height: float | None = None  # metres
-    pitch: float | None = None  # degrees
-    roll: float = 0.0  # degrees
-    mount: tuple[float, float] = (0.0, 0.0)  # x, y on the robot, metres
-    fov: float | None = None  # horizontal field of view, degrees
-    camera_info: Path | None = None
-    calibration: Path | None = None
-    camera: Path | None = None  # file of ``roadtorch camera``, for its horizon
-
-    def pose(self, pitch: float) -> Pose:
-        """Return the pose at a pitch in degrees; ConfigError beyond the limits."""
-        if self.height is None:
-            hint = "give the camera's height above the ground in metres, or --calibration"
-            raise ConfigError("--height", "is missing", hint)
-        return camera_pose(self.height, pitch, self.roll, self.mount)
+GRID_HINT = "give --set {}, or its line below [grid] in the camera file"
 
 
 class Pitch(NamedTuple):
@@ -60,110 +35,6 @@ class Pitch(NamedTuple):
     degrees: float
     reason: str
     deviation: float = 0.0
-
-
-@dataclass(frozen=True)
-class CameraPlacement:
-    """Estimator of the camera over the ground for each image."""
-
-    mounting: Mounting
-    calibration: Calibration | None = None  # KITTI's, which determines all but ``mount``
-    lens: Lens | None = None  # None if ``fov`` or each bag determines it
-    horizon: float | None = None  # of the camera's file, fraction of the height
-    pitch: Pitch | None = None  # None if the horizon or each image's layout determines it
-
-    @property
-    def needs_lens(self) -> bool:
-        """True if each bag provides the lens."""
-        return self.lens is None and self.calibration is None and self.mounting.fov is None
-
-    @property
-    def needs_layout(self) -> bool:
-        """True if the pitch is estimated from each image's layout."""
-        return self.calibration is None and self.horizon is None and self.pitch is None
-
-    def with_lens(self, lens: Lens) -> "CameraPlacement":
-        """Return a copy with a lens; ConfigError if the horizon exceeds the limits of the pitch."""
-        if self.horizon is not None and self.pitch is None:
-            self.mounting.pose(pitch_from_horizon(lens, self.horizon, self.mounting.roll))
-        return replace(self, lens=lens)
-
-    @property
-    def as_comment(self) -> str:
-        """The inputs that determine the camera, as a comment line for the settings file."""
-        if self.calibration is not None:
-            facts = {"calibration": asdict(self.calibration), "mount": self.mounting.mount}
-        else:
-            lens = None if self.lens is None else self.lens.model_dump(exclude_none=True)
-            options = asdict(replace(self.mounting, camera=None, camera_info=None))
-            facts = {**options, "horizon": self.horizon, "lens": lens}
-        return f"# {json.dumps({name: fact for name, fact in facts.items() if fact is not None})}"
-
-    def __call__(self, image: Tensor, layout: Tensor | None) -> tuple[GroundCamera, Pitch]:
-        """Return camera and pitch for an image (3, H, W); InputError if no horizon is found."""
-        height, width = image.shape[-2:]
-        if self.calibration is not None:
-            camera = kitti_ground_camera(self.calibration, width, height, self.mounting.mount)
-            return camera, Pitch(camera.pose.pitch, "of the calibration")
-        if self.lens is None:
-            lens = pinhole_lens(width, height, self.mounting.fov or 0.0)
-        else:
-            lens = self.lens.at(width, height)
-        pitch = self.pitch
-        if pitch is None and self.horizon is not None:
-            degrees = pitch_from_horizon(lens, self.horizon, self.mounting.roll)
-            pitch = Pitch(degrees, f"horizon at row {self.horizon:.3f} of the camera's file")
-        pitch = pitch or self._estimate_pitch(lens, image, layout)
-        return GroundCamera(lens, self.mounting.pose(pitch.degrees)), pitch
-
-    def _estimate_pitch(self, lens: Lens, image: Tensor, layout: Tensor | None) -> Pitch:
-        if layout is None or layout.ndim != 3:
-            hint = "give --pitch or --camera, or a detector with a layout, such as fusion"
-            problem = "has no layout from this detector to estimate the pitch"
-            raise InputError("image", problem, hint)
-        row, deviation = estimate_horizon(image, layout)
-        deviation = math.degrees(math.atan(deviation * lens.height / lens.focal_y))
-        reason = f"horizon at row {row:.3f} of the layout, unsure by {deviation:.1f} degrees"
-        return Pitch(pitch_from_horizon(lens, row, self.mounting.roll), reason, deviation)
-
-
-def build_placement(mounting: Mounting, of_bags: bool) -> CameraPlacement:
-    """Return the estimator for all inputs (of_bags: all are bags); ConfigError for bad options."""
-    lenses = {"--fov": mounting.fov, "--camera-info": mounting.camera_info}
-    lenses["--calibration"] = mounting.calibration
-    options = [name for name, value in lenses.items() if value is not None]
-    hint = f"give one of {', '.join(lenses)}, or --camera with a lens"
-    if len(options) > 1:
-        raise ConfigError("grid", f"{' and '.join(options)} were given", hint)
-    if mounting.calibration is not None:
-        pose = {"--height": mounting.height, "--pitch": mounting.pitch}
-        pose["--roll"] = mounting.roll or None
-        for name in (name for name, value in pose.items() if value is not None):
-            problem = "conflicts with --calibration, which includes it"
-            raise ConfigError(name, problem, "leave it out")
-        return CameraPlacement(mounting, read_calibration(mounting.calibration))
-    camera = None if mounting.camera is None else Camera.read(mounting.camera)
-    lens = camera.lens if camera is not None and not options else None
-    if lens is None and not options and not of_bags:
-        raise ConfigError("grid", "the lens is not specified", hint)
-    mounting.pose(mounting.pitch or 0.0)
-    if mounting.fov is not None:
-        pinhole_lens(2, 2, mounting.fov)
-    horizon = None if camera is None else camera.horizon
-    pitch = None if mounting.pitch is None else Pitch(mounting.pitch, "as given")
-    placement = CameraPlacement(mounting, None, None, horizon, pitch)
-    if mounting.camera_info is not None:
-        lens = read_camera_info(mounting.camera_info)
-    return placement if lens is None else placement.with_lens(lens)
-
-
-def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
-    """Return one pitch for a whole source: estimates jitter, but a robot's camera does not."""
-    degrees = [pitch.degrees for pitch in pitches]
-    deviation = statistics.median(pitch.deviation for pitch in pitches)
-    reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"
-    reason += f" by the layout, unsure by {deviation:.1f} degrees"
-    return Pitch(statistics.median(degrees), reason, deviation)
 
 
 class PitchFilter:
@@ -183,3 +54,104 @@ class PitchFilter:
         if abs(median - self._degrees) > MIN_PITCH_CHANGE:
             self._degrees = median
         return self._degrees
+
+
+@dataclass(frozen=True)
+class CameraPlacement:
+    """Estimator of the camera over the ground for each image."""
+
+    settings: GridSettings
+    lens: Lens | None = None  # None if ``fov`` or each bag determines it
+    horizon: float | None = None  # of the camera's file, fraction of the height
+    pitch: Pitch | None = None  # None if the horizon or each image's layout determines it
+    smooth: Callable[[float], float] | None = None  # filter of the estimated pitches
+
+    @property
+    def needs_lens(self) -> bool:
+        """True if each bag provides the lens."""
+        return self.lens is None and self.settings.fov is None
+
+    @property
+    def needs_layout(self) -> bool:
+        """True if the pitch is estimated from each image's layout."""
+        return self.horizon is None and self.pitch is None
+
+    def with_lens(self, lens: Lens) -> "CameraPlacement":
+        """Return a copy with a lens; ConfigError if the horizon exceeds the limits of the pitch."""
+        if self.horizon is not None and self.pitch is None:
+            self._pose(pitch_from_horizon(lens, self.horizon, self.settings.roll))
+        return replace(self, lens=lens)
+
+    def as_comment(self) -> str:
+        """Return all that determines the grids, as lines of comments for the settings file."""
+        lens = None if self.lens is None else self.lens.model_dump(exclude_none=True)
+        facts = {"grid": self.settings.model_dump(exclude_none=True)}
+        facts |= {"horizon": self.horizon, "lens": lens}
+        text = tomli_w.dumps({name: fact for name, fact in facts.items() if fact is not None})
+        return "\n".join(f"# {line}".rstrip() for line in text.splitlines())
+
+    def __call__(self, image: Tensor, layout: Tensor | None) -> tuple[GroundCamera, Pitch]:
+        """Return camera and pitch for an image (3, H, W); InputError if no horizon is found."""
+        height, width = image.shape[-2:]
+        if self.lens is None:
+            lens = pinhole_lens(width, height, self.settings.fov or 0.0)
+        else:
+            lens = self.lens.at(width, height)
+        pitch = self.pitch
+        if pitch is None and self.horizon is not None:
+            degrees = pitch_from_horizon(lens, self.horizon, self.settings.roll)
+            pitch = Pitch(degrees, f"horizon at row {self.horizon:.3f} of the camera's file")
+        pitch = pitch or self._estimate_pitch(lens, image, layout)
+        return GroundCamera(lens, self._pose(pitch.degrees)), pitch
+
+    def _pose(self, pitch: float) -> Pose:
+        values = self.settings
+        return camera_pose(values.height or 0.0, pitch, values.roll, (values.x, values.y))
+
+    def _estimate_pitch(self, lens: Lens, image: Tensor, layout: Tensor | None) -> Pitch:
+        if layout is None or layout.ndim != 3:
+            hint = "give --set grid.pitch, or --camera, or a detector with a layout, such as fusion"
+            problem = "has no layout from this detector to estimate the pitch"
+            raise InputError("image", problem, hint)
+        row, deviation = estimate_horizon(image, layout)
+        deviation = math.degrees(math.atan(deviation * lens.height / lens.focal_y))
+        reason = f"horizon at row {row:.3f} of the layout, unsure by {deviation:.1f} degrees"
+        degrees = pitch_from_horizon(lens, row, self.settings.roll)
+        return Pitch(self.smooth(degrees) if self.smooth else degrees, reason, deviation)
+
+
+class _Group(Settings):
+    """The settings below their key, so that errors name it."""
+
+    grid: GridSettings
+
+
+def build_placement(camera: Camera | None, values: Any, of_bags: bool) -> CameraPlacement:
+    """Return the estimator for all inputs; ConfigError for wrong or missing settings.
+
+    Args:
+        camera: gives the lens, the horizon, and the settings that ``values`` lack.
+        values: settings of ``GridSettings``, by name.
+        of_bags: whether all inputs are bags or topics, which may give the lens.
+    """
+    recorded = {} if camera is None else camera.grid.model_dump(exclude_unset=True)
+    settings = build_settings(_Group, merge({"grid": recorded}, {"grid": values})).grid
+    if settings.height is None:
+        raise ConfigError("grid.height", "is missing", GRID_HINT.format("grid.height=METRES"))
+    lens = camera.lens if camera is not None and settings.fov is None else None
+    if lens is None and settings.fov is None and not of_bags:
+        hint = GRID_HINT.format("grid.fov=DEGREES") + ", or a --camera with a lens"
+        raise ConfigError("grid", "the lens is not specified", hint)
+    horizon = None if camera is None else camera.horizon
+    pitch = None if settings.pitch is None else Pitch(settings.pitch, "as given")
+    placement = CameraPlacement(settings, None, horizon, pitch)
+    return placement if lens is None else placement.with_lens(lens)
+
+
+def median_pitch(pitches: Sequence[Pitch]) -> Pitch:
+    """Return one pitch for a whole source: estimates jitter, but a robot's camera does not."""
+    degrees = [pitch.degrees for pitch in pitches]
+    deviation = statistics.median(pitch.deviation for pitch in pitches)
+    reason = f"median of {len(degrees)} frames ({min(degrees):.2f} to {max(degrees):.2f})"
+    reason += f" by the layout, unsure by {deviation:.1f} degrees"
+    return Pitch(statistics.median(degrees), reason, deviation)

@@ -28,14 +28,15 @@ def camera_command(
     FOOTAGE: images, folders, quoted globs or video files; at least 10 frames of different
     scenes. Writes --out for infer --camera, and an image to check it: the mean of the frames and
     one of them, with the ego car tinted, the horizon blue, the seed row orange. --camera-info
-    adds the lens; if it has distortion, detectors see rectified views.
+    adds the lens; if it has distortion, detectors see rectified views. What you add below [grid],
+    such as height = 1.4, stays when the file is written again.
     """
     from roadtorch.base.atomic import claim_results, relative_name
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.image import write_jpeg
     from roadtorch.base.progress import Progress
     from roadtorch.camera.calibration import read_camera_info
-    from roadtorch.camera.camera import draw_check_image
+    from roadtorch.camera.camera import Camera, draw_check_image
     from roadtorch.camera.footage import estimate_camera
     from roadtorch.inputs.find import locate_frames, read_frames
     from roadtorch.road.ego import has_ego_car, outline_rows
@@ -50,8 +51,10 @@ def camera_command(
         raise ConfigError(out, "would replace footage or its own image", "name it camera.toml")
     origin = ", ".join(relative_name(path, out.parent) for path in footage)
     with claim_results(out.parent, {out.name: origin, check_file.name: origin}):
+        earlier = Camera.read(out) if out.exists() else None
         frames = Progress(read_frames(places), total=len(places), unit="frame")
         camera = estimate_camera(frames, footage[0], lens)
+        camera = camera.model_copy(update={"grid": earlier.grid}) if earlier else camera
         camera.write(out)
         sample = places[:: max(1, len(places) // MEAN_FRAMES)]
         write_jpeg(check_file, draw_check_image(camera, list(read_frames(sample))))

@@ -28,7 +28,6 @@ COMMANDS = {
     "doctor": ("roadtorch.cli.doctor:doctor_command", "Check this installation."),
     "evaluate": ("roadtorch.cli.evaluate:evaluate_command", "Score detectors on labelled images."),
     "export": ("roadtorch.cli.export:export_command", "Export a network to ONNX or a web page."),
-    "grid": ("roadtorch.cli.grid:grid_command", "Map the road in images onto the ground."),
     "infer": ("roadtorch.cli.infer:infer_command", "Find the road in images and footage."),
     "label": ("roadtorch.cli.label:label_command", "Label sky, vertical and horizontal."),
     "ros": ("roadtorch.cli.ros:ros_command", "Run a ROS 2 node that finds the road."),
@@ -36,7 +35,7 @@ COMMANDS = {
 }
 
 INTERRUPT_MESSAGES = {
-    **dict.fromkeys(("infer", "label", "grid"), "interrupted; finished results are kept"),
+    **dict.fromkeys(("infer", "label"), "interrupted; finished results are kept"),
     **dict.fromkeys(("adapt", "train"), "interrupted; run the same command again to resume"),
     "annotate": "interrupted; corrections are saved",
     "ros": "node stopped",

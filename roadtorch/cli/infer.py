@@ -1,6 +1,6 @@
 """roadtorch infer: write likelihoods, masks and overlays of images and footage."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from roadtorch.inputs.item import Selection
     from roadtorch.run.plan import RunOptions
 
-RESULT_KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json")
+GRID_KINDS = ("grid", "grid-likelihood", "grid-image")
+RESULT_KINDS = ("likelihood", "mask", "overlay", "cues", "npy", "polygons", "json", *GRID_KINDS)
 
 
 def _parse_kinds(
@@ -108,7 +109,10 @@ def infer_command(
       NAME.mask.png         road white, the rest black
       NAME.overlay.jpg      the image with road tinted and outlined
     and on demand NAME.cue.CUE.png (--save cues), .npy files, outlines (--save
-    polygons: NAME.coco.json and coco.json) and NAME.json. For each video
+    polygons: NAME.coco.json and coco.json), NAME.json, and the ground in metres
+    (--save grid, grid-likelihood, grid-image: NAME.grid.pgm, .yaml, .npy and
+    so on), which needs the height and lens of the camera (--set grid.height=1.4
+    --set grid.fov=60, or the file of --camera). For each video
     NAME.mp4: NAME.overlay.mp4, and on demand these files for each frame,
     NAME/000123.mask.png. For each bag: NAME.overlay.mp4 and the bag NAME.road
     (of ROS 1: NAME.road.bag). index.csv lists every image and frame, run.json
@@ -117,6 +121,7 @@ def infer_command(
     interrupted starts again with its first frame.
     """
     from roadtorch.base.settings import to_toml
+    from roadtorch.camera.mounting import build_placement
     from roadtorch.inputs.find import select_inputs
     from roadtorch.layout.runtimes import check_runtime
     from roadtorch.run.folder import COCO_FILE, RUN_FILE
@@ -128,11 +133,13 @@ def infer_command(
     from roadtorch.run.run import open_run
     from roadtorch.run.workers import configure_threads
     from roadtorch.run.writers.coco import write_coco
+    from roadtorch.run.writers.grid import GridWriter
     from roadtorch.run.writers.maps import MapWriter
     from roadtorch.run.writers.outputs import DEFAULT_IMAGE_KINDS, MapOutput, is_from_bag
 
     configure_threads(options.threads, options.device)
     check_runtime(choice.runtime, options.device)
+    choice, grid_values = choice.split("grid")
     detector, camera = choice.load(camera_file, threshold, options.device)
     effective = to_toml(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)
@@ -142,17 +149,24 @@ def infer_command(
         footage=bool(selected.sources),
         bag=any(map(is_from_bag, selected.sources)),
         likelihood="likelihood" in kinds and bool(selected.images or save),
+        grid=not set(kinds).isdisjoint(GRID_KINDS),
     )
     bits = 16 if depth == "16" else 8
-    maps = MapWriter(out, frozenset(kinds), detector.name, detector.settings.threshold, bits)
+    inference, level = Inference(detector, camera), detector.settings.threshold
+    maps, key = MapWriter(out, frozenset(kinds), detector.name, level, bits), (detector, depth)
+    if not set(kinds).isdisjoint(GRID_KINDS):
+        only_bags = not selected.images and all(map(is_from_bag, selected.sources))
+        placement = build_placement(camera, grid_values, only_bags)
+        maps = replace(maps, grids=GridWriter(placement, level))
+        effective, key = f"{effective}\n{placement.as_comment()}", (*key, placement)
     viewer = context.with_resource(open_viewer()) if view else None
-    outputs = MapOutput(maps, save, selection.topic, viewer)
+    outputs = MapOutput(maps, inference, save, selection.topic, viewer)
     files = [RUN_FILE, *[COCO_FILE] * ("polygons" in kinds)]
     todo = plan_run(selected, out, maps.suffixes, outputs, files)
     footage_options = {**asdict(selection), "steady": steady}
-    key = cache_key(detector, depth)
-    method, footage_method = Method(key, kinds), Method(cache_key(key, footage_options), ())
-    task = Task(Inference(detector, camera), maps, method)
+    method = Method(cache_key(*key), kinds)
+    footage_method = Method(cache_key(method.key, footage_options), ())
+    task = Task(inference, maps, method)
     recorded_options = {**asdict(options), **footage_options, "save": kinds, "depth": bits}
     record = record_run(out, detector, todo.row_names, recorded_options, command_line(context))
     with open_run(out, effective, todo, options, record) as run:

@@ -2,9 +2,10 @@
 
 import functools
 import importlib
+import re
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +61,14 @@ class DetectorOptions:
         if threshold is not None:
             values["threshold"] = threshold
         return self.detector or name, values
+
+    def split(self, group: str) -> "tuple[DetectorOptions, Any]":
+        """Return the options without the assignments to a group, and what they assign to it."""
+        from roadtorch.base.settings import parse_assignments
+
+        parts = [item for item in self.assignments if re.match(rf"\s*{group}\b", item)]
+        others = tuple(item for item in self.assignments if item not in parts)
+        return replace(self, assignments=others), parse_assignments(parts).get(group, {})
 
     def load(
         self,
@@ -190,9 +199,8 @@ OPTION_CONDITIONS: Mapping[str, Mapping[str, str]] = {
     "evaluate": dict.fromkeys((*SCORING.split(), "--road", "--void"), "without --submit")
     | dict.fromkeys(("--montage", "--tune"), "with --out without --submit")
     | {"--submit": "with --out"},
-    "grid": dict.fromkeys(("--topic", "--frame-id"), "with bag"),
     "infer": dict.fromkeys(FOOTAGE, "with footage")
-    | {"--topic": "with bag", "--depth": "with likelihood"},
+    | {"--topic": "with bag", "--depth": "with likelihood", "--set grid": "with grid"},
     "train": dict.fromkeys(("--road", "--void"), "with --masks")
     | {"--corrected-images": "with --corrections"},
 }
@@ -209,7 +217,8 @@ def refuse_unused(context: click.Context, **facts: bool) -> None:
         source = context.get_parameter_source(option.name or "")
         states[name] = source is ParameterSource.COMMANDLINE
         for value in values if states[name] and isinstance(values, tuple) else ():
-            states[f"{name} {str(value).partition('=')[0].strip()}"] = True
+            key = str(value).partition("=")[0].strip()
+            states[f"{name} {key}"] = states[f"{name} {key.partition('.')[0]}"] = True
     for option, condition in OPTION_CONDITIONS.get(context.command.name or "", {}).items():
         word = ""
         for part in condition.split() if states.get(option) else ():

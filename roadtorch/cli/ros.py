@@ -17,7 +17,7 @@ def ros_command(words: tuple[str, ...]) -> None:
          /diagnostics                                   trust, doubt, rate, age, dropped
     With -p cameras:="['front','rear']" the topics are front/image, front/segmentation/mask, ….
     Give parameters and topic names as for any node:
-      roadtorch ros --ros-args -p detector:=fusion -p height:=1.2 -r image:=/front/image_raw
+      roadtorch ros --ros-args -p detector:=fusion -p grid.height:=1.2 -r image:=/front/image_raw
     """
     from roadtorch.base.bounded import reason
     from roadtorch.base.errors import ConfigError

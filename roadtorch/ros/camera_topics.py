@@ -8,17 +8,14 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, RoadtorchError, to_input_error
-from roadtorch.base.settings import build_settings
 from roadtorch.camera.calibration import lens_from_camera_info
-from roadtorch.camera.ground_grid import GridSettings, ground_grid
 from roadtorch.camera.ground_points import ground_points
-from roadtorch.camera.mounting import CameraPlacement, Mounting, PitchFilter, build_placement
+from roadtorch.camera.mounting import PitchFilter, build_placement
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.mask import Evidence
 from roadtorch.imaging.motion import flow_image
@@ -48,6 +45,7 @@ from roadtorch.run.writers.bag import (
     POINTS_TOPIC,
     mask_and_confidence,
 )
+from roadtorch.run.writers.grid import make_grid
 
 STALE_AFTER = 2.0  # seconds without an image after which diagnostics warn
 
@@ -65,8 +63,10 @@ class CameraTopics:
         self.times, self.failures, self.last_warning = deque[float](maxlen=30), 0, ""
         self.last_detection: Detection | None = None
         self.latency = 0.0  # seconds from the arrival of the last image to its results
-        self.placement, self.grid_settings = self._make_placement()
-        self.pitch_filter = PitchFilter()
+        camera, grid = inference.camera, parameters.grid.model_dump(exclude_unset=True)
+        has_height = "height" in grid or (camera is not None and camera.grid.height is not None)
+        placement = build_placement(camera, grid, of_bags=True) if has_height else None
+        self.placement = replace(placement, smooth=PitchFilter()) if placement else None
         self.topic = node.resolve_topic_name(self._relative("image"))
         kinds, qos = import_ros("sensor_msgs.msg"), import_ros("rclpy.qos")
         for kind, topic, callback in (
@@ -133,40 +133,17 @@ class CameraTopics:
     def _publish_grid(self, header: Any, detection: Detection) -> None:
         """Publish the grid, and its points where somebody subscribes; warn without a pitch."""
         assert self.placement is not None
-        assert detection.image is not None
-        likelihood, settings = detection.likelihood, self.grid_settings
+        threshold = self.inference.detector.settings.threshold
         try:
-            camera, pitch = self.placement(detection.image, detection.cues.get("layout"))
-            if self.placement.needs_layout:
-                pose = self.placement.mounting.pose(self.pitch_filter(pitch.degrees))
-                camera = replace(camera, pose=pose)
-            road = likelihood * (detection.mask | (likelihood < settings.threshold))
-            grid = ground_grid(road, camera, settings, detection.cues.get("ego"))
+            grid, camera, _ = make_grid(self.placement, detection, threshold)
         except RoadtorchError as error:
             self._warn(str(error))
             return
-        self.grids.publish(grid_message(header, grid, self.parameters.base_frame))
+        self.grids.publish(grid_message(header, grid, self.placement.settings.frame))
         if self.clouds.get_subscription_count():
             self.clouds.publish(points_message(header, ground_points(camera, grid)))
 
     # --- camera -----------------------------------------------------------------------------
-
-    def _make_placement(self) -> tuple[CameraPlacement | None, GridSettings]:
-        """Return the pose of the camera, None without a height, and the settings of the grid."""
-        values = self.parameters
-        cells = {name: getattr(values, name) for name in ("resolution", "range", "side")}
-        threshold = self.inference.detector.settings.threshold
-        settings = build_settings(GridSettings, {**cells, "threshold": threshold})
-        if not values.height:
-            return None, settings
-        mounting = Mounting(
-            height=values.height,
-            pitch=None if math.isnan(values.pitch) else values.pitch,
-            roll=values.roll,
-            fov=values.fov or None,
-            camera=Path(values.camera) if values.camera else None,
-        )
-        return build_placement(mounting, of_bags=True), settings
 
     def _take_lens(self, message: Any) -> None:
         """Take the lens from the first CameraInfo message."""

@@ -1,6 +1,5 @@
 """Parameters of the node, and those of each of its cameras."""
 
-import math
 from array import array
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -8,19 +7,17 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from roadtorch.base.errors import ConfigError
-from roadtorch.base.settings import Settings, build_settings
+from roadtorch.base.settings import Settings, build_settings, merge
+from roadtorch.camera.ground_grid import GridSettings
 from roadtorch.ros.messages import import_ros
 
-CAMERA_PARAMETERS = ("camera", "height", "pitch", "roll", "fov", "base_frame")
-"""Parameters that cameras may have of their own, such as ``front.height``."""
-
-PARAMETER_EXAMPLES = """-p height:=1.2 -p smoothing:=false -p cameras:="['front','rear']\""""
+PARAMETER_EXAMPLES = """-p grid.height:=1.2 -p smoothing:=false -p cameras:="['front','rear']\""""
 
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z]\w*(/[A-Za-z]\w*)*$")]
 
 
 class NodeParameters(Settings):
-    """Parameters of the node; 0, NaN and "" stand for unset, as ROS has no null."""
+    """Parameters of the node, and of its cameras, which may have ``camera`` and ``grid`` alone."""
 
     detector: str = Field(default="fusion", description="name of the detector")
     settings: tuple[str, ...] = Field(
@@ -34,46 +31,43 @@ class NodeParameters(Settings):
     )
     camera: str = Field(default="", description="camera file written by roadtorch camera")
     smoothing: bool = Field(default=True, description="temporal smoothing of the likelihood")
-    height: float = Field(
-        default=0.0, ge=0, description="height of the camera above the ground, metres; 0: no grid"
+    grid: GridSettings = Field(
+        default=GridSettings(),
+        description="the camera over the ground, and its grid; no grid without a height",
     )
-    pitch: float = Field(
-        default=math.nan,
-        allow_inf_nan=True,
-        description="pitch of the camera, degrees; NaN: from the images",
-    )
-    roll: float = Field(default=0.0, description="roll of the camera, degrees")
-    fov: float = Field(
-        default=0.0,
-        ge=0,
-        description="horizontal field of view, degrees; 0: lens of the camera file or camera_info",
-    )
-    resolution: float = Field(default=0.1, description="metres per cell of the grid")
-    range: float = Field(default=30.0, description="extent of the grid ahead, metres")
-    side: float = Field(default=15.0, description="extent of the grid to either side, metres")
-    base_frame: str = Field(default="base_link", description="frame of the grid")
 
 
 def declare_parameters(node: Any) -> Mapping[str, NodeParameters]:
     """Declare all parameters, and return their values by camera, "" without names of cameras."""
-    values: dict[str, Any] = {}
     # Any type, as ROS takes 1 for an integer: the settings check it. They are read once.
     descriptor = import_ros("rcl_interfaces.msg").ParameterDescriptor
     options = {"dynamic_typing": True, "read_only": True}
-    for name, field in NodeParameters.model_fields.items():
-        is_list = isinstance(field.default, tuple)  # rclpy cannot tell the type of an empty list
-        default = [""] if is_list else field.default
-        value = node.declare_parameter(name, default, descriptor(**options)).value
-        values[name] = [*filter(None, value)] if isinstance(value, list | array) else value
+
+    def declare(name: str, default: Any) -> Any:
+        is_list = isinstance(default, tuple)  # rclpy cannot tell the type of an empty list
+        value = node.declare_parameter(name, [""] if is_list else default, descriptor(**options))
+        value = value.value
+        return [*filter(None, value)] if isinstance(value, list | array) else value
+
+    def declare_grid(prefix: str) -> dict[str, Any]:
+        """Declare the settings of the grid without defaults; return those that are set."""
+        names = GridSettings.model_fields
+        values = {name: declare(f"{prefix}grid.{name}", None) for name in names}
+        return {name: value for name, value in values.items() if value is not None}
+
+    defaults = {name: field.default for name, field in NodeParameters.model_fields.items()}
+    del defaults["grid"]
+    values = {name: declare(name, default) for name, default in defaults.items()}
+    values["grid"] = declare_grid("")
     parameters = _build_parameters(values)
     by_camera = {"": parameters}
     for camera in dict.fromkeys(parameters.cameras):
         by_camera.pop("", None)
-        for name in CAMERA_PARAMETERS:
-            default = getattr(parameters, name)
-            key = f"{camera}.{name}"
-            values[name] = node.declare_parameter(key, default, descriptor(**options)).value
-        by_camera[camera] = _build_parameters(values)
+        changes = {
+            "camera": declare(f"{camera}.camera", parameters.camera),
+            "grid": declare_grid(f"{camera}."),
+        }
+        by_camera[camera] = _build_parameters(merge(values, changes))
     return by_camera
 
 

@@ -15,13 +15,9 @@ from torch import Tensor
 from roadtorch import load_detector, read_image
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.settings import build_settings
-from roadtorch.camera.birds_eye import cell_centres, transform_points
 from roadtorch.camera.calibration import (
-    Calibration,
-    kitti_ground_camera,
     read_calibration,
     read_camera_info,
-    road_homography,
 )
 from roadtorch.camera.ground import (
     GroundCamera,
@@ -146,7 +142,6 @@ def test_the_pitch_of_a_live_camera_follows_the_median_and_ignores_jitter() -> N
         (lambda: pitch_from_horizon(LENS, 1.2), "horizon: 1.2 lies outside the image"),
         (lambda: build_settings(Lens, {**LENS.model_dump(), "model": "plumb_bob"}), "coefficients"),
         (lambda: LENS.at(640, 360), "is 640×360 pixels, the calibration 640×480"),
-        (lambda: kitti_ground_camera(KITTI, 20, 20), "the calibration's centre"),
         (lambda: ground_grid(draw_mask(), UP, SETTINGS), "shows no ground"),
         (lambda: ground_grid(torch.ones(4, 5), CAMERA, SETTINGS), "is 5×4 pixels, the lens 240"),
     ],
@@ -302,38 +297,13 @@ def test_rows_of_no_camera_above_a_road_are_refused_by_name(
         read_calibration(tmp_path / "um.txt")
 
 
-def camera_centre(calibration: Calibration) -> np.ndarray:
-    """Return the colour camera in the road's frame: the null space of the whole projection."""
-    rectify, pose = np.eye(4), np.eye(4)
-    rectify[:3, :3] = np.reshape(calibration.rectification, (3, 3))
-    pose[:3] = np.reshape(calibration.camera_to_road, (3, 4))
-    whole = np.reshape(calibration.projection, (3, 4)) @ rectify @ np.linalg.inv(pose)
-    null = np.linalg.svd(whole)[2][-1]
-    return null[:3] / null[3]
-
-
-def test_the_ground_points_are_those_of_the_birds_eye_view() -> None:
-    camera = kitti_ground_camera(KITTI, 160, 120)
-    x, z = torch.broadcast_tensors(
-        *cell_centres(torch.arange(0, 800, 7)[:, None], torch.arange(0, 400, 7)[None])
-    )
-    u, v = transform_points(road_homography(KITTI), x, z)
-
-    foot = camera_centre(KITTI)
-    points = torch.stack([z - foot[2], foot[0] - x, torch.zeros_like(x)], -1).reshape(-1, 3)
-    pixels, _ = camera.project(points.numpy())
-
-    assert pixels == pytest.approx(torch.stack([u - 1, v - 1], -1).reshape(-1, 2).numpy(), abs=1e-6)
-    assert camera.pose.position[:2] == (0, 0)
-
-
 # --- the grid ---------------------------------------------------------------------------
 
 
 WIDTH, HEIGHT = 240, 180
 CAMERA = GroundCamera(pinhole_lens(WIDTH, HEIGHT, 60), camera_pose(1.4, 12))
 UP = GroundCamera(CAMERA.lens, camera_pose(1.4, -30))
-SETTINGS = GridSettings(resolution=0.2, range=16, side=6)
+SETTINGS = GridSettings(cell=0.2, range=16, side=6)
 
 
 def ground_of_pixels(camera: GroundCamera) -> np.ndarray:
@@ -463,12 +433,11 @@ def test_the_ego_car_is_unknown_and_hides_nothing() -> None:
 def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -> None:
     dotted, road = draw_mask().float(), draw_mask().float() * 0.4
     dotted[::3, ::3] = 0  # a ninth of the pixels
-    low = SETTINGS.model_copy(update={"threshold": 0.3})
 
-    grid = ground_grid(dotted, CAMERA, GridSettings(resolution=0.5, range=8, side=3))
+    grid = ground_grid(dotted, CAMERA, GridSettings(cell=0.5, range=8, side=3))
 
     assert grid.likelihood[5:7, 6:9].numpy() == pytest.approx(8 / 9, abs=0.06)
-    assert cell(ground_grid(road, CAMERA, low), 8, 0) == FREE
+    assert cell(ground_grid(road, CAMERA, SETTINGS, threshold=0.3), 8, 0) == FREE
     assert cell(ground_grid(road, CAMERA, SETTINGS), 8, 0) == UNKNOWN
 
 

@@ -16,7 +16,7 @@ from roadtorch.base.settings import build_settings
 from roadtorch.camera.camera import Camera
 from roadtorch.camera.footage import estimate_camera
 from roadtorch.camera.ground import Lens, camera_pose, pinhole_lens, pixel_rays, project_rays
-from roadtorch.camera.mounting import Mounting, build_placement
+from roadtorch.camera.mounting import build_placement
 from roadtorch.camera.views import (
     Rectification,
     View,
@@ -207,7 +207,8 @@ def test_detectors_and_the_grid_take_the_lens_of_a_camera(tmp_path: Path) -> Non
     camera.write(tmp_path / "camera.toml")
 
     rectification = load_detector("prior:rows", camera=camera).settings.rectification
-    placement = build_placement(Mounting(height=1.0, camera=tmp_path / "camera.toml"), False)
+    read = Camera.read(tmp_path / "camera.toml")
+    placement = build_placement(read, {"height": 1.0}, of_bags=False)
     straight = Camera(**values, lens=pinhole_lens(WIDTH, HEIGHT, 60))
 
     assert rectification is not None

@@ -112,17 +112,20 @@ def test_a_calibration_reaches_camera_file_infer_and_grid(
     (tmp_path / "info.yaml").write_text(CAMERA_INFO)
     file, image = tmp_path / "camera.toml", street / "00.png"
 
-    made = call("camera", street, "--camera-info", tmp_path / "info.yaml", "--out", file)
+    estimate = ("camera", street, "--camera-info", tmp_path / "info.yaml", "--out", file)
+    call(*estimate)
+    file.write_text(f"{file.read_text()}\n[grid]\nheight = 1.2\n")
+    made = call(*estimate)  # keeps the height
     options = ("--camera", file, "--detector", "prior:rows", "--out")
     found = call("infer", image, *options, tmp_path / "roads")
-    mapped = call("grid", image, *options, tmp_path / "grids", "--height", 1.2)
+    mapped = call("infer", image, *options, tmp_path / "grids", "--save", "grid")
 
     assert [made.exit_code, found.exit_code, mapped.exit_code] == [0, 0, 0], mapped.output
     lens = Camera.read(file).lens
     assert lens is not None
     assert (lens.model, lens.width, lens.focal_x) == ("equidistant", 160, 50)
     assert "[rectification.lens]" in (tmp_path / "roads" / "config.toml").read_text()
-    assert '"equidistant"' in (tmp_path / "grids" / "config.toml").read_text().splitlines()[-1]
+    assert '# model = "equidistant"' in (tmp_path / "grids" / "config.toml").read_text()
 
 
 # --- commands with --camera ---------------------------------------------------------------

@@ -41,15 +41,13 @@ MISTAKES = {
     "infer x.jpg --out x.png/below": "x.png/below: cannot be created: ",
     "infer x.jpg --out loop": "loop: cannot be created: ",
     # The ground
-    "grid x.jpg --out o": "grid: the lens is not specified (give one of --fov, --camera-info",
-    "grid x.jpg --out o --fov 60": "--height: is missing",
-    "grid x.jpg --out o --fov 60 --camera-info a": "grid: --fov and --camera-info were given",
-    "grid x.jpg --out o --fov 60 --height -1": "--height: -1 was given",
-    "grid x.jpg --out o --fov 190 --height 1": "--fov: 190 degrees were given",
-    "grid x.jpg --out o --fov 60 --height 1 --pitch 95": "--pitch: 95 was given",
-    "grid x.jpg --out o --fov 60 --height 1 --mount a": "--mount: 'a' was given",
-    "grid x.jpg --out o --fov 60 --height 1 --range 0.1": "range: 0.1 was given",
-    "grid x.jpg --out o --calibration none --pitch 1": "--pitch: conflicts with --calibration",
+    "infer x.jpg --out o --save grid": "grid.height: is missing (give --set ",
+    "infer x.jpg --out o --save grid --set grid.height=1": "grid: the lens is not spe",
+    "infer x.jpg --out o --save grid --set grid.height=-1": "grid.height: -1 was given",
+    "infer x.jpg --out o --save grid --set grid.fov=190": "grid.fov: 190 was given",
+    "infer x.jpg --out o --save grid --set grid.pitch=95": "grid.pitch: 95 was given",
+    "infer x.jpg --out o --save grid --set grid.range=0.1": "grid.range: 0.1 was given",
+    "infer x.jpg --out o --save grid --set grid.cells=1": "grid.cells: unknown setting",
     # Learning and correcting
     "train --config xyz --images . --out o": "xyz: unknown config, and no path such as ./NAME.toml",
     "train --config adapt --images . --out o --set teacher.margi=1": (
@@ -97,7 +95,6 @@ WORKING = {
     "adapt": "x.jpg --out o",
     "annotate": ".",
     "evaluate": "camvid .",
-    "grid": "x.jpg --out o --fov 60 --height 1 --pitch 5 --detector prior:rows",
     "infer": "x.jpg --detector prior:rows",
     "train": "--images . --out o --config cnn7",
 }

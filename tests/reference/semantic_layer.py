@@ -39,7 +39,7 @@ def mark_cells(
     """
     types = [source[name] for name in source["class_types"]]
     costs = {name: kind["max_cost"] for kind in types for name in kind["classes"]}
-    axes, size = np.array(pose.axes), settings.resolution
+    axes, size = np.array(pose.axes), settings.cell
     marked = np.full((round(2 * settings.side / size), round(settings.range / size)), -1)
     best = marked.copy()
     for pixel in map(tuple, np.argwhere(np.isfinite(points[..., 2]))):
@@ -59,7 +59,7 @@ def count_stray_cells(
     marked: np.ndarray, cells: np.ndarray, settings: GridSettings, reach: float
 ) -> int:
     """Count the layer's cells, and the grid's within reach, without their like within a cell."""
-    rows, columns = np.indices(cells.shape) * settings.resolution
+    rows, columns = np.indices(cells.shape) * settings.cell
     near, count = np.hypot(columns, rows - settings.side) < reach, 0
     for cost, value in ((0, FREE), (254, OCCUPIED)):
         layer, grid = (marked == cost).astype(np.uint8), (cells == value).astype(np.uint8)

@@ -47,7 +47,7 @@ def environment() -> dict[str, str]:
 
 @pytest.fixture
 def start(environment: dict[str, str]) -> Iterator[Start]:
-    """Return ``start("-p", "height:=1.2")``, which waits until the node subscribes."""
+    """Return ``start("-p", "grid.height:=1.2")``, which waits until the node subscribes."""
     nodes: list[subprocess.Popen[str]] = []
 
     def begun(*words: str) -> "subprocess.Popen[str]":
@@ -81,7 +81,7 @@ def talk(environment: dict[str, str]) -> Talk:
 
 @pytest.fixture
 def declare() -> Iterator[Callable[..., Any]]:
-    """Return ``declare("height:=1")``: a node with these parameters, and their values."""
+    """Return ``declare("grid.height:=1")``: a node with these parameters, and their values."""
     import rclpy
 
     def run(*texts: str) -> tuple[Any, Any]:
@@ -97,10 +97,13 @@ def declare() -> Iterator[Callable[..., Any]]:
 def test_whole_numbers_are_read_and_parameters_are_read_only(declare: Callable[..., Any]) -> None:
     from rclpy.parameter import Parameter
 
-    node, values = declare("height:=1", "fov:=60", "cameras:=['front']", "front.pitch:=5")
+    node, values = declare(
+        "grid.height:=1", "grid.fov:=60", "cameras:=['front']", "front.grid.pitch:=5"
+    )
+    grid = values["front"].grid
 
-    assert (values["front"].height, values["front"].fov, values["front"].pitch) == (1.0, 60.0, 5.0)
-    for name in ("height", "front.pitch", "smoothing"):
+    assert (grid.height, grid.fov, grid.pitch) == (1.0, 60.0, 5.0)
+    for name in ("grid.height", "front.grid.pitch", "smoothing"):
         (result,) = node.set_parameters([Parameter(name, value=2.0)])
         assert not result.successful
         assert "read-only" in result.reason
@@ -111,7 +114,7 @@ def test_a_parameter_of_another_type_is_refused_with_an_example(
     text: str, declare: Callable[..., Any]
 ) -> None:
     with pytest.raises(
-        ConfigError, match=f"^{text.partition(':')[0]}.* was given .*-p height:=1.2"
+        ConfigError, match=f"^{text.partition(':')[0]}.* was given .*-p grid.height:=1.2"
     ):
         declare(text)
 
@@ -125,7 +128,7 @@ def test_words_that_ros_cannot_parse_are_one_line(words: str, call: Call) -> Non
 
 
 def test_every_encoding_is_answered_with_its_stamp_and_frame(start: Start, talk: Talk) -> None:
-    start("-p", "height:=1.2", "-p", "pitch:=5.0", "-p", "detector:=prior:triangle")
+    start("-p", "grid.height:=1.2", "-p", "grid.pitch:=5.0", "-p", "detector:=prior:triangle")
 
     results = talk(8)
 
@@ -143,9 +146,9 @@ def test_nav2_marks_the_cells_of_the_published_grid(
     start: Start, talk: Talk, tmp_path: Path
 ) -> None:
     """The layer of tests/reference/semantic_layer.py reads topics of one stamp."""
-    values = ("height:=1.2", "pitch:=15.0", "resolution:=0.2", "detector:=prior:triangle")
+    values = ("grid.height:=1.2", "grid.pitch:=15.0", "grid.cell:=0.2", "detector:=prior:triangle")
     start(*(word for value in values for word in ("-p", value)))
-    settings, pose = GridSettings(resolution=0.2), camera_pose(1.2, 15)
+    settings, pose = GridSettings(cell=0.2), camera_pose(1.2, 15)
     reach = math.sqrt(0.2 * 240 * 1.2)  # a pixel is r² / (f h) metres long
     layer = NAV2_PARAMETERS | {"max_obstacle_distance": reach}
 
@@ -169,8 +172,8 @@ def test_the_talker_may_leave_and_come_back_with_another_size(start: Start, talk
 
 
 def test_two_cameras_have_topics_and_parameters_of_their_own(start: Start, talk: Talk) -> None:
-    values = ("cameras:=['front','rear']", "detector:=prior:triangle", "pitch:=5.0")
-    values += ("rear.height:=1.5", "rear.base_frame:=rear_link")
+    values = ("cameras:=['front','rear']", "detector:=prior:triangle", "grid.pitch:=5.0")
+    values += ("rear.grid.height:=1.5", "rear.grid.frame:=rear_link")
     start(*(word for value in values for word in ("-p", value)))
 
     def run(name: str, size: str) -> dict[str, Any]:
@@ -186,7 +189,7 @@ def test_two_cameras_have_topics_and_parameters_of_their_own(start: Start, talk:
     assert rear["grid"] == ["rear_link", 300, 300]
 
 
-@pytest.mark.parametrize("words", ["cameras:=['9']", "height:=-1.0"])
+@pytest.mark.parametrize("words", ["cameras:=['9']", "grid.height:=-1.0"])
 def test_impossible_parameters_are_refused_in_a_line(
     environment: dict[str, str], words: str
 ) -> None:

@@ -54,24 +54,14 @@ def root(tmp_path: Path) -> Path:
     camera = Camera(width=64, height=48, frames=10, horizon=0.4, seed_row=0.9, ego=Ego(bottom=0.2))
     camera.write(root / "camera.toml")
     (root / "config.toml").write_text('detector = "prior:rows"\nthreshold = 0.4\n')
-    (root / "lens.yaml").write_text(LENS)
     (root / "train.toml").write_text(IMAGES)
     write_network(root / "weights.safetensors", 0)
     return root
 
 
-LENS = """
-image_width: 64
-image_height: 48
-camera_matrix: {data: [60, 0, 32, 0, 60, 24, 0, 0, 1]}
-distortion_model: plumb_bob
-distortion_coefficients: {data: [0, 0, 0, 0, 0]}
-"""
-
 OTHER_TEXT = {
     "camera.toml": ("0.", "0.1"),
     "config.toml": ("0.4", "0.6"),
-    "lens.yaml": ("60", "50"),
     "calib/um_000000.txt": ("1.3000", "1.4000"),  # the focal length
 }
 
@@ -105,7 +95,8 @@ ROWS = "--detector prior:rows"
 GREY = "--detector grey-uniformity"
 TRAIN = "train --config @train.toml --images @streets --threads 1"
 ADAPT = "adapt @drive --threads 1 --set network.height=64 --set network.width=96"
-VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
+FOV = "--set grid.fov=55"
+GRID = f"{ROWS} --save grid --set grid.height=1.35 --set grid.range=10 --set grid.side=4"
 
 
 @pytest.mark.parametrize(
@@ -114,8 +105,7 @@ VIEW = f"{ROWS} --height 1.35 --range 10 --side 4"
         (f"infer @streets {ROWS}", "streets/street_0.png"),
         (f"infer @streets {ROWS} {EGO}", "ego.png"),
         (f"infer @streets {WEIGHTS}", "weights.safetensors"),
-        (f"grid @streets {VIEW} --fov 55 --pitch 3", "streets/street_0.png"),
-        (f"grid @streets {VIEW} --fov 55 --pitch 3 {EGO}", "ego.png"),
+        (f"infer @streets {GRID} {FOV} --set grid.pitch=3 {EGO}", "ego.png"),
         ("label @streets", "streets/street_0.png"),
         (f"evaluate kitti-road @ --submit {GREY}", "image_2/um_000000.png"),
         (f"evaluate kitti-road @ --submit {GREY}", "calib/um_000000.txt"),
@@ -142,8 +132,7 @@ def test_as_in_a_new_folder(call: Call, root: Path, tmp_path: Path, line: str, n
     [
         ("infer @streets --config @config.toml", "config.toml"),
         (f"infer @streets {GREY} --camera @camera.toml", "camera.toml"),
-        (f"grid @streets {VIEW} --camera-info @lens.yaml --pitch 3", "lens.yaml"),
-        (f"grid @streets {VIEW} --fov 55 --camera @camera.toml", "camera.toml"),
+        (f"infer @streets {GRID} {FOV} --camera @camera.toml", "camera.toml"),
     ],
 )
 def test_other_settings_of_a_file(

@@ -12,6 +12,7 @@ import torch
 from roadtorch import detect_stream, load_detector
 from roadtorch.annotate.views import AnnotationSettings, compute_view
 from roadtorch.base.image import from_pixels, write_mask
+from roadtorch.camera.ground_grid import GridSettings
 from roadtorch.detectors.detector import Detector
 from roadtorch.ros import camera_topics, messages, node
 from roadtorch.ros.parameters import NodeParameters
@@ -135,7 +136,7 @@ def test_the_node_publishes_the_masks_of_another_device(
     for module in (camera_topics, messages, node):
         monkeypatch.setattr(module, "import_ros", MagicMock())
     monkeypatch.setattr(camera_topics, "image_message", lambda _, pixels: published.append(pixels))
-    parameters = {"": NodeParameters(height=1.2, pitch=0.0, fov=60.0)}
+    parameters = {"": NodeParameters(grid=GridSettings(height=1.2, pitch=0.0, fov=60.0))}
 
     def run() -> int:
         road = node.RoadNode(MagicMock(), parameters)

@@ -57,15 +57,15 @@ def test_names_beyond_16_bits_and_bytes_that_are_not_utf_8_are_found(
     data = save_image(tmp_path / "images" / "\N{GRINNING FACE}.png").read_bytes()
     (tmp_path / "images" / os.fsdecode(b"b\xff\xfe.png")).write_bytes(data)
 
-    call(
-        "infer", tmp_path / "images", *ROWS, "--save", "polygons", "--out", tmp_path, "--jobs", "1"
-    )
-    place = ("--fov", "60", "--height", "1", "--pitch", "5")
-    call("grid", tmp_path / "images", *ROWS, *place, "--out", tmp_path / "grids", "--jobs", "1")
+    place = [
+        part for value in ("fov=60", "height=1", "pitch=5") for part in ("--set", f"grid.{value}")
+    ]
+    save = ("--save", "polygons,grid", *place)
+    call("infer", tmp_path / "images", *ROWS, *save, "--out", tmp_path, "--jobs", "1")
 
     assert len(json.loads((tmp_path / "coco.json").read_text())["images"]) == 2
-    text = (tmp_path / "grids" / "\N{GRINNING FACE}.grid.yaml").read_text(encoding="utf-8")
-    assert (tmp_path / "grids" / yaml.safe_load(text)["image"]).is_file()
+    text = (tmp_path / "\N{GRINNING FACE}.grid.yaml").read_text(encoding="utf-8")
+    assert (tmp_path / yaml.safe_load(text)["image"]).is_file()
 
 
 @pytest.mark.parametrize(

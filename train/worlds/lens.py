@@ -75,7 +75,7 @@ def image_circle(lens: Fisheye) -> np.ndarray:
 
 
 def write_lens(lens: Fisheye, mount: dict[str, float]) -> str:
-    """Return the TOML text of a lens for ``roadtorch grid``, with its mount."""
+    """Return the TOML text of a lens for a camera file, with its mount."""
     rows = [f"{name} = {getattr(lens, name)!r}" for name in lens._fields[:6]]
     rows += ['model = "equidistant"', f"coefficients = {list(lens.coefficients)}"]
     rows += ["", "[mount]", f"view = {lens.view:.2f}"]

@@ -56,7 +56,7 @@ class BagWriter:
     Args:
         path: ``NAME.bag`` becomes a ROS 1 bag, any other name the folder of a ROS 2 bag (MCAP with
             zstd).
-        frame_id: frame of the headers, of the camera or for grids of the robot.
+        frame_id: frame of the camera, of the headers of images.
         threshold: likelihood threshold of the mask, for the label info.
         draw: returns the overlay of a detection, uint8 RGB, shape (H, W, 3); None for no overlay.
 
@@ -122,10 +122,10 @@ class BagWriter:
         self._latest = max(self._latest, stamp if is_regular else self._start + elapsed)
         return self._latest
 
-    def write_grid(self, item: Item, grid: Grid) -> None:
+    def write_grid(self, item: Item, grid: Grid, frame_id: str) -> None:
         """Write the grid of a frame; InputError when it cannot be written."""
         kinds: Any = self.types.types
-        header = _make_header(self.types, item.nanoseconds, self._frame_id)
+        header = _make_header(self.types, item.nanoseconds, frame_id)
         pose = kinds["geometry_msgs/msg/Pose"](
             kinds["geometry_msgs/msg/Point"](*map(float, grid.origin), 0.0),
             kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),

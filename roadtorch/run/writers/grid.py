@@ -7,7 +7,7 @@ unknown, and occupied from .65 of (255 - value) / 255. Its default free_thresh o
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,21 +16,18 @@ import numpy as np
 from torch import Tensor
 
 from roadtorch.base.atomic import atomic_write, write_text
-from roadtorch.base.errors import RoadtorchError, to_input_error
 from roadtorch.base.image import tint_mask, to_pixels, write_npy, write_pixels
-from roadtorch.camera.ground_grid import FREE, OCCUPIED, Grid, GridSettings, ground_grid
-from roadtorch.camera.mounting import CameraPlacement
+from roadtorch.camera.ground import GroundCamera
+from roadtorch.camera.ground_grid import FREE, OCCUPIED, Grid, ground_grid
+from roadtorch.camera.mounting import CameraPlacement, Pitch
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
-from roadtorch.run.ledger import DONE, DOUBTFUL
 from roadtorch.run.writers.bag import BagWriter
 
 GRID_SUFFIXES = {
-    "pgm": ".grid.pgm",
-    "yaml": ".grid.yaml",
-    "npy": ".grid.npy",
-    "likelihood": ".grid.likelihood.npy",
-    "image": ".grid.jpg",
+    "grid": (".grid.pgm", ".grid.yaml", ".grid.npy"),
+    "grid-likelihood": (".grid.likelihood.npy",),
+    "grid-image": (".grid.jpg",),
 }
 
 DOUBTFUL_SPREAD = 2.0  # standard deviation of a pitch, in degrees, above which a grid is doubtful
@@ -81,65 +78,48 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
     write_text(stem.with_name(stem.name + ".grid.yaml"), "\n".join(lines))
 
 
+def make_grid(
+    placement: CameraPlacement, detection: Detection, threshold: float
+) -> tuple[Grid, GroundCamera, Pitch]:
+    """Map a detection onto the ground; return the grid, and the camera that it was seen by.
+
+    threshold: that of the mask. Raises InputError where the pitch is unknown.
+    """
+    assert detection.image is not None
+    camera, pitch = placement(detection.image, detection.cues.get("layout"))
+    # Zeroed where the mask excludes likely road, but kept below the threshold, so that cells
+    # between pixels interpolate it.
+    road = detection.likelihood * (detection.mask | (detection.likelihood < threshold))
+    ego = detection.cues.get("ego")
+    return ground_grid(road, camera, placement.settings, ego, threshold), camera, pitch
+
+
 @dataclass(frozen=True)
 class GridWriter:
     """A writer of a ground grid for each image, and optionally into a bag."""
 
-    folder: Path
     placement: CameraPlacement
-    settings: GridSettings
-    kinds: Sequence[str]  # see ``GRID_SUFFIXES``
+    threshold: float
     bag: BagWriter | None = None
-    frame_id: str = "base_link"  # of the robot, in which grids are written
 
-    @property
-    def suffixes(self) -> Sequence[str]:
-        """Suffixes of its files."""
-        return [GRID_SUFFIXES[kind] for kind in self.kinds]
-
-    def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the grid of an image; its road share in index.csv is the fraction of free cells.
-
-        Raises:
-            InputError: where the pitch is unknown, or a file cannot be written.
-        """
-        try:
-            grid, doubt = self._write_files(item, detection)
-        except RoadtorchError as error:
-            raise to_input_error(item.origin, error) from None
+    def write(self, stem: Path, kinds: Set[str], item: Item, detection: Detection) -> str:
+        """Write the files of the kinds of ``GRID_SUFFIXES``; return a reason for doubt, or ""."""
+        grid, _, pitch = make_grid(self.placement, detection, self.threshold)
+        if "grid" in kinds:
+            write_grid(stem, grid, f"pitch {pitch.degrees:.2f} degrees, {pitch.reason}")
+        if "grid-likelihood" in kinds:
+            write_npy(stem.with_name(stem.name + ".grid.likelihood.npy"), grid.likelihood)
+        if "grid-image" in kinds:
+            assert detection.image is not None
+            drawing = _draw_beside(detection.image, detection.mask, grid)
+            write_pixels(stem.with_name(stem.name + ".grid.jpg"), drawing)
         if self.bag is not None:
-            self.bag.write_grid(item, grid)
-        doubts = ", ".join(filter(None, (detection.doubt, doubt)))
-        free = float((grid.cells == FREE).double().mean())
-        return {"road_share": f"{free:.4f}", "status": f"{DOUBTFUL}: {doubts}" if doubts else DONE}
-
-    def close(self) -> None:
-        """Close the bag."""
-        if self.bag is not None:
-            self.bag.close()
-
-    def _write_files(self, item: Item, detection: Detection) -> tuple[Grid, str]:
-        """Compute a grid and write its files; return it with a reason for doubt, or ""."""
-        image = detection.image
-        assert image is not None
-        camera, pitch = self.placement(image, detection.cues.get("layout"))
-        # Zeroed where the mask excludes likely road, but kept below the threshold, so that cells
-        # between pixels interpolate it.
-        likelihood, threshold = detection.likelihood, self.settings.threshold
-        road = likelihood * (detection.mask | (likelihood < threshold))
-        grid = ground_grid(road, camera, self.settings, detection.cues.get("ego"))
-        stem = self.folder / item.name
-        write_grid(stem, grid, f"pitch {pitch.degrees:.2f} degrees, {pitch.reason}")
-        if "likelihood" in self.kinds:
-            write_npy(stem.with_name(stem.name + GRID_SUFFIXES["likelihood"]), grid.likelihood)
-        if "image" in self.kinds:
-            drawing = _draw_beside(image, detection.mask, grid)
-            write_pixels(stem.with_name(stem.name + GRID_SUFFIXES["image"]), drawing)
+            self.bag.write_grid(item, grid, self.placement.settings.frame)
         doubts = [f"{100 * grid.blocked:.0f} % of the road lies behind obstacles"]
         doubts = doubts if grid.blocked > DOUBTFUL_BLOCKED else []
         if pitch.deviation > DOUBTFUL_SPREAD:
             doubts.append(f"pitch unsure by {pitch.deviation:.1f} degrees")
-        return grid, ", ".join(doubts)
+        return ", ".join(doubts)
 
 
 def _draw_beside(image: Tensor, mask: Tensor, grid: Grid) -> np.ndarray:

@@ -22,8 +22,9 @@ from roadtorch.data.polygons import coco_annotation
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import LAYOUT_COLOURS, colour_layout
-from roadtorch.run.ledger import IndexRow
+from roadtorch.run.ledger import DOUBTFUL, IndexRow
 from roadtorch.run.writers.coco import POLYGONS_SUFFIX, coco_text
+from roadtorch.run.writers.grid import GRID_SUFFIXES, GridWriter
 
 MAP_SUFFIXES = {
     "likelihood": ".likelihood.png",
@@ -45,19 +46,25 @@ class MapWriter:
     """A writer of the files of an image."""
 
     folder: Path
-    kinds: frozenset[str]  # see ``MAP_SUFFIXES`` and ``CUE_SUFFIXES``
+    kinds: frozenset[str]  # see ``MAP_SUFFIXES``, ``CUE_SUFFIXES`` and ``GRID_SUFFIXES``
     detector: str  # for the JSON, as is the threshold
     threshold: float
     depth: Literal[8, 16] = 8  # bits of likelihood maps
+    grids: GridWriter | None = None
 
     @property
     def suffixes(self) -> Sequence[str]:
         """Suffixes of its files; ``{}`` stands for the name of a cue."""
         tables = (MAP_SUFFIXES, CUE_SUFFIXES)
-        return [table[kind] for table in tables for kind in table if kind in self.kinds]
+        maps = [table[kind] for table in tables for kind in table if kind in self.kinds]
+        return [*maps, *(end for kind in self.kinds for end in GRID_SUFFIXES.get(kind, ()))]
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the files; return the names of cues, for single images."""
+        """Write the files; return the names of cues, for single images, and doubts of the grid.
+
+        Raises:
+            InputError: where a file cannot be written, or the grid lacks a pitch.
+        """
         kinds, stem = self.kinds, self.folder / item.name
 
         def path(suffix: str) -> Path:
@@ -83,7 +90,11 @@ class MapWriter:
             write_text(path(MAP_SUFFIXES["polygons"]), "".join(coco_text([row], lambda _: regions)))
         if "json" in kinds:
             write_json(path(MAP_SUFFIXES["json"]), self._figures(item.row_name, detection))
-        return {} if item.digest is None else {"cues": "/".join(detection.cues)}
+        columns = {} if item.digest is None else {"cues": "/".join(detection.cues)}
+        doubt = self.grids.write(stem, kinds, item, detection) if self.grids else ""
+        if doubt:
+            columns["status"] = f"{DOUBTFUL}: {', '.join(filter(None, (detection.doubt, doubt)))}"
+        return columns
 
     def _figures(self, file: str, detection: Detection) -> dict[str, object]:
         """Return the values for NAME.json, which depend on the image and the detector alone."""

@@ -1,4 +1,4 @@
-"""The outputs of ``infer`` and ``grid`` for a source: which writers it gets, and their files."""
+"""The outputs of ``infer`` for a source: which writers it gets, and their files."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -70,6 +70,7 @@ class MapOutput:
     """The outputs of ``infer`` for a source: videos, bags, and files of each frame."""
 
     maps: MapWriter  # writer of single images
+    infer: Inference
     # Of ``--save``, None for the defaults; ``overlay`` is a video, ``overlay-frames`` are images.
     kinds: tuple[str, ...] | None
     topic: str | None = None  # image topic in bags, None for the only one
@@ -93,6 +94,7 @@ class MapOutput:
     def _open(self, source: Source, maps: MapWriter, suffixes: dict[str, str]) -> Iterator[Writers]:
         """Open the writers; videos and bags are finished however the block ends."""
         stem, overlay = maps.folder / source.name, CachedOverlay()
+        grids = self._fit_grids(source)
         draws: dict[str, Callable[[Detection], np.ndarray]] = {
             "overlay": overlay,
             "mask-video": lambda result: result.mask.numpy().astype(np.uint8) * 255,
@@ -107,41 +109,22 @@ class MapOutput:
                     if is_from_bag(source):
                         frame_id = image_topic(source.origin, self.topic).frame_id
                     writer = BagWriter(path, frame_id, maps.threshold, overlay)
+                    grids = replace(grids, bag=writer) if grids else None
                 else:
                     writer = VideoWriter(path, draws[kind], source.rate)
                 streams.append(stack.enter_context(closing(writer)))
-            yield Writers(maps, streams)
+            yield Writers(replace(maps, grids=grids), streams)
 
-
-@dataclass(frozen=True)
-class GridOutput:
-    """The outputs of ``grid`` for a source: a grid for each frame, and a bag for a bag."""
-
-    grids: GridWriter
-    infer: Inference
-    topic: str | None = None
-
-    def __call__(self, source: Source) -> Output:
-        """Return the outputs for a source."""
-        kinds, suffixes = tuple(self.grids.kinds), list[str]()
-        if is_from_bag(source):
-            kinds, suffixes = (*kinds, "bag"), [bag_suffix(source, ".grid")]
-        return Output(kinds, suffixes, self.grids.suffixes, partial(self._open, source, suffixes))
-
-    @contextmanager
-    def _open(self, source: Source, suffixes: list[str]) -> Iterator[Writers]:
-        """Fix the pitch of the source, and open the writers; the bag is finished in any case."""
-        placement, bag = self.grids.placement, None
+    def _fit_grids(self, source: Source) -> GridWriter | None:
+        """Return the writer of grids, if any, with the lens and one pitch of the source."""
+        if self.maps.grids is None:
+            return None
+        placement = self.maps.grids.placement
         if placement.needs_lens:
             placement = placement.with_lens(camera_info(source.origin, self.topic))
         if placement.needs_layout:
             placement = fix_pitch(placement, self.infer, source)
-        if suffixes:
-            stem = self.grids.folder / source.name
-            path, threshold = stem.with_name(stem.name + suffixes[0]), self.grids.settings.threshold
-            bag = BagWriter(path, self.grids.frame_id, threshold)
-        with closing(replace(self.grids, placement=placement, bag=bag)) as grids:
-            yield Writers(grids)
+        return replace(self.maps.grids, placement=placement)
 
 
 def fix_pitch(placement: CameraPlacement, infer: Inference, source: Source) -> CameraPlacement:

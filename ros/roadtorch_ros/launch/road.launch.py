@@ -1,6 +1,6 @@
 """Launch the node on a camera, or on several.
 
-ros2 launch roadtorch_ros road.launch.py image:=/front/image_raw height:=1.2
+ros2 launch roadtorch_ros road.launch.py image:=/front/image_raw grid.height:=1.2
 ros2 launch roadtorch_ros road.launch.py cameras:=front,rear params_file:=cameras.yaml
 
 Cameras started in the same launch, after this file, use its profile for large messages too.
@@ -16,8 +16,8 @@ from launch_ros.actions import Node
 TOPICS = {"image": "/camera/image_raw", "camera_info": "/camera/camera_info"}
 PARAMETERS = {
     "detector": ("fusion", str),
-    "height": ("0.0", float),
-    "base_frame": ("base_link", str),
+    "grid.height": ("", float),
+    "grid.frame": ("", str),
 }
 FILES = {"cameras": "", "params_file": ""}
 PROFILE = Path(__file__).resolve().parents[1] / "config" / "large_messages.xml"
@@ -38,7 +38,7 @@ def describe_node(context: LaunchContext) -> list[Node]:
     names = (*TOPICS, *PARAMETERS, *FILES)
     texts = {name: LaunchConfiguration(name).perform(context) for name in names}
     cameras = [name for name in texts["cameras"].split(",") if name]
-    values = {name: kind(texts[name]) for name, (_, kind) in PARAMETERS.items()}
+    values = {name: kind(texts[name]) for name, (_, kind) in PARAMETERS.items() if texts[name]}
     several = [{"cameras": cameras}] if cameras else []
     files = [texts["params_file"]] if texts["params_file"] else []
     return [

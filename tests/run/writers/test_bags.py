@@ -162,7 +162,7 @@ def test_a_grid_has_its_place(tmp_path: Path, generation: int):
     cells = torch.tensor([[0, 100, -1], [100, 0, 0]], dtype=torch.int8)
     grid = Grid(cells, cells / 100, 0.1, (2.0, -5.0))
     with closing(BagWriter(path, "base_link", 0.5)) as bag:
-        bag.write_grid(item(STAMP), grid)
+        bag.write_grid(item(STAMP), grid, "map")
     (entry,) = read_bag(path)
     message = entry.message
     assert entry.topic == "/segmentation/grid"
