@@ -33,34 +33,27 @@ EGO_MARGIN = 0.03  # of the height, by which an ego car's estimated outline may 
 BORDER_SAMPLES = 64  # pixels of each side of the image whose rays bound the view
 
 _Metres = Annotated[float, Field(gt=0, le=1000)]
+_Height = Annotated[float, Field(ge=0.01, le=1000)]
+_Pitch = Annotated[float, Field(ge=MIN_PITCH, le=MAX_PITCH)]
+_Roll = Annotated[float, Field(ge=-MAX_ROLL, le=MAX_ROLL)]
+_Angle = Annotated[float, Field(ge=1, le=170)]
 _Position = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class GridSettings(Settings):
     """The camera over the ground, and the cells of its grid."""
 
-    height: float | None = Field(
-        default=None, ge=0.01, le=1000, description="height of the camera above the ground, metres"
+    height: _Height | None = Field(
+        default=None, description="metres of the camera above the ground"
     )
-    pitch: float | None = Field(
+    pitch: _Pitch | None = Field(
         default=None,
-        ge=MIN_PITCH,
-        le=MAX_PITCH,
-        description="pitch in degrees, positive downwards; of the camera file or the images if "
-        "unset",
+        description="degrees, positive downwards; unset: of the camera file or the images",
     )
-    roll: float = Field(
-        default=0.0,
-        ge=-MAX_ROLL,
-        le=MAX_ROLL,
-        description="roll in degrees, positive if the right side is lower",
-    )
-    fov: float | None = Field(
+    roll: _Roll = Field(default=0.0, description="degrees, positive if the right side is lower")
+    fov: _Angle | None = Field(
         default=None,
-        ge=1,
-        le=170,
-        description="horizontal field of view in degrees; the lens of the camera file, or of "
-        "camera_info, if unset",
+        description="degrees from side to side; unset: lens of the camera file or camera_info",
     )
     x: _Position = Field(
         default=0.0, description="metres of the camera ahead of the robot's origin"

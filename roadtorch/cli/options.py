@@ -67,8 +67,8 @@ class DetectorOptions:
         from roadtorch.base.settings import parse_assignments
 
         parts = [item for item in self.assignments if re.match(rf"\s*{group}\b", item)]
-        others = tuple(item for item in self.assignments if item not in parts)
-        return replace(self, assignments=others), parse_assignments(parts).get(group, {})
+        remaining = tuple(item for item in self.assignments if item not in parts)
+        return replace(self, assignments=remaining), parse_assignments(parts).get(group, {})
 
     def load(
         self,

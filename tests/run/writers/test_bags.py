@@ -161,8 +161,8 @@ def test_a_grid_has_its_place(tmp_path: Path, generation: int):
     path = tmp_path / ("grids.bag" if generation == 1 else "grids")
     cells = torch.tensor([[0, 100, -1], [100, 0, 0]], dtype=torch.int8)
     grid = Grid(cells, cells / 100, 0.1, (2.0, -5.0))
-    with closing(BagWriter(path, "base_link", 0.5)) as bag:
-        bag.write_grid(item(STAMP), grid, "map")
+    with closing(BagWriter(path, "camera", 0.5)) as bag:
+        bag.write_grid(item(STAMP), grid, "base_link")
     (entry,) = read_bag(path)
     message = entry.message
     assert entry.topic == "/segmentation/grid"
