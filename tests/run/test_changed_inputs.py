@@ -160,7 +160,7 @@ def test_other_settings_of_a_file(
             "street.overlay.mp4 street/000001.mask.png",
         ),
         (f"infer @street.avi {ROWS} --save bag", "street.road street.road/metadata.yaml"),
-        (f"grid @streets {VIEW} --fov 55 --pitch 3", "street_0.grid.yaml street_1.grid.npy"),
+        (f"infer @streets {GRID} {FOV} --set grid.pitch=3", "street_0.grid.yaml street_1.grid.npy"),
         ("label @streets", "street_0.png config.toml"),
         (f"evaluate kitti-road @ --submit {GREY}", "submission.zip um_road_000000.png"),
         (
