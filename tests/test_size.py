@@ -17,8 +17,8 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_410,
     "roadtorch/base": 2_195,
-    "roadtorch/camera": 2_180,
-    "roadtorch/cli": 2_090,
+    "roadtorch/camera": 2_150,
+    "roadtorch/cli": 1_980,
     "roadtorch/data": 2_565,
     "roadtorch/detectors": 2_430,
     "roadtorch/evaluation": 3_670,
@@ -28,21 +28,21 @@ LINES = {
     "roadtorch/layout": 1_695,
     "roadtorch/oneclass": 1_790,
     "roadtorch/road": 1_595,
-    "roadtorch/ros": 570,
-    "roadtorch/run": 2_610,
+    "roadtorch/ros": 535,
+    "roadtorch/run": 2_585,
     "roadtorch/testing": 640,
     "roadtorch/train": 4_455,
     "roadtorch/ufl": 1_355,
-    "scripts": 5_545,
-    "tests": 29_925,
+    "scripts": 5_530,
+    "tests": 29_845,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 127
-COMMAND_COUNT = 12
+OPTIONS = 98
+COMMAND_COUNT = 11
 
 REASON = "cut something, or raise the number and state the reason in the same commit"
 
