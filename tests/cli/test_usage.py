@@ -56,7 +56,7 @@ MISTAKES = {
     "train --images . --out o": "--config: is missing (give it, or --masks, or --corrections)",
     "train --images . --out o --masks a --corrections b": "--masks: is given with --corrections (",
     "train --images . --out o --masks bare": "bare: lies in --images . (give the folder of the im",
-    "train --images *.jpg --out o --masks bare": "bare: has a mask for none of 1 images (",
+    "train --images *.jpg --out o --masks bare": "bare: has a mask for none of 1 images, such as x",
     "adapt --out o": "Missing argument 'FOOTAGE...'",
     "adapt x.jpg --out o --set kind=patches": "network.height: unknown setting",
     "adapt x.jpg --out o --set initial_weights=": "initial_weights: ",
