@@ -60,7 +60,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "roadtorch"
 html_static_path = ["_static"]
 html_sidebars = {
-    name: [] for name in ("start", "results", "limits", "faq", "contributing", "changelog")
+    name: [] for name in ("results", "limits", "faq", "contributing", "changelog")
 }
 html_css_files = ["quiet.css"]
 html_show_sourcelink = False

@@ -67,7 +67,9 @@ def main() -> None:
     """Print the differences of masks and trust, and the time for an image."""
     from playwright.sync_api import sync_playwright
 
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("page", type=Path)
     parser.add_argument("images", type=Path, nargs="+")
     options = parser.parse_args()

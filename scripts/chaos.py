@@ -444,7 +444,9 @@ def run_preloaded() -> int:
 
 def run() -> int | str:
     """Try a class of trouble on commands; return the problems."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("trouble", choices=[*TROUBLE, "fault"])
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=[])
     parser.add_argument("--times", type=int, default=10)

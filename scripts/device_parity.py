@@ -69,7 +69,9 @@ def compare_footage(source: Path, device: str) -> str:
 
 def main() -> None:
     """Compare every detector of ``DETECTORS``, and the footage."""
-    parser = argparse.ArgumentParser(description="Compare a GPU's results with the CPU's.")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("images", nargs="+", type=Path)
     parser.add_argument("--footage", nargs="+", type=Path, default=[])
     parser.add_argument("--device", default="cuda")

@@ -300,7 +300,9 @@ def thumbnails(names: Iterable[str]) -> dict[str, list[list[int]]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("command", choices=("record", "compare", "thumbnails"))
     parser.add_argument("paths", nargs="+", type=Path)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)

@@ -148,7 +148,9 @@ def score(networks: Mapping[str, Predict], dataset: Dataset) -> dict[str, float]
 
 def main(words: Sequence[str] | None = None) -> None:
     """Score the networks of a folder, or one of an ONNX file, beside our detectors."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("many", type=Path)
     parser.add_argument("--leave-out", nargs="*", default=[], metavar="CAMERA")

@@ -10,8 +10,7 @@ two quiet cores; --only RUN… does some of it. Names are RUN.DETECTOR.MEASURE, 
 ``.high`` its interval, ``@GROUP`` one camera, drive or condition, ``.worst`` and ``.worst.camera``
 the lowest of the groups, ``.less`` the difference to ``fusion``, ``.iou`` that of an F. What the
 code itself states is a record, too: ``code:MODULE:NAME``, ``setting:DETECTOR:KEY``,
-``config:NAME:KEY`` of configs/NAME.toml and ``card:NAME:SOME_WORDS``, the first number before these
-words on a card of weights; ``/GiB`` behind it divides.
+``config:NAME:KEY`` of configs/NAME.toml; ``/GiB`` behind it divides.
 
 A figure is bound to a record by a comment right after it, and keeps as many digits as it has::
 
@@ -49,7 +48,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 
 from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
-from roadtorch.layout.weights import read_card, shipped_weights
 from roadtorch.oneclass import CLASSIFIERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -134,7 +132,7 @@ def intervals_of(prefix: str, intervals: Mapping[str, Sequence[float] | None]) -
 
 
 class RecordsAndCode(dict[str, float | str]):
-    """Records by name, and what the code, settings and cards state when it is asked for."""
+    """Records by name, and what code and settings state when it is asked for."""
 
     def __missing__(self, key: str) -> float | str:
         kind, _, place = key.partition(":")
@@ -160,17 +158,10 @@ def config_value(name: str, key: str) -> Any:
     return value
 
 
-def number_on_card(name: str, words: str) -> float:
-    """Return the first number before some words on a card of weights."""
-    pattern = rf"\b([\d,]*\d) {words.replace('_', ' ')}\b"
-    return float(re.findall(pattern, read_card(shipped_weights(name)))[0].replace(",", ""))
-
-
 STATED = {
     "code": lambda module, name: attrgetter(name)(importlib.import_module(module)),
     "setting": setting_of,
     "config": config_value,
-    "card": number_on_card,
 }
 SIZES = {"GiB": 2**30, "MB": 1e6}
 

@@ -248,7 +248,9 @@ def prepare() -> None:
 
 def main() -> int:
     """Check or write the given pages; return 1 if the output of a page differs."""
-    parser = argparse.ArgumentParser(description="Execute the tutorials.")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("act", choices=("check", "write"))
     parser.add_argument("pages", nargs="*", type=Path)
     options = parser.parse_args()

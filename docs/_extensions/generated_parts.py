@@ -1,4 +1,4 @@
-"""Generated parts of pages: reference, cards of weights, tables of contents.
+"""Generated parts of pages: the reference and the cards of weights.
 
 A line ``{{ KIND WORDS… }}`` alone in a page is replaced by Markdown when the page is read:
 
@@ -10,9 +10,7 @@ A line ``{{ KIND WORDS… }}`` alone in a page is replaced by Markdown when the 
 - ``{{ public }}``: the names of ``roadtorch.__all__``.
 - ``{{ file PATH }}``: a Markdown file of the repository, its heading included.
 - ``{{ cards NAME… }}``: the cards of shipped weights, a section each.
-- ``{{ contents NAME… }}``: a table of contents of pages under docs/.
 - ``{{ browser }}``: a link to the page that finds the road in a browser (scripts/build_site.py).
-- ``{{ unlisted }}``: a table of contents of pages right under docs/ that no other page lists.
 
 Links to files of the repository lead to pages of the site; links to other files become plain
 names, since a site has no repository beside it.
@@ -189,30 +187,9 @@ def cards(names: Sequence[str]) -> str:
     )
 
 
-def contents(names: Sequence[str]) -> str:
-    """Return a table of contents of pages under docs/."""
-    return "\n".join(["```{toctree}", ":maxdepth: 1", "", *(f"/{name}" for name in names), "```"])
-
-
-def unlisted(_: Sequence[str]) -> str:
-    """Return a table of contents of the pages right under docs/ that no page lists."""
-    listed = {word.removeprefix("/") for path in DOCS.rglob("*.md") for word in tocs(path)}
-    missing = [path.stem for path in sorted(DOCS.glob("*.md")) if path.stem not in listed]
-    missing.remove("index")
-    return contents(missing) if missing else ""
-
-
 def browser(_: Sequence[str]) -> str:
     """Return a link to the page for browsers, which scripts/build_site.py adds to the site."""
     return '<a href="browser/index.html">Open the page</a>.'
-
-
-def tocs(path: Path) -> Iterator[str]:
-    """Yield the pages of docs/ itself that a page's tables of contents list."""
-    text = path.read_text(encoding="utf-8")
-    yield from (w for names in re.findall(r"\{\{ contents (.*?) \}\}", text) for w in names.split())
-    for table in re.findall(r"\{toctree\}(.*?)```", text, re.S):
-        yield from (w for w in table.split() if path.parent == DOCS or w.startswith("/"))
 
 
 CARDS = ("layout-free", "backbone-free", "rendered-free", "cnn-7", "cnn-7-paper")
@@ -220,7 +197,7 @@ CARDS = ("layout-free", "backbone-free", "rendered-free", "cnn-7", "cnn-7-paper"
 PAGES = {
     "CONTRIBUTING.md": "/contributing.md",
     "CHANGELOG.md": "/changelog.md",
-    **{f"roadtorch/weights/{name}.md": f"/weights.md#weights-{name}" for name in CARDS},
+    **{f"roadtorch/weights/{name}.md": f"/reference/index.md#weights-{name}" for name in CARDS},
 }
 """Files outside of docs/ that are pages, or sections of pages, of the site."""
 
@@ -264,8 +241,6 @@ KINDS: dict[str, Callable[[Sequence[str]], str]] = {
     "public": public,
     "file": repository_file,
     "cards": cards,
-    "contents": contents,
-    "unlisted": unlisted,
     "browser": browser,
 }
 

@@ -43,7 +43,9 @@ def make_all(data: Path, out: Path) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Figures and tables of the papers.")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("name", choices=("all", *FIGURES))
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/papers"))
