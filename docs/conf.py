@@ -59,9 +59,7 @@ python_maximum_signature_line_length = 88
 html_theme = "pydata_sphinx_theme"
 html_title = "roadtorch"
 html_static_path = ["_static"]
-html_sidebars = {
-    name: [] for name in ("results", "limits", "faq", "contributing", "changelog")
-}
+html_sidebars = {name: [] for name in ("results", "limits", "faq", "contributing", "changelog")}
 html_css_files = ["quiet.css"]
 html_show_sourcelink = False
 html_copy_source = True  # the search shows excerpts of it

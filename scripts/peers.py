@@ -136,13 +136,6 @@ def score(networks: Mapping[str, Predict], dataset: Dataset) -> dict[str, float]
             values[f"peers.{name}.{key}"] = fmean(f_of.values())
             values[f"peers.{name}.{key}.worst"] = min(f_of.values())
             values |= {f"peers.{name}.{key}@{camera}": f for camera, f in f_of.items()}
-    key, peers = "peers.{}.f_mask@{}".format, networks.keys() - {*DETECTORS}
-    for name in DETECTORS:
-        leads = (
-            max(values[key(peer, camera)] for peer in peers) - values[key(name, camera)]
-            for camera in counts[name]
-        )
-        values[f"peers.{name}.not_behind"] = sum(lead <= 0.01 for lead in leads)
     return values
 
 

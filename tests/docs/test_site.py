@@ -1,10 +1,13 @@
 """The site builds without warnings, and executed pages show what happens."""
 
+import ast
+import builtins
 import re
 import subprocess
 import sys
 import zlib
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
@@ -69,9 +72,30 @@ def test_code_fits_the_column_of_the_site(page: Path) -> None:
     assert [line for block in blocks for line in block.splitlines() if len(line) > 100] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_code_of_a_page_runs_alone_or_the_text_before_names_its_needs(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for block in FENCED.finditer(text):
+        if block[0].lstrip().startswith("```python"):
+            paragraph = text[: block.start()].rstrip().rsplit("\n\n", 1)[-1]
+            assert names_needed(dedent(block[3])) <= set(re.findall(r"`(\w+)`", paragraph))
+
+
+def names_needed(code: str) -> set[str]:
+    """Return the names that code reads and does not make."""
+    nodes = list(ast.walk(ast.parse(code)))
+    read = {each.id for each in nodes if isinstance(each, ast.Name)}
+    made = {each.id for each in nodes if isinstance(each, ast.Name) and type(each.ctx) is ast.Store}
+    made |= {each.arg for each in nodes if isinstance(each, ast.arg)}
+    made |= {getattr(each, "asname", None) or getattr(each, "name", "") for each in nodes}
+    return read - made - set(dir(builtins))
+
+
 def test_there_are_no_more_pages_and_words_than_anybody_reads() -> None:
-    assert len(PAGES) <= 45
-    assert sum(len(path.read_text(encoding="utf-8").split()) for path in PAGES) <= 27_000
+    texts = [ROOT / "CHANGELOG.md", ROOT / "train/README.md", *ROOT.glob("roadtorch/weights/*.md")]
+
+    assert len(PAGES) <= 40
+    assert sum(len(path.read_text("utf-8").split()) for path in (*PAGES, *texts)) <= 31_000
 
 
 # --- tutorials --------------------------------------------------------------------------
