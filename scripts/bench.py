@@ -365,7 +365,9 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--write", action="store_true", help="into docs/figures")
     parser.add_argument("--against", type=Path, help="another checkout")
     parser.add_argument("--runtimes", action="store_true", help="torch, ONNX Runtime")
-    parser.add_argument("--commands", type=Path, metavar="DATA", help="the development data")
+    parser.add_argument(
+        "--commands", type=Path, metavar="DATA", help="folder of camvid/ and clips/"
+    )
     parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
     options = parser.parse_args(words)
     if options.suite is not None:

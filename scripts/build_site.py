@@ -96,7 +96,9 @@ def wrong_with(tag: str, address: str, path: Path, pages: Mapping[Path, PagePars
 
 def main() -> int:
     """Build and check; return 1 where links are broken."""
-    parser = argparse.ArgumentParser(description="Build the site and check its links.")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "site")
     parser.add_argument("--page", type=Path, help="the page for browsers, to be part of the site")
     options = parser.parse_args()

@@ -8,7 +8,8 @@
 Recorded are hashes of every detection (all detectors of the catalogue, ten images) and of every
 file that the command lines of OUTPUTS leave, with what they print and their exit status. The files
 stay in the folder, to look at what differs; ``--only PART`` records parts anew. Bytes depend on the
-machine: record both sides on one. What may differ from run to run is taken out by `settled`.
+machine: record both sides on one. What may differ from run to run is taken out by `settled`. DATA
+holds camvid/, clips/, idd_lite/, kitti_road/, many/ and unlabelled_free/.
 """
 
 import argparse

@@ -4,6 +4,7 @@ Each runs in a process of its own, forked from an interpreter that has imported 
 Blender's modules, which few machines have, are replaced there by mocks.
 """
 
+import ast
 import json
 import re
 import subprocess
@@ -103,6 +104,12 @@ def calls() -> Iterator[tuple[tuple[str, ...], set[str]]]:
             yield (kind, target), words - {""}
 
 
+def docstring_of(script: Path) -> str:
+    """Return what a script's file states about its arguments, such as what DATA holds."""
+    file = script / "__main__.py" if script.is_dir() else script
+    return ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="it has no fork")
 def test_every_command_that_a_page_names_answers_help(tmp_path: Path) -> None:
     programs = list(calls())
@@ -114,9 +121,10 @@ def test_every_command_that_a_page_names_answers_help(tmp_path: Path) -> None:
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     for (call, subcommands), (status, text) in zip(programs, answers, strict=True):
         assert (status, "usage: " in text.lower()) == (0, True), (call, text)
+        assert call[0] != "script" or docstring_of(ROOT / call[1]) in text, call
         choices = re.findall(r"^  \{(.+)\}", text, re.M)
         assert not choices or subcommands <= set(choices[0].split(",")), (call, text)
-    assert len(programs) > 40
+    assert len(programs) > 30
 
 
 def test_the_shell_scripts_that_pages_name_are_sound() -> None:

@@ -194,9 +194,7 @@ def test_links_lead_to_pages_of_the_site(text: str, folder: str, linked: str) ->
 
 
 def test_cards_are_sections_of_the_page_of_weights() -> None:
-    text = parts.cards(["cnn-7"])
-
-    assert text.startswith("(weights-cnn-7)=\n## cnn-7.safetensors\n")
+    assert parts.cards(["cnn-7"]).startswith("(weights-cnn-7)=\n## cnn-7.safetensors\n")
     assert set(parts.CARDS) == {path.stem for path in ROOT.glob("roadtorch/weights/*.md")}
 
 

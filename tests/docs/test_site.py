@@ -86,16 +86,16 @@ def names_needed(code: str) -> set[str]:
     nodes = list(ast.walk(ast.parse(code)))
     read = {each.id for each in nodes if isinstance(each, ast.Name)}
     made = {each.id for each in nodes if isinstance(each, ast.Name) and type(each.ctx) is ast.Store}
-    made |= {each.arg for each in nodes if isinstance(each, ast.arg)}
-    made |= {getattr(each, "asname", None) or getattr(each, "name", "") for each in nodes}
+    made |= {getattr(each, key, None) for each in nodes for key in ("arg", "name", "asname")}
     return read - made - set(dir(builtins))
 
 
 def test_there_are_no_more_pages_and_words_than_anybody_reads() -> None:
-    texts = [ROOT / "CHANGELOG.md", ROOT / "train/README.md", *ROOT.glob("roadtorch/weights/*.md")]
+    cards = ROOT.glob("roadtorch/weights/*.md")
+    texts = (*PAGES, ROOT / "CHANGELOG.md", ROOT / "train/README.md", *cards)
 
     assert len(PAGES) <= 40
-    assert sum(len(path.read_text("utf-8").split()) for path in (*PAGES, *texts)) <= 31_000
+    assert sum(len(path.read_text(encoding="utf-8").split()) for path in texts) <= 31_000
 
 
 # --- tutorials --------------------------------------------------------------------------
@@ -130,11 +130,8 @@ def test_lines_same_but_for_spaces_times_and_digits(
 
 
 def test_progress_of_a_busy_machine_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
-    counted, titled = (
-        Progress(unit="frame", total=9),
-        Progress(unit="frame", total=9, desc="half 1"),
-    )
-    for progress in (counted, titled, Progress(unit="frame")):
+    for total, title in ((9, None), (9, "half 1"), (None, None)):
+        progress = Progress(unit="frame", total=total, desc=title)
         progress.update(3)
         progress.display()
         progress.close()
