@@ -87,7 +87,6 @@ def keep_records(run: str, command: str, values: Records) -> None:
 def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:
     """Flatten the numbers of a metrics.json."""
     values: dict[str, float | str] = {f"{run}.images": metrics["images"]}
-    base = metrics["detectors"].get("lbp", {}).get("auc_pooled")
     for detector, scores in metrics["detectors"].items():
         prefix, groups = f"{run}.{detector}", scores.get("groups", {})
         values |= {f"{prefix}.{key}": value for key, value in flatten(scores)}
@@ -101,8 +100,6 @@ def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:
                 values |= {f"{prefix}.{key}.worst": f_of[worst]}
                 values |= {f"{prefix}.{key}.worst.camera": worst}
                 values |= {f"{prefix}.{key}.iou@{name}": f / (2 - f) for name, f in f_of.items()}
-        if base:  # P2's improvement
-            values[f"{prefix}.auc_pooled.over_lbp"] = scores["auc_pooled"] / base - 1
         for key, change in metrics["paired"]["detectors"].get(detector, {}).items():
             values[f"{prefix}.{key}.less"] = change["difference"]
             values |= intervals_of(prefix, {f"{key}.less": change["ci95"]})
@@ -163,7 +160,7 @@ STATED = {
     "setting": setting_of,
     "config": config_value,
 }
-SIZES = {"GiB": 2**30, "MB": 1e6}
+SIZES = {"GiB": 2**30}
 
 
 def records() -> RecordsAndCode:
