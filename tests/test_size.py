@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 4_455,
     "roadtorch/ufl": 1_355,
     "scripts": 5_530,
-    "tests": 29_870,
+    "tests": 29_875,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""

@@ -179,7 +179,8 @@ def open_maps(folder: Path, decision: DetectorSettings, paths: Sequence[Path]) -
     for path in evenly_spaced(paths, CHECKED_MAPS):
         with suppress(InputError):  # reported when it is scored
             kind, values = read_map_levels(path)
-            kinds.setdefault(kind, (path, set()))[1].update(np.unique(values).tolist())
+            finite = values[np.isfinite(values)]
+            kinds.setdefault(kind, (path, set()))[1].update(np.unique(finite).tolist())
     for kind, (path, values) in kinds.items():
         if len(values) <= MAX_LABELS and not values <= {0, 1, white.get(kind, 1)}:
             message = f"{path} has only {len(values)} values; if they are numbers of classes, "

@@ -83,7 +83,9 @@ def percentile_interval(values: Tensor) -> Interval:
 
 
 def mean_interval(values: Tensor) -> Interval:
-    """Return the 95 % interval of the mean of values (n,), each of one image: Student's t."""
+    """Return the 95 % interval of the mean of values (n,): Student's t; one value has none."""
+    if len(values) < 2:
+        return Interval()
     mean, error = float(values.double().mean()), float(values.double().std()) / len(values) ** 0.5
     reach = float(stdtrit(len(values) - 1, 0.975)) * error
     return Interval(mean - reach, mean + reach)

@@ -12,6 +12,7 @@ import torch
 from hypothesis import strategies as st
 from PIL import Image
 
+from roadtorch.base.atomic import RESULTS_FILE
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.settings import INFER_CONFIG, build_settings, parse_assignments, to_toml
 from roadtorch.camera.birds_eye import warp_to_birds_eye
@@ -357,6 +358,7 @@ def read_rows(path: Path) -> bool:
 def read_results(path: Path) -> bool:
     """Read the deciding settings of results; a run with other settings must be refused."""
     write_index(path.with_name("index.csv"), [])
+    path.with_name(RESULTS_FILE).write_text(json.dumps({"": ["index.csv", path.name]}))
     threshold = read_decision_settings(path.parent).threshold
     try:
         with open_result_folder(path.parent, "threshold = 0.123", overwrite=False):

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import nn
 
+from roadtorch.base.atomic import RESULTS_FILE
 from roadtorch.base.errors import DivergedError, ExitCode
 from roadtorch.base.signals import StopRequest
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
@@ -129,6 +130,7 @@ def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path
     for folder in leftovers:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / ".roadtorch.0123abcd.part").touch()
+    (tmp_path / "run" / RESULTS_FILE).write_text('{"": ["labels-{}"]}')
 
     trained("images", *changes, images=str(footage), prepared=prepared, out=tmp_path / "run")
 
