@@ -200,7 +200,9 @@ def locate_frames(inputs: Sequence[str], limit: int) -> list[FramePosition]:
         positions += [FramePosition(image.path, None) for image in images]
         for source in sources:
             if (path := source.path) is None:
-                raise InputError(argument, "is no footage on disk", "give images or video files")
+                raise InputError(
+                    source.origin, "is no footage on disk", "give images or video files"
+                )
             positions += [FramePosition(path, number) for number in range(count_frames(path))]
     if len(positions) <= limit:
         return positions
