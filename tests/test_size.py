@@ -17,7 +17,7 @@ SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
     "roadtorch/annotate": 2_410,
     "roadtorch/base": 2_195,
-    "roadtorch/camera": 2_150,
+    "roadtorch/camera": 2_160,
     "roadtorch/cli": 1_980,
     "roadtorch/data": 2_565,
     "roadtorch/detectors": 2_425,
@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 4_455,
     "roadtorch/ufl": 1_355,
     "scripts": 5_530,
-    "tests": 29_875,
+    "tests": 29_915,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""

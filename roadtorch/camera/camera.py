@@ -131,7 +131,9 @@ class Camera(Settings):
     width: int = Field(ge=1, description="width of the footage in pixels")
     height: int = Field(ge=1, description="height of the footage in pixels; images may be scaled")
     frames: int = Field(ge=1, description="number of frames that it was estimated from")
-    horizon: float = Field(ge=0, le=1, description="vanishing point's row, fraction of the height")
+    horizon: float | None = Field(
+        default=None, ge=0, le=1, description="vanishing point's row, fraction of the height"
+    )
     seed_row: float = Field(ge=0, le=1, description="top of the ego car in the middle, or 1")
     invariant_angle: float | None = Field(
         default=None, ge=0, lt=180, description="direction of equal log chromaticity in degrees"
@@ -196,10 +198,12 @@ class Camera(Settings):
             values["ego"] = self.ego.model_dump(exclude_defaults=True)
         if self.lens is not None and self.lens.coefficients:
             lens = self.lens.model_dump(exclude_defaults=True)
-            pitch = pitch_from_horizon(self.lens, self.horizon)
+            row = self.horizon
+            pitch = 0.0 if row is None else pitch_from_horizon(self.lens, row)
             values["rectification"] = {"lens": lens, "pitch": pitch}
         labeller = find_settings_group(settings_class, ["labeller"])
-        if labeller is not settings_class and "horizon" in labeller.model_fields:
+        has_horizon = labeller is not settings_class and "horizon" in labeller.model_fields
+        if has_horizon and self.horizon is not None:
             values["labeller"] = {"horizon": self.horizon}
         return values
 
@@ -225,6 +229,8 @@ def draw_check_image(camera: Camera, frames: Sequence[Tensor]) -> Tensor:
         if has_ego_car(camera.ego):
             pixels = tint_mask(pixels, ego_car(image, camera.ego).numpy())
         for row, columns, colour in lines:
+            if row is None:
+                continue
             top = min(round(row * size[0]), size[0] - 2)
             pixels[top : top + 2, columns] = colour
         halves.append(torch.from_numpy(pixels).permute(2, 0, 1) / 255)

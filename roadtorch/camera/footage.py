@@ -186,7 +186,8 @@ def estimate_camera(
     Args:
         frames: sRGB in [0, 1], shape (3, H, W) each, 10 to some hundred; iterated over once.
         where: names the footage in errors.
-        lens: becomes part of the camera; the horizon is estimated where it has no distortion.
+        lens: becomes part of the camera, of fewer than 10 frames all of it; the horizon is
+            estimated where it has no distortion.
 
     Raises:
         StaticFootageError: for footage in which nothing moves.
@@ -202,6 +203,10 @@ def estimate_camera(
             rectified.append(sobel_gradient(small_grey(view, small_size([view]))))
         if len(entropies) * ENTROPY_STEP < len(sizes):
             entropies.append(projection_entropies(log_chromaticity(frame)))
+    if len(sizes) < MIN_CAMERA_FRAMES and lens is not None and sizes:
+        height, width = sizes[0]
+        lens = lens.at(width, height)
+        return Camera(width=width, height=height, frames=len(sizes), seed_row=1.0, lens=lens)
     if len(sizes) < MIN_CAMERA_FRAMES:
         number = "one frame" if len(sizes) == 1 else f"{len(sizes)} frames"
         raise InputError(where, f"has {number}", "give 10 or more, of different places")

@@ -28,7 +28,8 @@ def camera_command(
     FOOTAGE: images, folders, quoted globs or video files; at least 10 frames of different
     scenes. Writes --out for infer --camera, and an image to check it: the mean of the frames and
     one of them, with the ego car tinted, the horizon blue, the seed row orange. --camera-info
-    adds the lens; if it has distortion, detectors see rectified views. What you add below [grid],
+    adds the lens, of fewer frames the lens alone; if it has distortion, detectors see rectified
+    views. What you add below [grid],
     such as height = 1.4, stays when the file is written again.
     """
     from roadtorch.base.atomic import claim_results, relative_name
@@ -64,6 +65,7 @@ def camera_command(
         fraction, top = float((1 - rows).double().mean()), float(rows.min())
         ego = f"{fraction:.1%} of the image, from row {top:.2f} of the height"
     click.echo(f"ego car: {ego}")
-    click.echo(f"horizon: row {camera.horizon:.2f}; seed row: {camera.seed_row:.2f}")
+    horizon = "unknown" if camera.horizon is None else f"row {camera.horizon:.2f}"
+    click.echo(f"horizon: {horizon}; seed row: {camera.seed_row:.2f}")
     size = f"{camera.frames} frames of {camera.width}×{camera.height} pixels"
     click.echo(f"{size}; wrote {out}, and {check_file} to check it")

@@ -128,6 +128,22 @@ def test_a_calibration_reaches_camera_file_infer_and_grid(
     assert '# model = "equidistant"' in (tmp_path / "grids" / "config.toml").read_text()
 
 
+def test_of_few_frames_the_file_has_the_lens_alone(
+    call: Call, street: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "info.yaml").write_text(CAMERA_INFO)
+    file = tmp_path / "camera.toml"
+
+    made = call("camera", street / "00.png", "--camera-info", tmp_path / "info.yaml", "--out", file)
+
+    assert made.exit_code == 0, made.output
+    camera = Camera.read(file)
+    assert (camera.frames, camera.horizon, camera.ego) == (1, None, Ego())
+    assert camera.lens is not None
+    roads = call("infer", street / "00.png", "--camera", file, "--out", tmp_path / "roads")
+    assert roads.exit_code == 0, roads.output
+
+
 # --- commands with --camera ---------------------------------------------------------------
 
 
