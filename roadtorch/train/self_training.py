@@ -44,21 +44,10 @@ from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_array
 from roadtorch.train.augmentation import sample_ego_cars
 from roadtorch.train.batches import augment_batch, split_targets
 from roadtorch.train.config import Descent, SelfTraining, Stopping
-from roadtorch.train.prepared import (
-    Preparation,
-    from_uint8,
-    image_file_name,
-    prepare,
-    to_uint8,
-)
-from roadtorch.train.recordings import recording_name
+from roadtorch.train.prepared import Preparation, from_uint8, image_file_name, prepare, to_uint8
 from roadtorch.train.run_folder import ROUND_WEIGHTS, SHEET
-from roadtorch.train.source import (
-    find_source_images,
-    prepare_source,
-    truth_targets,
-)
-from roadtorch.train.teachers import Targets, shows_ego_car
+from roadtorch.train.source import find_source_images, prepare_source, truth_targets
+from roadtorch.train.teachers import Targets
 from roadtorch.train.training_loop import (
     IMAGE_ORDER,
     IMAGE_VARIATION,
@@ -68,7 +57,14 @@ from roadtorch.train.training_loop import (
     make_generator,
     seed_torch,
 )
-from roadtorch.train.whole_images import reweight, sample_members, target_loss
+from roadtorch.train.whole_images import (
+    balanced_weights,
+    group_ego_cars,
+    name_recordings,
+    reweight,
+    sample_members,
+    target_loss,
+)
 
 SOURCE = "source"
 """Folder, beside the prepared target images, of prepared source images."""
@@ -360,19 +356,14 @@ class SelfTrainingRecipe(Recipe):
         fraction = training.rounds[inputs.number - 1].target
         if fraction:
             labels = self._label(inputs, stop, quiet)
-        stems = [
-            file.relative_to(self._prepared).with_suffix("").with_suffix("") for file in labels
-        ]
-        recordings = [recording_name(str(stem), training.target.separator) for stem in stems]
+        kinds = list(self._kinds.values())
+        recordings = name_recordings(labels, self._prepared, training.target.separator)
         weights = [
-            *balanced_weights(list(self._kinds.values()), training.source.balance),
+            *balanced_weights(kinds, training.source.balance),
             *balanced_weights(recordings, training.target.balance),
         ]
         is_target = torch.arange(len(weights)) >= len(source)
-        cars = dict[str, list[Path]]()
-        for file, kind in self._kinds.items():
-            if shows_ego_car(file):
-                cars.setdefault(kind, []).append(file)
+        cars = group_ego_cars(source, kinds)
         chances = reweight(torch.tensor(weights), is_target, fraction)
         samples = (training, inputs.number, source, labels, chances, cars, inputs.device)
         return DomainSamples(*samples)
@@ -445,12 +436,6 @@ class SelfTrainingRecipe(Recipe):
         }
         lines = ["# A network of one self-training run", "", "| | |", "|---|---|"]
         return "\n".join([*lines, *(f"| {key} | {row} |" for key, row in rows.items()), ""])
-
-
-def balanced_weights(names: Sequence[str], balance: float) -> list[float]:
-    """Return sampling weights: n items of one name weigh n^(1 - balance) together."""
-    sizes = Counter(names)
-    return [sizes[name] ** -balance for name in names]
 
 
 def round_weights(out: Path, number: int) -> Path:

@@ -1,7 +1,7 @@
 """Training of whole-image networks: augmented images with their targets. Ours."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -28,12 +28,11 @@ from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
 from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import sample_ego_cars
-from roadtorch.train.batches import augment_batch
+from roadtorch.train.batches import augment_batch, split_targets
 from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
 from roadtorch.train.teachers import (
-    TARGET_PLANES,
     Targets,
     best_class,
     label_with_network,
@@ -132,6 +131,27 @@ class ImageSamples:
         return [from_uint8(stack.to(self.device)) for stack in stacks]
 
 
+def name_recordings(files: Iterable[Path], folder: Path, separator: str) -> list[str]:
+    """Return the recording of each prepared image (NAME.SUFFIX.npz) in a folder."""
+    stems = [file.relative_to(folder).with_suffix("").with_suffix("") for file in files]
+    return [recording_name(stem.as_posix(), separator) for stem in stems]
+
+
+def group_ego_cars(files: Iterable[Path], names: Sequence[str]) -> dict[str, list[Path]]:
+    """Group the prepared images that show an ego car by the names of all."""
+    cars = dict[str, list[Path]]()
+    for file, name in zip(files, names, strict=True):
+        if shows_ego_car(file):
+            cars.setdefault(name, []).append(file)
+    return cars
+
+
+def balanced_weights(names: Sequence[str], balance: float) -> list[float]:
+    """Return sampling weights: n items of one name weigh n^(1 - balance) together."""
+    sizes = Counter(names)
+    return [sizes[name] ** -balance for name in names]
+
+
 def sample_members(weights: Tensor, count: int, rng: torch.Generator) -> Tensor:
     """Sample ``count`` indices in proportion to weights (n,), shuffled: int64 (count,).
 
@@ -216,7 +236,7 @@ def image_loss(network: nn.Module, batch: Batch, training: ImageTraining) -> Ten
     """Sum the mean losses of a batch's images, with soft or hard targets (``Teacher.targets``)."""
     scores = network(batch.inputs).float()
     small = F.adaptive_avg_pool2d(batch.targets, scores.shape[-2:])
-    targets = Targets(*small.split(TARGET_PLANES, 1))
+    targets = split_targets(small)
     if training.teacher.targets == "hard":
         best = F.one_hot(best_class(targets.layout)[:, 0], NUM_CLASSES).permute(0, 3, 1, 2)
         road = (targets.road >= 0.5).to(targets.road)
@@ -315,15 +335,9 @@ class ImageRecipe(Recipe):
         if isinstance(inputs.initial, WholeImageNetwork):
             network = inputs.initial.eval()
             labels = label_with_network(files, inputs.labels, network, stop, quiet)
-        names = []
-        for file in files:
-            stem = file.relative_to(self._prepared).with_suffix("").with_suffix("").as_posix()
-            names.append(recording_name(stem, training.recordings.separator))
-        sizes, cars = Counter(names), dict[str, list[Path]]()
-        for name, file in zip(names, files, strict=True):
-            if shows_ego_car(file):
-                cars.setdefault(name, []).append(file)
-        weights = torch.tensor([sizes[name] ** -training.recordings.balance for name in names])
+        names = name_recordings(files, self._prepared, training.recordings.separator)
+        cars = group_ego_cars(files, names)
+        weights = torch.tensor(balanced_weights(names, training.recordings.balance))
         corrected = torch.tensor([file in inputs.corrected for file in files])
         weights = reweight(weights, corrected, training.corrections.fraction)
         corrected, device = inputs.corrected, inputs.device

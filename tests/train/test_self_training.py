@@ -18,13 +18,13 @@ from roadtorch.train.config import SelfTraining, build_training
 from roadtorch.train.run import TrainingRequest, make_recipe, prepare_folder, train
 from roadtorch.train.self_training import (
     SelfTrainingRecipe,
-    balanced_weights,
     label_targets,
     mask_patches,
     round_weights,
     weigh_borders,
 )
 from roadtorch.train.training_loop import TrainingInputs
+from roadtorch.train.whole_images import balanced_weights
 from tests.command import Call
 from tests.draws import seeded_generator
 from tests.train.runs import (
