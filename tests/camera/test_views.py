@@ -191,6 +191,7 @@ def test_the_horizon_is_estimated_without_distortion_and_all_comes_back(tmp_path
     camera.write(tmp_path / "camera.toml")
 
     row = project_rays(lens, np.array([[0, (0.42 - 0.5) * 120 / warp_focal(140), 1.0]]))[0][0, 1]
+    assert camera.horizon is not None
     assert camera.horizon * 120 - 0.5 == pytest.approx(row, abs=5)
     assert Camera.read(tmp_path / "camera.toml") == camera
 
