@@ -10,20 +10,6 @@ from scripts import bench
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
-def test_peers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    records: dict[str, float] = {}
-    monkeypatch.setattr(bench, "keep_records", lambda *words: records.update(words[-1]))
-
-    bench.main(["fusion", "--size", "64", "48", "--rounds", "1", "--write"])
-
-    printed = capsys.readouterr().out
-    rows = [line.split("|")[1].strip() for line in printed.splitlines()[2:4]]
-    assert rows == ["fusion", bench.LRASPP]
-    assert (
-        f"| {records['bench.fusion.ms']:.1f} | {records['bench.fusion.of_lraspp']:.2f} |" in printed
-    )
-
-
 def test_contestants_take_turns_and_a_ratio_is_that_of_the_rounds() -> None:
     called: list[str] = []
     calls = {name: lambda name=name: called.append(name) for name in "ab"}
@@ -35,16 +21,6 @@ def test_contestants_take_turns_and_a_ratio_is_that_of_the_rounds() -> None:
     assert bench.ratio([2.0, 1.0, 9.0], [1.0, 1.0, 3.0]) == 2.0
 
 
-def test_a_checkout_has_its_own_package_and_others_stay_loaded() -> None:
-    package = sys.modules["roadtorch"]
-
-    detect = bench.detects_of(CHECKOUT, ["prior:rows"])["prior:rows"]
-
-    detector_class = type(getattr(detect, "__self__"))  # noqa: B009
-    assert detector_class is not sys.modules["roadtorch.detectors.detector"].Detector
-    assert sys.modules["roadtorch"] is package
-
-
 def test_rates_are_those_behind_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     def seconds(checkout: Path, line: str, jobs: int, folder: Path) -> float:
         return 2 + int(folder.name) / (10 * jobs) * (0.8 if line == bench.DETECT else 1)
@@ -52,28 +28,25 @@ def test_rates_are_those_behind_the_start(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(bench, "make_inputs", lambda *_: None)
     monkeypatch.setattr(bench, "seconds", seconds)
 
-    records: dict[str, float] = {}
-
-    _, _, detect, infer, video = bench.rates(CHECKOUT, [CHECKOUT], 2, ["infer", "video"], records)
-
-    assert records["commands.video.2"] == pytest.approx(20)
+    _, _, detect, infer = bench.rates(CHECKOUT, [CHECKOUT], 2, ["infer"], {})
 
     assert detect == f"| detect | {CHECKOUT.name} | 12.5 | 25.0 | 2.00 | 1.00 |"
     assert infer == f"| infer | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 | 0.80 |"
-    assert video == f"| video | {CHECKOUT.name} | 10.0 | 20.0 | 2.00 |  |"
 
 
-def test_runtimes_have_their_stages_and_ratios(
+def test_runtimes_of_two_checkouts_have_their_stages(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     records: dict[str, float] = {}
     monkeypatch.setattr(bench, "keep_records", lambda *words: records.update(words[-1]))
     monkeypatch.setattr(bench, "LARGE_AND_SMALL", ("fusion",))
     monkeypatch.setattr(bench, "RUNTIMES", ("torch",))
+    package = sys.modules["roadtorch"]
 
     size = ("--size", "64", "48", "--rounds", "1", "--write")
     bench.main(["--runtimes", "--against", str(CHECKOUT), *size])
 
+    assert sys.modules["roadtorch"] is package
     rows = [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:]]
     assert rows == ["| fusion, before", "| fusion:torch", "| LRASPP:torch"]
     row = {name: records[f"runtimes.fusion:torch.{name}"] for name in bench.RUNTIME_COLUMNS}

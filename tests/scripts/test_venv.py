@@ -14,16 +14,6 @@ from tests.servers import serving
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "venv.sh"
 
 
-def test_the_address_of_the_index_stands_in_one_script() -> None:
-    root = SCRIPT.parents[1]
-    texts = [*root.glob("scripts/*"), root / "Dockerfile", *root.glob(".ci/*")]
-
-    scripts = [path for path in texts if path.is_file()]
-    having = [path for path in scripts if b"download.pytorch.org" in path.read_bytes()]
-
-    assert having == [SCRIPT]
-
-
 def test_a_missing_input_is_told_before_the_installation(tmp_path: Path) -> None:
     done = subprocess.run(
         ["bash", SCRIPT.with_name("demo.sh"), "none.jpg"],
@@ -84,27 +74,16 @@ def test_an_index_is_taken_where_it_answers_soon(address: str, is_taken: bool) -
 @pytest.mark.parametrize("kind", ["base", "test"])
 def test_every_file_of_the_package_index_has_the_hashes_of_the_tested_version(kind: str) -> None:
     root = SCRIPT.parents[1]
-    lines = (root / "requirements" / f"{kind}.txt").read_text().splitlines()
-    pinned = dict(pin.split("==") for pin in pins_of(root / "constraints.txt"))
-
-    names = pins_of(root / "requirements" / f"{kind}.txt")
-
-    assert {name for name in names if name.split("==")[0] in pinned} <= {
-        f"{name}=={version}" for name, version in pinned.items()
-    }
-    assert not {"torch", "torchvision"} & {name.split("==")[0] for name in names}
-    ends = [line.endswith("\\") for line in lines if line[0] not in "# "]
-    assert len(ends) == len(names) > 30
-    assert all(ends)  # a hash follows
-    assert all(
-        re.fullmatch(r" +--hash=sha256:[0-9a-f]{64}( \\)?", line)
-        for line in lines
-        if line[0] == " "
+    text = (root / "requirements" / f"{kind}.txt").read_text()
+    pinned, locked = (
+        dict(re.findall(r"^([^#\s=]+)==([^\s;]+)", each.lower().replace("_", "-"), re.M))
+        for each in ((root / "constraints.txt").read_text(), text)
     )
 
-
-def pins_of(path: Path) -> list[str]:
-    """Return name==version of each line, the names normalised as by indices."""
-    lines = (line.split(" ")[0] for line in path.read_text().splitlines())
-    pins = (line.partition("==") for line in lines if "==" in line)
-    return [f"{re.sub('[-_.]+', '-', name.lower())}=={version}" for name, _, version in pins]
+    assert len(locked) > 30
+    assert {name: locked[name] for name in locked.keys() & pinned} == {
+        name: pinned[name] for name in locked.keys() & pinned
+    }
+    assert not {"torch", "torchvision"} & locked.keys()
+    entries = re.split(r"\n(?=\S)", re.sub(r"(?m)^ *#.*\n", "", text).strip())
+    assert all(re.search(r"( \\\n +--hash=sha256:[0-9a-f]{64})+$", entry) for entry in entries)
