@@ -39,35 +39,25 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_drives(root)
     (root / "kitti_road/image_2").mkdir(parents=True)
     add_frame(root / "kitti_road", "um_000000", street())
-    for name in {p1_stages.EXAMPLE, *p3_area.CONDITIONS.values()}:
+    for name in {p1_stages.EXAMPLE, *p3_area.CONDITIONS.values(), *sheets.PHOTOS}:
         write_image(root / "unlabelled_free" / name, render_scene(1, 96, 128))
     for name in p1_stages.LABELLED:
         camera, _, stem = name.partition("/")
-        write_labelled(root / "many" / camera, stem, "images", "road", seed=2)
-    write_labelled(root / "idd_lite", "a", "images", "labels", seed=3)
-    write_free_streets(root)
+        write_labelled(root / "many" / camera, stem, "road")
+    for name in sheets.RENDERED:
+        folder, _, stem = name.partition("/")
+        write_labelled(root / "simulated" / folder, stem, "road", "layout")
+    write_labelled(root / "idd_lite", "a", "labels")
     return root
 
 
-def write_free_streets(root: Path) -> None:
-    """Write the photos and the rendered streets of the sheets."""
-    for name in sheets.PHOTOS:
-        write_image(root / "unlabelled_free" / name, render_scene(1, 96, 128))
-    for name in sheets.RENDERED:
-        folder, _, stem = name.partition("/")
-        scene = render_scene(2, 96, 128)
-        write_image(root / "simulated" / folder / "images" / f"{stem}.png", scene)
-        for part, labels in (("road", scene.road.byte()), ("layout", scene.layout)):
-            (root / "simulated" / folder / part).mkdir(parents=True)
-            path = root / "simulated" / folder / part / f"{stem}.png"
-            cv2.imwrite(str(path), labels.byte().numpy())
-
-
-def write_labelled(folder: Path, stem: str, images: str, labels: str, seed: int) -> None:
-    """Write a street and its label: in its upper half 0, which is road in IDD, below 1."""
-    write_image(folder / images / f"{stem}.png", render_scene(seed, 48, 64))
-    (folder / labels).mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(folder / labels / f"{stem}.png"), np.repeat([0, 1], 24)[:, None].repeat(64, 1))
+def write_labelled(folder: Path, stem: str, *labels: str) -> None:
+    """Write a street and its labels: in the upper half 0, which is road in IDD, below 1."""
+    write_image(folder / "images" / f"{stem}.png", render_scene(2, 48, 64))
+    for kind in labels:
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+        halves = np.repeat([0, 1], 24)[:, None].repeat(64, 1)
+        cv2.imwrite(str(folder / kind / f"{stem}.png"), halves)
 
 
 @pytest.fixture(autouse=True)
