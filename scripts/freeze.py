@@ -55,7 +55,7 @@ OUTPUTS = {
     "infer/folder": f"infer pictures --save {MAPS}",
     "infer/ufl": "infer pictures --detector ufl --save likelihood,cues --depth 16 --jobs 2",
     "footage/video": f"infer clip.mp4 --save {FOOTAGE} --every 4 --limit 8",
-    "footage/unsteady": "infer clip.mp4 --no-steady --start 2 --end 2.5",
+    "footage/unsmoothed": "infer clip.mp4 --no-smoothing --start 2 --end 2.5",
     "footage/ros2": f"infer drive --save {FOOTAGE}",
     "footage/ros1": f"infer drive.bag --save {FOOTAGE}",
     "footage/mixed": "infer pictures clip.mp4 drive.bag --detector labeller --limit 3",
@@ -74,7 +74,7 @@ OUTPUTS = {
     "evaluate/tune": "evaluate camvid ../data/camvid --limit 6 --detector cpf --detector fusion "
     "--tune",
     "evaluate/labelled": "evaluate camvid ../data/camvid --limit 6 --detector fusion --against cpf",
-    "adapt/clip": f"adapt clip.mp4 --frames 40 {EPOCH} --set samples_per_epoch=16",
+    "adapt/clip": f"adapt clip.mp4 --limit 40 {EPOCH} --set samples_per_epoch=16",
     "train/cnn7": f"train --config cnn7 --images footage {EPOCH} --set passes=1",
     "train/layout": f"train --config layout-free --images footage {EPOCH}",
     "commands/version": "--version",

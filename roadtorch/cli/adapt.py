@@ -9,29 +9,25 @@ from roadtorch.cli.options import (
     FOOTAGE_ARGUMENT,
     PATH,
     QUIET_OPTION,
-    RUNTIME_OPTION,
     SETTING_OPTION,
     CheckedCommand,
     command_line,
 )
 
 ADAPT_CONFIG = "adapt"
-QUICK_FRAMES = 60
 
 
 @click.command(cls=CheckedCommand)
 @FOOTAGE_ARGUMENT
 @click.option("--out", type=PATH, required=True, help="Folder of this run; run again to resume.")
 @click.option(
-    "--frames",
-    "max_frames",
+    "--limit",
     type=click.IntRange(min=2),
     default=400,
-    help="Training frames to sample, in groups of five 0.4 s apart if the footage is long.",
+    help="Sample at most this many frames, in groups of five 0.4 s apart if the footage is long; "
+    "60 suffice for a first verdict.",
 )
-@click.option("--quick", is_flag=True, help="At most 60 frames, for a first verdict.")
 @SETTING_OPTION
-@RUNTIME_OPTION
 @click.option(
     "--threads", type=click.IntRange(min=1), help="Threads of torch; the result depends on it."
 )
@@ -41,10 +37,8 @@ def adapt_command(
     context: click.Context,
     footage: tuple[str, ...],
     out: Path,
-    max_frames: int,
-    quick: bool,
+    limit: int,
     assignments: tuple[str, ...],
-    runtime: str,
     threads: int | None,
     quiet: bool,
 ) -> None:
@@ -59,7 +53,7 @@ def adapt_command(
       weights.safetensors  weights for infer --set weights.file=OUT/weights.safetensors
       camera.toml          ego car and horizon for infer --camera, if the footage shows them
       adaptation.html      masks before and after
-      frames/, looks/      sampled frames, and the teacher's labels of each
+      frames/, labels/     sampled frames, and the teacher's labels of each
       prepared/            the labels, averaged over neighbouring frames
       first/, second/      the training run of each half
     """
@@ -76,13 +70,11 @@ def adapt_command(
     if threads:
         torch.set_num_threads(threads)
     values = merge(read_settings_file(find_config(ADAPT_CONFIG)), parse_assignments(assignments))
-    values = merge({"teacher": {"runtime": runtime}}, values)
     training = build_training(values)
     if not isinstance(training, ImageTraining) or not training.initial_weights:
         message = "adaptation starts from the weights of a whole-image network"
         hint = "keep kind = images, and give initial_weights=WEIGHTS"
         raise ConfigError("kind, initial_weights", message, hint)
-    limit = QUICK_FRAMES if quick else max_frames
     adaptation = adapt(footage, out, training, limit, quiet)
     outcome, verdict, frames = adaptation.outcome, str(adaptation.verdict), adaptation.frames
     if outcome.interrupted:

@@ -13,15 +13,14 @@ MEAN_FRAMES = 12  # frames averaged in the check image
 @FOOTAGE_ARGUMENT
 @click.option("--out", type=PATH, default=Path("camera.toml"), help="File to write.")
 @click.option(
-    "--frames",
-    "max_frames",
+    "--limit",
     type=click.IntRange(min=5),
     default=120,
-    help="Frames to sample, evenly spaced.",
+    help="Sample at most this many frames, evenly spaced.",
 )
 @click.option("--camera-info", type=PATH, help="ROS camera_info as YAML, with distortion.")
 def camera_command(
-    footage: tuple[str, ...], out: Path, max_frames: int, camera_info: Path | None
+    footage: tuple[str, ...], out: Path, limit: int, camera_info: Path | None
 ) -> None:
     """Estimate ego car, horizon and seed row from the footage of one camera.
 
@@ -46,7 +45,7 @@ def camera_command(
         raise ConfigError(out, "is a folder", "give a file, such as camera.toml")
     check_file = out.with_suffix(".jpg")
     lens = None if camera_info is None else read_camera_info(camera_info)
-    places = locate_frames(footage, max_frames)
+    places = locate_frames(footage, limit)
     inputs = {place.path.resolve() for place in places}
     if check_file == out or {out.resolve(), check_file.resolve()} & inputs:
         raise ConfigError(out, "would replace footage or its own image", "name it camera.toml")

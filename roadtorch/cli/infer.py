@@ -74,7 +74,7 @@ def open_viewer() -> "Viewer":
 )
 @selection_options
 @click.option(
-    "--steady/--no-steady", default=True, help="Smooth the likelihood of footage over time."
+    "--smoothing/--no-smoothing", default=True, help="Smooth the likelihood of footage over time."
 )
 @click.option("--view", is_flag=True, help="Show footage live on a local page.")
 @CAMERA_OPTION
@@ -91,7 +91,7 @@ def infer_command(
     out: Path,
     save: tuple[str, ...] | None,
     selection: "Selection",
-    steady: bool,
+    smoothing: bool,
     view: bool,
     camera_file: Path | None,
     threshold: float | None,
@@ -163,7 +163,7 @@ def infer_command(
     outputs = MapOutput(maps, inference, save, selection.topic, viewer)
     files = [RUN_FILE, *[COCO_FILE] * ("polygons" in kinds)]
     todo = plan_run(selected, out, maps.suffixes, outputs, files)
-    footage_options = {**asdict(selection), "steady": steady}
+    footage_options = {**asdict(selection), "smoothing": smoothing}
     method = Method(cache_key(*key), kinds)
     footage_method = Method(cache_key(method.key, footage_options), ())
     task = Task(inference, maps, method)
@@ -171,7 +171,7 @@ def infer_command(
     record = record_run(out, detector, todo.row_names, recorded_options, command_line(context))
     with open_run(out, effective, todo, options, record) as run:
         try:
-            code = run.process(todo, task, footage_method, steady)
+            code = run.process(todo, task, footage_method, smoothing)
         finally:
             if "polygons" in kinds:
                 write_coco(out)

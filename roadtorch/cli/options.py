@@ -121,7 +121,7 @@ FOOTAGE_KINDS = ("overlay-frames", "mask-video", "likelihood-video", "bag")
 OPTION_SECTIONS = {
     **dict.fromkeys(("detector", "assignments", "config", "camera_file", "threshold"), "Detector"),
     **dict.fromkeys(("every", "start", "end", "limit", "topic"), "Footage"),
-    **dict.fromkeys(("steady", "view"), "Footage"),
+    **dict.fromkeys(("smoothing", "view"), "Footage"),
     **dict.fromkeys(("jobs", "engine", "threads", "device", "runtime"), "Computing"),
     **dict.fromkeys(("reports", "exported", "to", "imported", "origin"), "Without the page"),
 }
@@ -189,10 +189,9 @@ QUIET_OPTION = click.option("--quiet", is_flag=True, help="Print only failures, 
 MODES = "without --report --export --import"
 PAGE = ("--detector", "--set", "--config", "--runtime", "--port", "--order")
 SCORING = "--split --against --bev --conditions --leave-out --mean-from --threshold-from --limit"
-FOOTAGE = ("--steady", "--view", *(f"--save {kind}" for kind in FOOTAGE_KINDS))
+FOOTAGE = ("--smoothing", "--view", *(f"--save {kind}" for kind in FOOTAGE_KINDS))
 
 OPTION_CONDITIONS: Mapping[str, Mapping[str, str]] = {
-    "adapt": {"--frames": "without --quick", "--set teacher.runtime": "without --runtime"},
     "annotate": dict.fromkeys(PAGE, MODES)
     | {"--to": "with --export", "--from": "with --import"}
     | {"--export": "without --report", "--import": "without --report --export"},

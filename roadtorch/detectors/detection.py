@@ -193,7 +193,7 @@ class Detection:
 def to_pandas(detections: Iterable[Detection]) -> Any:
     """Return a ``pandas.DataFrame`` with a row for each detection, in order.
 
-    Columns: name, seconds, width, height, road_share (0 to 1), trust, doubt; ``index.csv`` of
+    Columns: name, seconds, width, height, road_fraction (0 to 1), trust, doubt; ``index.csv`` of
     ``infer`` has the same for a folder. Raises ConfigError if pandas is not installed.
     """
     rows = [
@@ -202,7 +202,7 @@ def to_pandas(detections: Iterable[Detection]) -> Any:
             "seconds": detection.seconds,
             "width": detection.mask.shape[1],
             "height": detection.mask.shape[0],
-            "road_share": float(detection.mask.double().mean()),
+            "road_fraction": float(detection.mask.double().mean()),
             "trust": detection.trust,
             "doubt": detection.doubt,
         }

@@ -98,9 +98,10 @@ class Detector(nn.Module):
     ) -> list[Detection]: ...
 
     def __call__(self, images: Any, order: ColourOrder | None = None) -> Any:
-        """Detect the road in an image, as ``detect``, or in several, as a list of ``detect_many``.
+        """Return the Detection of an image, as ``detect``, or those of several, as a list.
 
-        Several are a list, a stack of arrays or a tensor of shape (B, 3, H, W).
+        Several are a list, a stack of arrays or a tensor of shape (B, 3, H, W). Unlike those of
+        other modules, a call is not ``forward``, which returns likelihoods alone.
         """
         if isinstance(images, (Tensor, np.ndarray)):
             several = images.ndim == 4
@@ -174,14 +175,14 @@ class Detector(nn.Module):
                 raise InputError(f"images[{number}]", error.problem, error.hint) from None
 
     def stream(
-        self, source: str | os.PathLike[str], *, steady: bool = True, **selection: Any
+        self, source: str | os.PathLike[str], *, smoothing: bool = True, **selection: Any
     ) -> Generator[Detection]:
         """Detect the road in each frame of footage; ``detect_stream`` with this detector.
 
         Args:
             source: path of a video, bag or folder of images, camera number ("0"), or address.
-            steady: whether likelihoods of footage are smoothed over time, as ``roadtorch infer``
-                does unless it gets ``--no-steady``.
+            smoothing: whether likelihoods of footage are smoothed over time, as ``roadtorch infer``
+                does unless it gets ``--no-smoothing``.
             **selection: frames to process: ``every=5``, ``start`` and ``end`` in seconds,
                 ``limit``; ``topic`` of a bag. See ``roadtorch.inputs.item.Selection``.
 
@@ -190,11 +191,14 @@ class Detector(nn.Module):
         ...     print(detection.name, detection)
         street <Detection 320×240, road 50%>
         """
-        return detect_stream(source, self, Selection(**selection), steady=steady)
+        return detect_stream(source, self, Selection(**selection), smoothing=smoothing)
 
     @one_torch_thread()
     def forward(self, images: Tensor) -> Tensor:
-        """Compute the likelihoods (B, H, W) of a batch (B, 3, H, W), each as in ``detect``."""
+        """Compute the likelihoods (B, H, W) of a batch (B, 3, H, W), each as in ``detect``.
+
+        For training loops and other code that expects tensors; a call returns Detections.
+        """
         if images.ndim != 4:
             problem = f"have the shape {tuple(images.shape)}"
             raise InputError("images", problem, "give a batch (B, 3, height, width)")

@@ -146,7 +146,7 @@ def detect_stream(
     detector: FrameDetector,
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     *,
-    steady: bool | TemporalFilter = True,
+    smoothing: bool | TemporalFilter = True,
     progress: Callable[[int, float | None], None] | None = None,
     failed: Callable[[Item, RoadtorchError], None] | None = None,
 ) -> Generator[Detection]:
@@ -158,8 +158,8 @@ def detect_stream(
         source: path, address (rtsp://, https://), camera number ("0"), or a source of your own.
         detector: result of ``load_detector``.
         selection: frames to process, unless the source is your own.
-        steady: whether the likelihoods of footage are smoothed over time, as ``roadtorch infer``
-            does unless it gets ``--no-steady``; or the filter that does it, for this source alone.
+        smoothing: whether the likelihoods of footage are smoothed over time, as by ``infer``
+            does unless it gets ``--no-smoothing``; or a filter for this source alone.
         progress: called after each frame with the number of frames and the frame's seconds.
         failed: called with each frame that has no result, which is then skipped; without it the
             frame's error is raised.
@@ -180,11 +180,13 @@ def detect_stream(
         raise ConfigError("detector", f"is {type(detector).__name__}", hint)
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
-    if isinstance(steady, bool):
-        smoothing = TemporalFilter(TemporalFilterSettings()) if steady and source.footage else None
+    if isinstance(smoothing, TemporalFilter):
+        temporal_filter = smoothing
+    elif smoothing and source.footage:
+        temporal_filter = TemporalFilter(TemporalFilterSettings())
     else:
-        smoothing = steady
-    with closing(detect_frames(source, detector, smoothing)) as frames:
+        temporal_filter = None
+    with closing(detect_frames(source, detector, temporal_filter)) as frames:
         for done, frame in enumerate(frames, 1):
             if failed is not None and isinstance(frame.outcome, RoadtorchError):
                 failed(frame.item, frame.outcome)

@@ -33,7 +33,7 @@ class IndexRow:
     width: str = ""
     height: str = ""
     ms: str = ""  # milliseconds from reading to the last file written
-    road_share: str = ""
+    road_fraction: str = ""
     trust: str = ""  # predicted F-score of the mask, 0 to 1; empty where the detector has none
     status: str = DONE
     saved: str = ""  # kinds of results written, separated by spaces
@@ -102,7 +102,7 @@ def _whole_pixels(row: IndexRow) -> IndexRow:
 
     Raises ValueError or OverflowError for a column of numbers that holds something else.
     """
-    for cell in (row.ms, row.road_share, row.trust, row.seconds):
+    for cell in (row.ms, row.road_fraction, row.trust, row.seconds):
         float(cell or 0)
     width, height = (cell and str(int(float(cell))) for cell in (row.width, row.height))
     return replace(row, width=width, height=height)

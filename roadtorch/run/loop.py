@@ -123,7 +123,7 @@ def write_row(
             str(width),
             str(height),
             elapsed_ms(start, ms),
-            road_share=f"{np.count_nonzero(detection.mask.numpy()) / (width * height):.4f}",
+            road_fraction=f"{np.count_nonzero(detection.mask.numpy()) / (width * height):.4f}",
             trust="" if detection.trust is None else f"{detection.trust:.2f}",
             status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
             sha256=item.digest() if item.digest else "",

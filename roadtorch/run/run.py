@@ -58,10 +58,14 @@ class Run:
     workers: Workers
     options: RunOptions
 
-    def process(self, plan: Plan, task: Task, footage_method: Method, steady: bool = True) -> int:
+    def process(
+        self, plan: Plan, task: Task, footage_method: Method, smoothing: bool = True
+    ) -> int:
         """Process images by a task, sources with a footage method; return the exit code."""
         failed = self.process_images(plan.images, task)
-        return max(failed, self.process_sources(plan, replace(task, method=footage_method), steady))
+        return max(
+            failed, self.process_sources(plan, replace(task, method=footage_method), smoothing)
+        )
 
     def process_images(self, items: Sequence[Item], task: Task) -> int:
         """Process the images that are not done yet, and return the exit code.
@@ -92,7 +96,7 @@ class Run:
                 click.echo(line)
         return 1 if failed else 0
 
-    def process_sources(self, plan: Plan, task: Task, steady: bool) -> int:
+    def process_sources(self, plan: Plan, task: Task, smoothing: bool) -> int:
         """Process the sources that are not done yet, and return the exit code.
 
         A source is done as an image is; live ones never are. A failing source becomes a failed
@@ -108,7 +112,7 @@ class Run:
             if not redo and self.ledger.is_done(source, source_task.method, output.suffixes):
                 skipped += 1
                 continue
-            row = self._process_source(source, output, source_task, steady)
+            row = self._process_source(source, output, source_task, smoothing)
             ended[row.status.partition(":")[0]] += 1
         failed = ended[PARTIAL] + ended[FAILED]
         if not self.options.quiet or failed:
@@ -122,7 +126,9 @@ class Run:
 
     # --- one source ---------------------------------------------------------------------
 
-    def _process_source(self, source: Source, output: Output, task: Task, steady: bool) -> IndexRow:
+    def _process_source(
+        self, source: Source, output: Output, task: Task, smoothing: bool
+    ) -> IndexRow:
         """Process the frames of a source as far as possible, and return its recorded row."""
         count, folder = _Count(), self.folder / source.name
         remove_leftovers([folder.parent, folder])
@@ -133,7 +139,7 @@ class Run:
         state = _file_state(source)
         try:
             with stop_on_signals() as stop, output.open() as writers:
-                frames = self._detect_frames(source, task, output.cues, steady, stop)
+                frames = self._detect_frames(source, task, output.cues, smoothing, stop)
                 with closing(frames), self._progress(frames, "frame", source.count) as bar:
                     run_behind(partial(self._write_frame, task, writers, count, bar), bar)
             if _file_state(source) != state:
@@ -157,10 +163,10 @@ class Run:
         return row
 
     def _detect_frames(
-        self, source: Source, task: Task, cues: bool, steady: bool, stop: StopRequest
+        self, source: Source, task: Task, cues: bool, smoothing: bool, stop: StopRequest
     ) -> Generator[FrameResult]:
         """Detect the road in the frames of a source, in order."""
-        temporal_filter = TemporalFilter(TemporalFilterSettings()) if steady else None
+        temporal_filter = TemporalFilter(TemporalFilterSettings()) if smoothing else None
         assert isinstance(task.infer, Inference)
         spread = partial(self.workers.map, on_crash=crashed_evidence, live=source.live)
         return detect_frames(source, task.infer, temporal_filter, cues, stop, spread)

@@ -57,7 +57,7 @@ def test_halves_teach_and_their_mean_is_judged(street: Path, adapted: tuple[Path
     weights = files[0].read_bytes()
     assert adapt(street, "--out", out, *SHORT).stdout == done.stdout
     assert files[0].read_bytes() == weights
-    refused = adapt(street, "--out", out, "--frames", "4", *SHORT)
+    refused = adapt(street, "--out", out, "--limit", "4", *SHORT)
     assert refused.exit_code == 2
     assert "holds frames of other footage" in refused.stderr
 
@@ -70,7 +70,7 @@ def test_steps_follow_the_footage(frames: int, samples: int) -> None:
     assert limit_samples(training, frames).samples_per_epoch == samples
 
 
-def test_a_quick_run_takes_fewer_frames(street: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_at_most_the_limit(street: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limits: list[int] = []
 
     def take_limit(_: object, __: object, ___: object, limit: int, ____: bool) -> NoReturn:
@@ -78,10 +78,10 @@ def test_a_quick_run_takes_fewer_frames(street: Path, monkeypatch: pytest.Monkey
         raise InputError("a", "b", "c")
 
     monkeypatch.setattr("roadtorch.train.adaptation.adapt.adapt", take_limit)
-    for words in ((), ("--quick",), ("--frames", "9")):
+    for words in ((), ("--limit", "9")):
         assert adapt(street, "--out", "out", *words).exit_code == 2
 
-    assert limits == [400, 60, 9]
+    assert limits == [400, 9]
 
 
 def test_a_run_cut_short_before_its_first_checkpoint_goes_on(

@@ -68,7 +68,7 @@ def test_a_video_shows_what_its_frames_show(call: Call, tmp_path: Path) -> None:
             writer.write(np.ascontiguousarray(pixels))
     writer.release()
 
-    result = call("camera", video, "--frames", 12, "--out", tmp_path / "camera.toml")
+    result = call("camera", video, "--limit", 12, "--out", tmp_path / "camera.toml")
 
     assert result.exit_code == 0, result.output
     camera = Camera.read(tmp_path / "camera.toml")

@@ -336,7 +336,7 @@ def test_pandas_has_a_row_for_each() -> None:
     table = to_pandas([detection(), detection(trust=None)])
 
     assert isinstance(table, pandas.DataFrame)
-    assert [*table] == ["name", "seconds", "width", "height", "road_share", "trust", "doubt"]
+    assert [*table] == ["name", "seconds", "width", "height", "road_fraction", "trust", "doubt"]
     assert table.iloc[0].tolist() == ["a", 1.5, 7, 4, 12 / 28, 0.75, "is dark"]
     assert table.trust.isna().tolist() == [False, True]
 

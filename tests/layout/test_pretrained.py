@@ -18,7 +18,11 @@ from roadtorch.layout.backbone_network import (
     Bottleneck,
     Conv2dSame,
 )
-from roadtorch.layout.pretrained import load_imagenet_weights, measure_feature_statistics, scale_layers
+from roadtorch.layout.pretrained import (
+    load_imagenet_weights,
+    measure_feature_statistics,
+    scale_layers,
+)
 from roadtorch.layout.weights import load_network, save_network
 from tests.draws import seeded_generator
 

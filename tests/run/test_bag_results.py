@@ -40,7 +40,7 @@ def road_bag(drive: Path, out: Path) -> Path:
 
 
 def test_a_bag_gives_a_bag_and_an_overlay_video(call: Call, drive: Path, out: Path) -> None:
-    result = call("infer", drive, *GREY, "--set", "threshold=0.4", "--out", out, "--no-steady")
+    result = call("infer", drive, *GREY, "--set", "threshold=0.4", "--out", out, "--no-smoothing")
 
     assert result.exit_code == 0, result.stderr
     messages = list(read_bag(road_bag(drive, out)))

@@ -57,7 +57,7 @@ def scene_source(count: int, closed: list[bool] | None = None, bad: int | None =
 def test_detections_have_names_time_stamps_and_images(tmp_path: Path) -> None:
     path = write_video(tmp_path / "drive.mp4")
 
-    frames = list(detect_stream(path, GREY, Selection(every=3), steady=False))
+    frames = list(detect_stream(path, GREY, Selection(every=3), smoothing=False))
 
     assert [frame.name for frame in frames] == [f"drive/{n:06d}" for n in (0, 3, 6, 9)]
     assert [frame.seconds for frame in frames] == pytest.approx([0, 0.3, 0.6, 0.9])
@@ -79,14 +79,21 @@ def test_images_are_a_source_that_does_not_move(tmp_path: Path) -> None:
         assert torch.equal(frame.likelihood, GREY.detect(frame.image).likelihood)
 
 
-@pytest.mark.parametrize("steady", [True, False])
-def test_footage_is_smoothed_as_the_command_does(steady: bool, call: Call, tmp_path: Path) -> None:
+@pytest.mark.parametrize("smoothing", [True, False])
+def test_footage_is_smoothed_as_the_command_does(
+    smoothing: bool, call: Call, tmp_path: Path
+) -> None:
     path, out = write_video(tmp_path / "drive.mp4"), tmp_path / "roads"
-    options = ["--detector", GREY.name, "--save", "likelihood"] + ["--no-steady"] * (not steady)
+    options = ["--detector", GREY.name, "--save", "likelihood"] + ["--no-smoothing"] * (
+        not smoothing
+    )
     call("infer", path, *options, "--out", out)
     written = [255 * read_image(file)[0] for file in sorted(out.glob("drive/*.likelihood.png"))]
 
-    for frames in (GREY.stream(path, steady=steady), detect_stream(path, GREY, steady=steady)):
+    for frames in (
+        GREY.stream(path, smoothing=smoothing),
+        detect_stream(path, GREY, smoothing=smoothing),
+    ):
         likelihoods = [frame.likelihood.mul(255).round() for frame in frames]
         assert len(likelihoods) == len(written) == 12
         assert mean_change(likelihoods) == pytest.approx(mean_change(written), rel=1e-5)
@@ -94,8 +101,8 @@ def test_footage_is_smoothed_as_the_command_does(steady: bool, call: Call, tmp_p
             difference = (streamed - stored).abs()
             assert difference.max() < 1.5  # a level where float32 and float64 round apart
             assert difference.mean() < 1e-3
-    unsmoothed = mean_change([frame.likelihood for frame in GREY.stream(path, steady=False)])
-    assert (255 * unsmoothed > 1.2 * mean_change(written)) == steady
+    unsmoothed = mean_change([frame.likelihood for frame in GREY.stream(path, smoothing=False)])
+    assert (255 * unsmoothed > 1.2 * mean_change(written)) == smoothing
 
 
 def mean_change(maps: Sequence[Tensor]) -> float:

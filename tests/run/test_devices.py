@@ -65,7 +65,7 @@ def inputs(tmp_path: Path) -> dict[str, Path]:
         ("images", MAPS, ()),
         ("images", "mask", ("--detector", "prior:rows")),
         ("video", FOOTAGE, ()),
-        ("video", "mask,mask-video", ("--no-steady",)),
+        ("video", "mask,mask-video", ("--no-smoothing",)),
         ("bag", FOOTAGE, ()),
     ],
 )
@@ -87,23 +87,23 @@ def test_infer_writes_the_same_files_from_another_device(
     assert (result.exit_code, result.stderr) == (expected.exit_code, expected.stderr) == (0, "")
     assert files_in(out / "meta") == files_in(out / "cpu")
     rows = zip(*(read_index_rows(out / name).values() for name in ("cpu", "meta")), strict=True)
-    assert all(expected["road_share"] == row["road_share"] for expected, row in rows)
+    assert all(expected["road_fraction"] == row["road_fraction"] for expected, row in rows)
 
 
-@pytest.mark.parametrize("steady", [True, False])
+@pytest.mark.parametrize("smoothing", [True, False])
 def test_streams_stay_on_the_device_of_their_detector(
-    steady: bool, device: Enter, inputs: dict[str, Path]
+    smoothing: bool, device: Enter, inputs: dict[str, Path]
 ) -> None:
     expected = [detection.mask for detection in load_detector("fusion").stream(inputs["video"])]
 
     with device():
         detector = load_detector("fusion")
-        stream = detect_stream(inputs["video"], detector, steady=steady)
+        stream = detect_stream(inputs["video"], detector, smoothing=smoothing)
         masks = [detection.mask for detection in stream]
 
     assert all(isinstance(weights, Pretended) for weights in detector.parameters())
     assert not any(isinstance(mask, Pretended) for mask in masks)
-    assert not steady or all(map(torch.equal, masks, expected))
+    assert not smoothing or all(map(torch.equal, masks, expected))
 
 
 def test_a_detection_on_a_device_is_shown_saved_and_converted(

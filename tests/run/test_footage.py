@@ -66,7 +66,7 @@ def test_frames_are_what_the_library_says(call: Call, drive: Path, out: Path) ->
     kinds = "likelihood,mask,mask-video,likelihood-video,overlay-frames"
 
     call("infer", drive, *GREY, "--out", out, "--save", kinds, "--every", "5", "--start", "0.2",
-         "--no-steady")  # fmt: skip
+         "--no-smoothing")  # fmt: skip
 
     names = {f"drive/{n:06d}{end}" for n in (2, 7) for end in
              (".likelihood.png", ".mask.png", ".overlay.jpg")}  # fmt: skip
@@ -223,7 +223,7 @@ def test_footage_is_smoothed_unless_refused(call: Call, drive: Path, tmp_path: P
     steadied, alone = tmp_path / "steadied", tmp_path / "alone"
 
     call("infer", drive, *GREY, "--out", steadied, "--save", "likelihood")
-    call("infer", drive, *GREY, "--out", alone, "--save", "likelihood", "--no-steady")
+    call("infer", drive, *GREY, "--out", alone, "--save", "likelihood", "--no-smoothing")
 
     def frame(out: Path, number: int) -> bytes:
         return (out / f"drive/{number:06d}.likelihood.png").read_bytes()

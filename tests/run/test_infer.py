@@ -37,7 +37,7 @@ def test_a_folder_gives_three_files_an_image(run: Call, footage: Path, out: Path
     rows = read_index_rows(out)
     assert list(rows) == ["a.jpg", "b.png", "sub/c.png"]
     assert list(rows["a.jpg"]) == [
-        *("file", "width", "height", "ms", "road_share", "trust", "status"),
+        *("file", "width", "height", "ms", "road_fraction", "trust", "status"),
         *("saved", "method", "sha256", "seconds", "cues"),
     ]
     assert rows["a.jpg"]["sha256"] == sha256((footage / "a.jpg").read_bytes()).hexdigest()
@@ -45,7 +45,7 @@ def test_a_folder_gives_three_files_an_image(run: Call, footage: Path, out: Path
     assert {row["status"] for row in rows.values()} == {"done"}
     assert {row["trust"] for row in rows.values()} == {""}  # a floor does not say
     assert (rows["a.jpg"]["width"], rows["a.jpg"]["height"]) == ("64", "48")
-    assert float(rows["a.jpg"]["road_share"]) == pytest.approx(0.5, abs=0.05)
+    assert float(rows["a.jpg"]["road_fraction"]) == pytest.approx(0.5, abs=0.05)
     assert float(rows["a.jpg"]["ms"]) >= 0
 
 

@@ -57,7 +57,7 @@ def test_an_image_does_not_depend_on_the_run(call: Call, footage: Path, tmp_path
     assert facts["file"] == "sub/c.png"
     assert (facts["width"], facts["height"], facts["detector"]) == (64, 48, "prior:rows")
     assert facts["trust"] is None
-    assert facts["road_share"] == pytest.approx(0.5, abs=0.05)
+    assert facts["road_fraction"] == pytest.approx(0.5, abs=0.05)
 
 
 # --- run.json ---------------------------------------------------------------------------

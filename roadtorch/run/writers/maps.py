@@ -103,7 +103,7 @@ class MapWriter:
             "file": file,
             "width": width,
             "height": height,
-            "road_share": round(float(detection.mask.double().mean()), 6),
+            "road_fraction": round(float(detection.mask.double().mean()), 6),
             "trust": None if detection.trust is None else round(detection.trust, 4),
             "doubt": detection.doubt,
             "threshold": self.threshold,

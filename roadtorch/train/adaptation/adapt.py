@@ -49,7 +49,7 @@ from roadtorch.train.run_folder import ADAPTATION_PAGE, CARD, LOG, PREPARED, WEI
 from roadtorch.train.teachers import resize_as_prepared
 from roadtorch.train.whole_images import ImageRecipe
 
-CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "looks"
+CAMERA_FILE, FRAMES, TEACHER_LABELS = "camera.toml", "frames", "labels"
 """Names in the folder of results; the last is the folder of the teacher's labels."""
 
 CALIBRATED = "calibrated.safetensors"

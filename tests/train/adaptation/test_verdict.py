@@ -50,17 +50,17 @@ def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None
         write_jpeg(tmp_path / f"drive/{number}.jpg", (street + noise).clamp(0, 1))
     write_jpeg(tmp_path / "drive/4.jpg", render_scene(2, 120, 160).image)
     frames = sample_frames([str(tmp_path / "drive")], tmp_path / "frames", 10, quiet=True)
-    looks, prepared = tmp_path / "looks", tmp_path / "prepared"
+    labels, prepared = tmp_path / "labels", tmp_path / "prepared"
     training = training_of(teacher={"views": "one", "detector": "labeller"})
 
-    assert write_smoothed_labels(frames, looks, prepared, training, quiet=True) is None
+    assert write_smoothed_labels(frames, labels, prepared, training, quiet=True) is None
 
-    files = [sorted(folder.rglob("*.npz")) for folder in (looks, prepared)]
+    files = [sorted(folder.rglob("*.npz")) for folder in (labels, prepared)]
     single, averaged = map(roads, files)
     assert averaged[:4].var(0).mean() < 0.2 * single[:4].var(0).mean()
     assert torch.allclose(averaged[4], single[4], atol=1 / 255)
-    look, taught = (read_arrays(names[0], "image", "ego") for names in files)
-    assert all(look[name].equal(taught[name]) for name in look)
+    before, after = (read_arrays(names[0], "image", "ego") for names in files)
+    assert all(before[name].equal(after[name]) for name in before)
 
 
 # --- the bias ------------------------------------------------------------------------------
