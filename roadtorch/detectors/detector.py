@@ -100,8 +100,8 @@ class Detector(nn.Module):
     def __call__(self, images: Any, order: ColourOrder | None = None) -> Any:
         """Return the Detection of an image, as ``detect``, or those of several, as a list.
 
-        Several are a list, a stack of arrays or a tensor of shape (B, 3, H, W). Unlike those of
-        other modules, a call is not ``forward``, which returns likelihoods alone.
+        Several are a list, a stack of arrays or a tensor of shape (B, 3, H, W). Unlike
+        in other modules this is not ``forward``, which returns likelihoods alone.
         """
         if isinstance(images, (Tensor, np.ndarray)):
             several = images.ndim == 4
@@ -195,10 +195,7 @@ class Detector(nn.Module):
 
     @one_torch_thread()
     def forward(self, images: Tensor) -> Tensor:
-        """Compute the likelihoods (B, H, W) of a batch (B, 3, H, W), each as in ``detect``.
-
-        For training loops and other code that expects tensors; a call returns Detections.
-        """
+        """Return likelihoods alone, (B, H, W) for a batch (B, 3, H, W); calls return Detections."""
         if images.ndim != 4:
             problem = f"have the shape {tuple(images.shape)}"
             raise InputError("images", problem, "give a batch (B, 3, height, width)")

@@ -180,12 +180,9 @@ def detect_stream(
         raise ConfigError("detector", f"is {type(detector).__name__}", hint)
     if not isinstance(source, Source):
         source = open_source(os.fspath(source), selection)
-    if isinstance(smoothing, TemporalFilter):
-        temporal_filter = smoothing
-    elif smoothing and source.footage:
+    temporal_filter = smoothing if isinstance(smoothing, TemporalFilter) else None
+    if smoothing is True and source.footage:
         temporal_filter = TemporalFilter(TemporalFilterSettings())
-    else:
-        temporal_filter = None
     with closing(detect_frames(source, detector, temporal_filter)) as frames:
         for done, frame in enumerate(frames, 1):
             if failed is not None and isinstance(frame.outcome, RoadtorchError):

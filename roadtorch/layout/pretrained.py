@@ -80,7 +80,7 @@ def scale_layers(backbone: Backbone, images: Tensor) -> None:
 
 
 @torch.no_grad()
-def measure_feature_statistics(network: BackboneNetwork, batches: Iterable[Tensor]) -> None:
+def measure_norms(network: BackboneNetwork, batches: Iterable[Tensor]) -> None:
     """Set the statistics by which heads normalise features to those of batches (n, 3, H, W)."""
     levels = [list(head.get_submodule("norms").children()) for head in network.heads]
     norms = [norm for norm in chain(*levels) if isinstance(norm, nn.BatchNorm2d)]

@@ -58,14 +58,11 @@ class Run:
     workers: Workers
     options: RunOptions
 
-    def process(
-        self, plan: Plan, task: Task, footage_method: Method, smoothing: bool = True
-    ) -> int:
+    def process(self, plan: Plan, task: Task, footage_method: Method, smoothing: bool) -> int:
         """Process images by a task, sources with a footage method; return the exit code."""
         failed = self.process_images(plan.images, task)
-        return max(
-            failed, self.process_sources(plan, replace(task, method=footage_method), smoothing)
-        )
+        footage_task = replace(task, method=footage_method)
+        return max(failed, self.process_sources(plan, footage_task, smoothing))
 
     def process_images(self, items: Sequence[Item], task: Task) -> int:
         """Process the images that are not done yet, and return the exit code.

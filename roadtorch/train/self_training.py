@@ -34,7 +34,7 @@ from roadtorch.layout.image_network import compute_cues, count_upper_rows, resiz
 from roadtorch.layout.pretrained import (
     IMAGENET,
     load_imagenet_weights,
-    measure_feature_statistics,
+    measure_norms,
     scale_layers,
     wheel_package,
 )
@@ -314,7 +314,7 @@ class SelfTrainingRecipe(Recipe):
                 load_imagenet_weights(network.backbone, training.network.backbone)
             else:
                 scale_layers(network.backbone, next(islice(images, 1)))
-        measure_feature_statistics(network, images)
+        measure_norms(network, images)
 
     # --- rounds -----------------------------------------------------------------------------
 

@@ -18,11 +18,7 @@ from roadtorch.layout.backbone_network import (
     Bottleneck,
     Conv2dSame,
 )
-from roadtorch.layout.pretrained import (
-    load_imagenet_weights,
-    measure_feature_statistics,
-    scale_layers,
-)
+from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
 from roadtorch.layout.weights import load_network, save_network
 from tests.draws import seeded_generator
 
@@ -109,7 +105,7 @@ def test_levels_normalise_the_features_of_all_batches() -> None:
     network = BackboneNetwork(BackboneNetworkSettings(heads=2)).train()
     images = torch.rand(4, 3, 32, 32, generator=seeded_generator(5))
 
-    measure_feature_statistics(network, images.split(2))
+    measure_norms(network, images.split(2))
 
     features = network.backbone(images)[0].detach()
     for head in network.heads:

@@ -80,20 +80,14 @@ def test_images_are_a_source_that_does_not_move(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("smoothing", [True, False])
-def test_footage_is_smoothed_as_the_command_does(
-    smoothing: bool, call: Call, tmp_path: Path
-) -> None:
+def test_footage_is_smoothed_as_by_infer(smoothing: bool, call: Call, tmp_path: Path) -> None:
     path, out = write_video(tmp_path / "drive.mp4"), tmp_path / "roads"
-    options = ["--detector", GREY.name, "--save", "likelihood"] + ["--no-smoothing"] * (
-        not smoothing
-    )
-    call("infer", path, *options, "--out", out)
+    flags = [] if smoothing else ["--no-smoothing"]
+    call("infer", path, "--detector", GREY.name, "--save", "likelihood", *flags, "--out", out)
     written = [255 * read_image(file)[0] for file in sorted(out.glob("drive/*.likelihood.png"))]
 
-    for frames in (
-        GREY.stream(path, smoothing=smoothing),
-        detect_stream(path, GREY, smoothing=smoothing),
-    ):
+    streams = GREY.stream, partial(detect_stream, detector=GREY)
+    for frames in (stream(path, smoothing=smoothing) for stream in streams):
         likelihoods = [frame.likelihood.mul(255).round() for frame in frames]
         assert len(likelihoods) == len(written) == 12
         assert mean_change(likelihoods) == pytest.approx(mean_change(written), rel=1e-5)
