@@ -141,12 +141,12 @@ def check_device(device: str, where: str) -> None:
     import torch
 
     try:
-        kind = torch.device(device).type
+        device_type = torch.device(device).type
     except (RuntimeError, TypeError):
         raise ConfigError(where, "is no torch device", "give cpu, cuda or cuda:1") from None
     try:
         torch.zeros(1, device=device).cpu()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         problem = f"cannot be used: {str(error).splitlines()[0].rstrip('.')}"
-        hint = "leave it out" if kind == "cuda" else "give cpu, cuda or cuda:1"
+        hint = "leave it out" if device_type == "cuda" else "give cpu, cuda or cuda:1"
         raise ConfigError(where, problem, hint) from None

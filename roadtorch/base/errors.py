@@ -18,7 +18,7 @@ from enum import IntEnum
 from roadtorch.base.bounded import strip_password
 
 MAX_MESSAGE_LENGTH = 400
-"""Longest place or problem of an error, in characters: it may repeat a file's content."""
+"""Longest location or problem of an error, in characters: it may repeat a file's content."""
 
 
 class ExitCode(IntEnum):
@@ -53,8 +53,8 @@ class RoadtorchError(Exception):
     exit_code = ExitCode.WRONG_USAGE
 
     def __init__(self, where: object, problem: str, hint: str) -> None:
-        place = strip_password(str(where))
-        self.where = place if isinstance(where, os.PathLike) else truncate_middle(place)
+        location = strip_password(str(where))
+        self.where = location if isinstance(where, os.PathLike) else truncate_middle(location)
         self.problem = truncate_middle(strip_password(problem))
         self.hint = hint
         super().__init__(f"{self.where}: {self.problem} ({hint})")
@@ -128,8 +128,8 @@ def to_input_error(where: object, error: Exception) -> InputError:
     ``where`` replaces the name ``image`` in errors of detectors, which do not know the file.
     """
     if isinstance(error, RoadtorchError):
-        place = where if error.where == "image" else error.where
-        return InputError(place, error.problem, error.hint)
+        location = where if error.where == "image" else error.where
+        return InputError(location, error.problem, error.hint)
     if is_out_of_memory(error):
         problem = "needs more memory than is available"
         return InputError(where, problem, "give smaller images, or fewer --jobs")

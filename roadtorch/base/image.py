@@ -263,9 +263,9 @@ def _as_rgb(pixels: np.ndarray, order: ColourOrder | None) -> np.ndarray:
 
 def write_map(path: str | os.PathLike[str], likelihood: Tensor, depth: Literal[8, 16] = 8) -> None:
     """Write a map in [0, 1], shape (H, W), as grey PNG of 8 or 16 bits: round(x · 255 or 65535)."""
-    levels, kind = {8: (255, np.uint8), 16: (65535, np.uint16)}[depth]
+    levels, dtype = {8: (255, np.uint8), 16: (65535, np.uint16)}[depth]
     grey = likelihood.detach().cpu().to(torch.float64, copy=True).mul_(levels).round_()
-    _write_encoded(path, ".png", grey.numpy().astype(kind), *PNG_MAP_OPTIONS)
+    _write_encoded(path, ".png", grey.numpy().astype(dtype), *PNG_MAP_OPTIONS)
 
 
 def write_mask(path: str | os.PathLike[str], mask: Tensor) -> None:
@@ -314,8 +314,8 @@ def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:
 
 def write_pixels(path: str | os.PathLike[str], pixels: np.ndarray) -> None:
     """Write RGB pixels, uint8, shape (H, W, 3), as PNG if the name ends so, else as JPEG."""
-    kind, options = (".png", ()) if os.fspath(path).endswith(".png") else (".jpg", JPEG_OPTIONS)
-    _write_encoded(path, kind, _to_bgr(pixels), *options)
+    suffix, options = (".png", ()) if os.fspath(path).endswith(".png") else (".jpg", JPEG_OPTIONS)
+    _write_encoded(path, suffix, _to_bgr(pixels), *options)
 
 
 def write_npy(path: str | os.PathLike[str], values: Tensor) -> None:
@@ -392,13 +392,13 @@ def jpeg_bytes(pixels: np.ndarray, quality: int = 95) -> bytes:
     return bytes(_encode(".jpg", _to_bgr(pixels), cv2.IMWRITE_JPEG_QUALITY, quality))
 
 
-def _encode(kind: str, pixels: np.ndarray, *options: int) -> memoryview:
-    return cv2.imencode(kind, np.ascontiguousarray(pixels), list(options))[1].data
+def _encode(suffix: str, pixels: np.ndarray, *options: int) -> memoryview:
+    return cv2.imencode(suffix, np.ascontiguousarray(pixels), list(options))[1].data
 
 
 def _write_encoded(
-    path: str | os.PathLike[str], kind: str, pixels: np.ndarray, *options: int
+    path: str | os.PathLike[str], suffix: str, pixels: np.ndarray, *options: int
 ) -> None:
-    encoded = _encode(kind, pixels, *options)
+    encoded = _encode(suffix, pixels, *options)
     with atomic_write(path) as temporary:
         temporary.write_bytes(encoded)

@@ -7,10 +7,10 @@ from importlib.metadata import entry_points
 from roadtorch.base.signals import record_signals
 
 
-def load_plugins(group: str, kind: str, add: Callable[[str, object], None]) -> None:
+def load_plugins(group: str, feature: str, add: Callable[[str, object], None]) -> None:
     """Load every entry point of a group, sorted by name, and call ``add(name, loaded)``.
 
-    kind: what warnings call them. Any exception of one of them, SystemExit at import included,
+    feature: what warnings call them. Any exception of one of them, SystemExit at import included,
     becomes a RuntimeWarning that names it. Ctrl-C or SIGTERM meanwhile is raised, whatever the
     package makes of it.
     """
@@ -25,5 +25,5 @@ def load_plugins(group: str, kind: str, add: Callable[[str, object], None]) -> N
         if error is not None:
             package = point.dist.name if point.dist else point.value
             cause = str(error) if isinstance(error, Exception) else "it ends the process"
-            message = f"{kind} {point.name!r} of {package} cannot be used: {cause}"
+            message = f"{feature} {point.name!r} of {package} cannot be used: {cause}"
             warnings.warn(message, RuntimeWarning, stacklevel=2)

@@ -37,7 +37,7 @@ class Settings(pydantic.BaseModel):
 AnySettings = TypeVar("AnySettings", bound=Settings)
 
 
-def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySettings:
+def build_settings(settings_class: type[AnySettings], values: Mapping[str, Any]) -> AnySettings:
     """Build settings from values by key, a mapping for a group; missing keys get their defaults.
 
     Raises:
@@ -45,23 +45,23 @@ def build_settings(kind: type[AnySettings], values: Mapping[str, Any]) -> AnySet
             what is allowed.
     """
     try:
-        return kind.model_validate(dict(values))
+        return settings_class.model_validate(dict(values))
     except pydantic.ValidationError as error:
-        raise _config_error(kind, error) from None
+        raise _config_error(settings_class, error) from None
 
 
-def _config_error(kind: type[Settings], error: pydantic.ValidationError) -> ConfigError:
+def _config_error(settings_class: type[Settings], error: pydantic.ValidationError) -> ConfigError:
     details = error.errors()[0]
     path = [str(part) for part in details["loc"]]
     key = ".".join(path)
     if details["type"] == "extra_forbidden":
-        names = find_settings_group(kind, path[:-1]).model_fields
+        names = find_settings_group(settings_class, path[:-1]).model_fields
         return unknown_name_error("setting", key, [".".join([*path[:-1], name]) for name in names])
     if details["type"] == "missing":
         return ConfigError(key, "is missing", "give it a value")
     value = truncate_middle(repr(details["input"]), MAX_VALUE_LENGTH)
     if details["type"] == "model_type":
-        names = ", ".join(find_settings_group(kind, path).model_fields)
+        names = ", ".join(find_settings_group(settings_class, path).model_fields)
         problem = f"{value} was given for a group of settings"
         return ConfigError(key, problem, f"set one of its keys: {names}")
     arguments = getattr(details.get("ctx", {}).get("error"), "args", ())
@@ -71,18 +71,18 @@ def _config_error(kind: type[Settings], error: pydantic.ValidationError) -> Conf
     return ConfigError(key, f"{value} was given", message[0].lower() + message[1:])
 
 
-def find_settings_group(kind: type[Settings], path: Sequence[str]) -> type[Settings]:
+def find_settings_group(settings_class: type[Settings], path: Sequence[str]) -> type[Settings]:
     """Return the class of the innermost group of settings on a path of keys.
 
     Keys that are no group, such as positions in a list or the kind of a union, are skipped.
     """
     for name in path:
-        field = kind.model_fields.get(name)
+        field = settings_class.model_fields.get(name)
         annotation = field.annotation if field else None
         for group in (annotation, *get_args(annotation)):  # an optional group is a union
             if isinstance(group, type) and issubclass(group, Settings):
-                kind = group
-    return kind
+                settings_class = group
+    return settings_class
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:

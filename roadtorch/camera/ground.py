@@ -145,8 +145,9 @@ def camera_pose(
             raise ConfigError(option, f"{value:g} was given", f"give {low:g} to {high:g} {unit}")
     sine, cosine = math.sin(math.radians(pitch)), math.cos(math.radians(pitch))
     right, down = np.array([0.0, -1.0, 0.0]), np.array([-sine, 0.0, -cosine])
-    turn, level = math.sin(math.radians(roll)), math.cos(math.radians(roll))
-    axes = (level * right + turn * down, level * down - turn * right, (cosine, 0.0, -sine))
+    sine_roll, cosine_roll = math.sin(math.radians(roll)), math.cos(math.radians(roll))
+    aside = cosine_roll * right + sine_roll * down
+    axes = aside, cosine_roll * down - sine_roll * right, (cosine, 0.0, -sine)
     return make_pose(np.array(axes), np.array([*mount, height]))
 
 

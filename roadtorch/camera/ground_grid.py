@@ -196,9 +196,9 @@ def sample_rays(camera: GroundCamera, settings: GridSettings) -> RaySamples:
     low, high = _azimuth_range(camera)
     count = math.ceil((high - low) / (settings.cell / settings.range / SAMPLES_ACROSS)) + 2
     azimuth = np.linspace(low, high, count)
-    reach = math.hypot(settings.range, min(settings.side, settings.range))
+    max_distance = math.hypot(settings.range, min(settings.side, settings.range))
     step = settings.cell / SAMPLES_ALONG
-    distance = (np.arange(math.ceil(reach / step) + 1) + 0.5) * step
+    distance = (np.arange(math.ceil(max_distance / step) + 1) + 0.5) * step
     if len(distance) * count > MAX_SAMPLES:
         problem = f"{len(distance) * count} samples are too many"
         raise InputError("grid", problem, "give larger cells or a shorter range")

@@ -90,8 +90,8 @@ def _plan_views(lens: Lens, pitch: float) -> tuple[View, ...]:
     ahead, aside, up = (rays @ camera).T
     is_far_ground = (up < 0) & (up > -math.sin(math.radians(FAR_GROUND)))
     azimuths = np.degrees(np.arctan2(-aside, ahead))[is_far_ground if is_far_ground.any() else ...]
-    reach = MAX_YAW + MAX_WIDTH / 2
-    left, right = np.clip([azimuths.min(), azimuths.max()], -reach, reach)
+    max_azimuth = MAX_YAW + MAX_WIDTH / 2
+    left, right = np.clip([azimuths.min(), azimuths.max()], -max_azimuth, max_azimuth)
     views = []
     for yaw in np.radians([0, left + MAX_WIDTH / 2, right - MAX_WIDTH / 2]):
         cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -176,9 +176,9 @@ def merge_views(
 def _sample_map(values: Tensor, grid: Tensor) -> Tensor:
     """Sample a map (…, h, w) at a grid (1, H, W, 2): values bilinearly, labels the nearest."""
     mode = "bilinear" if values.is_floating_point() else "nearest"
-    kind = values.dtype if values.is_floating_point() else torch.float64
-    batch = values.reshape(1, -1, *values.shape[-2:]).to(kind)
-    sampled = F.grid_sample(batch, grid.to(kind), mode, "border", align_corners=False)
+    dtype = values.dtype if values.is_floating_point() else torch.float64
+    batch = values.reshape(1, -1, *values.shape[-2:]).to(dtype)
+    sampled = F.grid_sample(batch, grid.to(dtype), mode, "border", align_corners=False)
     return sampled.reshape(*values.shape[:-2], *grid.shape[1:3])
 
 

@@ -45,18 +45,18 @@ def camera_command(
         raise ConfigError(out, "is a folder", "give a file, such as camera.toml")
     check_file = out.with_suffix(".jpg")
     lens = None if camera_info is None else read_camera_info(camera_info)
-    places = locate_frames(footage, limit)
-    inputs = {place.path.resolve() for place in places}
+    positions = locate_frames(footage, limit)
+    inputs = {position.path.resolve() for position in positions}
     if check_file == out or {out.resolve(), check_file.resolve()} & inputs:
         raise ConfigError(out, "would replace footage or its own image", "name it camera.toml")
     origin = ", ".join(relative_name(path, out.parent) for path in footage)
     with claim_results(out.parent, {out.name: origin, check_file.name: origin}):
         earlier = Camera.read(out) if out.exists() else None
-        frames = Progress(read_frames(places), total=len(places), unit="frame")
+        frames = Progress(read_frames(positions), total=len(positions), unit="frame")
         camera = estimate_camera(frames, footage[0], lens)
         camera = camera.model_copy(update={"grid": earlier.grid}) if earlier else camera
         camera.write(out)
-        sample = places[:: max(1, len(places) // MEAN_FRAMES)]
+        sample = positions[:: max(1, len(positions) // MEAN_FRAMES)]
         write_jpeg(check_file, draw_check_image(camera, list(read_frames(sample))))
     ego = "none found"
     if has_ego_car(camera.ego):

@@ -176,11 +176,11 @@ def print_cautions(evaluation: "Evaluation") -> None:
         if count := count_corrected_images(figures.contender.settings):
             text = f"{name} was trained on {count} images corrected by hand: it is not label-free, "
             click.echo(f"roadtorch: {text}and scores on those images are optimistic", err=True)
-    kinds: dict[str, list[Failure]] = {}
+    failures: dict[str, list[Failure]] = {}
     for failure in evaluation.failures:  # of one kind where the text after the name is the same
         problem = failure.reason.rpartition(PurePath(failure.image).name)[2]
-        kinds.setdefault(problem, []).append(failure)
-    for first, *more in kinds.values():
+        failures.setdefault(problem, []).append(failure)
+    for first, *more in failures.values():
         count = f"{len(more) + 1} images, the first " if more else ""
         click.echo(f"failed: {count}{first.image}: {first.reason}", err=True)
 

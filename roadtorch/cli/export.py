@@ -13,13 +13,13 @@ from roadtorch.cli.options import PATH, SETTING_OPTION, suggest_detectors
 @click.option("--out", type=PATH, required=True, help="File NAME.onnx; for web, a folder.")
 @click.option(
     "--format",
-    "kind",
+    "target",
     type=click.Choice(["onnx", "web"]),
     default="onnx",
     help="web: a page for browsers.",
 )
 @SETTING_OPTION
-def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]) -> None:
+def export_command(name: str, out: Path, target: str, assignments: tuple[str, ...]) -> None:
     """Export the part of a detector that runs without Python: fusion, layout:cnn-7.
 
     The model takes RGB images of any size, uint8 (N, height, width, 3), and returns maps of that
@@ -35,9 +35,9 @@ def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]
     from roadtorch.run.folder import lock_output
 
     detector = load_detector(name, **parse_assignments(assignments))
-    folder, files = (out, WEB_FILES) if kind == "web" else (out.parent, (out.name,))
+    folder, files = (out, WEB_FILES) if target == "web" else (out.parent, (out.name,))
     with lock_output(folder), claim_results(folder, dict.fromkeys(files, name)):
-        exported = export_page(detector, out) if kind == "web" else export_detector(detector, out)
+        exported = export_page(detector, out) if target == "web" else export_detector(detector, out)
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     click.echo(f"{name}: {exported.metadata['part']}")
@@ -50,7 +50,7 @@ def export_command(name: str, out: Path, kind: str, assignments: tuple[str, ...]
         f"at most {parity.max_difference:.1e} ({parity.location}), "
         f"mean {parity.mean_difference:.1e}; allowed {MAX_DIFFERENCE:g}"
     )
-    if kind == "web":  # its page has the steps that the network's file lacks
+    if target == "web":  # its page has the steps that the network's file lacks
         click.echo(f"try it: python -m http.server --directory {shlex.quote(str(out))}")
     else:
         lacks = exported.metadata["lacks"]

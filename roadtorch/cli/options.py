@@ -253,17 +253,17 @@ class SectionedCommand(CheckedCommand):
 
 
 def _group_options(
-    kind: str, name: str, *options: Callable[..., Any]
+    group_class: str, name: str, *options: Callable[..., Any]
 ) -> Callable[[Command], Command]:
     """Return a decorator that adds options to a command, passed as one argument ``name``.
 
-    kind: its dataclass as ``module:class``, so that ``--help`` need not import it.
+    group_class: its dataclass as ``module:class``, so that ``--help`` need not import it.
     """
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
         def wrapped(*arguments: Any, **values: Any) -> Any:
-            module, _, attribute = kind.partition(":")
+            module, _, attribute = group_class.partition(":")
             group = getattr(importlib.import_module(module), attribute)
             fields = {key: values.pop(key) for key in group.__dataclass_fields__.keys() & values}
             return command(*arguments, **{name: group(**fields)}, **values)

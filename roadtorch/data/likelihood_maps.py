@@ -36,7 +36,7 @@ DECISION_KEYS = ("threshold", "isolated", "seed_area")
 
 
 def read_map_levels(path: Path) -> tuple[str, np.ndarray]:
-    """Read a grey image or a NumPy file: the kind of numbers and the numbers as stored (H, W)."""
+    """Read a grey image or a NumPy file: the type of numbers and the numbers as stored (H, W)."""
     if path.suffix == ".npy":
         return _read_array(path)
     try:
@@ -66,30 +66,30 @@ def _read_array(path: Path) -> tuple[str, np.ndarray]:
 
 
 def find_white_levels(paths: Iterable[Path]) -> dict[str, int]:
-    """Return the level that is 1, by the kind of numbers, as all maps of that kind show it.
+    """Return the level that is 1, by the type of numbers, as all maps of that type show it.
 
     It is 1 where only 0 and 1 occur; otherwise 255, or 65535 for 16 bits and for larger numbers.
     """
     largest: dict[str, int] = {}
     for path in paths:
         with suppress(InputError):  # reported when it is scored
-            kind, values = read_map_levels(path)
+            dtype, values = read_map_levels(path)
             if values.dtype.kind in "iu":
-                largest[kind] = max(largest.get(kind, 0), int(values.max()))
+                largest[dtype] = max(largest.get(dtype, 0), int(values.max()))
     return {
-        kind: 1 if top <= 1 else 65535 if top > 255 or kind.startswith("uint16") else 255
-        for kind, top in largest.items()
+        dtype: 1 if top <= 1 else 65535 if top > 255 or dtype.startswith("uint16") else 255
+        for dtype, top in largest.items()
     }
 
 
 def read_map(path: Path, white: Mapping[str, int]) -> Tensor:
     """Read a likelihood or a mask as float32 (H, W) in [0, 1].
 
-    white: the level that is 1, by the kind of numbers. Raises InputError as ``read_map_levels``,
+    white: the level that is 1, by the type of numbers. Raises InputError as ``read_map_levels``,
     and for values out of range.
     """
-    kind, values = read_map_levels(path)
-    top = white.get(kind, 1)
+    dtype, values = read_map_levels(path)
+    top = white.get(dtype, 1)
     low, high = float(values.min()), float(values.max())
     if top == 1:
         check_unit_range(path, low, high, "keep to [0, 1]")
@@ -120,7 +120,7 @@ def read_decision_settings(folder: Path) -> DetectorSettings:
 class MapFolder:
     """Maps of images in a folder, and the settings by which they become masks.
 
-    white: the level that is 1, by the kind of numbers (``find_white_levels``).
+    white: the level that is 1, by the type of numbers (``find_white_levels``).
     """
 
     folder: Path
@@ -171,18 +171,18 @@ class MapFolder:
 def open_maps(folder: Path, decision: DetectorSettings, paths: Sequence[Path]) -> MapFolder:
     """Open the maps at paths; their levels are those of ``infer``, or else all of them decide.
 
-    Warns of maps of a kind with as few values as label images have, but for those of masks.
+    Warns of maps of a type with as few values as label images have, but for those of masks.
     """
     if is_infer_folder(folder):
         return MapFolder(folder, decision, INFER_WHITE)
-    white, kinds = find_white_levels(paths), dict[str, tuple[Path, set[float]]]()
+    white, level_sets = find_white_levels(paths), dict[str, tuple[Path, set[float]]]()
     for path in evenly_spaced(paths, CHECKED_MAPS):
         with suppress(InputError):  # reported when it is scored
-            kind, values = read_map_levels(path)
+            dtype, values = read_map_levels(path)
             finite = values[np.isfinite(values)]
-            kinds.setdefault(kind, (path, set()))[1].update(np.unique(finite).tolist())
-    for kind, (path, values) in kinds.items():
-        if len(values) <= MAX_LABELS and not values <= {0, 1, white.get(kind, 1)}:
+            level_sets.setdefault(dtype, (path, set()))[1].update(np.unique(finite).tolist())
+    for dtype, (path, values) in level_sets.items():
+        if len(values) <= MAX_LABELS and not values <= {0, 1, white.get(dtype, 1)}:
             message = f"{path} has only {len(values)} values; if they are numbers of classes, "
             warnings.warn(f"{message}write masks instead: 0 and 1, or 0 and 255", stacklevel=2)
     return MapFolder(folder, decision, white)

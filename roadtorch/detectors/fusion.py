@@ -340,14 +340,14 @@ def seed_likelihoods(
     labels, settings = segments.labels, TextureSettings(ridge=SCRATCH_RIDGE)
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
     texture = uniformity_likelihood(uniformity, settings.midpoint)
-    distance = distance_likelihood(seed_distance(segments, sources), ROAD_RULES.reach)
+    distance = distance_likelihood(seed_distance(segments, sources), ROAD_RULES.half_distance)
     cues = {
         "texture": paint_segments(texture, labels),
         "uniformity": paint_segments(uniformity, labels),
         "fused_plane": fused,
         "saturated": clipped,
         "distance": paint_segments(distance, labels),
-        "place": paint_segments(road_position_prior(segments.row, segments.column), labels),
+        "position": paint_segments(road_position_prior(segments.row, segments.column), labels),
         "segments": labels,
     }
     return distance, texture, cues

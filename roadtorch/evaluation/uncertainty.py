@@ -87,8 +87,8 @@ def mean_interval(values: Tensor) -> Interval:
     if len(values) < 2:
         return Interval()
     mean, error = float(values.double().mean()), float(values.double().std()) / len(values) ** 0.5
-    reach = float(stdtrit(len(values) - 1, 0.975)) * error
-    return Interval(mean - reach, mean + reach)
+    half_width = float(stdtrit(len(values) - 1, 0.975)) * error
+    return Interval(mean - half_width, mean + half_width)
 
 
 # --- the scores of an evaluation -----------------------------------------------------------------

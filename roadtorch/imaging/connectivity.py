@@ -82,7 +82,7 @@ def _grow(numbers: np.ndarray) -> np.ndarray:
     row, column = np.divmod(empty, width)
     row %= height
     # At the image border a pixel is its own neighbour; it is -1 and never the highest.
-    around = np.stack(
+    neighbours = np.stack(
         [
             empty - width * (row > 0),
             empty - (column > 0),
@@ -91,8 +91,8 @@ def _grow(numbers: np.ndarray) -> np.ndarray:
         ]
     )
     while len(empty):
-        highest = flat.take(around).max(0)
+        highest = flat.take(neighbours).max(0)
         flat[empty] = highest
         unfilled = np.flatnonzero(highest < 0)
-        empty, around = empty.take(unfilled), around.take(unfilled, 1)
+        empty, neighbours = empty.take(unfilled), neighbours.take(unfilled, 1)
     return numbers

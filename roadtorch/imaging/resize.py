@@ -98,12 +98,12 @@ def _shrink(maps: Tensor, size: tuple[int, int]) -> Tensor:
 @lru_cache(maxsize=256)  # an image of a new size needs a dozen
 def sparse_matrix(inputs: int, outputs: int, count: int = 1) -> csr_array:
     """Return the matrix (count · out, count · in) that resizes a side of ``count`` stacked maps."""
-    reach = max(inputs / outputs, 1.0)
+    support = max(inputs / outputs, 1.0)
     centre = (torch.arange(outputs, dtype=torch.float64) + 0.5) * (inputs / outputs)
-    taps = min(inputs, int(2 * reach) + 2)
-    first = (centre - reach).to(torch.int64).clamp(0, inputs - taps)
+    taps = min(inputs, int(2 * support) + 2)
+    first = (centre - support).to(torch.int64).clamp(0, inputs - taps)
     pixels = first[:, None] + torch.arange(taps)
-    weights = triangle_weights(pixels, centre, reach).to(torch.float32)
+    weights = triangle_weights(pixels, centre, support).to(torch.float32)
     rows = np.arange(outputs + 1) * taps
     entries = weights.numpy().ravel(), pixels.numpy().ravel(), rows
     matrix = csr_array(entries, shape=(outputs, inputs))
@@ -111,14 +111,14 @@ def sparse_matrix(inputs: int, outputs: int, count: int = 1) -> csr_array:
     return csr_array(block_diag([matrix] * count))
 
 
-def triangle_weights(pixels: Tensor, centre: Tensor, reach: Tensor | float) -> Tensor:
+def triangle_weights(pixels: Tensor, centre: Tensor, support: Tensor | float) -> Tensor:
     """Return the weights (out, in) of pixels, (in,) or (out, in), for outputs with centres (out,).
 
-    A triangle ``reach`` wide on either side of each centre, of sum 1: the antialiased bilinear
+    A triangle ``support`` wide on either side of each centre, of sum 1: the antialiased bilinear
     filter of Pillow and torch.
     """
     distance = (pixels + 0.5 - centre[:, None]).abs()
-    triangle = (1 - distance / reach).clamp_min(0)
+    triangle = (1 - distance / support).clamp_min(0)
     return triangle / triangle.sum(1, keepdim=True)
 
 

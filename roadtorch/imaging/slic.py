@@ -154,7 +154,7 @@ class DistanceMaps(NamedTuple):
 
     metric: (5, 5). factors: (7, 54), from a centre c, cᵀMc and 1 to its 9 × 6 coefficients, seen
     from the cells of which it is the 1st, 2nd, … neighbour. sums: (54, 6), from a segment's sums in
-    the nine cells around it to their total, seen from the segment's own cell. around: int64
+    the nine cells around it to their total, seen from the segment's own cell. neighbours: int64
     (B·cells·9,), index of the coefficients that a cell needs. back: int64 ((B·cells+1)·9,), index
     of the sums that a segment needs; the last segment is beyond the grid.
     """
@@ -162,14 +162,14 @@ class DistanceMaps(NamedTuple):
     metric: Tensor
     factors: Tensor
     sums: Tensor
-    around: Tensor
+    neighbours: Tensor
     back: Tensor
 
     def to_images(self, images: Tensor) -> "DistanceMaps":
         """Move to the device of images, floating-point parts to their precision."""
-        kinds = (images.dtype if part.is_floating_point() else part.dtype for part in self)
+        dtypes = (images.dtype if part.is_floating_point() else part.dtype for part in self)
         return DistanceMaps(
-            *(part.to(images.device, kind) for part, kind in zip(self, kinds, strict=True))
+            *(part.to(images.device, dtype) for part, dtype in zip(self, dtypes, strict=True))
         )
 
 
@@ -200,15 +200,15 @@ def _distance_maps(grid: CellGrid, step: float, batch: int) -> DistanceMaps:
     cells = torch.arange(batch * grid.rows * grid.columns)
     framed = F.pad(cells.reshape(batch, grid.rows, grid.columns), (1, 1, 1, 1), value=len(cells))
     # The 3×3 cells around each cell of the batch; len(cells) stands for beyond the grid.
-    around = framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
-    beyond = torch.full((1, NEIGHBOURS), len(around))
+    neighbours = framed.unfold(1, 3, 1).unfold(2, 3, 1).reshape(-1, NEIGHBOURS)
+    beyond = torch.full((1, NEIGHBOURS), len(neighbours))
     return DistanceMaps(
         metric,
         factors.permute(1, 0, 2).reshape(7, -1),
         sums.reshape(-1, 6),
-        (NEIGHBOURS * around + number).reshape(-1),
+        (NEIGHBOURS * neighbours + number).reshape(-1),
         # To its upper left neighbour a cell is the lower right one, and so on.
-        (NEIGHBOURS * torch.cat([around, beyond]) + number.flip(0)).reshape(-1),
+        (NEIGHBOURS * torch.cat([neighbours, beyond]) + number.flip(0)).reshape(-1),
     )
 
 
@@ -220,7 +220,7 @@ def _coefficients(sums: Tensor, maps: DistanceMaps) -> Tensor:
     centre = (sums[:, :5] / sums[:, 5:]).nan_to_num_(NOWHERE)  # 0/0: no pixels
     square = (centre @ maps.metric).mul_(centre).sum(1)
     terms = torch.addmm(maps.factors[6], centre, maps.factors[:5]).addr_(square, maps.factors[5])
-    return terms.reshape(-1, 6).index_select(0, maps.around).reshape(-1, NEIGHBOURS, 6)
+    return terms.reshape(-1, 6).index_select(0, maps.neighbours).reshape(-1, NEIGHBOURS, 6)
 
 
 def _move_centres(images: Tensor, grid: CellGrid, maps: DistanceMaps) -> Tensor:

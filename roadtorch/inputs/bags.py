@@ -129,10 +129,10 @@ def camera_info(origin: str, topic: str | None = None) -> Lens:
     """
     with _open_bag(origin) as bag:
         name = _choose_topic(origin, bag, topic)
-        kinds = {link.topic: link.msgtype for link in bag.connections}
-        base = name.removesuffix("/compressed") if kinds[name] == COMPRESSED_TYPE else name
+        types = {link.topic: link.msgtype for link in bag.connections}
+        base = name.removesuffix("/compressed") if types[name] == COMPRESSED_TYPE else name
         sibling = f"{base.rpartition('/')[0]}/camera_info"
-        infos = sorted(topic_name for topic_name, kind in kinds.items() if kind == CAMERA_INFO_TYPE)
+        infos = sorted(entry for entry in types if types[entry] == CAMERA_INFO_TYPE)
         if sibling not in infos:
             hint = f"there is {', '.join(infos)}" if infos else "pass a calibration"
             raise InputError(origin, f"has no camera_info {sibling} beside {name}", hint)
@@ -148,20 +148,20 @@ def camera_info(origin: str, topic: str | None = None) -> Lens:
 
 def _choose_topic(origin: str, reader: "AnyReader", topic: str | None) -> str:
     """Return the name of the image topic; ConfigError or InputError that lists the topics."""
-    kinds = {link.topic: link.msgtype for link in reader.connections}
-    images = sorted(name for name in kinds if kinds[name] in (RAW_IMAGE_TYPE, COMPRESSED_TYPE))
+    types = {link.topic: link.msgtype for link in reader.connections}
+    images = sorted(name for name in types if types[name] in (RAW_IMAGE_TYPE, COMPRESSED_TYPE))
     images = [name for name in images if not name.endswith("/compressedDepth")]
     if not images:
-        topics = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
+        topics = ", ".join(f"{name} ({msgtype})" for name, msgtype in sorted(types.items()))
         hint = f"there is {topics}" if topics else "the bag is empty"
         raise InputError(origin, "has no images", hint)
     hint = f"give one of {', '.join(images)}"
     if topic is None and len(images) > 1:
         raise ConfigError(origin, f"has {len(images)} topics with images", f"--topic: {hint}")
     if topic is not None and topic not in images:
-        if topic not in kinds:
+        if topic not in types:
             raise unknown_name_error("topic", topic, images)
-        raise InputError(origin, f"has {kinds[topic]} on {topic}, no images", hint)
+        raise InputError(origin, f"has {types[topic]} on {topic}, no images", hint)
     return topic or images[0]
 
 

@@ -173,14 +173,14 @@ def open_web_image(url: str) -> Item | None:
     name, is_named = slug(path.with_suffix("").as_posix()), is_image_name(path.name)
     try:
         with open_url(url) as response:
-            kind = response.headers.get_content_maintype()
-            if not is_named and kind not in ("image", "multipart", "video"):
+            media_type = response.headers.get_content_maintype()
+            if not is_named and media_type not in ("image", "multipart", "video"):
                 is_named = is_image_start(next(read_chunks(response, IMAGE_START), b""))
     except InputError:
         if is_named:
             raise
         return None
-    if kind != "image" and (not is_named or kind == "multipart"):
+    if media_type != "image" and (not is_named or media_type == "multipart"):
         return None
     origin = strip_password(url)
     return Item(name, origin, partial(_read_remote, url), partial(_digest_remote, url), path.suffix)

@@ -62,12 +62,12 @@ class SkyAppearance(NamedTuple):
     """Appearance of sky in any image: bright, smooth, sometimes blue. Ours.
 
     ``light``, ``even`` and ``blue`` are the largest log weights that a segment gains or loses for
-    being sky. ``level`` is the neutral lightness; the full weight is reached ``softness`` above or
+    being sky. ``lightness`` is the neutral one; the full weight is reached ``softness`` above or
     below it. ``gradient`` is the neutral mean gradient, L per pixel.
     """
 
     light: float = 0.8
-    level: float = 0.62
+    lightness: float = 0.62
     softness: float = 0.2
     even: float = 1.1
     gradient: float = 0.022
@@ -244,7 +244,7 @@ def position_prior(row: Tensor, column: Tensor, prior: PositionPrior) -> Tensor:
 
 def sky_evidence(segments: Segments, sky: SkyAppearance) -> Tensor:
     """Return log weights (n,) of sky: positive for bright, smooth or blue segments. Ours."""
-    light = ((segments.color[0] - sky.level) / sky.softness).clamp(-1, 1)
+    light = ((segments.color[0] - sky.lightness) / sky.softness).clamp(-1, 1)
     even = (1 - segments.gradient / sky.gradient).clamp(-1, 1)
     blue = (-segments.color[2] / MAX_SKY_BLUE).clamp(-1, 1)
     return sky.light * light + sky.even * even + sky.blue * blue

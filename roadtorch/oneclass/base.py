@@ -231,8 +231,8 @@ def _threshold(model: DistanceModel, samples: Tensor, axes: Axes, rejected: floa
         training = training if model.training is None else model.training.numpy()
         threshold = rejection_distance(training, rejected)
     steps = np.sort(steps[np.isfinite(steps) & (steps > 0)])
-    reach = float(steps[(len(steps) - 1) // 2]) if len(steps) else 1.0
-    return threshold if math.isfinite(threshold) and threshold > ROUNDING * reach else reach
+    quantum = float(steps[(len(steps) - 1) // 2]) if len(steps) else 1.0
+    return threshold if math.isfinite(threshold) and threshold > ROUNDING * quantum else quantum
 
 
 @cache

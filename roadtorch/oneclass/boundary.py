@@ -128,7 +128,7 @@ PixelFunction = Callable[[Tensor], Tensor]  # function of planes (d, n) with val
 
 
 def excess_over_minimum(
-    measure: PixelFunction, points: Tensor, counts: Tensor, kind: torch.dtype
+    measure: PixelFunction, points: Tensor, counts: Tensor, dtype: torch.dtype
 ) -> PixelFunction:
     """Return a function of values (n,): their excess over the samples' minimum, > 0, increasing.
 
@@ -140,8 +140,8 @@ def excess_over_minimum(
     weights = counts / counts.sum()
     values = measure(points.T)
     least = torch.minimum(values.min(), measure((weights @ points)[:, None])[0])
-    unit = ((weights @ values - least).clamp(min=0) / 1000).to(kind)
-    least = least.to(kind)
+    unit = ((weights @ values - least).clamp(min=0) / 1000).to(dtype)
+    least = least.to(dtype)
 
     def excess(values: Tensor) -> Tensor:
         over = values - least

@@ -143,14 +143,14 @@ def reweighted_moments(
     plain Gaussian on clean samples: its gain is not P3's. Starts at the median with median absolute
     deviations, which few outliers change.
     """
-    reach = chi_quantile(1 - min(max(settings.rejected, 1e-6), 1 - 1e-6), len(axes))
+    radius = chi_quantile(1 - min(max(settings.rejected, 1e-6), 1 - 1e-6), len(axes))
     floor, limit = variance_floor(axes), MEAN_TOLERANCE * axes.span
     mean = samples.median(0).values
     spread = 1.4826 * (samples - mean).abs().median(0).values
     covariance = torch.diag(spread.square() + floor)
     for _ in range(MAX_REWEIGHTINGS):
         distances = mahalanobis(samples, mean, covariance)
-        weights = (reach / distances.clamp_min(reach)) ** power
+        weights = (radius / distances.clamp_min(radius)) ** power
         previous = mean
         mean, covariance = moments(samples, weights)
         covariance = regularise(covariance, settings.ridge, floor)

@@ -56,14 +56,14 @@ class Exponents(NamedTuple):
 class RoadRules(NamedTuple):
     """Constants by which the cues of an image's segments become p(road).
 
-    reach: number of faint borders from the seed area at which the likelihood is 0.5. bias: log
-    odds of road before any cue. temperature: divisor of the final log odds. rounds: iterations of
+    half_distance: number of faint borders from the seed area at which the likelihood is 0.5.
+    bias: log odds of road before any cue. temperature: divisor of the final ones. rounds: of
     learning the appearance. Halving or doubling a weight moves MaxF by less than .005.
     """
 
     position: RoadPosition = RoadPosition()
     exponents: Exponents = Exponents()
-    reach: float = 1.7
+    half_distance: float = 1.7
     bandwidths: Bandwidths = Bandwidths(0.085, 0.01, 0.07, 0.9, 0.1, 3.0)
     bias: float = -1.8
     temperature: float = 6.0
@@ -212,8 +212,8 @@ def prior_triangle(height: int, width: int) -> Tensor:
     """
     rows = (torch.arange(height, dtype=torch.float32)[:, None] + 0.5) / height
     columns = (torch.arange(width, dtype=torch.float32) + 0.5) / width
-    reach = TRIANGLE_BASE / 2 * (rows - TRIANGLE_APEX) / (1 - TRIANGLE_APEX)
-    return ((columns - 0.5).abs() <= reach).to(torch.float32)
+    half_width = TRIANGLE_BASE / 2 * (rows - TRIANGLE_APEX) / (1 - TRIANGLE_APEX)
+    return ((columns - 0.5).abs() <= half_width).to(torch.float32)
 
 
 Prior = Callable[[int, int], Tensor]

@@ -166,9 +166,9 @@ def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
     return shortest_paths(segments.pairs, steps, sources, len(segments.size))
 
 
-def distance_likelihood(distance: Tensor, reach: float) -> Tensor:
-    """Return the road likelihood at a distance ≥ 0 from the seed area: 0.73 at 0, 0.5 at reach."""
-    return (1 - distance / reach).sigmoid()
+def distance_likelihood(distance: Tensor, half_distance: float) -> Tensor:
+    """Return the road likelihood by distance from the seed area: 0.73 at 0, 0.5 at the half."""
+    return (1 - distance / half_distance).sigmoid()
 
 
 def shortest_paths(pairs: Tensor, steps: Tensor, sources: Tensor, count: int) -> Tensor:

@@ -68,22 +68,22 @@ class CameraTopics:
         placement = build_placement(camera, grid, of_bags=True) if has_height else None
         self.placement = replace(placement, smooth=PitchFilter()) if placement else None
         self.topic = node.resolve_topic_name(self._relative("image"))
-        kinds, qos = import_ros("sensor_msgs.msg"), import_ros("rclpy.qos")
-        for kind, topic, callback in (
-            (kinds.Image, "image", partial(inbox.put, name)),
-            (kinds.CompressedImage, "image/compressed", partial(inbox.put, name)),
-            (kinds.CameraInfo, "camera_info", self._take_lens),
+        messages, qos = import_ros("sensor_msgs.msg"), import_ros("rclpy.qos")
+        for message_class, topic, callback in (
+            (messages.Image, "image", partial(inbox.put, name)),
+            (messages.CompressedImage, "image/compressed", partial(inbox.put, name)),
+            (messages.CameraInfo, "camera_info", self._take_lens),
         ):
             newest = qos.qos_profile_sensor_data
-            node.create_subscription(kind, self._relative(topic), callback, newest)
+            node.create_subscription(message_class, self._relative(topic), callback, newest)
         latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self.images = {
-            topic: node.create_publisher(kinds.Image, self._relative(topic), 1)
+            topic: node.create_publisher(messages.Image, self._relative(topic), 1)
             for topic in (MASK_TOPIC, CONFIDENCE_TOPIC, OVERLAY_TOPIC)
         }
         occupancy = import_ros("nav_msgs.msg").OccupancyGrid
         self.grids = node.create_publisher(occupancy, self._relative(GRID_TOPIC), latched)
-        self.clouds = node.create_publisher(kinds.PointCloud2, self._relative(POINTS_TOPIC), 1)
+        self.clouds = node.create_publisher(messages.PointCloud2, self._relative(POINTS_TOPIC), 1)
         self.labels = self._publish_labels(latched)
 
     def _relative(self, topic: str) -> str:
@@ -161,11 +161,11 @@ class CameraTopics:
     def _publish_labels(self, latched: Any) -> Any:
         """Publish the latched label info; None where vision_msgs is not installed."""
         try:
-            kind = import_ros("vision_msgs.msg").LabelInfo
+            label_info = import_ros("vision_msgs.msg").LabelInfo
         except ConfigError:
             self._warn(f"vision_msgs is not installed: {LABELS_TOPIC} is not published")
             return None
-        publisher = self.node.create_publisher(kind, self._relative(LABELS_TOPIC), latched)
+        publisher = self.node.create_publisher(label_info, self._relative(LABELS_TOPIC), latched)
         publisher.publish(label_info_message(self.inference.detector.settings.threshold))
         return publisher
 

@@ -50,12 +50,12 @@ def grid_message(header: Any, grid: Grid, frame_id: str) -> Any:
 
 def points_message(header: Any, points: np.ndarray) -> Any:
     """Return an organised sensor_msgs/PointCloud2 of points, float32, shape (H, W, 3)."""
-    kinds = import_ros("sensor_msgs.msg")
-    message = kinds.PointCloud2(header=header, point_step=12, is_dense=False)
+    messages = import_ros("sensor_msgs.msg")
+    message = messages.PointCloud2(header=header, point_step=12, is_dense=False)
     message.height, message.width = points.shape[:2]
     message.row_step = 12 * points.shape[1]
     message.fields = [
-        kinds.PointField(name=name, offset=offset, datatype=kinds.PointField.FLOAT32, count=1)
+        messages.PointField(name=name, offset=offset, datatype=messages.PointField.FLOAT32, count=1)
         for name, offset in (("x", 0), ("y", 4), ("z", 8))
     ]
     message.data.frombytes(np.ascontiguousarray(points, "<f4").tobytes())
@@ -64,17 +64,17 @@ def points_message(header: Any, points: np.ndarray) -> Any:
 
 def label_info_message(threshold: float) -> Any:
     """Return a vision_msgs/LabelInfo with the names of the mask's classes."""
-    kinds = import_ros("vision_msgs.msg")
+    messages = import_ros("vision_msgs.msg")
     names = MASK_CLASS_NAMES.items()
-    classes = [kinds.VisionClass(class_id=number, class_name=name) for number, name in names]
-    return kinds.LabelInfo(class_map=classes, threshold=float(threshold))
+    classes = [messages.VisionClass(class_id=number, class_name=name) for number, name in names]
+    return messages.LabelInfo(class_map=classes, threshold=float(threshold))
 
 
 def diagnostic_status(name: str, warning: str, values: Mapping[str, object]) -> Any:
     """Return a diagnostic_msgs/DiagnosticStatus, OK without a warning."""
-    kinds = import_ros("diagnostic_msgs.msg")
-    pairs = [kinds.KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    messages = import_ros("diagnostic_msgs.msg")
+    pairs = [messages.KeyValue(key=key, value=str(value)) for key, value in values.items()]
     level = bytes([WARN if warning else OK])
-    return kinds.DiagnosticStatus(
+    return messages.DiagnosticStatus(
         level=level, name=f"roadtorch: {name}", message=warning or "OK", values=pairs
     )

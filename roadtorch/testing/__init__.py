@@ -86,8 +86,8 @@ def check_featureless_images(detector: Detector, _: Detector) -> Violations:
     flat = torch.tensor([0.2, 0.5, 0.7]).view(3, 1, 1).expand(3, 48, 64)
     grey = street(48, 64).mean(0, keepdim=True).expand(3, 48, 64)
     images = {"black": 0 * flat, "white": flat**0, "flat": flat, "grey": grey}
-    for kind, image in images.items():
-        yield from detection_violations(detector.detect(image), (48, 64), f"a {kind} image")
+    for name, image in images.items():
+        yield from detection_violations(detector.detect(image), (48, 64), f"a {name} image")
 
 
 def check_determinism(detector: Detector, again: Detector) -> Violations:
@@ -172,12 +172,12 @@ def check_refusals(detector: Detector, _: Detector) -> Violations:
         "whole numbers": torch.zeros(3, 32, 32, dtype=torch.int64),
         "a list": [[0.5]],
     }
-    for kind, image in wrong.items():
+    for name, image in wrong.items():
         try:
             detector.detect(image)
         except InputError:
             continue
-        yield f"accepts an image that is {kind}"
+        yield f"accepts an image that is {name}"
 
 
 CONTRACT_CHECKS: tuple[Callable[[Detector, Detector], Violations], ...] = (

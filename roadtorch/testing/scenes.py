@@ -93,7 +93,7 @@ class Canvas:
         x = self.width / 2 + self.focal * right / ahead
         return x, self.horizon + self.focal * (CAMERA_HEIGHT - up) / ahead
 
-    def polygon(self, points: Iterable[tuple[float, float]], colour: np.ndarray, kind: int) -> None:
+    def polygon(self, points: Iterable[tuple[float, float]], colour: np.ndarray, code: int) -> None:
         """Fill a polygon of pixel points with a colour (3,) or an image (H, W, 3)."""
         mask = np.zeros((self.height, self.width), np.uint8)
         corners = np.clip(np.array(list(points)) * 16, -3e5, 3e5)  # 4 fractional bits
@@ -101,12 +101,12 @@ class Canvas:
         box = bounding_box(corners / 16)
         inside = mask[box].astype(bool)
         self.rgb[box][inside] = colour[box][inside] if np.ndim(colour) == 3 else colour
-        self.classes[box][inside] = kind
+        self.classes[box][inside] = code
 
-    def fill(self, mask: np.ndarray, colour: np.ndarray, kind: int) -> None:
+    def fill(self, mask: np.ndarray, colour: np.ndarray, code: int) -> None:
         """Fill the pixels of a mask with a colour and a class."""
         self.rgb[mask] = colour[mask] if np.ndim(colour) == 3 else colour
-        self.classes[mask] = kind
+        self.classes[mask] = code
 
 
 def bounding_box(corners: np.ndarray) -> tuple[slice, slice]:
@@ -187,13 +187,13 @@ def paint_ground(canvas: Canvas, generator: np.random.Generator) -> None:
     patches = sample_texture(fractal_noise(generator, octaves=3), right * 5, ahead * 5)
     margin = np.abs(across) - street.road_width / 2
     colours = ground_colours(generator)
-    for colour, kind, where in (
+    for colour, code, where in (
         (colours["verge"], PAVEMENT, ground),
         (colours["pavement"], PAVEMENT, ground & (margin < street.pavement)),
         (colours["kerb"], PAVEMENT, ground & (margin < 0.22)),
         (colours["road"], ROAD, ground & (margin < 0)),
     ):
-        canvas.fill(where, colour, kind)
+        canvas.fill(where, colour, code)
     slabs = ground & (margin > 0.22) & (margin < street.pavement)
     joints = ((across / 0.75) % 1 < 0.05) | ((ahead / 0.75) % 1 < 0.07)
     canvas.rgb[slabs & joints & (ahead < 25)] *= 0.86
@@ -236,11 +236,11 @@ def sample_shadows(
         near = generator.uniform(4.5, 22)
         length = generator.uniform(1.5, 6.0)
         slope = generator.uniform(-0.6, 0.6)
-        reach = generator.uniform(-2.0, 2.0)
+        end = generator.uniform(-2.0, 2.0)
         side = generator.choice([-1.0, 1.0])
         wobble = 0.3 * np.sin(across * generator.uniform(1, 3))
         inside = np.abs(ahead - near - slope * across + wobble) < length / 2
-        inside &= side * across < reach + street.road_width / 2
+        inside &= side * across < end + street.road_width / 2
         light[inside] = np.minimum(light[inside], generator.uniform(0.4, 0.65))
     return light
 

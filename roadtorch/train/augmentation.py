@@ -191,8 +191,8 @@ def sample_affine(
     zoom = torch.exp(uniform(rng, count, -geometry.scale, geometry.scale))
     width = zoom * torch.exp(uniform(rng, count, -geometry.stretch, geometry.stretch))
     angle = uniform(rng, count, -geometry.rotation, geometry.rotation) * (math.pi / 180)
-    reach = 2 * geometry.translation
-    shift = [uniform(rng, count, -reach, reach) for _ in range(2)]
+    max_shift = 2 * geometry.translation
+    shift = [uniform(rng, count, -max_shift, max_shift) for _ in range(2)]
     cos, sin, aspect = angle.cos(), angle.sin(), size[1] / size[0]
     across = torch.stack([mirror * cos / width, -sin / (zoom * aspect), shift[0]], 1)
     down = torch.stack([mirror * sin * aspect / width, cos / zoom, shift[1]], 1)
@@ -269,8 +269,8 @@ def add_shadow(image: Tensor, shadow: ShadowAugmentation, rng: torch.Generator) 
     angle, offset, half, edge, horizon = sample(rng, len(image), *ranges)
     distance = along * angle.cos() + (down - 0.65) * angle.sin() - offset
     inside = ((half - distance.abs()) / edge).sigmoid() * ((down - horizon) / SHADOW_END).sigmoid()
-    (level,) = sample(rng, len(image), (shadow.min_brightness, MAX_SHADOW_LEVEL))
-    return image * (1 - (1 - level) * inside)
+    (brightness,) = sample(rng, len(image), (shadow.min_brightness, MAX_SHADOW_LEVEL))
+    return image * (1 - (1 - brightness) * inside)
 
 
 def darken_to_night(
@@ -286,10 +286,10 @@ def darken_to_night(
     horizon, offset, spread, nearest = sample(rng, count, *ranges)
     below = (down - horizon).clamp_min(0)
     beam = torch.exp(-(((across - offset) / (0.06 + spread * below)) ** 2))
-    reach = (below / nearest) * torch.exp(1 - below / nearest)
+    intensity = (below / nearest) * torch.exp(1 - below / nearest)
     power, warmth = sample(rng, count, (math.log(night.min_brightness), math.log(0.3)), (0, 0.3))
     ambient = power.exp()
-    light = ambient + (1 - ambient) * beam * reach * (1 - unlit)
+    light = ambient + (1 - ambient) * beam * intensity * (1 - unlit)
     tint = torch.cat([1 + warmth, torch.ones_like(warmth), 1 - warmth], 1)
     (lit,) = sample(rng, count, (0, night.lamps))
     lamps = torch.zeros_like(unlit)
@@ -315,8 +315,8 @@ def add_weather(
 ) -> Tensor:
     """Add fog, snow, rain or a wet road, the same to all images (n, 3, H, W) in [0, 1]."""
     number = int(torch.randint(4, (), generator=rng, device=rng.device))
-    kind = (add_fog, add_snow, wet_road, add_rain)[number]
-    street = kind(image, scene, weather, rng).clamp(0, 1)
+    add = (add_fog, add_snow, wet_road, add_rain)[number]
+    street = add(image, scene, weather, rng).clamp(0, 1)
     return torch.lerp(street, image, scene.ego)
 
 
@@ -344,13 +344,13 @@ def add_fog(
     down, _ = pixel_grid(image, 0, 1)
     distance = scene.ground / (down - ground_horizon(scene) + 0.05).clamp_min(0.02)
     distance = distance.flip(-2).cummax(-2).values.flip(-2)
-    reach = image.shape[-1] // 8  # haze has no edges
-    distance = F.avg_pool2d(distance, (1, 2 * reach + 1), 1, (0, reach), count_include_pad=False)
-    density, level = sample(rng, len(image), (0.02, weather.fog), (1, 2))
-    level = (level * mean_brightness(image)).clamp_max(0.9)
+    radius = image.shape[-1] // 8  # haze has no edges
+    distance = F.avg_pool2d(distance, (1, 2 * radius + 1), 1, (0, radius), count_include_pad=False)
+    density, airlight = sample(rng, len(image), (0.02, weather.fog), (1, 2))
+    airlight = (airlight * mean_brightness(image)).clamp_max(0.9)
     transmission = torch.exp(-density * distance) * (1 - scene.sky)
     tint = 1 + uniform(rng, 3 * len(image), -0.05, 0.05).reshape(-1, 3, 1, 1)
-    return torch.lerp((level * tint).expand_as(image), image, transmission)
+    return torch.lerp((airlight * tint).expand_as(image), image, transmission)
 
 
 def add_snow(
@@ -358,10 +358,10 @@ def add_snow(
 ) -> Tensor:
     """Add patches of snow to the ground beside the road, sometimes to the road as well."""
     ranges = (-0.6, 0.4), (0.3, weather.snow), (0.5, 1.0), (-0.5, 2)
-    on_road, amount, level, cover = sample(rng, len(image), *ranges)
+    on_road, amount, brightness, cover = sample(rng, len(image), *ranges)
     ground = scene.ground * (1 - scene.road) + scene.road * on_road.clamp_min(0)
     patches = (2 * sample_grain(len(image), image.shape[-2:], rng) + 2 * cover).sigmoid()
-    return torch.lerp(image, level.expand_as(image), amount * ground * patches)
+    return torch.lerp(image, brightness.expand_as(image), amount * ground * patches)
 
 
 def wet_road(
@@ -373,10 +373,10 @@ def wet_road(
     rows = above - torch.arange(height, device=image.device)[:, None]
     mirrored = image.gather(2, rows.round().long().clamp(0, height - 1).expand_as(image))
     ranges = (0.15, weather.reflection), (0.5, 1.0), (-2, 3)
-    reflection, level, cover = sample(rng, len(image), *ranges)
+    reflection, brightness, cover = sample(rng, len(image), *ranges)
     puddles = (3 * sample_grain(len(image), image.shape[-2:], rng) + cover).sigmoid()
     wet = scene.road * puddles
-    return torch.lerp(image * (1 - wet * (1 - level)), mirrored, reflection * wet)
+    return torch.lerp(image * (1 - wet * (1 - brightness)), mirrored, reflection * wet)
 
 
 def add_rain(
@@ -388,7 +388,7 @@ def add_rain(
     """
     ranges = (0, weather.streaks), (0, 0.3), (0, 0.02)
     density, veil, drops = sample(rng, len(image), *ranges)
-    level = (mean_brightness(image) * 1.3 + 0.1).expand_as(image)
+    brightness = (mean_brightness(image) * 1.3 + 0.1).expand_as(image)
 
     def scatter(density: Tensor) -> Tensor:
         numbers = uniform(rng, scene.road.numel(), 0, 1).reshape(scene.road.shape)
@@ -398,8 +398,8 @@ def add_rain(
     streaks = F.max_pool2d(scatter(density), (length, 1), 1, (length // 2, 0)) * 0.4
     blurred = F.avg_pool2d(image.flip(-2), 9, 1, 4, count_include_pad=False)
     glass = F.avg_pool2d(F.max_pool2d(scatter(drops / 5), 7, 1, 3), 3, 1, 1)
-    image = torch.lerp(torch.lerp(image, level, streaks), blurred, glass)
-    return torch.lerp(image, level, veil)
+    image = torch.lerp(torch.lerp(image, brightness, streaks), blurred, glass)
+    return torch.lerp(image, brightness, veil)
 
 
 def render_lamps(image: Tensor, horizon: Tensor, rng: torch.Generator) -> Tensor:

@@ -53,8 +53,8 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
     size = segment_size(segments, int(segments.max()) + 1)
     centroid = segment_mean(torch.stack(coordinates).to(torch.float32), segments, size).T
     turns = torch.arange(settings.extra) * (2 * math.pi / max(1, settings.extra))
-    around = torch.stack([turns.cos(), turns.sin()], 1) * settings.radius
-    moves = torch.cat([torch.zeros(1, 2), around])
+    circle = torch.stack([turns.cos(), turns.sin()], 1) * settings.radius
+    moves = torch.cat([torch.zeros(1, 2), circle])
     centres = (centroid[:, None] + moves).reshape(-1, 2).round().to(torch.int64)
     return centres.clamp_min(0).minimum(torch.tensor([height - 1, width - 1]))
 

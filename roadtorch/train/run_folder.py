@@ -188,10 +188,11 @@ class RunFolder:
 
     def read_log(self) -> list[dict[str, Any]]:
         """Read round, epoch and loss of each epoch; rounds are halves of an adaptation."""
-        kinds = {"round": int, "epoch": int, "loss": float}
+        parsers = {"round": int, "epoch": int, "loss": float}
         with (self.path / LOG).open(newline="", encoding="utf-8") as file:
             return [
-                {key: kind(row[key]) for key, kind in kinds.items()} for row in csv.DictReader(file)
+                {key: parse(row[key]) for key, parse in parsers.items()}
+                for row in csv.DictReader(file)
             ]
 
     def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:

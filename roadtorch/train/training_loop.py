@@ -289,8 +289,8 @@ class Loop:
         """Take one step down the mean loss of a batch; return the loss summed over the batch."""
         self._optimiser.zero_grad(set_to_none=False)
         batch = Batch(*(part.to(self.device) for part in batch))
-        kind, is_coarse = batch.inputs.device.type, self.descent.precision == "bfloat16"
-        with torch.autocast(kind, torch.bfloat16, is_coarse):
+        device_type, is_coarse = batch.inputs.device.type, self.descent.precision == "bfloat16"
+        with torch.autocast(device_type, torch.bfloat16, is_coarse):
             loss = self.loss(self.network, batch)
         (loss / len(batch.inputs)).backward()
         self._optimiser.step()

@@ -57,7 +57,7 @@ class FeatureMaps:
 
 
 def make_encoder(
-    patches: Tensor, dictionary: Tensor, kind: Literal["base", "patch"] = "base"
+    patches: Tensor, dictionary: Tensor, variant: Literal["base", "patch"] = "base"
 ) -> Callable[[Tensor], Tensor]:
     """Return the function that encodes patches: bases (k, d) → responses (k, n) ≥ 0.
 
@@ -73,12 +73,12 @@ def make_encoder(
         return (planes @ points.T).clamp_min_(0).sqrt_()
 
     total = torch.zeros_like(squares[:, 0])
-    for bases in dictionary.split(BASIS_BLOCK) if kind == "patch" else ():
+    for bases in dictionary.split(BASIS_BLOCK) if variant == "patch" else ():
         total += distances(bases).sum(0)
 
     def encode(bases: Tensor) -> Tensor:
         distance = distances(bases)
-        mean = total / len(dictionary) if kind == "patch" else distance.mean(1, keepdim=True)
+        mean = total / len(dictionary) if variant == "patch" else distance.mean(1, keepdim=True)
         return torch.sub(mean, distance, out=distance).clamp_min_(0)
 
     return encode
@@ -90,10 +90,10 @@ def response_scale(responses: Tensor) -> Tensor:
     return torch.where(top > MIN_MAXIMUM, top, torch.inf)
 
 
-def row_weights(rows: int, kind: RowWeights) -> Tensor:
+def row_weights(rows: int, variant: RowWeights) -> Tensor:
     """Return the weights of eq. 5, float64 (rows,): in rows, or in (-1, 1] for ``from_one``."""
     row = torch.arange(rows, dtype=torch.float64)
-    if kind == "centred":
+    if variant == "centred":
         return row - rows // 2
     return (row + 1 - rows / 2) / (rows / 2)
 

@@ -51,11 +51,11 @@ class Smoothing(Settings):
         default=2, ge=0, le=50, description="window radius of the brightness map's blur, pixels"
     )
     target: float = Field(
-        default=0.5, gt=0, le=10, description="brightness that every place gets; the text of P1: 1"
+        default=0.5, gt=0, le=10, description="brightness of every position; the text of P1: 1"
     )
 
     @property
-    def reach(self) -> int:
+    def radius(self) -> int:
         """Radius of the blur's window, pixels: 3 for sigma 1.5 (program), 5 for 2.5.
 
         Ours: the program has 3 for its one sigma, and no setting for the text's 2.5. In a window of
@@ -96,23 +96,23 @@ def _cubic_weights(length: int, size: int) -> Tensor:
     return table / table.sum(1, keepdim=True)
 
 
-def blur(maps: Tensor, sigma: float, reach: int) -> Tensor:
-    """Blur maps (C, H, W) with a Gaussian of 2·reach + 1 pixels, sigma in pixels (eq. 1).
+def blur(maps: Tensor, sigma: float, radius: int) -> Tensor:
+    """Blur maps (C, H, W) with a Gaussian of 2·radius + 1 pixels, sigma in pixels (eq. 1).
 
     The weights sum to 1; the border is repeated.
     """
-    offsets = torch.arange(-reach, reach + 1, dtype=torch.float64)
+    offsets = torch.arange(-radius, radius + 1, dtype=torch.float64)
     weights = torch.exp(-(offsets**2) / (2 * sigma**2))
     weights = (weights / weights.sum()).to(maps)
-    padded = F.pad(maps[:, None], (reach, reach, reach, reach), mode="replicate")
+    padded = F.pad(maps[:, None], (radius, radius, radius, radius), mode="replicate")
     rows = F.conv2d(padded, weights.view(1, 1, -1, 1))
     return F.conv2d(rows, weights.view(1, 1, 1, -1))[:, 0]
 
 
-def brightness(image: Tensor, sigma: float, reach: int) -> Tensor:
+def brightness(image: Tensor, sigma: float, radius: int) -> Tensor:
     """Return the blurred grey (H, W) of an image (3, H, W), the denominator of eq. 2."""
     grey = torch.tensordot(image.new_tensor(GREY_WEIGHTS), image, 1)
-    return blur(grey[None], sigma, reach)[0]
+    return blur(grey[None], sigma, radius)[0]
 
 
 def equalise(image: Tensor, settings: Smoothing) -> Tensor:
@@ -120,6 +120,6 @@ def equalise(image: Tensor, settings: Smoothing) -> Tensor:
 
     Black pixels stay black: the authors' program divides 0 by 0 there, and fails.
     """
-    smooth = blur(image, settings.sigma, settings.reach)
+    smooth = blur(image, settings.sigma, settings.radius)
     light = brightness(smooth, settings.light_sigma, settings.light_reach)
     return settings.target * smooth / light.clamp_min(MIN_BRIGHTNESS)

@@ -81,14 +81,14 @@ class StabilitySettings(Settings):
     )
 
 
-def position_weights(rows: int, columns: int, kind: Literal["symmetric", "from_one"]) -> Tensor:
+def position_weights(rows: int, columns: int, variant: Literal["symmetric", "from_one"]) -> Tensor:
     """Return the first two terms of eq. 6, float64 (rows, columns): road is low and central.
 
     From -2 or less in the upper corners to nearly 2 at the middle of the bottom edge.
     """
     row = torch.arange(1, rows + 1, dtype=torch.float64)
     column = torch.arange(1, columns + 1, dtype=torch.float64)
-    shift = 1 if kind == "symmetric" else 0
+    shift = 1 if variant == "symmetric" else 0
     half, middle = (rows + shift) / 2, (columns + shift) / 2
     return ((row - half) / half)[:, None] + 1 - (column - middle).abs() / half
 
@@ -189,18 +189,18 @@ def find_road(
         error = normalise_error(error, covered)
 
 
-def model_node(choice: NodeChoice, kind: Literal["selected", "best"]) -> int | None:
+def model_node(choice: NodeChoice, variant: Literal["selected", "best"]) -> int | None:
     """Return the node (index) from which the road is learned; None where none is selected."""
     if not choice.selected.any():
         return None
-    if kind == "selected" or len(choice.selected) == 1:
+    if variant == "selected" or len(choice.selected) == 1:
         return int(choice.stability.where(choice.selected, -torch.inf).argmax())
     return int(choice.best[1:].argmax()) + 1
 
 
-def dilate(mask: Tensor, reach: int) -> Tensor:
-    """Dilate a mask, bool (H, W), by a square of ``reach`` pixels on each side."""
-    return F.max_pool2d(mask[None].float(), 2 * reach + 1, 1, reach)[0] > 0
+def dilate(mask: Tensor, radius: int) -> Tensor:
+    """Dilate a mask, bool (H, W), by a square of ``radius`` pixels on each side."""
+    return F.max_pool2d(mask[None].float(), 2 * radius + 1, 1, radius)[0] > 0
 
 
 def mask_to_image(mask: Tensor, side: int) -> Tensor:
@@ -218,8 +218,8 @@ def map_to_image(values: Tensor, side: int) -> Tensor:
 
 
 def _pad_border(values: Tensor, side: int) -> Tensor:
-    reach = side // 2
-    return F.pad(values[None], (reach, reach, reach, reach), mode="replicate")
+    radius = side // 2
+    return F.pad(values[None], (radius, radius, radius, radius), mode="replicate")
 
 
 def road_likelihood(mask: Tensor, pixels: Tensor) -> Tensor:

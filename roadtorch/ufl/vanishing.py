@@ -57,9 +57,9 @@ def filter_spectrum(size: tuple[int, int], angle: float, frequency: float) -> Te
     across = down * math.cos(turn) - right * math.sin(turn)
     width = ENVELOPE_WAVES / frequency
     wave = (-((width * (along - frequency)) ** 2) / 2).exp()
-    level = (-((width * along) ** 2 + ENVELOPE_WAVES**2) / 2).exp()
+    offset = (-((width * along) ** 2 + ENVELOPE_WAVES**2) / 2).exp()
     gain = 2 * math.sqrt(2 * math.pi) * width
-    return gain * (-((2 * width * across) ** 2) / 2).exp() * (wave - level)
+    return gain * (-((2 * width * across) ** 2) / 2).exp() * (wave - offset)
 
 
 def gabor_responses(grey: Tensor, bank: GaborBank) -> Tensor:

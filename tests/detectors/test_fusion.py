@@ -22,7 +22,7 @@ from tests.streets import saturated_street
 
 CUES = {
     *("layout", "layout_labels", "learned_road", "texture", "uniformity", "fused_plane"),
-    *("saturated", "distance", "place", "segments", "seed_area", "ego"),
+    *("saturated", "distance", "position", "segments", "seed_area", "ego"),
 }
 
 
@@ -35,7 +35,7 @@ def test_saturated_segments_have_no_texture_the_seed_area_is_nearest_and_the_sky
     cues = load_detector("fusion:scratch").detect(street()).cues
     distance, seed = cues["distance"], cues["seed_area"]
 
-    for name in ("layout", "texture", "distance", "place", "uniformity"):
+    for name in ("layout", "texture", "distance", "position", "uniformity"):
         assert 0 <= cues[name].min() < cues[name].max() <= 1
     assert cues["saturated"][62:70, 22:42].all()
     assert cues["texture"][66, 32] == 0
@@ -55,7 +55,7 @@ def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.Monk
     detection = load_detector("fusion:untrained").detect(street())
 
     cues = detection.cues
-    odds = 0.5 + 0.3 * log_odds(cues["place"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
+    odds = 0.5 + 0.3 * log_odds(cues["position"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
     odds = odds + 1.3 * log_odds(cues["distance"]) + 0.6 * log_odds(cues["texture"])
     np.testing.assert_allclose(detection.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
 

@@ -122,14 +122,14 @@ def test_working_sizes_of_the_paper_follow_from_the_aspect_ratio(
     assert preprocess.WorkingShape().size(height, width) == size
 
 
-@pytest.mark.parametrize(("sigma", "reach"), [(1.5, 3), (2.5, 5), (0.4, 1), (1.6, 4)])
-def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, reach: int) -> None:
+@pytest.mark.parametrize(("sigma", "radius"), [(1.5, 3), (2.5, 5), (0.4, 1), (1.6, 4)])
+def test_blur_is_equation_1_in_a_window_that_follows_sigma(sigma: float, radius: int) -> None:
     smoothing, image = preprocess.Smoothing(sigma=sigma), random(2, 9, 11)
 
-    blurred = preprocess.blur(image, smoothing.sigma, smoothing.reach)
+    blurred = preprocess.blur(image, smoothing.sigma, smoothing.radius)
 
-    assert smoothing.reach == reach
-    expected = np.stack([reference.blurred(plane, sigma, reach) for plane in image.numpy()])
+    assert smoothing.radius == radius
+    expected = np.stack([reference.blurred(plane, sigma, radius) for plane in image.numpy()])
     np.testing.assert_allclose(blurred, expected, atol=1e-12)
 
 

@@ -42,10 +42,10 @@ def build_tables(evaluation: Evaluation, limit: int | None = None) -> list[Table
     tables = [
         score_table(evaluation, ranked),
         *(
-            part_table(evaluation, name, kind, limit)
-            for kind in get_args(PartKind)
+            part_table(evaluation, name, part, limit)
+            for part in get_args(PartKind)
             for name in best
-            if limit is None or kind == "condition" or not has_columns
+            if limit is None or part == "condition" or not has_columns
         ),
         trust_table(evaluation, ranked),
         layout_table(evaluation, listed),
@@ -150,27 +150,27 @@ def _difference_cell(change: Difference | None) -> Cell:
 
 
 def part_table(
-    evaluation: Evaluation, name: str, kind: PartKind, limit: int | None = None
+    evaluation: Evaluation, name: str, part: PartKind, limit: int | None = None
 ) -> Table:
     """Return one detector's groups or conditions by F of its mask, the lowest first.
 
     Below the groups are their mean and those left out; conditions are followed by the number of
     their groups. The last column is the best baseline's MaxF. limit: maximum number of rows.
     """
-    parts = _groups(evaluation) if kind == "group" else _conditions(evaluation)
+    parts = _groups(evaluation) if part == "group" else _conditions(evaluation)
     defined = F_MASK.get_defined({label: scores[name] for label, scores in parts.items()})
     worst_first = sorted(parts, key=lambda label: defined.get(label, math.inf))[:limit]
     rows = {label: parts[label] for label in worst_first}
-    if kind == "group" and rows:
+    if part == "group" and rows:
         rows["mean"] = evaluation.headlines
         rows |= {f"{g} (left out)": evaluation.group_scores(g) for g in evaluation.left_out}
     required = {BASELINE_HEADER, *(measure.name for measure in evaluation.measures_in("headline"))}
     omitted = len(parts) - len(worst_first)
-    table = Table(f"{name} by {kind}", list(rows), omitted=omitted, required=required)
+    table = Table(f"{name} by {part}", list(rows), omitted=omitted, required=required)
     for measure in evaluation.measures_in("parts"):
         table.add_measure(measure, [scores[name] for scores in rows.values()], is_ranked=False)
-    levels = (best_baseline_maxf(evaluation, scores) for scores in rows.values())
-    table.add(BASELINE_HEADER, (Cell(format_number(level)) for level in levels))
+    baselines = (best_baseline_maxf(evaluation, scores) for scores in rows.values())
+    table.add(BASELINE_HEADER, (Cell(format_number(maxf)) for maxf in baselines))
     return table
 
 
