@@ -232,7 +232,7 @@ def annotate() -> None:
     except SystemExit:
         if not done.is_set():
             raise
-    shutil.rmtree(Path(OUT, ".machine"))  # how far the server came with its own work is chance
+    shutil.rmtree(Path(OUT, ".views"))  # how far the server came with its own work is chance
     Path(OUT, ".session.json").unlink()
 
 
@@ -247,7 +247,7 @@ def draw(done: threading.Event) -> None:
 def draw_strokes(person: int) -> None:
     """Send a person's strokes to the page; log those acknowledged, and exit if one is refused."""
     for number in range(5):
-        stroke = {"kind": "brush", "id": f"s{person}-{number}", "saying": "road", "radius": 3}
+        stroke = {"kind": "brush", "id": f"s{person}-{number}", "label": "road", "radius": 3}
         stroke["points"], status = [[10 + number, 20], [15, 30]], 0
         while not status:
             with suppress(OSError, httpx.TransportError):  # it has not started yet

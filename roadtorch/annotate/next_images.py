@@ -1,21 +1,16 @@
-"""The order in which images are offered for correction: least trusted first, or at random.
+"""The next images to correct: the least trusted ones, each of another scene.
 
-Order rules are pure functions of the trusts and features of n images. A batch does not repeat a
-scene: neighbouring frames of a recording teach a network little more than one of them.
+Neighbouring frames of a recording teach a network little more than one of them, so a batch does not
+repeat a scene.
 """
 
-import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Collection
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from roadtorch.annotate.views import ImageView
-from roadtorch.base.image import read_image
 from roadtorch.imaging.resize import resize_maps
 from roadtorch.imaging.segments import paint_segments
 from roadtorch.layout.classes import NUM_CLASSES
@@ -51,34 +46,18 @@ def view_features(image: Tensor, view: ImageView) -> Tensor:
     return torch.cat([resize_maps(part, FEATURE_GRID).flatten() for part in parts]).float()
 
 
-OrderRule = Callable[[Candidates, Collection[int], int], list[int]]
-"""Candidates, indices of corrected images, batch size → indices of the batch, in order."""
-
-
-def random_images(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
-    """Return ``count`` uncorrected images at random; the baseline for other rules."""
-    generator = torch.Generator().manual_seed(0)
-    order = torch.randperm(len(candidates.trust), generator=generator).tolist()
-    return [index for index in order if index not in corrected][:count]
-
-
-def least_trust_first(candidates: Candidates, corrected: Collection[int], count: int) -> list[int]:
-    """Return the least trusted images of new scenes, then others by trust, unknown trust last."""
-    order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
-    uncorrected = [index for index in order if index not in corrected]
-    return new_scenes_first(uncorrected, candidates.features, corrected, count)
-
-
-def new_scenes_first(
-    order: Sequence[int], features: Tensor, corrected: Collection[int], count: int
+def select_batch(
+    candidates: Candidates, corrected: Collection[int], count: int = BATCH_IMAGES
 ) -> list[int]:
-    """Return the first images of an order whose scenes are new, then the others, ``count`` in all.
+    """Return ``count`` uncorrected images: the least trusted of new scenes, then others by trust.
 
-    A scene is new where its features (n, d) are far from those of corrected and chosen images.
-    Memory grows with n, not with its square.
+    A scene is new where its features are far from those of corrected and chosen images. Unknown
+    trust comes last. Memory grows with the number of images, not with its square.
     """
+    order = candidates.trust.nan_to_num(torch.inf).argsort(stable=True).tolist()
+    order, features = [i for i in order if i not in corrected], candidates.features
     if len(features) < 2:
-        return list(order[:count])
+        return order[:count]
     threshold, chosen = SCENE_DISTANCE * median_distance(features), []
     nearest = torch.full((len(features),), torch.inf)  # distance to corrected or chosen images
     for start in range(0, len(corrected), DISTANCE_CHUNK):
@@ -90,8 +69,8 @@ def new_scenes_first(
         if nearest[index] >= threshold:
             chosen.append(index)
             nearest = nearest.minimum(torch.cdist(features, features[index : index + 1])[:, 0])
-    repeated = set(order).difference(chosen)
-    return [*chosen, *(index for index in order if index in repeated)][:count]
+    others = set(order).difference(chosen)
+    return [*chosen, *(index for index in order if index in others)][:count]
 
 
 def median_distance(features: Tensor) -> float:
@@ -100,42 +79,3 @@ def median_distance(features: Tensor) -> float:
     sample = features[torch.linspace(0, len(features) - 1, count).round().long()]
     first, second = torch.triu_indices(count, count, 1)
     return float(torch.cdist(sample, sample)[first, second].median())
-
-
-ORDER_RULES: Mapping[str, OrderRule] = {"least-trust": least_trust_first, "random": random_images}
-
-
-# --- in the page ------------------------------------------------------------------------
-
-
-@dataclass(eq=False)
-class ImageOrder:
-    """The order of images by a rule of ``ORDER_RULES``; features are added with views."""
-
-    rule: str
-    features: dict[str, Tensor] = field(default_factory=dict)
-    _turns: tuple[object, dict[str, int]] = field(default=(None, {}), repr=False)
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-
-    def add(self, name: str, image: Path, view: ImageView) -> None:
-        """Add the features of an image; InputError where it cannot be read."""
-        self.features[name] = view_features(read_image(image), view)
-
-    def turns(
-        self, names: Collection[str], trusts: Mapping[str, float], corrected: Collection[str]
-    ) -> dict[str, int]:
-        """Return the position, from 0, of each image of the next batch.
-
-        names: of all images. trusts: NaN where there is none. corrected: names of images with
-        corrections. Images without features are left out.
-        """
-        ready = [name for name in names if name in self.features]
-        done = {index for index, name in enumerate(ready) if name in corrected}
-        key = (tuple(ready), frozenset(done))
-        with self._lock:
-            if ready and self._turns[0] != key:
-                trust = torch.tensor([trusts.get(name, np.nan) for name in ready])
-                candidates = Candidates(trust, torch.stack([self.features[name] for name in ready]))
-                indices = ORDER_RULES[self.rule](candidates, done, BATCH_IMAGES)
-                self._turns = key, {ready[index]: turn for turn, index in enumerate(indices)}
-            return self._turns[1]

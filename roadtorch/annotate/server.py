@@ -10,6 +10,7 @@ import asyncio
 import base64
 import hashlib
 import json
+import mimetypes
 import os
 import secrets
 import shlex
@@ -18,8 +19,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from importlib.resources import files
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 import h11
@@ -30,9 +30,11 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
-from starlette.routing import Route
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -47,13 +49,8 @@ from roadtorch.imaging.resize import WorkingSize, resize_maps, spatial_size, wor
 HOST = "127.0.0.1"  # the only interface to listen on
 FIRST_PORT = 8765
 ADDRESS_FILE = ".session.json"
-MEDIA_TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
-
-PAGE_FILES = {
-    file.name: file.read_bytes()
-    for file in files("roadtorch.annotate").joinpath("static").iterdir()
-}
-"""Static files of the page, by name."""
+PAGE_FOLDER = Path(__file__).with_name("static")
+mimetypes.add_type("text/javascript", ".js")  # some Windows registries have another one
 
 PAGE_IMAGE_SIZE = WorkingSize(pixels=1600 * 1200)
 """Largest size at which images are sent; strokes are in pixels of the full image."""
@@ -93,15 +90,14 @@ def error_response(status: int, where: str, problem: str, hint: str) -> JSONResp
 
 
 class AccessMiddleware:
-    """Middleware that checks Host, Origin and token, and adds ``RESPONSE_HEADERS``.
+    """Middleware that checks Origin and token, and adds ``RESPONSE_HEADERS``.
 
     A request that is cancelled when the server stops gets a 503 response.
     """
 
-    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
+    def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
         self._token = token
-        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or pass it on to the application."""
@@ -127,11 +123,9 @@ class AccessMiddleware:
 
     def _check(self, request: Request) -> Response | None:
         """Return the error response to a forbidden request, None for an allowed one."""
-        host = request.headers.get("host", "")
-        if host not in self._hosts:
-            return error_response(421, host[:100] or "host", "is not this server", "use 127.0.0.1")
-        origin = request.headers.get("origin", f"http://{host}")
-        if origin != f"http://{host}":
+        server = f"http://{request.headers.get('host', '')}"
+        origin = request.headers.get("origin", server)
+        if origin != server:
             return error_response(403, origin[:100], "is another site", "use this server's page")
         if request.url.path.startswith("/static/"):
             return None  # public code
@@ -178,7 +172,7 @@ async def read_body(request: Request) -> bytes | None:
 # --- routes -----------------------------------------------------------------------------
 
 
-def make_app(session: Session, token: str, port: int) -> Starlette:
+def make_app(session: Session, token: str) -> Starlette:
     """Build the web application of a session."""
     page = SessionApi(session)
     routes = [
@@ -191,25 +185,17 @@ def make_app(session: Session, token: str, port: int) -> Starlette:
     ]
     handlers: dict[Any, Any] = {OSError: _handle_disk_error}
     handlers |= {kind: partial(_handle_error, status) for kind, status in ERROR_STATUSES.items()}
-    return page_app("annotate.html", routes, token, port, handlers)
+    return page_app("annotate.html", routes, token, handlers)
 
 
-def page_app(
-    page: str, routes: Sequence[Route], token: str, port: int, handlers: Any = None
-) -> Starlette:
+def page_app(page: str, routes: Sequence[BaseRoute], token: str, handlers: Any = None) -> Starlette:
     """Build a web application: a page, its static files and its API, behind access control."""
-    html = Route("/", lambda _: Response(PAGE_FILES[page], media_type=MEDIA_TYPES[".html"]))
-    access = Middleware(AccessMiddleware, token=token, port=port)
-    routes = [html, Route("/static/{name}", serve_static), *routes]
-    return Starlette(routes=routes, middleware=[access], exception_handlers=handlers)
-
-
-def serve_static(request: Request) -> Response:
-    """Serve a static file of the page."""
-    name = request.path_params["name"]
-    if name not in PAGE_FILES:
-        return error_response(404, name, "is not a file of the page", "load the page again")
-    return Response(PAGE_FILES[name], media_type=MEDIA_TYPES[PurePath(name).suffix])
+    html = Route("/", lambda _: FileResponse(PAGE_FOLDER / page))
+    static = Mount("/static", StaticFiles(directory=PAGE_FOLDER))
+    access = Middleware(AccessMiddleware, token=token)
+    host = Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
+    routes = [html, static, *routes]
+    return Starlette(routes=routes, middleware=[access, host], exception_handlers=handlers)
 
 
 class SessionApi:
@@ -227,8 +213,8 @@ class SessionApi:
         stamp = hashlib.sha256(json.dumps(listing).encode()).hexdigest()[:16]
         if request.query_params.get("stamp") == stamp:
             return Response(status_code=204)
-        key = self._session.key
-        return JSONResponse({"stamp": stamp, "folder": key, "images": listing, "learn": command})
+        content = {"stamp": stamp, "folder": self._session.key, "images": listing}
+        return JSONResponse({**content, "train_command": command})
 
     async def jpeg(self, encode: Callable[[Path, int], bytes], request: Request) -> Response:
         """Return an image as JPEG; ``encode`` takes its path and modification time."""
@@ -384,7 +370,7 @@ def make_page_server(session: Session, port: int | None = None) -> PageServer:
     address = Address(port=listening.getsockname()[1], token=token)
     write_address(session.out, address)
     config = uvicorn.Config(
-        make_app(session, token, address.port),
+        make_app(session, token),
         http=SlowClientProtocol,
         log_level="error",
         access_log=False,

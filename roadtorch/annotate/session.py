@@ -4,13 +4,16 @@ import hashlib
 import os
 import threading
 import time
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from roadtorch.annotate.next_images import ImageOrder
+from roadtorch.annotate.next_images import BATCH_IMAGES, Candidates, select_batch, view_features
 from roadtorch.annotate.views import (
     VIEWS_FOLDER,
     AnnotationSettings,
@@ -24,6 +27,7 @@ from roadtorch.annotate.views import (
 from roadtorch.base.atomic import file_digest, remove_leftovers
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import InputError
+from roadtorch.base.image import read_image
 from roadtorch.data.correction_formats import CORRECTION_FORMATS
 from roadtorch.data.corrections import (
     LOG_SUFFIX,
@@ -41,9 +45,9 @@ from roadtorch.data.events import (
     Import,
     SuperpixelStroke,
     count_clicks,
-    encode_runs,
     redoable_ids,
 )
+from roadtorch.data.polygons import encode_counts
 from roadtorch.detectors.detector import Detector
 from roadtorch.inputs.images import find_images
 
@@ -114,13 +118,17 @@ def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -
 
 @dataclass(eq=False)
 class Session:
-    """The state behind the page; views: cache of the detector's views. out: folder of the logs."""
+    """The state behind the page; views: cache of the detector's views. out: folder of the logs.
+
+    trusts, features: of the images that have a view; a trust is NaN where the detector gives none.
+    """
 
     images: ImageFolder
     views: ViewStore
     out: Path
-    order: ImageOrder
     trusts: dict[str, float] = field(default_factory=dict)
+    features: dict[str, Tensor] = field(default_factory=dict, repr=False)
+    _batch: tuple[object, list[str]] = field(default=(None, []), repr=False)
     _logs: dict[str, EventLog] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _summaries: dict[Path, tuple[int, dict[str, Any] | None]] = field(
@@ -135,19 +143,35 @@ class Session:
     # --- all images ---------------------------------------------------------------------
 
     def listing(self) -> list[dict[str, Any]]:
-        """List all images with name, trust, turn, number of events, and whether confirmed."""
+        """List all images with name, trust, number of events, and whether confirmed.
+
+        Confirmed ones come last; the next batch comes first, then images by trust.
+        """
         summaries, names = self._summarise_logs(), self.images.names()
         untouched = {"events": 0, "confirmed": False, "version": 0}
-        turns = self.order.turns(names, self.trusts, summaries)
-        return [
-            {
-                "name": name,
-                "trust": self._trust(name),
-                "turn": turns.get(name),
-                **summaries.get(name, untouched),
-            }
+        listing = [
+            {"name": name, "trust": self._trust(name), **summaries.get(name, untouched)}
             for name in names
         ]
+        positions = {name: at for at, name in enumerate(self._next_batch(names, summaries))}
+
+        def order(image: dict[str, Any]) -> tuple[bool, int, float, str]:
+            position, trust = positions.get(image["name"], BATCH_IMAGES), image["trust"]
+            return image["confirmed"], position, 2 if trust is None else trust, image["name"]
+
+        return sorted(listing, key=order)
+
+    def _next_batch(self, names: Collection[str], corrected: Collection[str]) -> list[str]:
+        """Return the next images to correct, among those with features."""
+        ready = [name for name in names if name in self.features]
+        done = {index for index, name in enumerate(ready) if name in corrected}
+        key = (tuple(ready), frozenset(done))
+        with self._lock:
+            if ready and self._batch[0] != key:
+                trust = torch.tensor([self.trusts[name] for name in ready])
+                candidates = Candidates(trust, torch.stack([self.features[name] for name in ready]))
+                self._batch = key, [ready[index] for index in select_batch(candidates, done)]
+            return self._batch[1]
 
     def _trust(self, name: str) -> float | None:
         trust = self.trusts.get(name)
@@ -209,7 +233,7 @@ class Session:
         return log
 
     def _complete(self, event: AnyEvent, log: EventLog, view: ImageView) -> AnyEvent:
-        """Return an event with its time and the runs of pixels that it labels."""
+        """Return an event with its time and the pixels that it labels."""
         changes: dict[str, Any] = {"time": round(time.time(), 3)}
         if isinstance(event, SuperpixelStroke):
             count = len(view.segment_odds)
@@ -217,10 +241,10 @@ class Session:
                 message = f"has {count} superpixels, and a higher number was clicked"
                 raise InputError(log.path.name, message, "load the page again")
             chosen = np.isin(view.labels.numpy(), event.segments)
-            changes["runs"] = encode_runs(resize_labels(chosen, view.size))
+            changes["counts"] = encode_counts(resize_labels(chosen, view.size))
         if isinstance(event, Confirm):
             odds = corrected_log_odds(view, log.labels, self.views.settings)
-            changes["runs"] = encode_runs(corrected_road(odds, log.labels, view.size))
+            changes["counts"] = encode_counts(corrected_road(odds, log.labels, view.size))
         return event.model_copy(update=changes)
 
     def _page_state(self, name: str, log: EventLog, view: ImageView) -> dict[str, Any]:
@@ -250,18 +274,17 @@ def compute_views(session: Session, stop: threading.Event) -> None:
         for name in session.images.names():
             if stop.is_set():
                 return
-            if name in session.trusts or name in failed:
+            if name in session.features or name in failed:
                 continue
             try:
-                session.order.add(name, session.images.path(name), session.view(name))
+                image = read_image(session.images.path(name))
+                session.features[name] = view_features(image, session.view(name))
             except (InputError, OSError):
                 failed.add(name)
         stop.wait(2)
 
 
-def open_session(
-    folder: Path, out: Path, detector: Detector, order: ImageOrder | None = None
-) -> Session:
+def open_session(folder: Path, out: Path, detector: Detector) -> Session:
     """Open a session on a folder; DatasetError where a log in ``out`` cannot be read.
 
     Removes half-written files of killed sessions, so ``out`` must be locked.
@@ -269,8 +292,7 @@ def open_session(
     read_logs(out)
     remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS_FOLDER))
     views = ViewStore(out / VIEWS_FOLDER, detector, AnnotationSettings())
-    order = order or ImageOrder("least-trust")
-    return Session(ImageFolder(folder, out), views, out, order)
+    return Session(ImageFolder(folder, out), views, out)
 
 
 # --- import -----------------------------------------------------------------------------
@@ -293,6 +315,6 @@ def import_labels(name: str, origin: Path, folder: Path, out: Path) -> int:
 
 def make_import_event(labels: np.ndarray, number: int = 0) -> Import:
     """Return the event that imports labels, uint8 (H, W); number: of earlier events, for its id."""
-    runs = {LABEL_NAMES[label]: encode_runs(labels == label) for label in np.unique(labels)}
-    identity = hashlib.sha256(f"{number} {runs}".encode()).hexdigest()[:32]
-    return Import(kind="brought", id=identity, time=round(time.time(), 3), labels=runs)
+    counts = {LABEL_NAMES[label]: encode_counts(labels == label) for label in np.unique(labels)}
+    identity = hashlib.sha256(f"{number} {counts}".encode()).hexdigest()[:32]
+    return Import(kind="import", id=identity, time=round(time.time(), 3), labels=counts)

@@ -33,7 +33,7 @@ class Viewer:
         self._times = deque[float](maxlen=RATE_FRAMES)
         routes = [Route("/api/frame", self._frame)]
         config = uvicorn.Config(
-            page_app("view.html", routes, token, self.address.port),
+            page_app("view.html", routes, token),
             http=SlowClientProtocol,
             log_level="error",
             timeout_graceful_shutdown=1,

@@ -47,7 +47,7 @@ from roadtorch.run.memo import cache_key, read_cached, write_cached
 EXCLUDED_LOG_ODDS = 0.05
 """Magnitude of the negative log odds of pixels above the threshold that the mask excludes."""
 
-VIEWS_FOLDER = ".machine"  # name of the folder of views in the folder of corrections
+VIEWS_FOLDER = ".views"  # name of the folder of views in the folder of corrections
 MAX_VIEWS = 12  # in memory; each takes a few megabytes
 
 

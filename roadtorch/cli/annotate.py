@@ -7,8 +7,6 @@ import click
 from roadtorch.base.bounded import plural
 from roadtorch.cli.options import PATH, DetectorOptions, SectionedCommand, detector_options
 
-ORDERS = ("least-trust", "random")
-
 LABEL_FORMAT = click.Choice(("png", "coco"))
 
 
@@ -16,12 +14,6 @@ LABEL_FORMAT = click.Choice(("png", "coco"))
 @click.argument("folder", type=PATH)
 @click.option("--out", type=PATH, help="Folder of the corrections. [FOLDER/corrections]")
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the page. [a free one]")
-@click.option(
-    "--order",
-    type=click.Choice(ORDERS),
-    default=ORDERS[0],
-    help="Order of the images: least trusted first, or random.",
-)
 @detector_options
 @click.option("--report", "reports", is_flag=True, help="Print a report on corrections and exit.")
 @click.option("--export", "exported", type=LABEL_FORMAT, help="Write the corrections to --to.")
@@ -36,7 +28,6 @@ def annotate_command(
     folder: Path,
     out: Path | None,
     port: int | None,
-    order: str,
     choice: DetectorOptions,
     reports: bool,
     exported: str | None,
@@ -78,7 +69,6 @@ def annotate_command(
         count = import_labels(imported, origin, folder, out)
         click.echo(f"{plural(count, 'image')} imported")
     else:
-        from roadtorch.annotate.next_images import ImageOrder
         from roadtorch.annotate.session import open_session
         from roadtorch.base.errors import ConfigError
         from roadtorch.inputs.images import find_images
@@ -92,7 +82,7 @@ def annotate_command(
         count = len(find_images([folder], out))
         detector, _ = choice.load()
         context.with_resource(lock_output(out))
-        server = make_page_server(open_session(folder, out, detector, ImageOrder(order)), port)
+        server = make_page_server(open_session(folder, out, detector), port)
         click.echo(f"{count} images; corrections are saved in {out}")
         click.echo(f"Open {server.address.url}  (press Ctrl-C to stop)")
         server.run()

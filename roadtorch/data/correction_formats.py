@@ -1,7 +1,6 @@
 """Import and export of corrections: label images, and COCO's JSON."""
 
 import json
-import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -22,7 +21,7 @@ from roadtorch.base.image import write_labels
 from roadtorch.data.corrections import Correction
 from roadtorch.data.events import LABEL_NAMES
 from roadtorch.data.label_images import LabelPixels, read_labels
-from roadtorch.data.polygons import coco_annotation
+from roadtorch.data.polygons import coco_annotation, decode_counts, fill_area, unpack_counts
 
 ImageSizes = Mapping[str, tuple[int, int]]
 """(height, width) of images by their relative name with extension."""
@@ -290,66 +289,17 @@ def match_image_name(file: str, names: Collection[str]) -> str | None:
 def _fill_region(mask: np.ndarray, segmentation: _Counts | _Polygons) -> None:
     height, width = mask.shape
     if isinstance(segmentation, _Counts):
-        counts = segmentation.counts
         if segmentation.size not in (None, (height, width)):
             rows, columns = segmentation.size or (0, 0)
             raise ValueError(f"a region has {columns} by {rows} pixels, not {width} by {height}")
+        counts = segmentation.counts
         counts = unpack_counts(counts) if isinstance(counts, str) else counts
-        if sum(counts) != height * width:
-            raise ValueError(f"{sum(counts)} pixels are counted, not {width} by {height}")
-        inside = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
-        mask[:] = inside.reshape(width, height).T
+        mask[:] = decode_counts(counts, (height, width))
         return
     for polygon in segmentation:
         if len(polygon) % 2:
             raise ValueError(f"a polygon has {len(polygon)} coordinates, an odd number")
         fill_area(np.array(polygon).reshape(-1, 2), mask, 1)
-
-
-def unpack_counts(text: str) -> list[int]:
-    """Unpack compressed counts, as pycocotools' ``rleFrString`` does; ValueError for other text.
-
-    Five bits a letter, the lowest first; bit 5: more follow; bit 4 of the last: it is negative.
-    From the fourth count on it is the difference to the count before the last.
-    """
-    counts: list[int] = []
-    value, shift = 0, 0
-    for letter in text:
-        code = ord(letter) - 48
-        if not 0 <= code < 64 or shift > 30:
-            raise ValueError(f"compressed counts have {letter!r}, which pycocotools does not write")
-        value |= (code & 31) << shift
-        shift += 5
-        if code & 32:
-            continue
-        value -= (code & 16) << (shift - 4)
-        counts.append(value + (counts[-2] if len(counts) > 2 else 0))
-        if counts[-1] < 0:
-            raise ValueError("compressed counts have a negative one")
-        value, shift = 0, 0
-    if shift:
-        raise ValueError("compressed counts are cut short")
-    return counts
-
-
-def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
-    """Fill the pixels of a canvas (H, W) whose centre is inside a polygon, by the even-odd rule.
-
-    points: (N, 2) as (x, y), in pixel edges. The polygon may reach beyond the canvas.
-    """
-    limits = [canvas.shape[1], canvas.shape[0]]
-    left, top = points.min(0).clip(0, limits).astype(int).tolist()
-    right, bottom = np.ceil(points.max(0)).clip(0, limits).astype(int).tolist()
-    crossings = np.zeros((bottom - top, right - left + 1), np.bool_)
-    corners = (points - [left + 0.5, top + 0.5]).tolist()  # to pixel centres
-    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
-        first, last = sorted((math.ceil(y1), math.ceil(y2)))
-        rows = np.arange(max(first, 0), min(last, bottom - top))
-        if len(rows):
-            columns = x1 + (rows - y1) * ((x2 - x1) / (y2 - y1))
-            crossings[rows, np.ceil(columns).clip(0, right - left).astype(int)] ^= True
-    inside = np.logical_xor.accumulate(crossings, axis=1)[:, :-1]
-    canvas[top:bottom, left:right][inside] = value
 
 
 CORRECTION_FORMATS: Mapping[str, CorrectionFormat] = {

@@ -5,10 +5,10 @@ the layout (sky, vertical, horizontal), or leaves it open. Ours: one set of keys
 questions by inference: road is horizontal, and sky and vertical things are not road.
 
 Positions are in pixels of the image, x to the right, y down, pixel centres at whole numbers.
-Regions are run-length encoded: start, length, start, length, … of pixels counted row by row.
+Masks are COCO's counts: pixels outside and inside in turn, column by column.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Annotated, Literal
 
 import cv2
@@ -19,7 +19,7 @@ from pydantic import Field
 from roadtorch.base.documents import describe_validation_error
 from roadtorch.base.errors import InputError
 from roadtorch.base.settings import Settings
-from roadtorch.data.polygons import fill_polygon
+from roadtorch.data.polygons import decode_counts, fill_polygon
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 # --- labels -----------------------------------------------------------------------------
@@ -81,7 +81,7 @@ _Point = tuple[_Coordinate, _Coordinate]
 _EventId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 _StrokeLabel = Literal["road", "not_road", "void", "sky", "vertical", "horizontal"]
 _Index = Annotated[int, Field(ge=0, lt=2**31)]  # of a pixel or a superpixel
-_Runs = Annotated[tuple[_Index, ...], Field(description="start, length, …")]
+_Counts = tuple[_Index, ...]
 _LabelName = Annotated[str, Field(pattern=f"^({'|'.join(LABEL_NAMES)})$")]
 
 
@@ -94,19 +94,19 @@ class Event(Settings):
 
 
 class SuperpixelStroke(Event):
-    """Superpixels clicked or dragged over; ``runs``: their pixels, valid for any segmentation."""
+    """Superpixels clicked or dragged over; ``counts``: their pixels, valid for any segmentation."""
 
     kind: Literal["superpixel"]
-    saying: _StrokeLabel
+    label: _StrokeLabel
     segments: tuple[_Index, ...]
-    runs: _Runs = ()
+    counts: _Counts = ()
 
 
 class PolygonStroke(Event):
     """A closed polygon, including its border."""
 
     kind: Literal["polygon"]
-    saying: _StrokeLabel
+    label: _StrokeLabel
     points: tuple[_Point, ...] = Field(min_length=3, max_length=MAX_POINTS)
 
 
@@ -114,23 +114,23 @@ class BrushStroke(Event):
     """A line drawn with a round brush."""
 
     kind: Literal["brush"]
-    saying: _StrokeLabel
+    label: _StrokeLabel
     points: tuple[_Point, ...] = Field(min_length=1, max_length=MAX_POINTS)
     radius: float = Field(gt=0, le=MAX_RADIUS)
 
 
 class Confirm(Event):
-    """Confirmation of the remaining pixels as shown; ``runs`` are the pixels shown as road."""
+    """Confirmation of the remaining pixels as shown; ``counts`` are the pixels shown as road."""
 
-    kind: Literal["right"]
-    runs: _Runs = ()
+    kind: Literal["confirm"]
+    counts: _Counts = ()
 
 
 class Import(Event):
-    """Labels from another program: the runs of each label, by its name."""
+    """Labels from another program: the counts of each label, by its name."""
 
-    kind: Literal["brought"]
-    labels: dict[_LabelName, _Runs]
+    kind: Literal["import"]
+    labels: dict[_LabelName, _Counts]
 
 
 class Undo(Event):
@@ -168,29 +168,10 @@ def parse_event(text: str | bytes, where: object) -> AnyEvent:
 # --- regions ----------------------------------------------------------------------------
 
 
-def encode_runs(mask: np.ndarray) -> tuple[int, ...]:
-    """Return the run-length encoding of a mask bool (H, W)."""
-    edges = np.flatnonzero(np.diff(mask.reshape(-1), prepend=False, append=False))
-    starts, ends = edges[::2], edges[1::2]
-    return tuple(np.stack([starts, ends - starts], 1).reshape(-1).tolist())
-
-
-def decode_runs(runs: Sequence[int], size: tuple[int, int]) -> np.ndarray:
-    """Return the mask bool (H, W) of runs; InputError where they overlap or exceed the image."""
-    if len(runs) % 2:
-        raise InputError("runs", "have an odd number of values", "give start, length, …")
-    bounds = np.array(runs, np.int64).reshape(-1, 2).cumsum(1).reshape(-1)
-    lengths = np.diff(bounds, prepend=0, append=size[0] * size[1])
-    if (lengths < 0).any():
-        message = f"overlap, or exceed {size[0] * size[1]} pixels"
-        raise InputError("runs", message, "give runs of this image, in order")
-    return np.repeat(np.arange(len(lengths)) % 2 == 1, lengths).reshape(size)
-
-
 def stroke_mask(stroke: Stroke, size: tuple[int, int]) -> np.ndarray:
     """Return the mask bool (H, W) of a stroke, clipped to the image."""
     if isinstance(stroke, SuperpixelStroke):
-        return decode_runs(stroke.runs, size)
+        return decode_counts(stroke.counts, size)
     height, width = size
     points = np.array(stroke.points, np.float64)
     points = points.clip([-width, -height], [2 * width, 2 * height])
@@ -241,19 +222,22 @@ def count_clicks(events: Iterable[Event]) -> int:
 def apply_event(labels: np.ndarray, event: LabelEvent) -> None:
     """Apply one event to labels uint8 (H, W) in place; InputError if it does not fit the image."""
     size = (labels.shape[0], labels.shape[1])
-    match event:
-        case Confirm():
-            road = decode_runs(event.runs, size)
-            for name, new in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
-                is_open = labels == LABEL_NAMES.index(name)
-                labels[is_open & road] = LABEL_NAMES.index("road")
-                labels[is_open & ~road] = LABEL_NAMES.index(new)
-        case Import():
-            for name, runs in event.labels.items():
-                labels[decode_runs(runs, size)] = LABEL_NAMES.index(name)
-        case SuperpixelStroke() | PolygonStroke() | BrushStroke():
-            mask = stroke_mask(event, size)
-            labels[mask] = relabel(labels[mask], event.saying)
+    try:
+        match event:
+            case Confirm():
+                road = decode_counts(event.counts, size)
+                for name, new in (("untouched", "not_road"), ("horizontal", "not_road_horizontal")):
+                    is_open = labels == LABEL_NAMES.index(name)
+                    labels[is_open & road] = LABEL_NAMES.index("road")
+                    labels[is_open & ~road] = LABEL_NAMES.index(new)
+            case Import():
+                for name, counts in event.labels.items():
+                    labels[decode_counts(counts, size)] = LABEL_NAMES.index(name)
+            case SuperpixelStroke() | PolygonStroke() | BrushStroke():
+                mask = stroke_mask(event, size)
+                labels[mask] = relabel(labels[mask], event.label)
+    except ValueError as error:
+        raise InputError("counts", str(error), "give the counts of this image") from None
 
 
 def replay(events: Iterable[AnyEvent], size: tuple[int, int]) -> np.ndarray:

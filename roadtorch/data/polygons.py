@@ -1,5 +1,7 @@
-"""Polygons of masks: filling those that were drawn, and regions for COCO."""
+"""Regions of masks as polygons and as run lengths: filled, encoded, for COCO."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +25,69 @@ def fill_polygon(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
     cv2.fillPoly(padded, [corners - low], 1)
     rows, columns = canvas.shape
     canvas[padded[-low[1] :, -low[0] :][:rows, :columns] > 0] = value
+
+
+def fill_area(points: np.ndarray, canvas: np.ndarray, value: int) -> None:
+    """Fill the pixels of a canvas (H, W) whose centre is inside a polygon, by the even-odd rule.
+
+    points: (N, 2) as (x, y), in pixel edges. The polygon may reach beyond the canvas.
+    """
+    limits = [canvas.shape[1], canvas.shape[0]]
+    left, top = points.min(0).clip(0, limits).astype(int).tolist()
+    right, bottom = np.ceil(points.max(0)).clip(0, limits).astype(int).tolist()
+    crossings = np.zeros((bottom - top, right - left + 1), np.bool_)
+    corners = (points - [left + 0.5, top + 0.5]).tolist()  # to pixel centres
+    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        first, last = sorted((math.ceil(y1), math.ceil(y2)))
+        rows = np.arange(max(first, 0), min(last, bottom - top))
+        if len(rows):
+            columns = x1 + (rows - y1) * ((x2 - x1) / (y2 - y1))
+            crossings[rows, np.ceil(columns).clip(0, right - left).astype(int)] ^= True
+    inside = np.logical_xor.accumulate(crossings, axis=1)[:, :-1]
+    canvas[top:bottom, left:right][inside] = value
+
+
+# --- run lengths ------------------------------------------------------------------------
+
+
+def encode_counts(mask: np.ndarray) -> tuple[int, ...]:
+    """Return COCO's counts of a mask bool (H, W): pixels outside and inside in turn, by column."""
+    edges = np.flatnonzero(np.diff(mask.T.reshape(-1), prepend=False))
+    return tuple(np.diff(edges, prepend=0, append=mask.size).tolist())
+
+
+def decode_counts(counts: Sequence[int], size: tuple[int, int]) -> np.ndarray:
+    """Return the mask bool (H, W) of COCO's counts; ValueError for those of another size."""
+    height, width = size
+    if sum(counts) != height * width:
+        raise ValueError(f"{sum(counts)} pixels are counted, not {width} by {height}")
+    return np.repeat(np.arange(len(counts)) % 2 == 1, counts).reshape(width, height).T
+
+
+def unpack_counts(text: str) -> list[int]:
+    """Unpack compressed counts, as pycocotools' ``rleFrString`` does; ValueError for other text.
+
+    Five bits a letter, the lowest first; bit 5: more follow; bit 4 of the last: it is negative.
+    From the fourth count on it is the difference to the count before the last.
+    """
+    counts: list[int] = []
+    value, shift = 0, 0
+    for letter in text:
+        code = ord(letter) - 48
+        if not 0 <= code < 64 or shift > 30:
+            raise ValueError(f"compressed counts have {letter!r}, which pycocotools does not write")
+        value |= (code & 31) << shift
+        shift += 5
+        if code & 32:
+            continue
+        value -= (code & 16) << (shift - 4)
+        counts.append(value + (counts[-2] if len(counts) > 2 else 0))
+        if counts[-1] < 0:
+            raise ValueError("compressed counts have a negative one")
+        value, shift = 0, 0
+    if shift:
+        raise ValueError("compressed counts are cut short")
+    return counts
 
 
 # --- COCO -------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
-"""Order of images: two rules, and batches that do not repeat a scene."""
+"""The next batch of images: it does not repeat a scene, and its memory is linear."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -10,10 +11,9 @@ from scipy.sparse import csr_matrix
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from roadtorch.annotate.next_images import (
-    ORDER_RULES,
     SCENE_DISTANCE,
     Candidates,
-    ImageOrder,
+    select_batch,
     view_features,
 )
 from roadtorch.annotate.session import Session, compute_views
@@ -29,15 +29,15 @@ def candidates(count: int, seed: int = 0) -> Candidates:
 
 
 @settings(max_examples=40)
-@given(st.sampled_from(sorted(ORDER_RULES)), st.integers(0, 30), st.integers(0, 40), st.data())
+@given(st.integers(0, 30), st.integers(0, 40), st.data())
 def test_a_batch_has_no_image_twice_and_none_that_is_corrected(
-    rule: str, images: int, count: int, data: st.DataObject
+    images: int, count: int, data: st.DataObject
 ) -> None:
     corrected = data.draw(st.sets(st.integers(0, images - 1))) if images else set()
-    batch = ORDER_RULES[rule](candidates(images), corrected, count)
+    batch = select_batch(candidates(images), corrected, count)
     assert len(batch) == min(count, images - len(corrected)) == len(set(batch))
     assert not set(batch) & corrected
-    assert batch == ORDER_RULES[rule](candidates(images), corrected, count)
+    assert batch == select_batch(candidates(images), corrected, count)
 
 
 def from_all_distances(scored: Candidates, corrected: list[int], count: int) -> list[int]:
@@ -60,7 +60,7 @@ def test_the_order_is_that_of_all_distances(corrected: list[int]) -> None:
     scored = candidates(300)
     for count in (20, 300):
         expected = from_all_distances(scored, corrected, count)
-        assert ORDER_RULES["least-trust"](scored, corrected, count) == expected
+        assert select_batch(scored, corrected, count) == expected
 
 
 class Largest(TorchDispatchMode):
@@ -77,11 +77,10 @@ class Largest(TorchDispatchMode):
         return result
 
 
-@pytest.mark.parametrize("rule", sorted(ORDER_RULES))
 @pytest.mark.parametrize("corrected", [[], [*range(0, 6000, 2)]])
-def test_memory_grows_with_images_not_with_their_pairs(rule: str, corrected: list[int]) -> None:
+def test_memory_grows_with_images_not_with_their_pairs(corrected: list[int]) -> None:
     with Largest() as largest:
-        assert len(ORDER_RULES[rule](candidates(6000), corrected, 20)) == 20
+        assert len(select_batch(candidates(6000), corrected, 20)) == 20
     assert largest.elements < 6000**2 / 20
 
 
@@ -97,22 +96,18 @@ def test_features_tell_what_stands_where() -> None:
     assert float((features - flipped).norm()) > 1
 
 
-def test_the_page_is_told_turns_once_images_were_looked_at(session: Session) -> None:
-    session.order = ImageOrder("random")
-    assert [entry["turn"] for entry in session.listing()] == [None, None, None]
+def test_the_list_begins_with_the_batch_and_ends_with_confirmed_images(session: Session) -> None:
+    def names() -> list[str]:
+        return [entry["name"] for entry in session.listing()]
 
-    class Once:
-        """A stop event that is set once all images have views."""
+    assert names() == ["street_0.png", "street_1.png", "street_2.png"]
 
-        def is_set(self) -> bool:
-            return len(session.trusts) == 3
+    stop: Any = SimpleNamespace(is_set=lambda: len(session.features) == 3, wait=lambda _: None)
+    compute_views(session, stop)
 
-        def wait(self, _: float) -> None: ...
-
-    compute_views(session, Once())  # type: ignore[arg-type]
-
-    assert sorted(entry["turn"] for entry in session.listing()) == [0, 1, 2]
-    session.add("street_1.png", Confirm(kind="right", id="a"))
-    turns = {entry["name"]: entry["turn"] for entry in session.listing()}
-    assert turns["street_1.png"] is None
-    assert sorted(turn for turn in turns.values() if turn is not None) == [0, 1]
+    session.trusts |= {"street_0.png": 0.9, "street_1.png": 0.2, "street_2.png": 0.1}
+    session.features |= {"street_2.png": session.features["street_1.png"]}  # the same scene
+    session.features |= {"street_0.png": session.features["street_1.png"] + 9}
+    assert names() == ["street_2.png", "street_0.png", "street_1.png"]
+    session.add("street_1.png", Confirm(kind="confirm", id="a"))
+    assert names() == ["street_0.png", "street_2.png", "street_1.png"]

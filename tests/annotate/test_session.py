@@ -21,9 +21,9 @@ from tests.streets import scene
 NAME = "street_0.png"
 
 
-def superpixel(identity: str, saying: str, *segments: int) -> SuperpixelStroke:
+def superpixel(identity: str, label: str, *segments: int) -> SuperpixelStroke:
     return SuperpixelStroke.model_validate(
-        {"kind": "superpixel", "id": identity, "saying": saying, "segments": segments}
+        {"kind": "superpixel", "id": identity, "label": label, "segments": segments}
     )
 
 
@@ -57,7 +57,7 @@ def test_undo_and_redo_are_told(session: Session) -> None:
 
 def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
     layers = session.state(NAME)["layers"]
-    state = session.add(NAME, Confirm(kind="right", id="a"))
+    state = session.add(NAME, Confirm(kind="confirm", id="a"))
     assert state["confirmed"]
     (correction,) = read_corrections(session.out)
     assert correction.confirmed
@@ -151,7 +151,7 @@ def test_the_background_looks_at_all_and_at_new_ones(session: Session) -> None:
     stop.set()
     thread.join()
     assert sorted(session.trusts) == ["street_0.png", "street_1.png", "street_2.png"]
-    assert all((session.out / ".machine" / f"{name}.npz").is_file() for name in session.trusts)
+    assert all((session.out / ".views" / f"{name}.npz").is_file() for name in session.trusts)
 
 
 def test_a_folder_that_changes_is_seen(session: Session) -> None:
@@ -178,7 +178,7 @@ def test_a_broken_log_is_told_before_the_page_opens(session: Session) -> None:
 def test_the_report_says_what_the_time_bought(session: Session) -> None:
     stroke = superpixel("a", "road", 0).model_copy(update={"seconds": 30.0})
     session.add(NAME, stroke)
-    session.add(NAME, Confirm(kind="right", id="b", seconds=30.0))
+    session.add(NAME, Confirm(kind="confirm", id="b", seconds=30.0))
     lines = corrections_report(session.out).splitlines()
     assert lines[1].split()[:3] == [NAME, "1", "60"]
     assert "1 image, 1 confirmed; 1 click, 1.0 minutes" in lines[3]

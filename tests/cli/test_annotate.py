@@ -24,7 +24,7 @@ def corrected(footage: Path) -> Path:
     out = footage / "corrections"
     out.mkdir()
     session = open_session(footage, out, load_detector("prior:triangle"))
-    session.add("sub/c.png", Confirm(kind="right", id="a", seconds=12.0))
+    session.add("sub/c.png", Confirm(kind="confirm", id="a", seconds=12.0))
     return footage
 
 

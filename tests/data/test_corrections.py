@@ -15,8 +15,6 @@ from roadtorch.data.events import (
     PolygonStroke,
     Redo,
     Undo,
-    decode_runs,
-    encode_runs,
     layout_layer,
     parse_event,
     relabel,
@@ -24,6 +22,7 @@ from roadtorch.data.events import (
     road_layer,
     stroke_mask,
 )
+from roadtorch.data.polygons import decode_counts, encode_counts
 
 SIZE = (20, 30)
 
@@ -32,7 +31,7 @@ def box(event_id: str, label: str, x1: int, y1: int, x2: int, y2: int) -> Polygo
     corners = ((x1, y1), (x2, y1), (x2, y2), (x1, y2))
     points = tuple((float(x), float(y)) for x, y in corners)
     return PolygonStroke.model_validate(
-        {"kind": "polygon", "id": event_id, "saying": label, "points": points}
+        {"kind": "polygon", "id": event_id, "label": label, "points": points}
     )
 
 
@@ -70,22 +69,21 @@ def test_a_label_holds_whatever_it_replaces(label: str, previous: int) -> None:
 # --- events -------------------------------------------------------------------------------
 
 
-def test_runs_are_the_mask() -> None:
-    mask = np.random.default_rng(0).random(SIZE) > 0.5
-    assert (decode_runs(encode_runs(mask), SIZE) == mask).all()
-    assert encode_runs(np.zeros(SIZE, np.bool_)) == ()
+@pytest.mark.parametrize("threshold", [-1, 0.5, 2])
+def test_counts_are_the_mask(threshold: float) -> None:
+    mask = np.random.default_rng(0).random(SIZE) > threshold
+    assert (decode_counts(encode_counts(mask), SIZE) == mask).all()
 
 
-@pytest.mark.parametrize(
-    "runs", [(1,), (599, 2), (0, 601), (10**9, 1), (0, 2, 1, 2), (2**31, 2**31)]
-)
-def test_runs_of_another_image_are_refused(runs: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="runs"):
-        decode_runs(runs, SIZE)
+@pytest.mark.parametrize("counts", [(), (1,), (599, 2), (0, 601), (10**9, 1), (2**31, 2**31)])
+def test_counts_of_another_image_are_refused(counts: tuple[int, ...]) -> None:
+    event = Confirm.model_construct(kind="confirm", id="a", counts=counts)
+    with pytest.raises(InputError, match="are counted, not 30 by 20"):
+        replay([event], SIZE)
 
 
 def test_a_brush_is_round_and_stays_in_the_image() -> None:
-    stroke = BrushStroke(kind="brush", id="b", saying="road", points=((0.0, 0.0),), radius=3.0)
+    stroke = BrushStroke(kind="brush", id="b", label="road", points=((0.0, 0.0),), radius=3.0)
     mask = stroke_mask(stroke, SIZE)
     assert (mask[0, 3], mask[3, 0], mask[3, 3]) == (True, True, False)
     assert not mask[:, 6:].any()
@@ -111,7 +109,7 @@ def test_confirming_labels_the_remaining_pixels() -> None:
         box("a", "void", 0, 0, 3, 3),
         box("b", "not_road", 0, 15, 3, 19),
         box("c", "horizontal", 20, 8, 25, 12),
-        Confirm(kind="right", id="d", runs=encode_runs(road)),
+        Confirm(kind="confirm", id="d", counts=encode_counts(road)),
     ]
     labels = replay(events, SIZE)
     assert (road_layer(labels) != 255).all()
@@ -124,12 +122,12 @@ def test_confirming_labels_the_remaining_pixels() -> None:
     "text",
     [
         "",
-        '{"kind":"brush","id":"a","saying":"rode","points":[[1,2]],"radius":1}',
-        '{"kind":"brush","id":"a/../b","saying":"road","points":[[1,2]],"radius":1}',
-        '{"kind":"polygon","id":"a","saying":"road","points":[[1,2],[NaN,3],[4,5]]}',
+        '{"kind":"brush","id":"a","label":"rode","points":[[1,2]],"radius":1}',
+        '{"kind":"brush","id":"a/../b","label":"road","points":[[1,2]],"radius":1}',
+        '{"kind":"polygon","id":"a","label":"road","points":[[1,2],[NaN,3],[4,5]]}',
         '{"kind":"undo","id":"a","of":"b","extra":1}',
-        f'{{"kind":"right","id":"a","runs":[{2**70},1]}}',
-        '{"kind":"brought","id":"a","labels":{"cat":[0,1]}}',
+        f'{{"kind":"confirm","id":"a","counts":[{2**70},1]}}',
+        '{"kind":"import","id":"a","labels":{"cat":[0,1]}}',
     ],
 )
 def test_invalid_events_are_refused_in_one_line(text: str) -> None:

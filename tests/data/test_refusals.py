@@ -165,7 +165,7 @@ COCO: Rows = [
 ]  # fmt: skip
 
 LOG, HEAD = "a.jpg.strokes.jsonl", {"image": "a", "height": 1, "width": 1}
-BROUGHT = {"kind": "brought", "id": "a", "labels": {"road": [0, 1]}}
+IMPORT = {"kind": "import", "id": "a", "labels": {"road": [0, 1]}}
 
 
 def log(*lines: Mapping[str, object]) -> str:
@@ -177,7 +177,7 @@ LOGS: Rows = [
     for text, where, problem in [
         (log(HEAD | {"height": 10**6, "width": 10**6}), LOG, "more than 100 megapixels"),
         (log({"roadtorch": 1, **HEAD}) + "nonsense\n", f"{LOG}:2", "is not a correction event"),
-        (log(HEAD, BROUGHT | {"labels": {"road": [0, 9]}}), LOG, "an event that does not fit"),
+        (log(HEAD, IMPORT | {"labels": {"road": [0, 9]}}), LOG, "an event that does not fit"),
         ("", "", "holds no corrections"),
     ]
 ] + [

@@ -279,12 +279,18 @@ def import_kind(name: str, file: str) -> Kind:
 
 EVENTS = (
     {"image": "../a.png", "height": HEIGHT, "width": WIDTH},
-    {"id": "a", "kind": "superpixel", "saying": "road", "segments": [1], "runs": [0, 9, 40, 3]},
-    {"id": "b", "kind": "polygon", "saying": "sky", "points": [[1, 1], [9, 1], [9, 8]]},
-    {"id": "c", "kind": "brush", "saying": "void", "points": [[3, 4]], "radius": 2.5},
-    {"id": "d", "kind": "brought", "labels": {"road": [5, 5], "untouched": [90, 2]}},
+    {
+        "id": "a",
+        "kind": "superpixel",
+        "label": "road",
+        "segments": [1],
+        "counts": [0, 9, 40, HEIGHT * WIDTH - 49],
+    },
+    {"id": "b", "kind": "polygon", "label": "sky", "points": [[1, 1], [9, 1], [9, 8]]},
+    {"id": "c", "kind": "brush", "label": "void", "points": [[3, 4]], "radius": 2.5},
+    {"id": "d", "kind": "import", "labels": {"road": [5, 5, HEIGHT * WIDTH - 10]}},
     {"id": "e", "kind": "undo", "of": "b"},
-    {"id": "f", "kind": "right", "runs": [7, 70]},
+    {"id": "f", "kind": "confirm", "counts": [7, HEIGHT * WIDTH - 7]},
 )
 
 

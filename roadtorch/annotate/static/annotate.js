@@ -1,38 +1,39 @@
 // The correction page: images, keys and tools. Corrections are sent to the server as events.
 
 import { Stage } from "/static/canvas.js";
+import { Outbox, Refusal, request } from "/static/client.js";
 import { buildControls, mark, onKeys } from "/static/controls.js";
-import { Hand } from "/static/hand.js";
-import { Outbox, Refusal, ask } from "/static/link.js";
 import { ImageList } from "/static/list.js";
+import { Tools } from "/static/tools.js";
 
 const by = (id) => document.getElementById(id);
-const SAYINGS = ["road", "not_road", "void", "sky", "vertical", "horizontal"];
+const LABELS = ["road", "not_road", "void", "sky", "vertical", "horizontal"];
 const TOOLS = { superpixel: "s", polygon: "p", brush: "b" };
 const IDLE = 30; // seconds without a key or pointer event that do not count as work
 const POLL = 1500; // milliseconds
 
 const stage = new Stage(by("stage"));
 const list = new ImageList(by("list"), open);
-const hand = new Hand(stage, send, () => current !== null);
-const outbox = new Outbox(acted);
+const tools = new Tools(stage, send, () => current !== null);
+const outbox = new Outbox(acknowledged);
 const loaded = new Map(); // images by name: promises, the last few
 
-let images = []; // the server's list, in the order of the page
+let images = []; // the server's list; an open page keeps its order
+let listing = []; // the same, in the server's latest order
 let stamp = ""; // its version
-let learn = ""; // the command that trains on the corrections
+let trainCommand = ""; // trains on the corrections
 let current = null; // the open image
 let state = null; // its last state from the server
-let seconds = 0; // of work since the last event
-let touched = performance.now();
+let seconds = 0; // working time since the last event
+let lastInput = performance.now();
 let requested = null; // name of the image that was requested last
 
 // --- images -----------------------------------------------------------------------------
 
 function load(name) {
   if (!loaded.has(name)) {
-    const bitmap = ask("image", { name }).then((answer) => answer.blob()).then(createImageBitmap);
-    const superpixels = ask("superpixels", { name }).then((answer) => answer.arrayBuffer());
+    const bitmap = request("image", { name }).then((answer) => answer.blob()).then(createImageBitmap);
+    const superpixels = request("superpixels", { name }).then((answer) => answer.arrayBuffer());
     loaded.set(name, Promise.all([bitmap, superpixels]));
     loaded.get(name).catch(() => loaded.delete(name));
     if (loaded.size > 4) loaded.delete(loaded.keys().next().value);
@@ -45,7 +46,7 @@ async function open(name) {
   document.body.classList.remove("listing");
   by("waiting").hidden = false;
   try {
-    const [[bitmap, superpixels], answer] = await Promise.all([load(name), ask("state", { name })]);
+    const [[bitmap, superpixels], answer] = await Promise.all([load(name), request("state", { name })]);
     const opened = await answer.json();
     if (requested !== name) return;
     const { size, shape } = opened;
@@ -54,7 +55,8 @@ async function open(name) {
     notice("");
     location.hash = encodeURIComponent(name);
     localStorage.roadtorchLast = name;
-    sort();
+    images = listing;
+    list.show(images, name);
     show(opened);
     list.reveal();
     load(following()).catch(() => {});
@@ -63,16 +65,6 @@ async function open(name) {
   } finally {
     if (requested === name) by("waiting").hidden = true;
   }
-}
-
-// Unconfirmed images first: by turn, then by trust, then those of unknown trust.
-function sort() {
-  const key = (image) => [image.confirmed ? 1 : 0, image.turn ?? 1e9, image.trust ?? 2];
-  images.sort((a, b) => {
-    const [x, y] = [key(a), key(b)];
-    return x[0] - y[0] || x[1] - y[1] || x[2] - y[2] || (a.name < b.name ? -1 : 1);
-  });
-  list.show(images, current?.name);
 }
 
 function following(step = 1) {
@@ -104,14 +96,14 @@ function show(answer) {
 
 // Events on the open image that the server has not acknowledged.
 function waiting() {
-  return outbox.waiting.filter(({ name }) => name === current.name).map(({ act }) => act);
+  return outbox.waiting.filter(({ name }) => name === current.name).map(({ event }) => event);
 }
 
-function acted(entry, answer, error) {
+function acknowledged(entry, answer, error) {
   notice(error ? `Not saved: ${error.message}` : "");
   if (answer && current?.name === entry.name) show(answer);
   else if (current) {
-    stage.pending = stage.pending.filter((act) => act.id !== entry.act.id);
+    stage.pending = stage.pending.filter((event) => event.id !== entry.event.id);
     stage.draw();
   }
 }
@@ -132,27 +124,25 @@ function failed(error) {
 async function refresh() {
   try {
     if (outbox.waiting.length) await outbox.send();
-    const answer = await ask("images", { stamp });
+    const answer = await request("images", { stamp });
     if (by("notice").textContent.startsWith("No answer")) notice("");
     if (answer.status === 204) return;
-    const listing = await answer.json();
-    if (outbox.folder && outbox.folder !== listing.folder) return location.reload();
-    outbox.folder = listing.folder;
-    ({ stamp, learn } = listing);
-    await update(listing.images);
+    const { folder, ...latest } = await answer.json();
+    if (outbox.folder && outbox.folder !== folder) return location.reload();
+    outbox.folder = folder;
+    ({ stamp, train_command: trainCommand, images: listing } = latest);
+    await update();
   } catch (error) {
     failed(error);
   }
 }
 
-// Take a new list in the old order, which changes only when an image is opened: no row jumps away.
-async function update(listing) {
+// Keep the old order, which changes only when an image is opened: no row jumps away.
+async function update() {
   const order = new Map(images.map(({ name }, index) => [name, index]));
   const position = ({ name }) => order.get(name) ?? images.length;
-  const first = !images.length;
-  images = listing.sort((a, b) => position(a) - position(b));
-  if (first) sort();
-  else list.show(images, current?.name);
+  images = listing.toSorted((a, b) => position(a) - position(b));
+  list.show(images, current?.name);
   const confirmed = images.filter((image) => image.confirmed).length;
   const detected = images.filter((image) => image.trust !== null).length;
   const progress = detected < images.length ? `, ${detected} detected` : "";
@@ -162,23 +152,23 @@ async function update(listing) {
   const listed = images.find((image) => image.name === name);
   if (name && !listed) notice(`${name} is no longer in the folder.`);
   if (!listed || !state || outbox.waiting.length || listed.version <= state.version) return;
-  const changed = await (await ask("state", { name })).json(); // by another window
+  const changed = await (await request("state", { name })).json(); // by another window
   if (current.name === name) show(changed);
 }
 
 // --- events -----------------------------------------------------------------------------
 
-function work() {
+function countTime() {
   const now = performance.now();
-  const gap = (now - touched) / 1000;
+  const gap = (now - lastInput) / 1000;
   if (gap < IDLE) seconds += gap;
-  touched = now;
+  lastInput = now;
 }
 
-function send(act) {
+function send(event) {
   if (!current) return Promise.resolve();
-  work();
-  const timed = { ...act, seconds: Math.min(Math.round(seconds * 10) / 10, 600) };
+  countTime();
+  const timed = { ...event, seconds: Math.min(Math.round(seconds * 10) / 10, 600) };
   seconds = 0;
   const sent = outbox.add(current.name, timed).catch(failed);
   stage.pending = waiting();
@@ -199,13 +189,13 @@ function redo() {
 }
 
 async function confirm() {
-  if (stage.polygon.length) return hand.closePolygon();
+  if (stage.polygon.length) return tools.closePolygon();
   if (!current) return;
   const { name } = current;
   const next = following();
   const last = images.every((image) => image.confirmed || image.name === name);
-  await send({ kind: "right" });
-  if (last) notice(`All ${images.length} images are confirmed. To train on them: ${learn}`);
+  await send({ kind: "confirm" });
+  if (last) notice(`All ${images.length} images are confirmed. To train on them: ${trainCommand}`);
   else if (next !== name) open(next);
 }
 
@@ -227,65 +217,65 @@ function flip(name) {
   stage.draw();
 }
 
-function sight() {
-  stage.sight = stage.sight === "road" ? "layout" : "road";
+function switchLayer() {
+  stage.layer = stage.layer === "road" ? "layout" : "road";
   if (current) stage.tint();
   stage.draw();
 }
 
 // --- making the page --------------------------------------------------------------------
 
-function choose(tool) {
-  hand.choose(tool);
+function chooseTool(tool) {
+  tools.choose(tool);
   mark("tools", tool);
 }
 
-function say(saying) {
-  hand.saying = saying;
-  mark("sayings", saying);
+function chooseLabel(label) {
+  tools.label = label;
+  mark("labels", label);
 }
 
-function toList() {
+function showList() {
   document.body.classList.toggle("listing");
   by("list").focus();
 }
 
 // Key, description, action; for a button its group, text and name.
 const CONTROLS = [
-  ...SAYINGS.map((saying, index) => {
-    const words = saying.replace("_", " ");
-    return [`${index + 1}`, `label ${words}`, () => say(saying), "sayings", words, saying];
+  ...LABELS.map((label, index) => {
+    const words = label.replace("_", " ");
+    return [`${index + 1}`, `label ${words}`, () => chooseLabel(label), "labels", words, label];
   }),
   ...Object.entries(TOOLS).map(([tool, key]) => [
-    key, `${tool} tool`, () => choose(tool), "tools", tool, tool,
+    key, `${tool} tool`, () => chooseTool(tool), "tools", tool, tool,
   ]),
-  ["Enter", "confirm the image and open the next; closes a polygon", confirm, "acts", "confirm"],
-  ["z", "undo (or Ctrl+Z)", undo, "acts", "undo", "undo"],
-  ["y", "redo (or Ctrl+Y)", redo, "acts", "redo", "redo"],
-  ["n", "next unconfirmed image", () => go(1), "acts", "next"],
+  ["Enter", "confirm the image and open the next; closes a polygon", confirm, "actions", "confirm"],
+  ["z", "undo (or Ctrl+Z)", undo, "actions", "undo", "undo"],
+  ["y", "redo (or Ctrl+Y)", redo, "actions", "redo", "redo"],
+  ["n", "next unconfirmed image", () => go(1), "actions", "next"],
   ["k", "previous image in the list", () => go(-1)],
-  [" ", "click at the cursor", () => hand.click()],
-  ["Escape", "discard the polygon", () => hand.drop()],
-  ["-", "zoom out", () => stage.zoomBy(0.8), "sight", "−"],
-  ["+", "zoom in", () => stage.zoomBy(1.25), "sight", "+"],
-  ["0", "whole image", () => stage.fit(), "sight", "whole"],
-  ["[", "smaller brush", () => hand.resize(1 / 1.3)],
-  ["]", "larger brush", () => hand.resize(1.3)],
+  [" ", "click at the cursor", () => tools.click()],
+  ["Escape", "discard the polygon", () => tools.discard()],
+  ["-", "zoom out", () => stage.zoomBy(0.8), "view", "−"],
+  ["+", "zoom in", () => stage.zoomBy(1.25), "view", "+"],
+  ["0", "whole image", () => stage.fit(), "view", "whole"],
+  ["[", "smaller brush", () => tools.resize(1 / 1.3)],
+  ["]", "larger brush", () => tools.resize(1.3)],
   ["o", "fainter overlay", () => fade(stage.opacity - 0.1)],
   ["O", "stronger overlay", () => fade(stage.opacity + 0.1)],
   ["v", "show or hide the overlay", () => flip("hidden")],
   ["g", "show or hide superpixel borders", () => flip("borders")],
-  ["l", "show road or layout", sight, "sight", "road / layout"],
-  ["m", "list of images (arrow keys select)", toList],
+  ["l", "show road or layout", switchLayer, "view", "road / layout"],
+  ["m", "list of images (arrow keys select)", showList],
   ["?", "list of keys", () => by("help").showModal()],
 ];
 
 function listen() {
-  addEventListener("keydown", work);
-  addEventListener("pointermove", work);
+  addEventListener("keydown", countTime);
+  addEventListener("pointermove", countTime);
   onKeys(CONTROLS, (x, y, event) => {
     if (event.ctrlKey) stage.pan(-40 * x, -40 * y);
-    else hand.nudge(x, y, event.shiftKey);
+    else tools.nudge(x, y, event.shiftKey);
   });
   by("opacity").addEventListener("input", () => fade(Number(by("opacity").value)));
   by("show-list").addEventListener("click", () => document.body.classList.toggle("listing"));
@@ -297,12 +287,12 @@ function listen() {
   });
 }
 
-// Open the image in the URL, or the last one, or the least trusted.
+// Open the image in the URL, or the last one, or the first of the list.
 async function resume() {
   if (requested || !images.length) return;
   const last = [decodeURIComponent(location.hash.slice(1)), localStorage.roadtorchLast];
   const listed = last.find((name) => images.some((image) => image.name === name));
-  await open(listed ?? (images.find((image) => !image.confirmed) ?? images[0]).name);
+  await open(listed ?? images[0].name);
 }
 
 async function poll() {
@@ -313,6 +303,6 @@ async function poll() {
 
 buildControls(CONTROLS);
 listen();
-say("road");
-choose("superpixel");
+chooseLabel("road");
+chooseTool("superpixel");
 poll();

@@ -21,11 +21,11 @@ export class Stage {
   constructor(canvas) {
     Object.assign(this, {
       canvas, pen: canvas.getContext("2d"), image: null, zoom: 1, left: 0, top: 0, opacity: 0.5,
-      sight: "road", borders: false, hidden: false, cross: null, hover: -1, drag: new Set(),
-      drawn: [], pending: [], polygon: [], radius: 12, tool: "superpixel",
+      layer: "road", borders: false, hidden: false, cursor: null, hover: -1, drag: new Set(),
+      strokes: [], pending: [], polygon: [], radius: 12, tool: "superpixel",
     });
-    this.over = document.createElement("canvas");
-    this.light = document.createElement("canvas");
+    this.overlay = document.createElement("canvas");
+    this.highlight = document.createElement("canvas");
     new ResizeObserver(() => this.resize()).observe(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
   }
@@ -34,15 +34,15 @@ export class Stage {
   show(image, layers) {
     const isNew = this.image !== image;
     Object.assign(this, { image, layers });
-    for (const canvas of [this.over, this.light]) {
+    for (const canvas of [this.overlay, this.highlight]) {
       if (canvas.width !== image.shape[0] || canvas.height !== image.shape[1]) {
         [canvas.width, canvas.height] = image.shape;
       }
     }
     if (isNew) {
-      Object.assign(this, { hover: -1, drag: new Set(), drawn: [], polygon: [], pending: [] });
+      Object.assign(this, { hover: -1, drag: new Set(), strokes: [], polygon: [], pending: [] });
       this.tinted = isDark(image.bitmap) ? TINT_OF_DARK : TINT;
-      this.cross = [image.size[0] / 2, image.size[1] * 0.75];
+      this.cursor = [image.size[0] / 2, image.size[1] * 0.75];
       this.fit();
     }
     this.tint();
@@ -119,7 +119,7 @@ export class Stage {
       const road = (layers[i] >> 3) & 1;
       let colour = null;
       let strength = 0;
-      if (this.sight === "road") {
+      if (this.layer === "road") {
         const right = i % width < width - 1 ? (layers[i + 1] >> 3) & 1 : road;
         const below = i + width < layers.length ? (layers[i + width] >> 3) & 1 : road;
         if (label) [colour, strength] = [LABELS[label] ?? ROAD, label === 6 ? 90 : 200];
@@ -133,11 +133,11 @@ export class Stage {
       }
       if (colour) image.data.set([...colour, strength], 4 * i);
     }
-    this.over.getContext("2d").putImageData(image, 0, 0);
+    this.overlay.getContext("2d").putImageData(image, 0, 0);
   }
 
   // Highlight superpixels dragged over and under the pointer, and all borders on demand.
-  lit() {
+  highlightSuperpixels() {
     const { superpixels, shape } = this.image;
     const [width, height] = shape;
     const image = new ImageData(width, height);
@@ -151,8 +151,8 @@ export class Stage {
         image.data.set([255, 255, 255, 110], 4 * i);
       }
     }
-    this.light.getContext("2d").putImageData(image, 0, 0);
-    return this.light;
+    this.highlight.getContext("2d").putImageData(image, 0, 0);
+    return this.highlight;
   }
 
   draw() {
@@ -172,14 +172,14 @@ export class Stage {
     pen.imageSmoothingEnabled = false;
     if (!this.hidden) {
       pen.globalAlpha = this.opacity;
-      pen.drawImage(this.over, 0, 0, width, height);
+      pen.drawImage(this.overlay, 0, 0, width, height);
       pen.globalAlpha = 1;
     }
-    const light = this.lit();
-    if (light) pen.drawImage(light, 0, 0, width, height);
-    for (const stroke of [...this.pending, ...this.drawn]) this.outline(stroke);
+    const highlight = this.highlightSuperpixels();
+    if (highlight) pen.drawImage(highlight, 0, 0, width, height);
+    for (const stroke of [...this.pending, ...this.strokes]) this.outline(stroke);
     if (this.polygon.length) this.outline({ points: this.polygon, open: true });
-    this.mark();
+    this.drawCursor();
   }
 
   // Draw a stroke that is unfinished, or not yet acknowledged by the server.
@@ -202,10 +202,10 @@ export class Stage {
   }
 
   // Draw the keyboard cursor, or the ring of the brush.
-  mark() {
-    if (!this.cross) return;
+  drawCursor() {
+    if (!this.cursor) return;
     const { pen } = this;
-    const [x, y] = this.cross.map((value) => value + 0.5);
+    const [x, y] = this.cursor.map((value) => value + 0.5);
     const arm = 12 / this.zoom;
     for (const [colour, width] of [["rgb(0 0 0 / .7)", 4], ["rgb(255 255 255)", 1.5]]) {
       pen.strokeStyle = colour;

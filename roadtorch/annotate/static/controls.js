@@ -23,7 +23,7 @@ function button(key, words, act, group, text, name = "") {
     node.role = "radio";
     node.dataset.value = name;
   } else if (name) node.id = name;
-  if (group === "sayings") node.append(element("i", { className: name }));
+  if (group === "labels") node.append(element("i", { className: name }));
   node.append(text, element("kbd", { textContent: key === "Enter" ? "⏎" : key }));
   node.addEventListener("click", () => {
     act();

@@ -1,6 +1,6 @@
 // The list of images; the browser lays out and loads only visible rows.
 
-import { address } from "/static/link.js";
+import { address } from "/static/client.js";
 
 export class ImageList {
   constructor(box, chosen) {

@@ -1,14 +1,14 @@
 // Drawing tools, used by pointers and keys.
 
-export class Hand {
+export class Tools {
   // stage: canvas. send(event): sends the event of a finished stroke. ready(): whether an image is open.
   constructor(stage, send, ready) {
-    Object.assign(this, { stage, send, ready, saying: "road", drawing: false, panning: false });
+    Object.assign(this, { stage, send, ready, label: "road", drawing: false, panning: false });
     this.pointers = new Map();
     this.spread = 0;
     const { canvas } = stage;
     canvas.addEventListener("pointerdown", (event) => this.down(event));
-    canvas.addEventListener("pointermove", (event) => this.moved(event));
+    canvas.addEventListener("pointermove", (event) => this.move(event));
     canvas.addEventListener("pointerup", (event) => this.up(event));
     canvas.addEventListener("pointercancel", (event) => this.up(event));
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
@@ -21,10 +21,10 @@ export class Hand {
 
   choose(tool) {
     this.stage.tool = tool;
-    this.drop();
+    this.discard();
   }
 
-  drop() {
+  discard() {
     this.stage.polygon = [];
     this.stage.draw();
   }
@@ -34,7 +34,7 @@ export class Hand {
   begin(point) {
     const { stage } = this;
     if (stage.tool === "superpixel") stage.drag.add(stage.superpixel(point));
-    if (stage.tool === "brush") stage.drawn = [{ points: [point], radius: stage.radius }];
+    if (stage.tool === "brush") stage.strokes = [{ points: [point], radius: stage.radius }];
     if (stage.tool === "polygon") {
       const first = stage.polygon[0];
       const near = first && Math.hypot(first[0] - point[0], first[1] - point[1]) * stage.zoom < 10;
@@ -44,36 +44,36 @@ export class Hand {
     stage.draw();
   }
 
-  goOn(point) {
+  extend(point) {
     const { stage } = this;
     if (stage.tool === "superpixel") stage.drag.add(stage.superpixel(point));
-    if (stage.tool === "brush") stage.drawn[0]?.points.push(point);
+    if (stage.tool === "brush") stage.strokes[0]?.points.push(point);
   }
 
   end() {
-    const { stage, saying } = this;
+    const { stage, label } = this;
     if (stage.tool === "superpixel") {
       const segments = [...stage.drag].filter((segment) => segment >= 0);
       stage.drag.clear();
-      if (segments.length) this.send({ kind: "superpixel", saying, segments });
+      if (segments.length) this.send({ kind: "superpixel", label, segments });
     }
     if (stage.tool === "brush") {
-      const points = rounded(stage.drawn[0]?.points ?? []);
-      stage.drawn = [];
-      if (points.length) this.send({ kind: "brush", saying, points, radius: stage.radius });
+      const points = rounded(stage.strokes[0]?.points ?? []);
+      stage.strokes = [];
+      if (points.length) this.send({ kind: "brush", label, points, radius: stage.radius });
     }
   }
 
   closePolygon() {
     const points = rounded(this.stage.polygon);
-    this.drop();
-    if (points.length >= 3) this.send({ kind: "polygon", saying: this.saying, points });
+    this.discard();
+    if (points.length >= 3) this.send({ kind: "polygon", label: this.label, points });
   }
 
   // --- pointers -------------------------------------------------------------------------
 
-  move(point) {
-    this.stage.cross = point;
+  moveCursor(point) {
+    this.stage.cursor = point;
     this.stage.hover = this.stage.superpixel(point);
   }
 
@@ -85,13 +85,13 @@ export class Hand {
     pointers.set(event.pointerId, stage.at(event));
     this.panning = event.button === 1 || event.button === 2 || pointers.size > 1;
     if (pointers.size > 1) {
-      Object.assign(stage, { drawn: [], drag: new Set() });
+      Object.assign(stage, { strokes: [], drag: new Set() });
       this.drawing = false;
       this.spread = this.distance();
     } else if (!this.panning) {
       this.drawing = true;
-      this.move(stage.onImage(stage.at(event)));
-      this.begin(stage.cross);
+      this.moveCursor(stage.onImage(stage.at(event)));
+      this.begin(stage.cursor);
     }
     event.preventDefault();
   }
@@ -101,14 +101,14 @@ export class Hand {
     return Math.hypot(x - u, y - v);
   }
 
-  moved(event) {
+  move(event) {
     const { stage, pointers } = this;
     if (!this.ready()) return;
     const point = stage.at(event);
     const last = pointers.get(event.pointerId);
     if (last && this.panning) return this.drag(event, point, last);
-    this.move(stage.onImage(point));
-    if (this.drawing) this.goOn(stage.cross);
+    this.moveCursor(stage.onImage(point));
+    if (this.drawing) this.extend(stage.cursor);
     stage.draw();
   }
 
@@ -139,13 +139,13 @@ export class Hand {
     const [width, height] = stage.image.size;
     const step = fine ? 1 : width / 80;
     const inside = (value, most) => Math.min(Math.max(value, 0), most - 1);
-    this.move([inside(stage.cross[0] + x * step, width), inside(stage.cross[1] + y * step, height)]);
+    this.moveCursor([inside(stage.cursor[0] + x * step, width), inside(stage.cursor[1] + y * step, height)]);
     stage.draw();
   }
 
   click() {
     if (!this.ready()) return;
-    this.begin(this.stage.cross);
+    this.begin(this.stage.cursor);
     this.end();
   }
 

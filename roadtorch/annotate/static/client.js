@@ -15,7 +15,7 @@ export function address(path, values = {}) {
 }
 
 // Send a request. Throws Refusal on an error response, TypeError where the server does not answer.
-export async function ask(path, values = {}, body = undefined) {
+export async function request(path, values = {}, body = undefined) {
   const query = new URLSearchParams(values);
   const options = { headers: { "x-token": TOKEN }, signal: AbortSignal.timeout(60000) };
   if (body !== undefined) Object.assign(options, { method: "POST", body: JSON.stringify(body) });
@@ -35,8 +35,8 @@ export class Outbox {
     this.acknowledged = acknowledged; // acknowledged(entry, state or null, error or null)
     this.key = `roadtorch-outbox:${WINDOW}`;
     this.folder = ""; // the server's, once it is known
-    this.entries = this.adopted();
-    this.keep();
+    this.entries = this.restore();
+    this.store();
     this.busy = false;
   }
 
@@ -45,23 +45,23 @@ export class Outbox {
   }
 
   // Take over events that closed windows left; an open window keeps its own in memory as well.
-  adopted() {
+  restore() {
     const entries = new Map();
     for (const key of Object.keys(localStorage).filter((k) => k.startsWith("roadtorch-outbox:"))) {
-      for (const entry of JSON.parse(localStorage[key])) entries.set(entry.act.id, entry);
+      for (const entry of JSON.parse(localStorage[key])) entries.set(entry.event.id, entry);
       if (key !== this.key) delete localStorage[key];
     }
     return [...entries.values()];
   }
 
-  keep() {
+  store() {
     if (this.entries.length) localStorage[this.key] = JSON.stringify(this.entries);
     else delete localStorage[this.key];
   }
 
-  add(name, act) {
-    this.entries.push({ folder: this.folder, name, act: { id: crypto.randomUUID(), ...act } });
-    this.keep();
+  add(name, event) {
+    this.entries.push({ folder: this.folder, name, event: { id: crypto.randomUUID(), ...event } });
+    this.store();
     return this.send();
   }
 
@@ -72,17 +72,17 @@ export class Outbox {
     try {
       while (this.waiting.length) {
         const entry = this.waiting[0];
-        const { folder, name, act } = entry;
+        const { folder, name, event } = entry;
         let state = null;
         let rejection = null;
         try {
-          state = await (await ask("event", { folder, name }, act)).json();
+          state = await (await request("event", { folder, name }, event)).json();
         } catch (error) {
           if (!(error instanceof Refusal) || error.status >= 500 || error.status === 403) throw error;
           rejection = error;
         }
         this.entries.splice(this.entries.indexOf(entry), 1);
-        this.keep();
+        this.store();
         this.acknowledged(entry, state, rejection);
       }
     } finally {
