@@ -69,8 +69,8 @@ def select_batch(
         if nearest[index] >= threshold:
             chosen.append(index)
             nearest = nearest.minimum(torch.cdist(features, features[index : index + 1])[:, 0])
-    others = set(order).difference(chosen)
-    return [*chosen, *(index for index in order if index in others)][:count]
+    repeated = set(order).difference(chosen)
+    return [*chosen, *(index for index in order if index in repeated)][:count]
 
 
 def median_distance(features: Tensor) -> float:
