@@ -1,6 +1,6 @@
 """Make the images of README: what `fusion` makes of free images and of a free drive.
 
-    python scripts/readme_pictures.py DATA    # docs/pictures: steps, failures, drive, made.json
+    python scripts/readme_pictures.py DATA    # docs/pictures: four pictures and made.json
 
 DATA holds unlabelled_free/ and clips/. docs/pictures/sources.csv says where they are from, and
 made.json has the hashes of the weights and settings that made them, to which a test holds them.
@@ -20,10 +20,19 @@ from roadtorch import detect_stream, load_detector, read_image
 from roadtorch.base.atomic import file_digest
 from roadtorch.base.image import to_pixels
 from roadtorch.evaluation.report.montage import TILE_WIDTH, apply_colormap, caption_tile, cue_tiles
-from roadtorch.layout.weights import DEFAULT_WEIGHTS, shipped_weights
+from roadtorch.layout.image_network import count_upper_rows, resize_rows
+from roadtorch.layout.weights import (
+    DEFAULT_WEIGHTS,
+    WeightsFile,
+    load_image_network,
+    shipped_weights,
+)
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
+
+STEPWISE = "comma10k_0008.jpg"
+"""A road with a bonnet in view."""
 
 FAILED = ("walkrobot_jp_005.jpg", "offroad_fr_13.jpg", "vineyard_it_013.jpg", "pothole8_004.jpg")
 """A pavement, a verge, a vineyard without road, a road half in shadow."""
@@ -52,6 +61,32 @@ def write_steps(folder: Path, path: Path) -> None:
         rows.append(np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()]))
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
     cv2.imwrite(str(path), np.ascontiguousarray(np.vstack(rows)[..., ::-1]), options)
+
+
+def write_fusion(folder: Path, path: Path) -> None:
+    """Write the steps of `fusion` on one image, four in a row (docs/how/fusion.md)."""
+    detector = load_detector("fusion")
+    image = read_image(next(folder.rglob(STEPWISE)))
+    detection = detector.detect(image)
+    cues, network = detection.cues, load_image_network(WeightsFile(), DEFAULT_WEIGHTS).settings
+    rows = count_upper_rows(network.upper_rows, network.height)
+    resized = resize_rows(image, (network.height, network.width), rows)
+    unrefined = load_detector("fusion", outlines="smooth").detect(image)
+    tiles = {
+        f"input, {rows} of {network.height} rows above": to_pixels(resized.clamp(0, 1)),
+        "layout": cue_tiles(detection)["layout"],
+        "ego car": apply_colormap(cues["ego"].float()),
+        "road of the network": apply_colormap(cues["learned_road"]),
+        "road by appearance": apply_colormap(cues["appearance"]),
+        "both, without the ego car": apply_colormap(unrefined.likelihood),
+        "refined at edges": apply_colormap(detection.likelihood),
+        f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
+    }
+    height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
+    drawn = [caption_tile(tile, text, height) for text, tile in tiles.items()]
+    sheet = np.vstack([np.hstack(drawn[start : start + 4]) for start in (0, 4)])
+    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
 
 
 def write_failures(folder: Path, path: Path) -> None:
@@ -101,6 +136,7 @@ if __name__ == "__main__":
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
     write_steps(data / "unlabelled_free", OUT / "steps.jpg")
+    write_fusion(data / "unlabelled_free", OUT / "fusion.jpg")
     write_failures(data / "unlabelled_free", OUT / "failures.jpg")
     write_drive(data / "clips" / DRIVE, OUT / "drive.gif")
     (OUT / "made.json").write_text(f"{json.dumps(made_with(), indent=0)}\n", encoding="utf-8")

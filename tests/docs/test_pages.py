@@ -22,6 +22,9 @@ from roadtorch.base.errors import RoadtorchError
 from roadtorch.base.settings import parse_assignments
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.detectors.detection import Detection
+from roadtorch.layout.backbone_network import BackboneNetwork
+from roadtorch.layout.weights import DEFAULT_WEIGHTS, WeightsFile, load_image_network
+from roadtorch.road import trust
 from roadtorch.testing.scenes import render_scene, write_image
 from scripts.figures import FIGURES
 from scripts.readme_pictures import made_with
@@ -29,7 +32,7 @@ from tests.videos import write_video
 from train.claim_scores import page_rows
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("features", "layout_texture", "one_class", "index")
+PAGES = ("fusion", "features", "layout_texture", "one_class", "index")
 FAMILIES = ("ufl", "fusion", "cpf", "layout", "prior", "oneclass")
 SETTINGS_OF = (
     "ufl",
@@ -196,6 +199,19 @@ def test_cards_are_sections_of_the_page_of_weights() -> None:
 )
 def test_docstrings_show_what_they_say(docstring: str, shown: list[str]) -> None:
     assert as_restructured(docstring.split("\n")) == shown
+
+
+def test_the_page_on_fusion_states_the_size_of_the_network_and_the_formula_of_trust() -> None:
+    page = (ROOT / "docs/how/fusion.md").read_text(encoding="utf-8")
+    network = load_image_network(WeightsFile(), DEFAULT_WEIGHTS)
+    assert isinstance(network, BackboneNetwork)
+    parts = network, network.backbone, network.heads
+    sizes = [sum(weight.numel() for weight in part.parameters()) for part in parts]
+    stability, expected, seed, _ = trust.FEATURE_WEIGHTS
+
+    stated = [f"{trust.INTERCEPT} + {stability}\\,s + {expected}\\,e + {seed}\\,r"]
+    stated += [f"{trust.ROAD_INTERCEPT} + {trust.ROAD_STABILITY}\\,s - {-trust.ROAD_ENTROPY}\\,h"]
+    assert [text for text in stated + [f"{size:,}" for size in sizes] if text not in page] == []
 
 
 def test_the_images_were_made_with_the_weights_and_settings_that_ship() -> None:
