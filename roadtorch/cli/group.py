@@ -75,10 +75,7 @@ class CommandGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module, attribute = COMMANDS[cmd_name][0].split(":")
-        command: click.Command = getattr(importlib.import_module(module), attribute)
-        if not any(parameter.name == "debug" for parameter in command.params):
-            command.params.append(_debug_option())
-        return command
+        return getattr(importlib.import_module(module), attribute)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -123,7 +120,7 @@ class CommandGroup(click.Group):
         try:
             with raise_on_sigterm(), prefer_interruption():
                 _configure_process()
-                code = super().main(args, **extra)
+                code = super().main(_debug_first(args), **extra)
         except (click.Abort, KeyboardInterrupt) as error:
             name = next((word for word in args if not word.startswith("-")), "")
             click.echo(f"roadtorch: {INTERRUPT_MESSAGES.get(name, 'interrupted')}", err=True)
@@ -165,22 +162,14 @@ def _see_help(error: click.UsageError) -> str:
 
 
 def _print_traceback(ctx: click.Context) -> None:
-    if ctx.meta.get("roadtorch.debug"):
+    if ctx.params["debug"]:
         click.echo(strip_password(traceback.format_exc()), err=True)
 
 
-def _debug_option() -> click.Option:
-    def remember(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-        if value:
-            ctx.meta["roadtorch.debug"] = True  # meta is shared by a command and its group
-
-    return click.Option(
-        ["--debug"],
-        is_flag=True,
-        expose_value=False,
-        callback=remember,
-        help="Show the traceback of an error.",
-    )
+def _debug_first(args: list[str]) -> list[str]:
+    """Move ``--debug``, which may stand anywhere, to where the group takes it."""
+    end = args.index("--") if "--" in args else len(args)
+    return [*sorted(args[:end], key=lambda word: word != "--debug"), *args[end:]]
 
 
 def _configure_process() -> None:
@@ -220,11 +209,11 @@ def open_streams() -> None:
 
 @click.group(
     cls=CommandGroup,
-    params=[_debug_option()],
     context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
 @click.version_option(__version__, message="roadtorch %(version)s")
-def main() -> None:
+@click.option("--debug", is_flag=True, help="Show the traceback of an error; anywhere on the line.")
+def main(debug: bool) -> None:
     """Find the road in images, without labels, on a CPU.
 
     roadtorch infer IMAGES writes likelihoods, masks and overlays.
