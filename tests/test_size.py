@@ -18,7 +18,7 @@ LINES = {
     "roadtorch/annotate": 2_345,
     "roadtorch/base": 2_195,
     "roadtorch/camera": 2_160,
-    "roadtorch/cli": 1_960,
+    "roadtorch/cli": 1_950,
     "roadtorch/data": 2_565,
     "roadtorch/detectors": 2_425,
     "roadtorch/evaluation": 3_670,
