@@ -7,13 +7,10 @@ from typing import NamedTuple
 from scripts.figures import (
     p1,
     p1_stages,
-    p2_eq3,
     p2_layout,
     p2_road,
-    p2_topologies,
     p3_area,
-    p3_light,
-    p3_shares,
+    p3_page,
     p3_table3,
 )
 
@@ -21,8 +18,8 @@ from scripts.figures import (
 class PaperFigure(NamedTuple):
     """A figure or table of a paper: its function and the files that it writes.
 
-    ``make`` reads the data (first path) and writes to a folder (second path), what takes long
-    first to the folder NAME-counts, from which it resumes. ``endings`` are appended to the name.
+    ``make`` reads the data (first path) and writes to a folder (second path). ``endings`` are
+    appended to the name.
     """
 
     make: Callable[[Path, Path], None]
@@ -35,14 +32,10 @@ FIGURES: Mapping[str, PaperFigure] = {
     "p1-fig3": PaperFigure(p1_stages.fig3, (".csv", ".jpg")),
     "p1-fig4": PaperFigure(p1_stages.fig4, ("a.png", "b.jpg")),
     "p1-fig5": PaperFigure(p1_stages.fig5, (".jpg",)),
-    "p1-fig6": PaperFigure(p1.fig6, (".csv", ".png")),
     "p1-table1": PaperFigure(p1.table1, (".csv",)),
     "p1-table2": PaperFigure(p1.table2, (".csv",)),
-    "p2-eq3": PaperFigure(p2_eq3.eq3, (".csv",)),
     "p2-fig1": PaperFigure(p2_layout.fig1, (".jpg",)),
     "p2-fig2": PaperFigure(p2_layout.fig2, (".jpg",)),
-    "p2-fig3": PaperFigure(p2_topologies.fig3, (".csv", ".png")),
-    "p2-fig4a": PaperFigure(p2_topologies.fig4a, (".csv",)),
     "p2-fig4b": PaperFigure(p2_layout.fig4b, (".csv", ".png")),
     "p2-fig4c": PaperFigure(p2_layout.fig4c, (".csv", ".png")),
     "p2-fig5": PaperFigure(p2_layout.fig5, (".jpg",)),
@@ -54,11 +47,8 @@ FIGURES: Mapping[str, PaperFigure] = {
     "p3-fig2": PaperFigure(p3_area.fig2, (".jpg",)),
     "p3-fig3": PaperFigure(p3_area.fig3, (".csv", "a.jpg", ".png")),
     "p3-fig4": PaperFigure(p3_area.fig4, (".csv", ".jpg", ".png")),
-    "p3-fig5": PaperFigure(p3_shares.fig5, (".csv", ".png")),
-    "p3-fig6": PaperFigure(p3_shares.fig6, (".csv", ".jpg")),
-    "p3-fig7": PaperFigure(p3_shares.fig7, (".png",)),
+    "p3-fig7": PaperFigure(p3_page.fig7, (".png",)),
     "p3-fig8": PaperFigure(p3_table3.fig8, (".png",)),
     "p3-fig9": PaperFigure(p3_table3.fig9, ("a.png", "b.png")),
-    "p3-table2": PaperFigure(p3_light.table2, (".csv", "-camvid.csv", ".png")),
     "p3-table3": PaperFigure(p3_table3.table3, (".csv",)),
 }

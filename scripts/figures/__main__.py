@@ -26,8 +26,7 @@ def make_all(data: Path, out: Path) -> list[str]:
     """Make every figure whose files do not exist yet; returns the names of those that failed."""
     failed = []
     for name, figure in FIGURES.items():
-        is_counting = (out / f"{name}-counts").exists()  # an earlier run was interrupted
-        if not is_counting and all((out / f"{name}{end}").exists() for end in figure.endings):
+        if all((out / f"{name}{end}").exists() for end in figure.endings):
             print(f"{name}: exists", flush=True)
             continue
         start = time.monotonic()

@@ -1,6 +1,5 @@
 """What the figures have in common: a small PNG chart, and a table on the screen and as CSV."""
 
-import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -48,11 +47,3 @@ def show_table(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
     ]
     print(align_columns([columns, *([row.get(name, "") for name in columns] for row in cells)]))
     write_text(path, csv_text(columns, cells))
-
-
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Read the rows of a table that ``show_table`` has written; none where there is no file."""
-    if not path.exists():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))

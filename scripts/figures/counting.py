@@ -1,22 +1,17 @@
-"""Counts of detectors on a labelled set, image by image and resumable, and intervals of scores."""
+"""Counts of detectors on a labelled set, and intervals of scores."""
 
 import math
-import pickle
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from roadtorch.base.atomic import atomic_write
-from roadtorch.base.progress import Progress
 from roadtorch.data.dataset import Dataset
+from roadtorch.evaluation.evaluate import tally_images
 from roadtorch.evaluation.methods import Contender, collect_contenders
 from roadtorch.evaluation.result import pool_groups
-from roadtorch.evaluation.scoring import score_dataset
-from roadtorch.evaluation.tally import ImageResult, PooledCounts, Tally
+from roadtorch.evaluation.tally import PooledCounts, Tally
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
     bootstrap_weights,
@@ -25,48 +20,16 @@ from roadtorch.evaluation.uncertainty import (
     student_weights,
 )
 
-REPORT = 40  # images between two yields
 Tallies = Mapping[str, Tally]
 
 
-def count_images(
-    dataset: Dataset, contenders: Sequence[str | Contender], folder: Path
-) -> Iterator[tuple[int, Tallies]]:
-    """Yield how many images are counted, and the counts, after ``REPORT`` images and at the end.
-
-    Counts of an image are kept in ``folder``, from which the next run resumes; the figure removes
-    it. RuntimeError for an image that fails.
-    """
+def count_images(dataset: Dataset, contenders: Sequence[str | Contender]) -> Tallies:
+    """Count every image of a set for each contender; RuntimeError for an image that fails."""
     entries = collect_contenders(dataset, contenders, {}, with_baselines=False)
-    folder.mkdir(parents=True, exist_ok=True)
-    tallies = {entry.name: Tally() for entry in entries}
-    paths = {item.name: folder / f"{item.name.replace('/', '-')}.pickle" for item in dataset.items}
-    kept = {name for name, path in paths.items() if _read_counts(path, tallies)}
-    missing = tuple(item for item in dataset.items if item.name not in kept)
-    fresh = score_dataset(replace(dataset, items=missing), entries)
-    for number, item in enumerate(Progress(dataset.items, unit="image"), 1):
-        path = paths[item.name]
-        result = _read_counts(path, tallies) if item.name in kept else None
-        result = result or _write_counts(path, next(fresh))
-        for name, counts in result.counts.items():
-            tallies[name].add(item, counts)
-        if number % REPORT == 0 or number == len(dataset.items):
-            yield number, tallies
-
-
-def _read_counts(path: Path, names: Collection[str]) -> ImageResult | None:
-    """Read the counts of an image; None where there are none, or of other contenders."""
-    result = pickle.loads(path.read_bytes()) if path.exists() else None
-    return result if result is not None and set(result.counts) == set(names) else None
-
-
-def _write_counts(path: Path, result: ImageResult) -> ImageResult:
-    """Write the counts of an image and return them; RuntimeError where it failed."""
-    if result.failure:
-        raise RuntimeError(f"{result.item.name}: {result.failure}")
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(pickle.dumps(result))
-    return result
+    tallies, failures = tally_images(dataset, entries, jobs=1, quiet=False)
+    if failures:
+        raise RuntimeError(f"{failures[0].image}: {failures[0].reason}")
+    return tallies
 
 
 # --- intervals --------------------------------------------------------------------------

@@ -1,11 +1,10 @@
-"""P1, Tables I and II and Fig. 6.
+"""P1, Tables I and II.
 
 P1's own sets (After-Rain, Sunny-Shadows, Nanjing, Kitti-Layout) are not public any more or not
 here: Table I is its protocol on CamVid, IDD and KITTI road.
 """
 
-import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from roadtorch.evaluation.metrics import ConfusionCounts, f_measure, precision, 
 from roadtorch.evaluation.tally import Tally
 from roadtorch.evaluation.uncertainty import percentile_interval
 from roadtorch.ufl.preprocess import WorkingShape, resize_bicubic
-from scripts.figures.chart import chart, show_table
+from scripts.figures.chart import show_table
 from scripts.figures.counting import count_images, replicate
 
 SETS = {"camvid": "camvid", "idd-lite": "idd_lite", "kitti-road": "kitti_road"}
@@ -91,18 +90,15 @@ Variant = tuple[str, Mapping[str, Any]]
 """Name of a detector and settings of it."""
 
 
-def score_variants(
-    dataset: Dataset, variants: Mapping[str, Variant], folder: Path
-) -> list[dict[str, object]]:
+def score_variants(dataset: Dataset, variants: Mapping[str, Variant]) -> list[dict[str, object]]:
     """Return P, R and F of masks, pooled over images (P1, eq. 11), F with its 95 % interval.
 
-    "less" is F less that of the first variant, on the same draws. Counts are kept in ``folder``,
-    so that a run resumes; the figure removes it.
+    "less" is F less that of the first variant, on the same draws.
     """
     contenders = [
         replace(contender_from_name(*variant), name=title) for title, variant in variants.items()
     ]
-    *_, (number, tallies) = count_images(dataset, contenders, folder)
+    tallies = count_images(dataset, contenders)
     counts = {
         title: ConfusionCounts(*tally.table().outcomes.sum(0)) for title, tally in tallies.items()
     }
@@ -114,7 +110,7 @@ def score_variants(
         figures |= {"low": low, "high": high, "less": figures["F"] - f_measure(counts[first])}
         low, high = percentile_interval(drawn[title] - drawn[first])
         figures |= {"less, low": low, "less, high": high}
-        row = {"set": dataset.name, "images": number, "method": title}
+        row = {"set": dataset.name, "images": len(dataset.items), "method": title}
         rows.append(row | {key: f"{100 * float(value):.2f}" for key, value in figures.items()})
     return rows
 
@@ -122,15 +118,12 @@ def score_variants(
 def table1(data: Path, out: Path) -> None:
     """Write P1's Table I: pooled P, R and F (eq. 11) of P1, two methods and a baseline.
 
-    On all images of CamVid and KITTI and every fifth of IDD: eight minutes; it resumes.
+    On all images of CamVid and KITTI and every fifth of IDD: eight minutes.
     """
     variants = {method: (method, {}) for method in TABLE}
-    kept, rows = out / "p1-table1-counts", list[Mapping[str, object]]()
-    for name in SETS:
-        dataset = open_small(data, name, TABLE1_IMAGES.get(name))
-        rows += score_variants(dataset, variants, kept / name)
-        show_table(out / "p1-table1.csv", rows)
-    shutil.rmtree(kept)
+    sets = [open_small(data, name, TABLE1_IMAGES.get(name)) for name in SETS]
+    rows = [row for dataset in sets for row in score_variants(dataset, variants)]
+    show_table(out / "p1-table1.csv", rows)
 
 
 def table2(data: Path, out: Path) -> None:
@@ -153,48 +146,3 @@ def table2(data: Path, out: Path) -> None:
             row[f"total {measure.name}, 95 %"] = f"{100 * low:.1f} to {100 * high:.1f}"
         rows.append(row)
     show_table(out / "p1-table2.csv", rows)
-
-
-# --- Fig. 6 -----------------------------------------------------------------------------
-
-CHOICE = "K = 200, λ = 2"
-BASES: Sequence[int] = (108, 300, 400, 500)
-WEIGHTS: Sequence[int] = (0, 1, 3, 4)
-SAMPLE = {"camvid": 36, "idd-lite": 25}
-"""By name of the set, how many of its images Fig. 6 takes."""
-
-
-def fig6(data: Path, out: Path) -> None:
-    """Write P1's Fig. 6: F of the authors' program over (a) K and (b) λ.
-
-    Bars are 95 % intervals of the difference to P1's choice.
-    """
-    program, kept = "ufl:original", out / "p1-fig6-counts"
-    by_bases = {f"K = {count}": (program, {"dictionary": {"bases": count}}) for count in BASES}
-    by_weight = {f"λ = {weight}": (program, {"road": {"weight": weight}}) for weight in WEIGHTS}
-    variants: Mapping[str, Variant] = {CHOICE: (program, {}), **by_bases, **by_weight}
-    rows = {
-        name: score_variants(open_small(data, name, count), variants, kept / name)
-        for name, count in SAMPLE.items()
-    }
-    show_table(out / "p1-fig6.csv", [row for part in rows.values() for row in part])
-    with chart(out / "p1-fig6.png", 6.4, 2.4) as figure:
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, (title, chosen) in zip(panels, {"K": 200, "λ": 2}.items(), strict=True):
-            for name, table in rows.items():
-                points = {
-                    chosen if row["method"] == CHOICE else int(str(row["method"]).split()[-1]): row
-                    for row in table
-                    if row["method"] == CHOICE or str(row["method"]).startswith(title)
-                }
-                values = sorted(points)
-                f, less, low, high = (
-                    torch.tensor([float(str(points[value][key])) for value in values])
-                    for key in ("F", "less", "less, low", "less, high")
-                )
-                spread = torch.stack([less - low, high - less]).clamp_min(0)
-                axes.errorbar(values, f, spread, marker="o", capsize=3, label=name)
-            axes.set(xlabel=title)
-            axes.legend(loc="lower right")
-        panels[0].set_ylabel("F, %")
-    shutil.rmtree(kept)

@@ -1,6 +1,5 @@
 """P1, Figs. 1 to 5: the stages on one free image, and masks over free streets with their truth."""
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -191,11 +190,9 @@ def fig3(data: Path, out: Path) -> None:
     variants = {
         title: ("ufl:original", {"maps": {"encoder": kind}}) for title, kind in EQUATIONS.items()
     }
-    kept = out / "p1-fig3-counts"
-    table = score_variants(open_small(data, "camvid", IMAGES), variants, kept)
+    table = score_variants(open_small(data, "camvid", IMAGES), variants)
     zeros = {title: float((values == 0).double().mean()) for title, values in maps.items()}
     show_table(out / "p1-fig3.csv", [{**row, "zeros": zeros[str(row["method"])]} for row in table])
-    shutil.rmtree(kept)
 
 
 # --- Fig. 4 -----------------------------------------------------------------------------
@@ -229,8 +226,8 @@ def node_columns(parents: Sequence[int]) -> list[float]:
         if node not in children:
             yield node
 
-    for place, leaf in enumerate(leaves(0)):
-        columns[leaf] = float(place)
+    for number, leaf in enumerate(leaves(0)):
+        columns[leaf] = float(number)
     for node in reversed(range(len(parents))):
         if below := children.get(node):
             columns[node] = fmean(columns[child] for child in below)

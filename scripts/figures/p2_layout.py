@@ -1,8 +1,6 @@
 """P2, Figs. 1, 2, 4b, 4c and 5: the layout of CNN-7 and of its teacher."""
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +40,11 @@ PRINTED = {
 """P2, Fig. 4b and 4c, on CamVid's test split: rows truth, columns decision."""
 
 
-def open_camvid(data: Path, every: int = 1) -> Dataset:
+def open_camvid(data: Path) -> Dataset:
     """Open CamVid's test split, which P2's figures show, where it is there; else its dev drives."""
     root = data / "camvid"
     split = "test" if (root / "test").is_dir() else "dev"
     dataset = open_dataset("camvid", root, split)
-    dataset = replace(dataset, items=dataset.items[::every])
     print(f"CamVid {split}, {len(dataset.items)} images", end="\n\n")
     return dataset
 
@@ -74,8 +71,7 @@ def show_confusions(
     A contender is a teacher, or weights of a network: ``contender_from_name("layout:cnn-7",
     {"weights": {"file": PATH}})``. Void counts as vertical, as in P2's sentence.
     """
-    kept = out / f"{figure}-counts"
-    *_, (_, tallies) = count_images(dataset, contenders, kept)
+    tallies = count_images(dataset, contenders)
     matrices = {
         name: printed_ratios(confusion_of(observe(tally).pooled)) for name, tally in tallies.items()
     }
@@ -96,7 +92,6 @@ def show_confusions(
     ]
     show_table(out / f"{figure}.csv", rows)
     draw_confusions(matrices, out / f"{figure}.png")
-    shutil.rmtree(kept)
 
 
 PRINTED_MEAN = "mean of the diagonal"

@@ -1,6 +1,5 @@
 """P2, Figs. 6a, 6b, 7 and 8: road by texture, by layout and by their product."""
 
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -64,11 +63,7 @@ WHOLE = " (isolated areas kept)"
 
 
 def fig6a(data: Path, out: Path) -> None:
-    """Write P2's Fig. 6a: ROC curves and AUC without isolated areas, on CamVid and IDD.
-
-    The table is written anew every few images, with the images so far; the counts of an image are
-    kept until the end, so that the same command resumes.
-    """
+    """Write P2's Fig. 6a: ROC curves and AUC without isolated areas, on CamVid and IDD."""
     sets = {"camvid": open_camvid(data)}
     if (data / "idd_lite").is_dir():
         idd = open_dataset("idd-lite", data / "idd_lite")
@@ -79,26 +74,24 @@ def fig6a(data: Path, out: Path) -> None:
         joined = partial(_prepare_discarding, contender.prepare)
         contenders.append(replace(contender, name=title, prepare=joined))
         contenders.append(replace(contender, name=title + WHOLE))
-    kept, rows = out / "p2-fig6a-counts", []
+    rows = []
     for name, dataset in sets.items():
-        earlier, tallies = rows, {}
-        for images, tallies in count_images(dataset, contenders, kept / name):
-            rows = [*earlier, *area_rows(tallies, {"set": name, "images": images})]
-            show_table(out / "p2-fig6a.csv", rows)
+        tallies = count_images(dataset, contenders)
+        rows += area_rows(tallies, {"set": name, "images": len(dataset.items)})
         curves = {title: roc(observe(tallies[title]).pooled.road) for title in LINES}
         draw_roc(curves, out / f"p2-fig6a-{name}.png")
-    shutil.rmtree(kept)
+    show_table(out / "p2-fig6a.csv", rows)
 
 
 def _prepare_discarding(prepare: Callable[[Dataset], Predictor], dataset: Dataset) -> Predictor:
     """Discard every area that does not touch the seed area, at every threshold."""
     detect = prepare(dataset)
 
-    def look(image: Tensor, item: LabelledItem) -> Detection:
+    def predict(image: Tensor, item: LabelledItem) -> Detection:
         detection = detect(image, item)
         return replace(detection, likelihood=reach_of_seed(detection.likelihood))
 
-    return look
+    return predict
 
 
 def reach_of_seed(likelihood: Tensor) -> Tensor:
@@ -186,8 +179,7 @@ COLUMNS: Mapping[str, Callable[[PooledCounts], Tensor]] = {
 
 def fig6b(data: Path, out: Path) -> None:
     """Write P2's Fig. 6b: road accuracy (recall), beside FPR, precision and F."""
-    kept = out / "p2-fig6b-counts"
-    *_, (_, tallies) = count_images(open_camvid(data), ACCURACY, kept)
+    tallies = count_images(open_camvid(data), ACCURACY)
     rows = []
     for name, tally in tallies.items():
         counts, drawn = observe(tally).pooled, replicate(tally).pooled
@@ -197,7 +189,6 @@ def fig6b(data: Path, out: Path) -> None:
         }
         rows.append({"detector": name, "threshold": threshold, **scores})
     show_table(out / "p2-fig6b.csv", rows)
-    shutil.rmtree(kept)
 
 
 # --- images -----------------------------------------------------------------------------

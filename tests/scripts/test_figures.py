@@ -18,7 +18,7 @@ from roadtorch.evaluation.tally import ImageCounts, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
-from scripts.figures import counting, p1, p2_layout, p2_road, p3_light, p3_table3
+from scripts.figures import counting, p1, p2_layout, p2_road, p3_table3
 from tests.streets import as_bytes, scene, write_camvid, write_drives
 
 # --- P1 ---------------------------------------------------------------------------------
@@ -30,12 +30,12 @@ def test_scores_are_pooled_over_images_of_p1s_size(tmp_path: Path) -> None:
     sizes = {dataset.read(item)[0].shape for item in dataset.items}
     roads = [truth.road & truth.valid for _, truth in map(dataset.read, dataset.items)]
 
-    (row,) = p1.score_variants(dataset, {"all": ("prior:uniform", {})}, tmp_path / "counts")
+    (row,) = p1.score_variants(dataset, {"all": ("prior:uniform", {})})
 
     assert sizes == {(3, 120, 160)}
     valid = sum(int(dataset.read(item)[1].valid.sum()) for item in dataset.items)
-    share = sum(int(road.sum()) for road in roads) / valid
-    assert (row["P"], row["R"]) == (f"{100 * share:.2f}", "100.00")
+    fraction = sum(int(road.sum()) for road in roads) / valid
+    assert (row["P"], row["R"]) == (f"{100 * fraction:.2f}", "100.00")
     assert float(str(row["low"])) <= float(str(row["F"])) <= float(str(row["high"]))
 
 
@@ -85,18 +85,13 @@ def test_at_every_threshold_isolated_areas_are_discarded() -> None:
         assert torch.equal(joined >= threshold, remove_isolated(mask, seed))
 
 
-def test_counts_resume_and_are_those_of_the_detector(tmp_path: Path) -> None:
+def test_an_image_that_fails_ends_a_count(tmp_path: Path) -> None:
     write_drives(tmp_path)
     dataset = open_dataset("camvid", tmp_path / "camvid")
-    _, whole = list(counting.count_images(dataset, ["prior:rows"], tmp_path / "counts"))[-1]
-    sorted((tmp_path / "counts").iterdir())[1].unlink()
+    dataset.items[1].image.write_bytes(b"")
 
-    ((number, again),) = counting.count_images(dataset, ["prior:rows"], tmp_path / "counts")
-    ((_, other),) = counting.count_images(dataset, ["prior:triangle"], tmp_path / "counts")
-
-    assert (number, list(other)) == (3, ["prior:triangle"])
-    for drive, counts in whole["prior:rows"].road.items():
-        assert torch.equal(again["prior:rows"].road[drive].road, counts.road)
+    with pytest.raises(RuntimeError, match=dataset.items[1].name):
+        counting.count_images(dataset, ["prior:rows"])
 
 
 def test_a_confusion_is_printed_in_the_papers_order() -> None:
@@ -124,21 +119,6 @@ def test_the_maps_of_stages_end_in_the_potentials_of_the_patch() -> None:
 
 
 # --- P3 ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("change", "kept", "lost"),
-    [
-        (p3_light.dimmed, ("nr", "ng", "H", "S"), ("R", "G", "L")),
-        (p3_light.with_highlight, ("O1", "O2", "H"), ("R", "B", "L")),
-        (p3_light.in_shadow, ("O1", "O2"), ("R", "G", "B", "L")),
-    ],
-)
-def test_planes_move_as_their_formulas_say(change, kept, lost) -> None:
-    moved = {name: float(each.mean()) for name, each in p3_light.moves(change, range(3)).items()}
-
-    assert max(moved[name] for name in kept) < 0.25
-    assert min(moved[name] for name in lost) > 0.5
 
 
 def test_cells_are_areas_by_drive_beside_the_papers(tmp_path: Path) -> None:
