@@ -6,8 +6,7 @@ import pickle
 import re
 import socket
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from tempfile import TemporaryDirectory
@@ -16,7 +15,7 @@ from typing import Any
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import block_sigint_in_children
-from roadtorch.run.workers import Workers, convert_result, pickle_value
+from roadtorch.run.workers import WorkerCrashError, Workers, pickle_value
 
 CONNECT_TIMEOUT = 10.0  # seconds to wait for a cluster; ours
 OBJECT_STORE_BYTES = 100 * 2**20  # of a local cluster; rows and weights are small
@@ -40,38 +39,37 @@ class Actor:
         return pickle_value(self._task(pickle.loads(item)))[0]
 
 
-class RayPool:
-    """A pool of actors with one CPU each, and one GPU each where the device is CUDA."""
+class RayWorker:
+    """An actor with one CPU, and one GPU where the device is CUDA."""
 
     def __init__(self, device: str, is_cluster: bool, task: Callable[[Any], Any]) -> None:
         import ray
-        from ray.exceptions import OutOfMemoryError, RayActorError
 
-        self.crashes: tuple[type[Exception], ...] = (RayActorError, OutOfMemoryError)
         self._ray: Any = ray
-        self._task = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
-        self._threads = Threads.current()
+        threads = Threads.current()
         # OpenMP and BLAS read it before torch is loaded; Ray's default is one thread. Workers of a
         # local cluster inherit the environment of this process.
-        variables = {"OMP_NUM_THREADS": str(self._threads.torch)}
+        variables = {"OMP_NUM_THREADS": str(threads.torch)}
         options: dict[str, Any] = {"num_cpus": 1}
         options |= {"num_gpus": 1} if device.startswith("cuda") else {}
         options |= {"runtime_env": {"env_vars": variables}} if is_cluster else {}
-        self._actor_class: Any = ray.remote(**options)(Actor)
+        data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
+        self._actor: Any = self._ray.remote(**options)(Actor).remote(data, threads)
 
-    def start(self) -> Any:
-        """Start an actor."""
-        return self._actor_class.remote(self._task, self._threads)
+    def run(self, item: Any) -> Any:
+        """Return the result of an item; WorkerCrashError if the actor died."""
+        from ray.exceptions import OutOfMemoryError, RayActorError
 
-    def submit(self, worker: Any, item: object) -> Future[Any]:
-        """Send an item to an actor."""
-        return convert_result(worker.work.remote(pickle_value(item)[0]).future(), pickle.loads)
+        try:
+            result = self._ray.get(self._actor.work.remote(pickle_value(item)[0]))
+        except (RayActorError, OutOfMemoryError):
+            raise WorkerCrashError from None
+        return pickle.loads(result)
 
-    def stop(self, workers: Sequence[Any]) -> None:
-        """Kill actors."""
-        for worker in workers:
-            with suppress(Exception):  # the actor or the whole cluster has already ended
-                self._ray.kill(worker)
+    def stop(self) -> None:
+        """Kill the actor."""
+        with suppress(Exception):  # the actor or the whole cluster has already ended
+            self._ray.kill(self._actor)
 
 
 @contextmanager
@@ -89,7 +87,7 @@ def ray_workers(workers: int, address: str | None, device: str) -> Iterator[Work
             # A cluster that ended at once would end this process before it has saved results.
             with _silence_stderr(), block_sigint_in_children():
                 _connect(ray, workers, address, folder)
-            yield Workers(workers, partial(RayPool, device, address is not None))
+            yield Workers(workers, partial(RayWorker, device, address is not None))
         finally:
             ray.shutdown()
 

@@ -12,16 +12,16 @@ import os
 import pickle
 import signal
 import sys
+import weakref
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from mmap import mmap
-from multiprocessing import active_children, get_context
-from multiprocessing.process import BaseProcess
-from threading import Timer
-from typing import Any, Protocol, TypeVar
+from multiprocessing import get_context
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -48,33 +48,21 @@ SHUTDOWN_TIMEOUT = 10.0  # seconds that a worker gets to finish its item, before
 WORKER_CRASH = ("its worker process died", "run it again, with --jobs 1 if memory is short")
 """Problem and hint of an item whose worker process died."""
 
-# --- in order -----------------------------------------------------------------------------
 
-
-class Pool(Protocol):
-    """Workers for one task. crashes: exceptions of a future whose worker died."""
-
-    crashes: tuple[type[Exception], ...]
-
-    def start(self) -> Any:
-        """Start a worker; InputError where that is impossible."""
-        ...
-
-    def submit(self, worker: Any, item: object) -> Future[Any]:
-        """Send an item to a worker without one; the future holds the result."""
-        ...
-
-    def stop(self, workers: Sequence[Any]) -> None:
-        """Stop workers within ``SHUTDOWN_TIMEOUT``."""
-        ...
+class WorkerCrashError(Exception):
+    """A worker died during its item."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Up to ``jobs`` processes (one: this process itself), or workers of another pool."""
+    """Workers: ``jobs`` processes (one: this process itself), or what ``start`` makes for a task.
+
+    A worker has at most one item, so that its death costs only that: ``run`` returns its result,
+    and raises WorkerCrashError where the worker died; ``stop`` ends the worker at once.
+    """
 
     jobs: int = 1
-    pool: Callable[[Callable[[Any], Any]], Pool] | None = None
+    start: Callable[[Callable[[Any], Any]], Any] | None = None
 
     def map(
         self,
@@ -90,63 +78,82 @@ class Workers:
         pickled for other processes. Closing the generator stops the workers. Raises InputError
         where a process cannot be started.
         """
-        if self.pool is None and self.jobs == 1:
-            return (task(item) for item in items)
-        pool = _ProcessPool(task) if self.pool is None else self.pool(task)
-        return _map_in_order(pool, self.jobs, iter(items), on_crash, live)
+        if self.start is None and self.jobs == 1:
+            yield from map(task, items)
+            return
+        start = self.start or partial(_Process, Threads.current())
+        workers: list[Any] = []
+        idle: list[Any] = []
+        pending: deque[tuple[_Item, Future[_Result]]] = deque()
+        errors: list[Exception] = []
+
+        def start_worker() -> Any:
+            workers.append(start(task))
+            return workers[-1]
+
+        def run(worker: Any, item: _Item) -> _Result:
+            try:
+                return worker.run(item)
+            except WorkerCrashError:
+                worker.stop()
+                workers.remove(worker)
+                raise
+            finally:
+                idle.extend({worker}.intersection(workers))
+
+        def read() -> Iterator[_Item]:
+            try:
+                yield from items
+            except Exception as error:  # raised after the results of earlier items
+                errors.append(error)
+
+        def running() -> list[Future[_Result]]:
+            return [future for _, future in pending if not future.done()]
+
+        def take() -> _Result:
+            item, future = pending.popleft()
+            try:
+                return future.result()
+            except WorkerCrashError:
+                return on_crash(item)
+
+        threads = ThreadPoolExecutor(self.jobs)
+        try:
+            # Before the first item is read: no process inherits, say, a decoder's threads.
+            with _report_start():
+                idle += [start_worker() for _ in range(self.jobs)]
+            for item in read():
+                with _report_start():  # a worker that died is replaced
+                    worker = idle.pop() if idle else start_worker()
+                    pending.append((item, threads.submit(run, worker, item)))
+                while (live and pending and pending[0][1].done()) or (
+                    len(running()) == self.jobs or len(pending) == MAX_AHEAD * self.jobs
+                ):
+                    if pending[0][1].done():
+                        yield take()
+                    else:
+                        wait(running(), return_when=FIRST_COMPLETED)
+            while pending:
+                yield take()
+            if errors:
+                raise errors[0]
+        finally:
+            try:
+                wait(running(), SHUTDOWN_TIMEOUT)
+            finally:  # also after a second signal
+                for worker in [*workers]:
+                    worker.stop()
+                threads.shutdown(wait=False)
 
 
-def _map_in_order(
-    pool: Pool,
-    jobs: int,
-    items: Iterator[_Item],
-    on_crash: Callable[[_Item], _Result],
-    live: bool,
-) -> Generator[_Result]:
-    """Yield the results of all items in their order; see ``Workers.map``.
-
-    A worker has at most one item, so that its death costs only that item. All workers start before
-    the first item is read: a forked process must not inherit, say, a decoder's threads.
-    """
-    idle: list[Any] = []
-    busy: dict[Future[Any], Any] = {}
-    pending: deque[tuple[_Item, Future[Any]]] = deque()
-    is_over, error = False, None
+@contextmanager
+def _report_start() -> Iterator[None]:
+    """Raise InputError where the block cannot start a process, or the thread that waits for it."""
     try:
-        for _ in range(jobs):
-            idle.append(pool.start())
-        while True:
-            for future in [future for future in busy if future.done()]:
-                worker = busy.pop(future)
-                if isinstance(future.exception(), pool.crashes):
-                    pool.stop([worker])
-                    worker = pool.start()
-                idle.append(worker)
-            is_next = idle and len(pending) < MAX_AHEAD * jobs and not is_over
-            if pending and pending[0][1].done() and (live or not is_next):
-                item, future = pending.popleft()
-                is_crash = isinstance(future.exception(), pool.crashes)
-                yield on_crash(item) if is_crash else future.result()
-            elif is_next:
-                try:
-                    item = next(items)
-                except StopIteration:
-                    is_over = True
-                except Exception as raised:  # re-raised after the results of earlier items
-                    is_over, error = True, raised
-                else:
-                    worker = idle.pop()
-                    future = pool.submit(worker, item)
-                    busy[future] = worker
-                    pending.append((item, future))
-            elif busy:
-                wait(busy, return_when=FIRST_COMPLETED)
-            elif error:
-                raise error
-            else:
-                return
-    finally:
-        pool.stop([*idle, *busy.values()])
+        yield
+    except (OSError, RuntimeError) as error:
+        problem = f"no process can be started: {getattr(error, 'strerror', None) or error}"
+        raise InputError("--jobs", problem, "give --jobs 1, or end other programs") from None
 
 
 def count_processors() -> int:
@@ -196,20 +203,6 @@ def pickle_value(value: object, memory: memoryview = NO_MEMORY) -> tuple[bytes, 
     return data.getvalue(), places
 
 
-def convert_result(future: Future[Any], convert: Callable[[Any], Any]) -> Future[Any]:
-    """Return a future of another one's converted result, or of its error."""
-    converted = Future[Any]()
-
-    def finish(done: Future[Any]) -> None:
-        try:
-            converted.set_result(convert(done.result()))
-        except BaseException as error:
-            converted.set_exception(error)
-
-    future.add_done_callback(finish)
-    return converted
-
-
 def _reduce_tensor(tensor: Tensor) -> Any:
     if tensor.is_contiguous():  # NumPy would change the strides of other tensors
         with suppress(TypeError, RuntimeError):  # dtypes that NumPy lacks; tensors with gradients
@@ -219,94 +212,58 @@ def _reduce_tensor(tensor: Tensor) -> Any:
 
 # --- processes of this machine --------------------------------------------------------------
 
-_task: Callable[[Any], Any] | None = None  # task of this process, where it is a worker
-_memory: mmap | bytes = b""  # shared with its parent, half for an item, half for its result
 
+class _Process:
+    """A process of this machine, with a pipe to it.
 
-def _halves(memory: mmap | bytes) -> tuple[memoryview, memoryview]:
-    return memoryview(memory)[:SHARED_BYTES], memoryview(memory)[SHARED_BYTES:]
-
-
-class _ProcessPool:
-    """Executors with one process each, so that the item of a dead process is known.
-
-    Processes are forked, so that nothing is loaded twice, where that is safe: on Linux, without
-    CUDA and without several OpenMP threads, neither of which survives a fork. They share memory
-    with this process: arrays pass through it in a fifth of the time that a pipe takes. A process
-    that dies before it has its task ends the run: all after it would die as well.
+    It is forked, so that nothing is loaded twice, where that is safe: on Linux, without CUDA and
+    without several OpenMP threads, neither of which survives a fork. It then shares memory, half
+    for an item and half for its result: arrays pass through it in a fifth of a pipe's time.
     """
 
-    crashes: tuple[type[Exception], ...] = (BrokenExecutor,)
+    def __init__(self, threads: Threads, task: Callable[[Any], Any]) -> None:
+        forks = sys.platform == "linux" and threads.torch == 1 and not torch.cuda.is_initialized()
+        context: Any = get_context("fork" if forks else "spawn")
+        self._memory = mmap(-1, 2 * SHARED_BYTES) if forks else b""
+        self._unsent_task, inherited_task = (None, task) if forks else (task, None)
+        self._is_ready = False
+        self._pipe, end = context.Pipe()
+        arguments = (end, threads, inherited_task, self._memory)
+        with end, _safe_path(), block_sigint_in_children():
+            self._process = context.Process(target=_work, args=arguments)
+            self._process.start()
+        weakref.finalize(self, self._process.kill)  # or Python would wait for it at its own end
 
-    def __init__(self, task: Callable[[Any], Any]) -> None:
-        self._threads = Threads.current()
-        is_plain = self._threads.torch == 1 and not torch.cuda.is_initialized()
-        self._forks = forks = sys.platform == "linux" and is_plain
-        self._context = get_context("fork" if forks else "spawn")
-        self._inherited_task = task if forks else None
-        # Bytes, because torch would share tensors between processes through sockets. They are sent
-        # once the process runs: Python waits forever for one that dies reading its arguments.
-        self._pickled_task = None if forks else pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
-        self._processes: dict[ProcessPoolExecutor, set[BaseProcess]] = {}
-        self._memories: dict[ProcessPoolExecutor, mmap | bytes] = {}
-        self._starts: dict[ProcessPoolExecutor, Future[None]] = {}
-        self._dies_at_start = False
+    def run(self, item: Any) -> Any:
+        """Return the result of an item: copies, as the memory is soon used again.
 
-    def start(self) -> ProcessPoolExecutor:
-        """Start an executor with one process."""
-        if self._dies_at_start:
+        A process that dies before it has its task raises InputError: all others would die as well.
+        """
+        try:
+            if not self._is_ready:
+                # In bytes, because torch would share tensors between processes through sockets.
+                # Python itself would wait forever for a process that dies reading its arguments.
+                self._pipe.send(pickle_value(self._unsent_task))
+                self._is_ready = self._pipe.recv()
+        except (EOFError, OSError):
             hint = "give --jobs 1, and check the Python environment of new processes"
-            raise InputError("--jobs", "a worker process died at its start", hint)
-        earlier = set(active_children())
+            raise InputError("--jobs", "a worker process died at its start", hint) from None
+        item_memory, result_memory = _halves(self._memory)
         try:
-            memory = mmap(-1, 2 * SHARED_BYTES) if self._forks else b""
-            arguments = (self._threads, self._inherited_task, memory)
-            with _safe_path(), block_sigint_in_children():
-                executor = ProcessPoolExecutor(1, self._context, _initialise_worker, arguments)
-                start = executor.submit(_load_task, self._pickled_task)
-        except (OSError, RuntimeError) as error:  # RuntimeError: its thread cannot start
-            for process in set(active_children()) - earlier:
-                process.kill()
-            problem = f"no process can be started: {getattr(error, 'strerror', None) or error}"
-            raise InputError("--jobs", problem, "give --jobs 1, or end other programs") from None
-        self._processes[executor] = set(active_children()) - earlier
-        self._starts[executor], self._memories[executor] = start, memory
-        return executor
+            self._pipe.send(pickle_value(item, item_memory))
+            is_error, data, places = self._pipe.recv()
+        except (EOFError, OSError):
+            raise WorkerCrashError from None
+        value = pickle.loads(data, buffers=[bytearray(result_memory[place]) for place in places])
+        if is_error:
+            raise value
+        return value
 
-    def submit(self, worker: ProcessPoolExecutor, item: object) -> Future[Any]:
-        """Send an item to an executor; its result is copied, as the memory is soon used again."""
-        item_memory, result_memory = _halves(self._memories[worker])
-        try:
-            future = worker.submit(_run_task, *pickle_value(item, item_memory))
-        except BrokenExecutor as error:  # the process died without an item
-            future = Future[Any]()
-            future.set_exception(error)
-
-        def load_copy(result: tuple[bytes, list[slice]]) -> Any:
-            arrays = [bytearray(result_memory[place]) for place in result[1]]
-            return pickle.loads(result[0], buffers=arrays)
-
-        return convert_result(future, load_copy)
-
-    def stop(self, workers: Sequence[ProcessPoolExecutor]) -> None:
-        """Shut executors down, and kill processes that take too long."""
-        processes = set[BaseProcess]().union(*(self._processes.pop(worker) for worker in workers))
-        starts = [start for worker in workers if (start := self._starts.pop(worker)).done()]
-        self._memories = {worker: self._memories[worker] for worker in self._starts}
-        self._dies_at_start = any(isinstance(start.exception(), self.crashes) for start in starts)
-
-        def kill() -> None:
-            for process in processes:
-                process.kill()
-
-        timer = Timer(SHUTDOWN_TIMEOUT, kill)
-        timer.start()
-        try:
-            for worker in workers:
-                worker.shutdown(cancel_futures=True)
-        finally:  # also after a second signal
-            timer.cancel()
-            kill()
+    def stop(self) -> None:
+        """Kill the process."""
+        self._process.kill()
+        self._process.join()
+        self._memory = b""
 
 
 @contextmanager
@@ -321,29 +278,32 @@ def _safe_path() -> Iterator[None]:
         os.environ.update(previous)
 
 
-def _initialise_worker(
-    threads: Threads, task: Callable[[Any], Any] | None, memory: mmap | bytes
+def _halves(memory: mmap | bytes) -> tuple[memoryview, memoryview]:
+    return memoryview(memory)[:SHARED_BYTES], memoryview(memory)[SHARED_BYTES:]
+
+
+def _work(
+    pipe: Any, threads: Threads, task: Callable[[Any], Any] | None, memory: mmap | bytes
 ) -> None:
-    """Prepare a worker process for its task; stop signals are left to the parent process."""
-    global _task, _memory
-    _task, _memory = task, memory
+    """Run a task, inherited or sent first, on the items from a pipe.
+
+    Stop signals are left to the parent process.
+    """
     gc.freeze()  # no finalizer of the parent's objects may run here: its threads do not exist
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     end_with_parent()
     threads.set()
     keep_freed_memory()
-
-
-def _load_task(task: bytes | None) -> None:
-    """Load the task, unless it was inherited from the parent process."""
-    global _task
-    if task is not None:
-        _task = pickle.loads(task)
-
-
-def _run_task(data: bytes, places: list[slice]) -> tuple[bytes, list[slice]]:
-    assert _task is not None
-    item_memory, result_memory = _halves(_memory)
-    item = pickle.loads(data, buffers=[item_memory[place] for place in places])
-    return pickle_value(_task(item), result_memory)
+    item_memory, result_memory = _halves(memory)
+    sent_task = pickle.loads(pipe.recv()[0])
+    run = task or sent_task
+    pipe.send(True)
+    while True:
+        data, places = pipe.recv()
+        try:
+            item = pickle.loads(data, buffers=[item_memory[place] for place in places])
+            result = (False, *pickle_value(run(item), result_memory))
+        except Exception as error:
+            result = (True, *pickle_value(error))
+        pipe.send(result)

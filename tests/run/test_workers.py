@@ -6,10 +6,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from functools import partial
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -81,30 +82,23 @@ def test_reading_ahead_is_bounded() -> None:
                 break
 
 
-class PromptPool:
-    """A pool whose results are there at once."""
+class InlineThreads(ThreadPoolExecutor):
+    """Threads whose results are there at once."""
 
-    crashes: tuple[type[Exception], ...] = ()
-
-    def __init__(self, task: Callable[[Any], Any]) -> None:
-        self.task = task
-
-    def start(self) -> object:
-        return object()
-
-    def submit(self, worker: object, item: Any) -> Future[Any]:
+    def submit(self, fn: Callable[..., Any], /, *values: Any, **options: Any) -> Future[Any]:
         future = Future[Any]()
-        future.set_result(self.task(item))
+        future.set_result(fn(*values, **options))
         return future
-
-    def stop(self, workers: Sequence[object]) -> None: ...
 
 
 @pytest.mark.parametrize(("live", "ahead"), [(True, 1), (False, MAX_AHEAD * 2)])
-def test_results_of_a_live_source_come_before_its_next_item(live: bool, ahead: int) -> None:
+def test_results_of_a_live_source_come_before_its_next_item(
+    live: bool, ahead: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "ThreadPoolExecutor", InlineThreads)
     items = iter(range(9))
 
-    results = Workers(2, PromptPool).map(abs, items, abs, live)
+    results = Workers(2).map(abs, items, abs, live)
 
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     assert next(items) == 2 + ahead
@@ -155,12 +149,20 @@ def test_a_worker_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -
     assert time.monotonic() - start < 600
 
 
-@pytest.mark.parametrize("error", [BlockingIOError(11, "try again"), RuntimeError("try again")])
-def test_no_process_is_one_line(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+@pytest.mark.parametrize(
+    ("owner", "name", "error"),
+    [
+        (BaseProcess, "start", BlockingIOError(11, "try again")),
+        (ThreadPoolExecutor, "submit", RuntimeError("try again")),
+    ],
+)
+def test_no_process_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, owner: type, name: str, error: Exception
+) -> None:
     def refuse(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(ProcessPoolExecutor, "submit", refuse)
+    monkeypatch.setattr(owner, name, refuse)
 
     with pytest.raises(InputError) as caught:
         list(Workers(4).map(work, range(12), died))
