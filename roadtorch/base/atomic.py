@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryFile
 from time import monotonic, sleep
 
 from roadtorch.base.bounded import read_regular, to_printable
@@ -33,6 +34,8 @@ HINTS = {
     None: "check that the disk has room and is intact",
 }
 """Hints for files that cannot be written, by errno; None for errors without a number."""
+
+OUT_HINT = "give another --out"
 
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "'")
 """First characters of cells that spreadsheets take for a formula, and of escaped cells."""
@@ -114,26 +117,29 @@ def remove_leftovers(folders: Iterable[Path]) -> None:
 
 
 @contextmanager
-def lock_folder(folder: Path, hint: str = "wait for it, or give another folder") -> Iterator[None]:
-    """Hold the exclusive lock of a folder; raise InputError if another run holds one.
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Make a folder, hold its exclusive lock, and remove what killed runs left in it.
 
     The lock is on the folder itself (flock): it needs no file, and ends with the process and
     its workers, however they end; a run waits ``LOCK_TIMEOUT`` for those of a killed one.
-    If the system or the disk has no locks, other runs are not excluded.
+    If the system or the disk has no locks, other runs are not excluded. Raises InputError where
+    the folder cannot be written, or another run holds a lock.
     """
-    with _folder_lock(folder) as lock:
+    if re.match(r"[A-Za-z0-9+.-]{2,}:/", str(folder)):
+        raise InputError(folder, "is an address", "give a local folder, then copy or sync it")
+    make_folder(folder, OUT_HINT)
+    try:
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(folder, f"cannot be written: {error.strerror}", OUT_HINT) from None
+    with _open_folder(folder) as handle:
         end = monotonic() + LOCK_TIMEOUT
-        while True:
-            try:
-                lock(exclusive=True)
-            except BlockingIOError:
-                if monotonic() > end:
-                    raise InputError(folder, "another run is writing here", hint) from None
-                sleep(LOCK_TIMEOUT / 50)
-                continue
-            except OSError:
-                pass  # a system or a disk without locks
-            break
+        while _lock(handle, exclusive=True) is False:
+            if monotonic() > end:
+                hint = f"wait for it, or {OUT_HINT}"
+                raise InputError(folder, "another run is writing here", hint)
+            sleep(LOCK_TIMEOUT / 50)
+        remove_leftovers([folder])
         yield
 
 
@@ -145,62 +151,59 @@ def share_folder(folder: Path) -> Iterator[None]:
     no run has locked. Without locks nothing is removed.
     """
     make_folder(folder)
-    with _folder_lock(folder) as lock:
-        with suppress(OSError):
-            lock(exclusive=True)
+    with _open_folder(folder) as handle:
+        if _lock(handle, exclusive=True):
             for parent, subfolders, _ in os.walk(folder):
                 remove_leftovers([Path(parent)])
                 subfolders[:] = [name for name in subfolders if _is_unlocked(Path(parent, name))]
-        with suppress(OSError):
-            lock(exclusive=False)
+        _lock(handle, exclusive=False)
         yield
 
 
 def _is_unlocked(folder: Path) -> bool:
-    """Return whether no run holds a lock of a folder; raise OSError without locks."""
-    with _folder_lock(folder) as lock:
-        try:
-            lock(exclusive=True)
-        except BlockingIOError:
-            return False
-    return True
+    """Return whether no run holds a lock of a folder."""
+    with _open_folder(folder) as handle:
+        return bool(_lock(handle, exclusive=True))
 
 
 @contextmanager
-def _folder_lock(folder: Path) -> Iterator[Callable[..., None]]:
-    """Yield ``lock(exclusive=…)``, which takes the lock of a folder or changes its kind.
-
-    An exclusive lock raises BlockingIOError if any other is held; a shared one waits for an
-    exclusive one. Raises OSError without locks.
-    """
-
-    def lock(*, exclusive: bool) -> None:
-        try:
-            import fcntl
-        except ImportError:  # not a Unix
-            raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK)) from None
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB if exclusive else fcntl.LOCK_SH)
-
+def _open_folder(folder: Path) -> Iterator[int]:
     handle = os.open(folder, os.O_RDONLY)
     try:
-        yield lock
+        yield handle
     finally:
         os.close(handle)
+
+
+def _lock(handle: int, *, exclusive: bool) -> bool | None:
+    """Take the lock of a folder, or change its kind; None where there are no locks.
+
+    Returns False for an exclusive lock while any other is held; a shared one waits for an
+    exclusive one.
+    """
+    try:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB if exclusive else fcntl.LOCK_SH)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
+        return None
+    return True
 
 
 # --- results ----------------------------------------------------------------------------
 
 RESULTS_FILE = ".roadtorch.json"
-"""Ledger of the files below its folder that roadtorch wrote: their names, by the input of each."""
+"""Ledger of the files below its folder that roadtorch wrote: their names, each with its input."""
 
 
 def read_results(folder: Path) -> dict[str, str]:
     """Return the input of each result in the ledger of a folder; empty where it is unreadable."""
-    try:
+    with suppress(OSError, ValueError, AttributeError):
         ledger = json.loads(read_regular(folder / RESULTS_FILE))
-        return {name: origin for origin, names in ledger.items() for name in names}
-    except (OSError, ValueError, AttributeError, TypeError):
-        return {}
+        return {name: str(origin) for name, origin in ledger.items()}
+    return {}
 
 
 @contextmanager
@@ -209,7 +212,7 @@ def claim_results(
     results: Mapping[str, str],
     overwrite: bool | None = None,
     is_same: Callable[[str], bool] = lambda name: False,
-    hint: str = "give another --out",
+    hint: str = OUT_HINT,
 ) -> Iterator[None]:
     """Refuse to replace files that are no earlier results of the same input; list the new ones.
 
@@ -223,11 +226,11 @@ def claim_results(
     ledger, find = read_results(folder), _make_finder(folder)
     for name, origin in results.items():
         owner = ledger.get(name)
-        if owner == origin or (overwrite and owner is not None) or not (file := find(name)):
+        if owner == origin or not (file := find(name)):
             continue
         if owner is None:
             raise ConfigError(folder / file, "exists and was not written by roadtorch", hint)
-        if not is_same(name):
+        if not overwrite and not is_same(name):
             hint += ", or --overwrite" * (overwrite is False)
             raise ConfigError(folder / file, f"is a result of {owner or 'another input'}", hint)
     _write_results(folder, {**ledger, **results})
@@ -243,15 +246,11 @@ def claim_results(
 
 def _write_results(folder: Path, ledger: Mapping[str, str]) -> None:
     """Write the ledger of a folder, unless it is up to date; remove one that would be empty."""
-    if ledger == read_results(folder):
-        return
-    inputs: dict[str, list[str]] = {}
-    for name, origin in sorted(ledger.items()):
-        inputs.setdefault(origin, []).append(name)
-    if inputs:
-        write_text(folder / RESULTS_FILE, json.dumps(inputs, indent=0, sort_keys=True) + "\n")
-    else:
+    if not ledger:
         (folder / RESULTS_FILE).unlink(missing_ok=True)
+    elif ledger != read_results(folder):
+        text = json.dumps(ledger, indent=0, sort_keys=True)
+        write_text(folder / RESULTS_FILE, f"{text}\n")
 
 
 def _make_finder(folder: Path) -> Callable[[str], str | None]:
@@ -266,16 +265,14 @@ def _make_finder(folder: Path) -> Callable[[str], str | None]:
 
     def find(name: str) -> str | None:
         name += "{}" * name.endswith("/")
-        head, braces, _ = name.partition("{}")
-        if not braces:
-            return name if os.path.lexists(folder / name) else None
-        parent, slash, start = head.rpartition("/")
+        parent, start = os.path.split(name.partition("{}")[0])
         names, pattern = names_in(parent), glob.escape(name).replace("{}", "*")
         for number in range(bisect_left(names, start), len(names)):
+            path = f"{parent}/{names[number]}".lstrip("/")
+            if fnmatchcase(path, pattern):
+                return path
             if not names[number].startswith(start):
                 break
-            if fnmatchcase(file := f"{parent}{slash}{names[number]}", pattern):
-                return file
         return None
 
     return find
@@ -292,23 +289,16 @@ def relative_name(path: str | os.PathLike[str], folder: Path) -> str:
 
 def make_result_filter() -> Callable[[str], bool]:
     """Return a function that tells whether a path is listed in a ledger beside or above it."""
-
-    @cache
-    def ledgers_of(folder: str) -> list[tuple[str, Mapping[str, str]]]:
-        """Return the ledgers in and above a folder, each with the folder's name seen from it."""
-        above, name = os.path.split(folder)
-        ledgers = [] if above == folder else ledgers_of(above)
-        results = read_results(Path(folder))
-        return [(f"{prefix}{name}/", ledger) for prefix, ledger in ledgers] + [
-            ("", results)
-        ] * bool(results)
+    results_in = cache(lambda folder: read_results(Path(folder)))
 
     def is_result(path: str) -> bool:
-        folder, name = os.path.split(os.path.abspath(path))
-        names = name, f"{name}/"
-        return any(
-            prefix + end in results for prefix, results in ledgers_of(folder) for end in names
-        )
+        path = folder = os.path.abspath(path)
+        while folder != (folder := os.path.dirname(folder)):
+            if results := results_in(folder):
+                name = Path(path).relative_to(folder).as_posix()
+                if name in results or f"{name}/" in results:
+                    return True
+        return False
 
     return is_result
 

@@ -61,18 +61,18 @@ def annotate_command(
         click.echo(f"{plural(len(corrections), 'image')} written to {to}")
     elif imported:
         from roadtorch.annotate.session import import_labels
-        from roadtorch.run.folder import lock_output
+        from roadtorch.base.atomic import lock_folder
 
         if origin is None:
             raise click.UsageError("Missing option '--from'")
-        context.with_resource(lock_output(out))
+        context.with_resource(lock_folder(out))
         count = import_labels(imported, origin, folder, out)
         click.echo(f"{plural(count, 'image')} imported")
     else:
         from roadtorch.annotate.session import open_session
+        from roadtorch.base.atomic import lock_folder
         from roadtorch.base.errors import ConfigError
         from roadtorch.inputs.images import find_images
-        from roadtorch.run.folder import lock_output
 
         try:
             from roadtorch.annotate.server import make_page_server
@@ -81,7 +81,7 @@ def annotate_command(
             raise ConfigError("annotate", "needs Starlette and uvicorn", hint) from None
         count = len(find_images([folder], out))
         detector, _ = choice.load()
-        context.with_resource(lock_output(out))
+        context.with_resource(lock_folder(out))
         server = make_page_server(open_session(folder, out, detector), port)
         click.echo(f"{count} images; corrections are saved in {out}")
         click.echo(f"Open {server.address.url}  (press Ctrl-C to stop)")

@@ -108,7 +108,7 @@ def evaluate_command(
     threshold chosen on the other groups. --submit writes maps for KITTI's server, of the images
     in ROOT/image_2 or ROOT/testing/image_2.
     """
-    from roadtorch.base.atomic import claim_results, relative_name
+    from roadtorch.base.atomic import claim_results, lock_folder, relative_name
     from roadtorch.base.settings import parse_assignments
     from roadtorch.camera.camera import Camera
     from roadtorch.data.catalogue import open_dataset, open_dataset_spec
@@ -119,7 +119,6 @@ def evaluate_command(
     from roadtorch.evaluation.methods import compute_with, parse_contenders, parse_reference
     from roadtorch.evaluation.report.tables import SCREEN_WIDTH, format_tables
     from roadtorch.evaluation.tuning import choice_table, tune_thresholds, tuned_file
-    from roadtorch.run.folder import lock_output
     from roadtorch.run.workers import configure_threads
 
     configure_threads(threads=1)
@@ -135,7 +134,7 @@ def evaluate_command(
         origin = f"{dataset} {split or ''} {relative_name(root, out)}"
         named = (parse_contenders(name, settings, camera) for name in names if tune)
         files = (*REPORT_FILES, *(tuned_file(entry) for entries in named for entry in entries))
-        context.with_resource(lock_output(out))  # fail before the long run
+        context.with_resource(lock_folder(out))  # fail before the long run
         context.with_resource(claim_results(out, dict.fromkeys(files, origin)))
     labelled = leave_out(open_dataset(dataset, root, split, road=road, void=void), left_out)
     for line in labelled.summary.splitlines():
@@ -218,7 +217,6 @@ def write_submission(
     from roadtorch.data.kitti_road import find_calibration_folder, find_kitti_folder
     from roadtorch.evaluation.methods import load_contender
     from roadtorch.inputs.find import Inputs
-    from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Inference, Task
     from roadtorch.run.memo import cache_key
     from roadtorch.run.plan import RunOptions, plan_run
@@ -237,8 +235,8 @@ def write_submission(
     todo = plan_run(Inputs(images, []), out, maps.suffixes, files=[SUBMISSION_FILE])
     effective = to_toml(detector.name, detector.settings)
     run = context.with_resource(open_run(out, effective, todo, RunOptions(jobs)))
-    method = Method(cache_key(detector), ("map",))
-    if failed := run.process_images(images, Task(Inference(detector), maps, method)):
+    task = Task(Inference(detector), maps, cache_key(detector), ("map",))
+    if failed := run.process_images(images, task):
         click.echo(f"roadtorch: {out / SUBMISSION_FILE} not written: maps are missing", err=True)
         context.exit(failed)
     archive = pack_submission(images, out)

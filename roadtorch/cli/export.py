@@ -26,17 +26,16 @@ def export_command(name: str, out: Path, target: str, assignments: tuple[str, ..
     size: pre- and postprocessing are included, except steps that need connected regions. The file
     is checked against Python before it is written.
     """
-    from roadtorch.base.atomic import claim_results
+    from roadtorch.base.atomic import claim_results, lock_folder
     from roadtorch.base.settings import parse_assignments
     from roadtorch.detectors.catalogue import load_detector
     from roadtorch.export.export import export_detector
     from roadtorch.export.folders import WEB_FILES, export_page
     from roadtorch.layout.runtimes import MAX_DIFFERENCE
-    from roadtorch.run.folder import lock_output
 
     detector = load_detector(name, **parse_assignments(assignments))
     folder, files = (out, WEB_FILES) if target == "web" else (out.parent, (out.name,))
-    with lock_output(folder), claim_results(folder, dict.fromkeys(files, name)):
+    with lock_folder(folder), claim_results(folder, dict.fromkeys(files, name)):
         exported = export_page(detector, out) if target == "web" else export_detector(detector, out)
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")

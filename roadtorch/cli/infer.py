@@ -124,8 +124,7 @@ def infer_command(
     from roadtorch.camera.mounting import build_placement
     from roadtorch.inputs.find import select_inputs
     from roadtorch.layout.runtimes import check_runtime
-    from roadtorch.run.folder import COCO_FILE, RUN_FILE
-    from roadtorch.run.ledger import Method
+    from roadtorch.run.ledger import COCO_FILE, RUN_FILE
     from roadtorch.run.loop import Inference, Task
     from roadtorch.run.memo import cache_key
     from roadtorch.run.plan import plan_run
@@ -164,14 +163,12 @@ def infer_command(
     files = [RUN_FILE, *[COCO_FILE] * ("polygons" in kinds)]
     todo = plan_run(selected, out, maps.suffixes, outputs, files)
     footage_options = {**asdict(selection), "smoothing": smoothing}
-    method = Method(cache_key(*key), kinds)
-    footage_method = Method(cache_key(method.key, footage_options), ())
-    task = Task(inference, maps, method)
+    task = Task(inference, maps, cache_key(*key), kinds)
     recorded_options = {**asdict(options), **footage_options, "save": kinds, "depth": bits}
-    record = record_run(out, detector, todo.row_names, recorded_options, command_line(context))
-    with open_run(out, effective, todo, options, record) as run:
+    recorded = (detector, todo.row_names, recorded_options, command_line(context))
+    with open_run(out, effective, todo, options) as run, record_run(run.ledger, *recorded):
         try:
-            code = run.process(todo, task, footage_method, smoothing)
+            code = run.process(todo, task, cache_key(task.key, footage_options), smoothing)
         finally:
             if "polygons" in kinds:
                 write_coco(out)

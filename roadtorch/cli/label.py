@@ -34,7 +34,6 @@ def label_command(
     from roadtorch.inputs.find import Inputs
     from roadtorch.inputs.images import find_images
     from roadtorch.layout.labeller import LabellerSettings
-    from roadtorch.run.ledger import Method
     from roadtorch.run.loop import Task
     from roadtorch.run.memo import cache_key
     from roadtorch.run.plan import plan_run
@@ -48,5 +47,5 @@ def label_command(
     todo = plan_run(Inputs(find_images(inputs, out), []), out, labels.suffixes)
     effective = to_toml("labeller", settings)
     run = context.with_resource(open_run(out, effective, todo, options))
-    task = Task(Labelling(settings), labels, Method(cache_key(settings), tuple(labels.kinds)))
+    task = Task(Labelling(settings), labels, cache_key(settings), tuple(labels.kinds))
     context.exit(run.process_images(todo.images, task))

@@ -1,24 +1,39 @@
-"""index.csv: one row for each image, frame and source, with its status, method and input hash.
+"""The ledger of an output folder: whose its files are, and what is done.
 
-Rows are appended as results arrive, so that a killed run loses at most the row being written, and
-sorted at the end.
+``.roadtorch.json`` names the input of each file before it is written, see ``claim_results``.
+index.csv has a row for each image, frame and source, with its status and the key of its results:
+the hash of the input's bytes, and that of all else that they depend on, see ``cache_key``. Rows are
+appended as results arrive, so that a killed run loses at most the row being written, and sorted at
+the end.
 """
 
 import csv
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
-from roadtorch.base.atomic import csv_text, unescape_cell, write_error, write_text
+from roadtorch.base.atomic import (
+    OUT_HINT,
+    atomic_write,
+    claim_results,
+    csv_text,
+    lock_folder,
+    relative_name,
+    unescape_cell,
+    write_error,
+    write_text,
+)
 from roadtorch.base.bounded import read_regular, to_printable
-from roadtorch.base.errors import ExitCode, InputError
+from roadtorch.base.errors import ConfigError, ExitCode, InputError
+from roadtorch.base.settings import INFER_CONFIG
 from roadtorch.inputs.item import Item, Source
 
-INDEX_FILE = "index.csv"
+INDEX_FILE, COCO_FILE, RUN_FILE = "index.csv", "coco.json", "run.json"
 DONE, DOUBTFUL, PARTIAL, FAILED = "done", "doubtful", "partial", "failed"
 """Status of a row; all but ``done`` are followed by a colon and the reason."""
 
@@ -37,7 +52,7 @@ class IndexRow:
     trust: str = ""  # predicted F-score of the mask, 0 to 1; empty where the detector has none
     status: str = DONE
     saved: str = ""  # kinds of results written, separated by spaces
-    method: str = ""  # see ``Method``
+    method: str = ""  # key of all else that results depend on, see ``roadtorch.run.memo``
     sha256: str = ""  # of the image file
     seconds: str = ""  # time stamp of a frame, relative to the start of its source
     cues: str = ""  # names of cues, separated by slashes, which no file name can contain
@@ -61,24 +76,6 @@ def failed_row(name: str, error: object) -> IndexRow:
     return IndexRow(name, status=f"{FAILED}: {' '.join(str(error).split())}")
 
 
-@dataclass(frozen=True)
-class Method:
-    """All but the image that results depend on: two runs of one method give the same bytes."""
-
-    key: str  # hash of it, see ``roadtorch.run.memo.cache_key``
-    kinds: tuple[str, ...]  # of results that are written
-
-    def mark(self, row: IndexRow) -> IndexRow:
-        """Return a row marked as made with this method; a failed row is returned unchanged."""
-        return row if row.failed else replace(row, saved=" ".join(self.kinds), method=self.key)
-
-    def covers(self, row: IndexRow | None) -> bool:
-        """Return whether a row lists all these kinds, made with this method."""
-        if row is None or row.failed or row.method != self.key:
-            return False
-        return set(self.kinds) <= set(row.saved.split())
-
-
 def read_index(path: Path) -> dict[str, IndexRow]:
     """Read the last row of each file in an index.csv, if any; InputError if it is no index."""
     if not path.exists():
@@ -94,7 +91,7 @@ def read_index(path: Path) -> dict[str, IndexRow]:
             raise TypeError("a row is cut short")
         return {row.file: _whole_pixels(row) for row in rows}
     except (OSError, ValueError, OverflowError, TypeError, KeyError, csv.Error):
-        raise InputError(path, "is not an index of roadtorch", "give another --out") from None
+        raise InputError(path, "is not an index of roadtorch", OUT_HINT) from None
 
 
 def _whole_pixels(row: IndexRow) -> IndexRow:
@@ -110,7 +107,14 @@ def _whole_pixels(row: IndexRow) -> IndexRow:
 
 def write_index(path: Path, rows: Iterable[IndexRow]) -> None:
     """Write rows, sorted by file, as index.csv."""
-    write_text(path, csv_text(INDEX_COLUMNS, map(asdict, sorted(rows, key=lambda row: row.file))))
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(index_bytes(rows))
+
+
+def index_bytes(rows: Iterable[IndexRow]) -> bytes:
+    """Return the bytes of an index.csv with rows, sorted by file."""
+    ordered = sorted(rows, key=lambda row: row.file)
+    return to_printable(csv_text(INDEX_COLUMNS, map(asdict, ordered))).encode()
 
 
 def has_result(folder: Path, name: str) -> bool:
@@ -122,52 +126,54 @@ def has_result(folder: Path, name: str) -> bool:
 
 
 class Ledger:
-    """The index of an output folder while a run adds rows to it; see ``open_ledger``."""
+    """The rows of an output folder, while a run adds to them; see ``open_ledger``."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.rows = read_index(path)
-        self._folder = path.parent.stat()
+    def __init__(self, folder: Path, rows: dict[str, IndexRow]) -> None:
+        self.folder, self.rows = folder, rows
+        self._status = folder.stat()
 
     def check_folder(self) -> None:
         """Raise InputError where the folder is no longer the one in which the run began."""
-        folder = self.path.parent
         with suppress(OSError):
-            if os.path.samestat(folder.stat(), self._folder):
+            if os.path.samestat(self.folder.stat(), self._status):
                 return
-        error = InputError(folder, "was moved during the run", "run it again, --out where it is")
+        hint = "run it again, --out where it is"
+        error = InputError(self.folder, "was moved during the run", hint)
         error.exit_code = ExitCode.SOME_FAILED  # earlier results are kept
         raise error
 
-    def is_done(self, item: Item | Source, method: Method, suffixes: Sequence[str]) -> bool:
-        """Return whether an item has all files, made with this method from its current bytes."""
+    def is_done(
+        self, item: Item | Source, key: str, kinds: Iterable[str], suffixes: Sequence[str]
+    ) -> bool:
+        """Return whether an item has the files of all kinds, made under a key from its bytes."""
         row = self.rows.get(item.row_name)
-        if row is None or not method.covers(row) or item.digest is None:
+        if row is None or row.failed or row.method != key or item.digest is None:
             return False
         cues = filter(None, row.cues.split("/"))
         of_cues = [end.format(cue) for cue in cues for end in suffixes if "{}" in end]
-        return self.has_files(item, [*suffixes, *of_cues]) and row.sha256 == item.digest() != ""
+        is_whole = self.has_files(item, [*suffixes, *of_cues])
+        return is_whole and {*kinds} <= {*row.saved.split()} and row.sha256 == item.digest() != ""
 
     def has_files(self, item: Item | Source, suffixes: Iterable[str]) -> bool:
         """Return whether the files of all suffixes exist, except those of cues."""
         ends = [end for end in suffixes if "{}" not in end]
-        return all(has_result(self.path.parent, item.name + end) for end in ends)
+        return all(has_result(self.folder, item.name + end) for end in ends)
 
     def add(self, row: IndexRow) -> None:
-        """Append a row, keeping earlier kinds of its method and bytes; InputError if unwritable."""
+        """Append a row, keeping earlier kinds of its key and bytes; InputError if unwritable."""
         self.check_folder()
         earlier = self.rows.get(row.file)
         if earlier and (earlier.method, earlier.sha256) == (row.method, row.sha256):
             kinds = dict.fromkeys([*earlier.saved.split(), *row.saved.split()])
             row = replace(row, saved=" ".join(kinds))
         self.rows[row.file] = row
-        text = csv_text(INDEX_COLUMNS, [asdict(row)])
+        text, path = csv_text(INDEX_COLUMNS, [asdict(row)]), self.folder / INDEX_FILE
         try:
-            with self.path.open("ab", buffering=0) as file:
+            with path.open("ab", buffering=0) as file:
                 text = text.partition("\n")[2] if file.tell() else text
                 file.write(to_printable(text).encode())
         except OSError as error:
-            failure = write_error(self.path, error)
+            failure = write_error(path, error)
             failure.exit_code = ExitCode.SOME_FAILED  # earlier results are kept
             raise failure from None
 
@@ -182,12 +188,56 @@ FRAME_NUMBER = r"\d{6,}"  # pattern of a frame's number, which follows ``NAME/``
 
 
 @contextmanager
-def open_ledger(path: Path) -> Iterator[Ledger]:
-    """Open the ledger of an index.csv, and sort the file at the end; InputError if unusable."""
-    ledger = Ledger(path)
-    write_index(path, ledger.rows.values())
-    try:
-        yield ledger
-    finally:
-        ledger.check_folder()
-        write_index(path, ledger.rows.values())
+def open_ledger(
+    out: Path,
+    effective: str,
+    overwrite: bool = False,
+    results: Mapping[str, Item | Source | None] = MappingProxyType({}),
+) -> Iterator[Ledger]:
+    """Lock an output folder, claim its results, open its ledger, and sort index.csv at the end.
+
+    effective: the settings as TOML, which config.toml then holds. results: the input of each by
+    name, see ``claim_results``; None for those of the run itself.
+
+    Raises:
+        InputError: The folder is locked or cannot be written, or index.csv is damaged.
+        ConfigError: A file is not by roadtorch; or, unless ``overwrite``, of another input. Results
+            of other settings: this run would skip what is done, and mix its results with them.
+    """
+    config = out / INFER_CONFIG
+
+    def is_same(name: str) -> bool:
+        item = results.get(name)
+        row = rows.get(item.row_name) if item else None
+        return bool(item and row and item.digest and row.sha256 == item.digest() != "")
+
+    with lock_folder(out):
+        rows = read_index(out / INDEX_FILE)
+        claims = dict.fromkeys((INDEX_FILE, INFER_CONFIG), "")
+        claims |= {name: _input_name(item, out) for name, item in results.items()}
+        with claim_results(out, claims, overwrite, is_same):
+            settings = to_printable(f"{effective}\n").encode()
+            try:
+                differs = config.exists() and read_regular(config) != settings
+            except OSError as error:
+                raise InputError(config, f"cannot be read: {error.strerror}", OUT_HINT) from None
+            if differs and rows and not overwrite:
+                problem = f"holds results of other settings ({INFER_CONFIG})"
+                raise ConfigError(out, problem, f"{OUT_HINT}, or --overwrite")
+            write_text(config, f"{effective}\n")
+            write_index(out / INDEX_FILE, rows.values())
+            ledger = Ledger(out, rows)
+            try:
+                yield ledger
+            finally:
+                ledger.check_folder()
+                write_index(out / INDEX_FILE, rows.values())
+
+
+def _input_name(item: Item | Source | None, out: Path) -> str:
+    """Return the name of an input in the ledger; empty for the run itself."""
+    if item is None:
+        return ""
+    if isinstance(item, Item):
+        return relative_name(item.file, out) if item.file else item.origin
+    return item.origin if item.live or item.is_url else relative_name(item.location, out)

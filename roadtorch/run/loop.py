@@ -15,7 +15,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from torch import Tensor
 
-from roadtorch.base.atomic import make_folder
+from roadtorch.base.atomic import OUT_HINT, make_folder
 from roadtorch.base.compute import one_torch_thread
 from roadtorch.base.errors import InputError, to_input_error
 from roadtorch.camera.camera import Camera
@@ -24,8 +24,7 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.mask import Evidence
 from roadtorch.inputs.item import Item
 from roadtorch.road.temporal_filter import TemporalFilter
-from roadtorch.run.folder import OUT_HINT
-from roadtorch.run.ledger import DONE, DOUBTFUL, IndexRow, Method, failed_row
+from roadtorch.run.ledger import DONE, DOUBTFUL, IndexRow, failed_row
 from roadtorch.run.workers import WORKER_CRASH
 
 _Value = TypeVar("_Value")
@@ -94,45 +93,45 @@ class Task:
 
     infer: Callable[[Tensor], Detection]
     writer: FileWriter
-    method: Method
+    key: str  # of all but the image that results depend on, see ``cache_key``
+    kinds: tuple[str, ...]  # of results that are written
 
     def __call__(self, item: Item) -> IndexRow:
         """Process an image and return its row; an error becomes a failed row."""
         item = item.hold()
-        return write_row(item, lambda: self.infer(item.read()), self.writer, self.method)
+        return self.write_row(item, lambda: self.infer(item.read()))
 
+    def write_row(self, item: Item, detect: Callable[[], Detection], ms: float = 0) -> IndexRow:
+        """Write the results of an image or frame, and return its row of index.csv.
 
-def write_row(
-    item: Item, detect: Callable[[], Detection], writer: FileWriter, method: Method, ms: float = 0
-) -> IndexRow:
-    """Write the results of an image or frame, and return its row of index.csv.
-
-    detect: returns the detection, or raises: any error makes a failed row. ms: milliseconds spent
-    on the item before this call.
-    """
-    start = perf_counter()
-    seconds = "" if item.seconds is None else f"{item.seconds:.3f}"
-    try:
-        detection = detect()
-        if writer.suffixes:
-            make_subfolder(writer.folder, item.name)
-        changes = writer.write(item, detection)
-        height, width = detection.mask.shape
-        row = IndexRow(
-            item.row_name,
-            str(width),
-            str(height),
-            elapsed_ms(start, ms),
-            road_fraction=f"{np.count_nonzero(detection.mask.numpy()) / (width * height):.4f}",
-            trust="" if detection.trust is None else f"{detection.trust:.2f}",
-            status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
-            sha256=item.digest() if item.digest else "",
-            seconds=seconds,
-        )
-        return method.mark(replace(row, **changes))
-    except Exception as error:  # one image that breaks a detector must not end a long run
-        row = failed_row(item.row_name, to_input_error(item.origin, error))
-        return replace(row, seconds=seconds)
+        detect: returns the detection, or raises: any error makes a failed row. ms: milliseconds
+        spent on the item before this call.
+        """
+        start = perf_counter()
+        seconds = "" if item.seconds is None else f"{item.seconds:.3f}"
+        try:
+            detection = detect()
+            if self.writer.suffixes:
+                make_subfolder(self.writer.folder, item.name)
+            changes = self.writer.write(item, detection)
+            height, width = detection.mask.shape
+            row = IndexRow(
+                item.row_name,
+                str(width),
+                str(height),
+                elapsed_ms(start, ms),
+                road_fraction=f"{np.count_nonzero(detection.mask.numpy()) / (width * height):.4f}",
+                trust="" if detection.trust is None else f"{detection.trust:.2f}",
+                status=f"{DOUBTFUL}: {detection.doubt}" if detection.doubt else DONE,
+                saved=" ".join(self.kinds),
+                method=self.key,
+                sha256=item.digest() if item.digest else "",
+                seconds=seconds,
+            )
+            return replace(row, **changes)
+        except Exception as error:  # one image that breaks a detector must not end a long run
+            row = failed_row(item.row_name, to_input_error(item.origin, error))
+            return replace(row, seconds=seconds)
 
 
 def make_subfolder(folder: Path, name: str) -> None:

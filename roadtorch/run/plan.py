@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from roadtorch.base.atomic import OUT_HINT
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.settings import INFER_CONFIG
 from roadtorch.inputs.find import Inputs
 from roadtorch.inputs.item import Item, Source
-from roadtorch.run.folder import COCO_FILE, OUT_HINT, RUN_FILE
-from roadtorch.run.ledger import FRAME_NUMBER, INDEX_FILE
+from roadtorch.run.ledger import COCO_FILE, FRAME_NUMBER, INDEX_FILE, RUN_FILE
 from roadtorch.run.loop import FileWriter, Writer
 from roadtorch.run.workers import Workers, count_processors, make_workers
 
@@ -65,7 +65,7 @@ class Plan(NamedTuple):
 
     images: Sequence[Item]
     sources: Sequence[tuple[Source, Output]]
-    results: Mapping[str, Item | Source | None]  # by name, as in ``claim_results``; None: the run
+    results: Mapping[str, Item | Source | None]  # by name, as in ``open_ledger``
 
     @property
     def count(self) -> int | None:
@@ -75,8 +75,7 @@ class Plan(NamedTuple):
     @property
     def row_names(self) -> list[str]:
         """Names of all images and sources in index.csv."""
-        names = [item.row_name for item in self.images]
-        return names + [source.row_name for source, _ in self.sources]
+        return [item.row_name for item in (*self.images, *(source for source, _ in self.sources))]
 
 
 def plan_run(
@@ -92,37 +91,32 @@ def plan_run(
     a source. files: of the run, beside index.csv and config.toml. Raises ConfigError where two
     inputs would write the same file, or one would overwrite an input image.
     """
+    sources = [(source, output(source)) for source in inputs.sources] if output else []
+    results = [(item.name + suffix, item) for item in inputs.images for suffix in suffixes]
+    for source, outputs in sources:
+        ends = [*outputs.suffixes, *(f"/{{}}{suffix}" for suffix in outputs.frame_suffixes)]
+        results += [(source.name + end, source) for end in ends]
     run_files = INDEX_FILE, INFER_CONFIG, COCO_FILE, RUN_FILE
     owners: dict[str, str] = dict.fromkeys(run_files, "the run itself")
-    sources = [(source, output(source)) for source in inputs.sources] if output else []
-    numbered: dict[str, str] = {}
-    results: dict[str, Item | Source | None] = dict.fromkeys(files)
+    # Names as index.csv spells them: distinct file names may coincide there.
+    for name, item in [*results, *((f"{source.name}/", source) for source, _ in sources)]:
+        if (owner := owners.get(to_printable(name))) is not None:
+            raise _shared_name(out / name, owner, item.origin)
+        owners[to_printable(name)] = item.origin
+    frames = {source.name: source for source, outputs in sources if outputs.frame_suffixes}
+    for item in inputs.images:
+        folder, _, last = item.name.rpartition("/")
+        if folder in frames and re.fullmatch(FRAME_NUMBER, last):
+            raise _shared_name(out / item.name, item.origin, frames[folder].origin)
     # Path.resolve raises for a link to itself.
     paths = [item.file for item in inputs.images] + [source.path for source in inputs.sources]
     images = {os.path.realpath(file) for file in paths if file is not None}
-
-    def claim(name: str, origin: str, owner: str | None = None) -> None:
-        """Claim a result's name as index.csv spells it: distinct file names may coincide there."""
-        owner = owner or owners.get(to_printable(name))
-        if owner is not None:
-            problem, hint = f"both would write {out}/{name}", "rename one, or use two --out folders"
-            raise ConfigError(f"{owner} and {origin}", problem, hint)
+    for name, _ in results:
         if os.path.realpath(out / name) in images:
             raise ConfigError(out / name, "is one of the input images", OUT_HINT)
-        owners[to_printable(name)] = origin
+    return Plan(inputs.images, sources, {**dict.fromkeys(files), **dict(results)})
 
-    for item in inputs.images:
-        results |= dict.fromkeys((item.name + suffix for suffix in suffixes), item)
-        for suffix in [suffix for suffix in suffixes if "{}" not in suffix] or [""]:
-            claim(item.name + suffix, item.origin)
-        folder, _, last = item.name.rpartition("/")
-        if re.fullmatch(FRAME_NUMBER, last):
-            numbered[folder] = item.origin
-    for source, outputs in sources:
-        ends = [*outputs.suffixes, *(f"/{{}}{suffix}" for suffix in outputs.frame_suffixes)]
-        results |= dict.fromkeys((source.name + end for end in ends), source)
-        owner = numbered.get(source.name) if outputs.frame_suffixes else None
-        claim(source.name, source.origin, owner)
-        for suffix in outputs.suffixes:
-            claim(source.name + suffix, source.origin)
-    return Plan(inputs.images, sources, results)
+
+def _shared_name(path: Path, owner: str, other: str) -> ConfigError:
+    hint = "rename one, or use two --out folders"
+    return ConfigError(f"{owner} and {other}", f"both would write {path}", hint)

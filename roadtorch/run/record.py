@@ -6,13 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import import_module
-from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 
-from roadtorch.base.atomic import file_digest, write_json
+from roadtorch.base.atomic import write_json
 from roadtorch.base.bounded import strip_password
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ExitCode, RoadtorchError
@@ -20,13 +19,12 @@ from roadtorch.base.signals import SigtermInterrupt
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import count_corrected_images, hash_tensors
-from roadtorch.run.folder import RUN_FILE
-from roadtorch.run.ledger import INDEX_FILE, read_index
+from roadtorch.run.ledger import RUN_FILE, Ledger, index_bytes
 
 
 @contextmanager
 def record_run(
-    folder: Path,
+    ledger: Ledger,
     detector: Detector,
     files: Sequence[str],
     options: Mapping[str, object],
@@ -44,9 +42,7 @@ def record_run(
         status = ExitCode.WRONG_USAGE
         raise
     finally:
-        index = folder / INDEX_FILE
-        rows = read_index(index)
-        tried = [rows[file] for file in files if file in rows]
+        tried = [ledger.rows[file] for file in files if file in ledger.rows]
         done = sorted((row for row in tried if not row.failed), key=lambda row: row.file)
         inputs = "".join(f"{row.sha256}  {row.file}\n" for row in done)
         settings = detector.settings.model_dump(mode="json")
@@ -72,7 +68,7 @@ def record_run(
                 for name, value in options.items()
             },
             "inputs_sha256": hashlib.sha256(inputs.encode()).hexdigest(),
-            "index_sha256": file_digest(index),
+            "index_sha256": hashlib.sha256(index_bytes(ledger.rows.values())).hexdigest(),
             "started": started,
             "ended": _now(),
             "images": {
@@ -84,8 +80,8 @@ def record_run(
             },
             "exit_status": int(len(done) < len(tried)) if status is None else status,
         }
-        if folder.is_dir():  # else it was moved during the run
-            write_json(folder / RUN_FILE, document)
+        if ledger.folder.is_dir():  # else it was moved during the run
+            write_json(ledger.folder / RUN_FILE, document)
 
 
 def _version(module: str) -> str:

@@ -13,12 +13,12 @@ from typing import Any
 import torch
 
 from roadtorch.base.atomic import (
+    OUT_HINT,
     atomic_write,
     claim_results,
     csv_text,
     file_digest,
     lock_folder,
-    make_folder,
     remove_leftovers,
     write_text,
 )
@@ -51,7 +51,6 @@ RUN_FILES = (
     *(f"{PREPARED}/", f"{CORRECTIONS}/", f"{LABELS}{{}}"),
 )
 
-OTHER_OUT = "give another --out"
 BAD_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
 
 
@@ -97,11 +96,7 @@ class RunFolder:
 
         Their input is not compared: see ``check``.
         """
-        make_folder(self.path, OTHER_OUT)
-        with (
-            lock_folder(self.path, f"wait for it, or {OTHER_OUT}"),
-            claim_results(self.path, dict.fromkeys(names, "")),
-        ):
+        with lock_folder(self.path), claim_results(self.path, dict.fromkeys(names, "")):
             yield
 
     def check(self, record: Mapping[str, Any]) -> None:
@@ -114,7 +109,7 @@ class RunFolder:
             return
         if previous["roadtorch"] != record["roadtorch"]:
             message = f"holds a run of roadtorch {previous['roadtorch']}"
-            raise ConfigError(self.path, message, OTHER_OUT)
+            raise ConfigError(self.path, message, OUT_HINT)
         for part, key in record["keys"].items():
             if previous["keys"].get(part) != key:
                 message = f"holds a run with other {part}"
@@ -136,7 +131,7 @@ class RunFolder:
                 return record
         except (ValueError, KeyError, TypeError, OSError, RecursionError):
             pass
-        raise InputError(path, "is no record of a training run", OTHER_OUT)
+        raise InputError(path, "is no record of a training run", OUT_HINT)
 
     # --- checkpoint -------------------------------------------------------------------------
 

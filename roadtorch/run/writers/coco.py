@@ -8,8 +8,7 @@ from typing import Any
 from roadtorch.base.atomic import atomic_write
 from roadtorch.base.bounded import from_printable
 from roadtorch.base.documents import ForeignDocument, read_document
-from roadtorch.run.folder import COCO_FILE
-from roadtorch.run.ledger import INDEX_FILE, IndexRow, has_result, read_index
+from roadtorch.run.ledger import COCO_FILE, INDEX_FILE, IndexRow, has_result, read_index
 
 POLYGONS_SUFFIX = ".coco.json"  # suffix of the COCO file of an image
 
