@@ -9,13 +9,13 @@ import json
 import os
 import re
 import secrets
+import tempfile
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryFile
 from time import monotonic, sleep
 
 from roadtorch.base.bounded import read_regular, to_printable
@@ -129,7 +129,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
         raise InputError(folder, "is an address", "give a local folder, then copy or sync it")
     make_folder(folder, OUT_HINT)
     try:
-        TemporaryFile(dir=folder).close()
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise InputError(folder, f"cannot be written: {error.strerror}", OUT_HINT) from None
     with _open_folder(folder) as handle:

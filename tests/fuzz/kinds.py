@@ -41,8 +41,7 @@ from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.road.ego import Ego, ego_car, read_ego_mask
-from roadtorch.run.folder import open_result_folder
-from roadtorch.run.ledger import IndexRow, read_index, write_index
+from roadtorch.run.ledger import IndexRow, open_ledger, read_index, write_index
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.run.writers.coco import coco_text, write_coco
 from roadtorch.train.config import PatchTraining, as_values, build_training
@@ -363,11 +362,12 @@ def read_rows(path: Path) -> bool:
 
 def read_results(path: Path) -> bool:
     """Read the deciding settings of results; a run with other settings must be refused."""
-    write_index(path.with_name("index.csv"), [])
-    path.with_name(RESULTS_FILE).write_text(json.dumps({"": ["index.csv", path.name]}))
+    write_index(path.with_name("index.csv"), [ROW])
+    claims = dict.fromkeys(("index.csv", path.name), "")
+    path.with_name(RESULTS_FILE).write_text(json.dumps(claims))
     threshold = read_decision_settings(path.parent).threshold
     try:
-        with open_result_folder(path.parent, "threshold = 0.123", overwrite=False):
+        with open_ledger(path.parent, "threshold = 0.123"):
             return False
     except ConfigError:
         return 0 <= threshold <= 1

@@ -12,12 +12,12 @@ import torch
 from roadtorch.base.atomic import file_digest
 from roadtorch.base.errors import InputError
 from roadtorch.detectors.catalogue import load_detector
+from roadtorch.inputs.item import Item
 from roadtorch.run import ledger as module
 from roadtorch.run import memo
 from roadtorch.run.ledger import (
     INDEX_COLUMNS,
     IndexRow,
-    Method,
     failed_row,
     open_ledger,
     read_index,
@@ -42,7 +42,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_rows_are_appended_as_they_come_and_sorted_at_the_end(path: Path) -> None:
-    with open_ledger(path) as ledger:
+    with open_ledger(path.parent, "") as ledger:
         for count, name in enumerate(("c", "a", "b"), 1):
             ledger.add(IndexRow(name))
             assert len(path.read_text().splitlines()) == 1 + count
@@ -54,7 +54,7 @@ def test_rows_are_appended_as_they_come_and_sorted_at_the_end(path: Path) -> Non
 
 
 def test_the_end_comes_after_an_error_too_and_a_cut_row_counts_for_nothing(path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), open_ledger(path) as ledger:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), open_ledger(path.parent, "") as ledger:  # noqa: PT012
         ledger.add(IndexRow("b"))
         ledger.add(IndexRow("a"))
         raise KeyboardInterrupt
@@ -65,7 +65,7 @@ def test_the_end_comes_after_an_error_too_and_a_cut_row_counts_for_nothing(path:
         path.write_bytes(whole[:-cut])
         assert [*read_index(path)] == ["a"] * (whole[:-cut].count(b"\n") > 1)
     path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())  # by a spreadsheet
-    with open_ledger(path):  # a cut row is dropped
+    with open_ledger(path.parent, ""):  # a cut row is dropped
         pass
     assert path.read_text() == HEAD
 
@@ -99,7 +99,7 @@ def test_names_with_line_ends_are_rows_like_others(name: str, path: Path) -> Non
 
 def test_kinds_of_one_method_and_the_same_bytes_add_up(path: Path) -> None:
     first = IndexRow("a", saved="likelihood mask", method="m", sha256="s")
-    with open_ledger(path) as ledger:
+    with open_ledger(path.parent, "") as ledger:
         for change, saved in [
             ({"saved": "mask cues"}, "likelihood mask cues"),
             ({"saved": "npy", "sha256": "other"}, "npy"),
@@ -113,7 +113,7 @@ def test_kinds_of_one_method_and_the_same_bytes_add_up(path: Path) -> None:
 
 def test_frames_of_a_source_are_forgotten_and_nothing_else(path: Path) -> None:
     names = ["drive/000001", "drive/1000000", "drive/x.png", "drive/01", "drive.mp4", "b/000001"]
-    with open_ledger(path) as ledger:
+    with open_ledger(path.parent, "") as ledger:
         for name in names:
             ledger.add(IndexRow(name))
         ledger.drop_frames("drive")
@@ -123,33 +123,46 @@ def test_frames_of_a_source_are_forgotten_and_nothing_else(path: Path) -> None:
     assert [*read_index(path)] == sorted(names[2:5])
 
 
-def test_a_full_disk_is_one_error_and_rows_stay(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ledger = module.Ledger(path)
+def test_a_full_disk_is_one_error_and_rows_stay(path: Path) -> None:
+    ledger = module.Ledger(path.parent, {})
     ledger.add(IndexRow("a"))
-    ledger.path, ledger._folder = Path("/dev/full"), Path("/dev").stat()
+    rows = path.rename(path.with_name("rows.csv"))
+    path.symlink_to("/dev/full")
 
     with pytest.raises(InputError, match=r"cannot be written: No space left .* \(make room"):
         ledger.add(IndexRow("b"))
 
-    assert [*read_index(path)] == ["a"]
+    assert [*read_index(rows)] == ["a"]
 
 
-def test_a_method_covers_what_it_made() -> None:
-    method = Method("key", ("mask", "npy"))
-    row = method.mark(IndexRow("a", sha256="s"))
+@pytest.mark.parametrize(
+    ("change", "key", "kinds", "is_done"),
+    [
+        ({}, "key", ["mask", "npy"], True),
+        ({}, "key", ["npy"], True),
+        ({}, "key", ["npy", "cues"], False),
+        ({}, "another", ["npy"], False),
+        ({"status": "doubtful: x"}, "key", ["npy"], True),
+        ({"status": "partial: x"}, "key", ["npy"], False),
+        ({"status": failed_row("a", ValueError("oh\nno")).status}, "key", ["npy"], False),
+        ({"sha256": "other"}, "key", ["npy"], False),
+        ({"cues": "x/y"}, "key", ["npy"], False),  # a.y.npy is gone
+        ({"cues": "x"}, "key", ["npy"], True),
+        ({"file": "b.png"}, "key", ["npy"], False),
+    ],
+)
+def test_done_is_what_has_its_files_under_the_key_from_the_same_bytes(
+    tmp_path: Path, change: dict[str, str], key: str, kinds: list[str], is_done: bool
+) -> None:
+    item = Item("a", "a.png", lambda: ARRAYS["sums"], lambda: "s", ".png")
+    for name in ("a.mask.png", "a.x.npy"):
+        (tmp_path / name).touch()
+    row = replace(IndexRow("a.png", saved="mask npy", method="key", sha256="s"), **change)
+    ledger = module.Ledger(tmp_path, {row.file: row})
 
-    assert (row.saved, row.method) == ("mask npy", "key")
-    assert method.covers(row)
-    assert Method("key", ("npy",)).covers(row)
-    assert not Method("key", ("npy", "cues")).covers(row)
-    assert not Method("another", ("npy",)).covers(row)
-    assert not method.covers(None)
-    failed = failed_row("a", ValueError("oh\nno"))
-    assert failed.status == "failed: oh no"
-    assert method.mark(failed) == failed
-    assert not method.covers(replace(row, status="partial: x"))
+    assert ledger.is_done(item, key, kinds, [".mask.png", ".{}.npy"]) == is_done
+    assert not ledger.is_done(item, key, kinds, [".mask.png", ".likelihood.npy"])
+    assert not ledger.is_done(replace(item, digest=None), key, kinds, [".mask.png"])
 
 
 # --- memory -----------------------------------------------------------------------------

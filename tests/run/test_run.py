@@ -18,8 +18,7 @@ from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.data.correction_formats import read_coco
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.run.folder import open_result_folder
-from roadtorch.run.ledger import has_result
+from roadtorch.run.ledger import IndexRow, has_result, open_ledger
 from roadtorch.run.record import record_run
 from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import ROWS, Call, bytes_in, read_index_rows, save_image
@@ -95,11 +94,8 @@ def test_run_json_is_written_without_the_version_of_a_runtime(
 
     for runtime, known in (("torch", torch.__version__), ("runtime_without_version", "unknown")):
         detector.runtime = runtime
-        with (
-            open_result_folder(out, "", overwrite=True),
-            record_run(out, detector, [], {}, "infer"),
-        ):
-            (out / "index.csv").write_text("file\n")
+        with open_ledger(out, "") as ledger, record_run(ledger, detector, [], {}, "infer"):
+            pass
         record = json.loads((out / "run.json").read_text())
         assert record["versions"][runtime] == known
 
@@ -118,17 +114,17 @@ def test_a_bag_that_is_a_folder_is_there_once_it_has_its_list(tmp_path: Path) ->
 def test_results_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
     out = tmp_path / "out"
     for effective in ("a = 1", "a = 2"):  # nothing was done with the first ones
-        with open_result_folder(out, effective, overwrite=False):
+        with open_ledger(out, effective):
             assert (out / "config.toml").read_text() == f"{effective}\n"
-    with open_result_folder(out, "a = 2", overwrite=False):
-        (out / "index.csv").write_text("file\n")
+    with open_ledger(out, "a = 2") as ledger:
+        ledger.add(IndexRow("a"))
 
     with (
         pytest.raises(ConfigError, match=r"holds results of other settings \(config\.toml\)"),
-        open_result_folder(out, "a = 1", overwrite=False),
+        open_ledger(out, "a = 1"),
     ):
         pass
-    with open_result_folder(out, "a = 1", overwrite=True):
+    with open_ledger(out, "a = 1", overwrite=True):
         assert (out / "config.toml").read_text() == "a = 1\n"
 
 
@@ -137,13 +133,13 @@ def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:
     fcntl.flock(handle, fcntl.LOCK_EX)
     with (
         pytest.raises(InputError, match=r"another run is writing here \(wait for it, or give ano"),
-        open_result_folder(tmp_path, "", overwrite=False),
+        open_ledger(tmp_path, ""),
     ):
         pass
     os.close(handle)
     with (
         pytest.raises(InputError, match="is an address"),
-        open_result_folder(Path("s3://bucket/out"), "", overwrite=False),
+        open_ledger(Path("s3://bucket/out"), ""),
     ):
         pass
 

@@ -130,7 +130,7 @@ def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path
     for folder in leftovers:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / ".roadtorch.0123abcd.part").touch()
-    (tmp_path / "run" / RESULTS_FILE).write_text('{"": ["labels-{}"]}')
+    (tmp_path / "run" / RESULTS_FILE).write_text('{"labels-{}": ""}')
 
     trained("images", *changes, images=str(footage), prepared=prepared, out=tmp_path / "run")
 
