@@ -117,6 +117,6 @@ def plan_run(
     return Plan(inputs.images, sources, {**dict.fromkeys(files), **dict(results)})
 
 
-def _shared_name(path: Path, owner: str, other: str) -> ConfigError:
+def _shared_name(path: Path, owner: str, claimant: str) -> ConfigError:
     hint = "rename one, or use two --out folders"
-    return ConfigError(f"{owner} and {other}", f"both would write {path}", hint)
+    return ConfigError(f"{owner} and {claimant}", f"both would write {path}", hint)

@@ -217,16 +217,3 @@ def test_ctrl_c_finishes_the_video(tmp_path: Path, out: Path) -> None:
     assert len(rows) == frames + 1 > 20
     assert rows["drive.mp4"]["status"] == f"partial: {path}: was interrupted (run it again)"
     assert not list(out.glob(".*.part"))
-
-
-def test_footage_is_smoothed_unless_refused(call: Call, drive: Path, tmp_path: Path) -> None:
-    steadied, alone = tmp_path / "steadied", tmp_path / "alone"
-
-    call("infer", drive, *GREY, "--out", steadied, "--save", "likelihood")
-    call("infer", drive, *GREY, "--out", alone, "--save", "likelihood", "--no-smoothing")
-
-    def frame(out: Path, number: int) -> bytes:
-        return (out / f"drive/{number:06d}.likelihood.png").read_bytes()
-
-    assert frame(steadied, 0) == frame(alone, 0)
-    assert frame(steadied, 5) != frame(alone, 5)
