@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadtorch.base.compute import peak_memory_mib
-from roadtorch.base.errors import InputError, RoadtorchError
+from roadtorch.base.errors import RoadtorchError
 from tests.command import Call, files_in, save_image
 from tests.fuzz.footage import FOOTAGE
 from tests.fuzz.kinds import KINDS
@@ -87,7 +87,7 @@ def test_mutated_files_are_read_or_refused(make: Callable[[Draw, Path], Path], r
     assert verdicts["refused"] > 0
 
 
-# --- files of another kind ------------------------------------------------------------------
+# --- files of another kind, on the command line ---------------------------------------------
 
 FOREIGN: Mapping[str, Callable[[Path], object]] = {
     "missing": lambda path: None,
@@ -102,46 +102,7 @@ FOREIGN: Mapping[str, Callable[[Path], object]] = {
     "settings": lambda path: path.write_text('detector = "none"\n[network]\nwide = -1\n'),
     "noise": lambda path: path.write_bytes(bytes(range(256)) * 40),
 }
-HARMLESS: Mapping[str, set[str]] = {
-    "images": {"image"},
-    "configs": {"empty"},
-    "sets": {*FOREIGN} - {"page", "settings", "noise"},  # texts, not files
-    "journals": {"missing", "empty", "values"},  # a line without its end is that of a crash
-    "index": {"missing", "empty", "loop", "values"},
-    **{kind: {"missing", "loop"} for kind in ("checkpoints", "records")},
-    "results": {"missing", "empty", "loop", "settings"},
-}
-"""Files that a kind accepts."""
 
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_files_of_another_kind_are_refused(kind: str, tmp_path: Path) -> None:
-    for name in FOREIGN.keys() - HARMLESS.get(kind, set()):
-        path = tmp_path / name / KINDS[kind].name
-        path.parent.mkdir()
-        FOREIGN[name](path)
-
-        assert verdict(path, KINDS[kind].read) == "refused", name
-
-
-@pytest.mark.parametrize(
-    ("refusal", "wrong"),
-    [
-        (("", "bad", "fix it"), "the name is missing"),
-        (("a.bin", "bad", ""), "what to do"),
-        (("a.bin", "bad\nworse", "fix it"), "several lines"),
-        (("a.bin", "bad", "r" * 10_000), "without end"),
-    ],
-)
-def test_a_refusal_that_is_wrong_is_found(refusal: tuple[str, str, str], wrong: str) -> None:
-    def refuse(path: Path) -> bool:
-        raise InputError(*refusal)
-
-    with pytest.raises(AssertionError, match=wrong):
-        verdict(Path("a.bin"), refuse)
-
-
-# --- the command line -----------------------------------------------------------------------
 
 PRIOR = "--detector prior:rows"
 COMMANDS: Mapping[str, set[str]] = {

@@ -27,12 +27,6 @@ def image() -> bytes:
     return png_bytes(to_pixels(street(48, 64, 1)), 64)
 
 
-def moved(handler: BaseHTTPRequestHandler) -> None:
-    handler.send_response(302)
-    handler.send_header("Location", "/a.png")
-    handler.end_headers()
-
-
 def locked(handler: BaseHTTPRequestHandler) -> None:
     credentials = base64.b64encode(b"me:s:cret").decode()
     if handler.headers["Authorization"] == f"Basic {credentials}":
@@ -78,8 +72,6 @@ ANSWERS: dict[str, Answer] = {
     "/bomb.png": send_packed(gzip.compress(bytes(10**7)), "gzip"),
     "/a.png": send(image(), "image/png"),
     "/snapshot": send(image(), "image/png"),
-    "/plain.png": send(image(), "application/octet-stream"),
-    "/moved.png": moved,
     "/locked.png": locked,
     "/cut.png": send(image(), "image/png", 10**6),
     "/long.png": send(bytes(10**6 + 1), "image/png"),
@@ -104,8 +96,7 @@ def host() -> Iterator[str]:
     [
         ("a.png", "a.png"),
         ("snapshot?size=2", "snapshot"),
-        ("plain.png", "plain.png"),
-        ("moved.png", "moved.png"),
+        ("redirect.png?/a.png", "redirect.png"),
         ("octets", "octets"),
         ("Straße a.png", "Straße-a.png"),
         ("gzip.png", "gzip.png"),
