@@ -14,19 +14,16 @@ from PIL import Image
 
 from roadtorch.base.atomic import RESULTS_FILE
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.settings import INFER_CONFIG, build_settings, parse_assignments, to_toml
+from roadtorch.base.settings import INFER_CONFIG, build_settings, to_toml
 from roadtorch.camera.birds_eye import warp_to_birds_eye
 from roadtorch.camera.calibration import read_calibration, read_camera_info
 from roadtorch.camera.camera import Camera, EgoTemplate
 from roadtorch.cli.options import DetectorOptions
-from roadtorch.data.camvid import CLASS_MAPPINGS, COLOURS32
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import CORRECTION_FORMATS as IMPORTED
 from roadtorch.data.correction_formats import read_coco
 from roadtorch.data.corrections import Correction, read_log
-from roadtorch.data.dataset import LabelledItem
 from roadtorch.data.label_folders import add_conditions
-from roadtorch.data.label_images import ColourLabels
 from roadtorch.data.likelihood_maps import (
     MapFolder,
     find_white_levels,
@@ -50,7 +47,6 @@ from tests.data.conftest import write
 from tests.fuzz.mutations import (
     BYTE_MUTATIONS,
     IMAGE_MUTATIONS,
-    PIECES,
     TEXT_MUTATIONS,
     Draw,
     choose,
@@ -171,21 +167,6 @@ def read_config(path: Path) -> bool:
     return build_from(path, build)
 
 
-def make_assignments(draw: Draw, _: Path) -> bytes:
-    """Make texts of ``--set``, one a line."""
-    keys = ("threshold", "texture.bins", "ego.bottom", "ego.outline", "seed_area.height", "x.y")
-    texts = [choose(draw, *keys).encode() + b"=" + draw(PIECES) for _ in range(3)]
-    return mutate(
-        draw, b"\n".join([*texts, b"threshold=0.5", b"ego.outline=[0.9, 1]"]), TEXT_MUTATIONS
-    )
-
-
-def read_assignments(path: Path) -> bool:
-    texts = path.read_bytes().decode("utf-8", "surrogateescape").split("\n")
-    kind = detector_entry("cpf").settings
-    return build_from(path, lambda: build_settings(kind, parse_assignments(texts)))
-
-
 ROWS = (0.9, 0.92, 0.95)
 TEMPLATE = EgoTemplate(
     rows=ROWS, columns=ROWS, gradient_x=(0.1, -0.2, 0.3), gradient_y=(0.5, 0.1, 0.0)
@@ -235,22 +216,6 @@ def read_labels(path: Path) -> bool:
     masks = find_masks(path.parent, {"label.png": path.parent / "images/label.png"}).masks
     truth = masks[0].truth
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
-
-
-CAMVID32 = ColourLabels(tuple(colour for colour, _, _ in COLOURS32), CLASS_MAPPINGS["camvid32"])
-
-
-def make_colours(draw: Draw, _: Path) -> bytes:
-    """Make a label image of CamVid in 32 colours."""
-    colours, data = np.array([colour for colour, _, _ in COLOURS32], np.uint8), io.BytesIO()
-    mode = choose(draw, "RGB", "P", "RGBA")
-    Image.fromarray(colours.reshape(4, 8, 3)).convert(mode).save(data, "PNG")
-    return mutate(draw, data.getvalue(), IMAGE_MUTATIONS)
-
-
-def read_colours(path: Path) -> bool:
-    truth = CAMVID32.truth(LabelledItem("a", path, path))
-    return truth.road.shape == truth.valid.shape
 
 
 NUMBERS = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) % 97 % 8).astype(np.uint8)
@@ -426,11 +391,9 @@ KINDS: Mapping[str, Kind] = {
     ),
     "records": Kind(RUN, lambda draw, _: mutate_json(draw, RECORD), read_record),
     "configs": Kind("config.toml", make_config, read_config),
-    "sets": Kind("sets.txt", make_assignments, read_assignments),
     "camera": Kind("camera.toml", mutated_file(CAMERA.write, TEXT_MUTATIONS), read_camera),
     "polygons": Kind("a.coco.json", make_polygons, read_polygons),
     "labels": Kind("label.png", make_labels, read_labels),
-    "colours": Kind("a_L.png", make_colours, read_colours),
     "ego": Kind("ego.png", make_labels, lambda path: read_ego_mask(str(path)).dtype == torch.bool),
     "imported coco": import_kind("coco", "coco.json"),
     "journals": Kind("a.png.strokes.jsonl", make_journal, read_journal),
@@ -444,13 +407,5 @@ KINDS: Mapping[str, Kind] = {
     ),
     "results": Kind(INFER_CONFIG, text_file(RESULTS), read_results),
     "maps": Kind("a.npy", make_map, read_maps),
-    "map images": Kind(
-        "a.png",
-        mutated_file(
-            lambda path: Image.fromarray((MAP * 255).astype(np.uint8)).save(path, "PNG"),
-            IMAGE_MUTATIONS,
-        ),
-        read_maps,
-    ),
     "metrics": Kind("metrics.json", make_metrics, read_thresholds),
 }
