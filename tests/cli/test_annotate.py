@@ -96,13 +96,5 @@ def test_report_export_and_import(call: Call, corrected: Path, tmp_path: Path) -
     assert [len(log.events) for log in read_logs(second)] == [1]
 
 
-@pytest.mark.parametrize(("name", "words"), [("empty", "holds no images"), ("no", "not exist")])
-def test_no_images(call: Call, tmp_path: Path, name: str, words: str) -> None:
-    (tmp_path / "empty").mkdir()
-    result = call("annotate", tmp_path / name, *QUICK)
-    assert result.exit_code == 2
-    assert words in result.stderr
-
-
 def test_formats_are_those_that_there_are() -> None:
     assert tuple(correction_formats.CORRECTION_FORMATS) == tuple(LABEL_FORMAT.choices)

@@ -2,7 +2,6 @@
 
 import re
 import sys
-from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
@@ -59,21 +58,6 @@ def test_the_bench_lists_runtimes_that_are_missing_or_broken(
         assert any(line.startswith(f"ok {name}, torch") for line in lines)
         assert any(line.startswith(f"{state} {name}, onnxruntime {problem}") for line in lines)
     assert "weights" not in lines
-
-
-def test_a_package_of_another_name_provides_its_module(monkeypatch: pytest.MonkeyPatch) -> None:
-    def version_of(package: str) -> str:
-        if package != "onnxruntime-gpu":
-            raise PackageNotFoundError(package)
-        return "1.2"
-
-    monkeypatch.setattr(doctor, "version", version_of)
-    monkeypatch.setattr(
-        doctor, "packages_distributions", lambda: {"onnxruntime": ["onnxruntime-gpu"]}
-    )
-
-    assert doctor._installed("onnxruntime") == "1.2"
-    assert doctor._installed("none") == ""
 
 
 def test_a_failing_section_breaks_itself_alone(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,14 +27,6 @@ def test_version_and_help_go_to_stdout(call: Call) -> None:
     assert "--debug" in help_text.stdout
 
 
-@pytest.mark.parametrize("name", sorted(group.COMMANDS))
-def test_every_command_explains_itself(call: Call, name: str) -> None:
-    result = call(name, "--help")
-
-    assert result.exit_code == 0
-    assert result.stdout.startswith(f"Usage: roadtorch {name} ")
-
-
 def install(monkeypatch: pytest.MonkeyPatch, name: str, command: click.Command) -> None:
     """Add a command, in a module of its own."""
     module = ModuleType(f"{name}_command")
@@ -93,15 +85,6 @@ def test_a_signal_is_reported_as_a_signal(
     assert result.exit_code == status
     assert result.stderr.strip() == "roadtorch: interrupted"
     assert set(group.INTERRUPT_MESSAGES) < set(group.COMMANDS)
-
-
-def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, "fails", failing(BrokenPipeError(32, "Broken pipe")))
-
-    result = call("fails")
-
-    assert result.exit_code == 1
-    assert result.stderr == ""
 
 
 # --- completion -------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Output of detectors and export; configs by name."""
+"""Output of detectors and export."""
 
 from pathlib import Path
 
@@ -72,18 +72,6 @@ def test_planes_lists_planes_and_representations(call: Call) -> None:
     listed = [line.split() for line in representations.splitlines()[1:]]
     assert {name: tuple(parts) for name, *parts in listed} == dict(REPRESENTATIONS)
     assert [line.split()[0] for line in planes.splitlines() if "circular" in line] == ["H"]
-
-
-# --- configs by name --------------------------------------------------------------------
-
-
-def test_a_detectors_config_is_found_by_name(call: Call, footage: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    result = call("infer", footage / "a.jpg", "--config", "thresholds/cpf-v2", "--out", out)
-
-    assert result.exit_code == 0, result.stderr
-    config = (out / "config.toml").read_text()
-    assert config.startswith('detector = "cpf:v2"\nthreshold = 0.565\n')
 
 
 # --- export -----------------------------------------------------------------------------

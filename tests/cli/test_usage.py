@@ -60,6 +60,7 @@ MISTAKES = {
     "adapt --out o": "Missing argument 'FOOTAGE...'",
     "adapt x.jpg --out o --set kind=patches": "network.height: unknown setting",
     "adapt x.jpg --out o --set initial_weights=": "initial_weights: ",
+    "annotate bare --detector prior:rows": "bare: holds no images (",
     "annotate . --export coco": "Missing option '--to'",
     "annotate . --import coco": "Missing option '--from'",
     "annotate . --export xml --to x": "Invalid value for '--export': 'xml' is not one of 'png', 'c",
