@@ -13,34 +13,6 @@ from tests.draws import random
 from tests.reference import ufl as reference
 
 
-@pytest.mark.parametrize("side", [2, 3, 6])
-def test_patches_are_extracted_at_every_position_by_rows(side: int) -> None:
-    image = random(3, 8, 9)
-
-    patches = features.extract_patches(image, side)
-
-    np.testing.assert_array_equal(patches.numpy(), reference.patches(image.numpy(), side))
-
-
-def test_contrast_is_normalised_over_all_channels_together() -> None:
-    patches = random(5, 12).numpy()
-
-    normalised = features.normalise_contrast(torch.from_numpy(patches), 0.01)
-
-    spread = np.sqrt(patches.var(1, ddof=1, keepdims=True) + 0.01)
-    np.testing.assert_allclose(normalised, (patches - patches.mean(1, keepdims=True)) / spread)
-
-
-def test_whitening_without_epsilon_leaves_unit_covariance() -> None:
-    points = random(500, 6) @ random(6, 6, seed=1)
-
-    mean, matrix = features.zca_whitening(points, 1e-12)
-
-    white = ((points - mean) @ matrix).numpy()
-    np.testing.assert_allclose(np.cov(white.T), np.eye(6), atol=1e-6)
-    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9)
-
-
 @settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 40))
 def test_a_round_of_k_means_moves_bases_to_means(seed: int, bases: int, count: int) -> None:

@@ -77,16 +77,6 @@ def test_the_first_round_has_no_error_and_the_next_find_the_road_without_the_wal
     assert not rounds[1].road[:15].any()
 
 
-def test_a_round_that_finds_no_road_ends_it() -> None:
-    maps = torch.zeros(2, 30, 40, dtype=torch.float64)
-
-    rounds = run(maps, maps[0])
-
-    assert len(rounds) == 1
-    assert rounds[0].model is None
-    assert not rounds[0].road.any()
-
-
 # Back to the image
 
 
