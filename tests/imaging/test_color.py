@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from skimage.color import rgb2lab
 
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.imaging.color import PLANES, REPRESENTATIONS, color_plane, color_planes
+from roadtorch.imaging.color import PLANES, color_plane, color_planes
 from tests.reference.color import planes_of_pixel
 
 CORNERS = list(itertools.product((0.0, 1.0), repeat=3))
@@ -98,12 +98,6 @@ def test_batches_dtypes_and_the_image_are_kept(dtype):
     assert torch.equal(again[1], color_plane(batch[1], list(PLANES)[1]))
     again[:] = color_plane(batch[0], "R")[:] = 0  # no views of the image
     assert torch.equal(batch, before)
-
-
-def test_the_representations_are_thirteen_planes_and_six_combinations():
-    assert [len(names) for names in REPRESENTATIONS.values()].count(1) == 13
-    assert len(REPRESENTATIONS) == 19
-    assert set().union(*REPRESENTATIONS.values()) == set(PLANES) - {"O3", "grey"}
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

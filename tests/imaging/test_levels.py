@@ -25,15 +25,6 @@ def test_no_other_cut_parts_the_values_better(integers: list[int]) -> None:
     assert reference.between_classes(seen, found) == pytest.approx(best, rel=1e-4)
 
 
-@given(st.floats(-50, 50), st.floats(0.01, 50), st.integers(1, 99))
-def test_two_values_are_parted_in_the_middle(low: float, apart: float, many: int) -> None:
-    values = torch.tensor([low] * many + [low + apart] * (100 - many), dtype=torch.float64)
-
-    found = float(otsu_threshold(values))
-
-    assert found == pytest.approx(low + apart / 2, abs=apart / OTSU_BINS)
-
-
 @pytest.mark.parametrize("value", [-3.0, 0.0, 1e-30, 7.5])
 def test_of_equal_values_it_is_their_value(value: float) -> None:
     found = otsu_threshold(torch.full((3, 4), value))
