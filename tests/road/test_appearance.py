@@ -44,49 +44,12 @@ def test_discriminant_and_fusion_equal_the_reference(seed: int, weight: float) -
     np.testing.assert_allclose(fused, mean, atol=2e-3)
 
 
-def test_appearance_corrects_pixels_that_the_network_gets_wrong() -> None:
-    features, is_road, log_odds = sample_pixels()
-
-    fused = average_log_odds(log_odds, appearance_log_odds(features, log_odds), 10.0)
-
-    errors, remaining = ((odds > 0) != is_road for odds in (log_odds, fused))
-    assert remaining.sum() < 0.5 * errors.sum()
-
-
-def test_units_of_features_do_not_matter() -> None:
-    features, _, log_odds = sample_pixels()
-    scales = torch.tensor([0.01, 1, 100, -3])[:, None]
-
-    scaled = appearance_log_odds(scales * features + 5, log_odds)
-
-    torch.testing.assert_close(scaled, appearance_log_odds(features, log_odds), atol=2e-3, rtol=0)
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_image_of_one_class_keeps_the_networks_log_odds(sign: int) -> None:
     features, _, log_odds = sample_pixels()
     log_odds = sign * (log_odds.abs() + 1)
 
     assert torch.equal(appearance_log_odds(features, log_odds), log_odds)
-
-
-def test_weight_zero_keeps_the_networks_log_odds() -> None:
-    features, _, log_odds = sample_pixels()
-
-    fused = average_log_odds(log_odds, appearance_log_odds(features, log_odds), 0.0)
-
-    assert torch.equal(fused, log_odds)
-
-
-def test_the_surer_the_network_the_less_the_appearance_counts() -> None:
-    features, _, log_odds = sample_pixels()
-    changes = []
-    for factor in (1.0, 4.0):
-        odds = factor * log_odds
-        fused = average_log_odds(odds, appearance_log_odds(features, odds), 1.0)
-        changes.append(((fused - odds) / odds.std()).abs().mean())
-
-    assert changes[1] < 0.5 * changes[0]
 
 
 def test_a_batch_is_its_images() -> None:

@@ -59,12 +59,6 @@ def test_the_nine_planes_of_the_paper_take_the_pseudo_inverse_at_any_scale(scale
     assert fused_plane(stack, weights).std() > 1e-3 * scale**0.5
 
 
-def test_weights_are_equal_over_an_area_of_one_colour():
-    samples = torch.tensor([[0.3, 0.1, 0.7]]).repeat(50, 1)
-
-    assert minimum_variance_weights(samples).tolist() == pytest.approx([1 / 3] * 3)
-
-
 @pytest.mark.parametrize("ridge", [0, 1e-8, 1e-3, 1, 1e6])
 @pytest.mark.parametrize("count", [1, 2, 5, 2400])
 def test_weights_sum_to_one_even_with_fewer_samples_than_planes(ridge, count):
