@@ -89,13 +89,6 @@ def test_the_boundary_lies_between_the_samples(rejected: float, boundary: float)
     assert rejection_distance(np.array([3.0]), rejected) == 3
 
 
-@pytest.mark.parametrize(("count", "outside"), [(90, 2), (13266, 332)])
-def test_p3s_fraction_rejects_as_many_samples_as_the_toolbox(count: int, outside: int) -> None:
-    distances = np.random.default_rng(0).random(count)
-
-    assert int((distances > rejection_distance(distances, 0.025)).sum()) == outside
-
-
 def test_the_likelihood_is_a_half_at_the_threshold_and_falls_with_the_distance() -> None:
     likelihood = middle_of(FIVE, rejected=0.4).likelihood(line(0.5, 0.65, 1.1)).tolist()
 

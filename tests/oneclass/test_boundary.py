@@ -15,12 +15,11 @@ from roadtorch.oneclass.boundary import (
     DLP,
     MPM,
     SVDD,
-    LinearSettings,
     MinimaxSettings,
     SvddSettings,
 )
 from roadtorch.oneclass.neighbours import MST, NN, squared_distances
-from tests.oneclass.cases import DIMENSIONS, doubles, fitted, rank_correlation, road, some
+from tests.oneclass.cases import DIMENSIONS, doubles, fitted, road, some
 from tests.reference import oneclass_boundary as reference
 
 
@@ -134,26 +133,6 @@ def test_duplicates_count_as_often_as_they_occur():
     _, margin = boundary.least_margin(single, np.array([3, 1, 1, 2, 1, 1]), 0.3)
     _, repeated = boundary.least_margin(many, np.ones(9), 0.3)
     assert margin == pytest.approx(repeated)
-
-
-DEFINITIONS = {
-    "toolbox": lambda away: 4 / (1 + np.exp(-(away**2))) - 2,
-    "euclid": lambda away: away,
-}
-
-
-@pytest.mark.parametrize("kind", DISSIMILARITIES)
-@DIMENSIONS
-def test_distance_ranks_as_the_weighted_sum_of_dissimilarities(kind, dimensions):
-    samples, pixels = road(30, dimensions), some(1000, dimensions)
-    learned = fitted(DLP, samples, LinearSettings(dissimilarity=kind))
-    to_points, apart = (
-        DEFINITIONS[kind](reference.distance_matrix(doubles(rows), doubles(samples)))
-        for rows in (pixels, samples)
-    )
-    weights, _ = boundary.least_margin(apart / apart.mean(), np.ones(30), 0.025)
-    expected = torch.from_numpy(to_points @ weights)
-    assert rank_correlation(learned.distance(pixels), expected) > 0.9999
 
 
 @pytest.mark.parametrize(
