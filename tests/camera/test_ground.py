@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from roadtorch import load_detector, read_image
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.settings import build_settings
 from roadtorch.camera.calibration import (
@@ -386,23 +385,6 @@ def test_a_bonnets_edge_hides_no_road_and_a_wall_behind_it_does() -> None:
     assert OCCUPIED in behind_wall.cells
 
 
-@pytest.mark.data
-def test_the_motorway_is_free_behind_an_estimated_bonnet(data_root: Path) -> None:
-    files = sorted((data_root / "unlabelled_free").glob("udhwy_00[0-3]*.jpg"))[::13]
-    estimated, by_hand = load_detector("fusion"), load_detector("fusion", ego={"bottom": 0.11})
-
-    for file in files:
-        image = read_image(file)
-        areas = []
-        for detection in (estimated.detect(image), by_hand.detect(image)):
-            lens = pinhole_lens(image.shape[2], image.shape[1], 77)
-            camera = GroundCamera(lens, camera_pose(1.3, pitch_from_horizon(lens, 0.6)))
-            road = detection.likelihood * detection.mask
-            grid = ground_grid(road, camera, GridSettings(), detection.cues.get("ego"))
-            areas.append(float((grid.cells == FREE).sum()))
-        assert areas[0] == pytest.approx(areas[1], rel=0.2)
-
-
 def test_walls_have_no_gaps_and_shadows_no_walls() -> None:
     ahead, sides, box = (
         ground_grid(draw_mask(inside), CAMERA, SETTINGS).cells == OCCUPIED
@@ -421,13 +403,6 @@ def test_the_order_is_that_of_an_occupancy_grid() -> None:
 
     assert grid.occupancy.dtype == torch.int8
     assert grid.occupancy[35 * 80 + 40] == cell(grid, 40.5 * 0.2, 35.5 * 0.2 - 6)
-
-
-def test_the_ego_car_is_unknown_and_hides_nothing() -> None:
-    grid = ground_grid(draw_mask() & ~EGO, CAMERA, SETTINGS, EGO)
-
-    assert OCCUPIED not in grid.cells
-    assert (cell(grid, 9, 0), cell(grid, 2.6, 0)) == (FREE, UNKNOWN)
 
 
 def test_a_cell_takes_the_mean_of_its_pixels_and_is_road_from_a_threshold_on() -> None:
