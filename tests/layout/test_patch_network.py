@@ -45,13 +45,6 @@ def pixels(*size: int) -> torch.Tensor:
 # --- the family -----------------------------------------------------------------------------
 
 
-def test_the_default_is_cnn_7() -> None:
-    network = PatchNetwork()
-    shapes = [tuple(weight.shape) for weight in network.parameters() if weight.ndim == 4]
-    assert shapes == [(4, 3, 7, 7), (16, 4, 7, 7), (3, 16, 7, 7)]
-    assert network(torch.zeros(2, 3, 32, 32)).shape == (2, 3)
-
-
 @pytest.mark.parametrize(
     ("values", "problem", "near"),
     [
