@@ -172,15 +172,6 @@ def test_errors_survive_a_process_boundary_and_are_short(kind: type[RoadtorchErr
     assert str(path) in str(InputError(path, "is empty", "replace the file"))
 
 
-@pytest.mark.parametrize(
-    ("name", "hint"), [("fuson", "did you mean fusion?"), ("zzz", "known: cpf, fusion, lbp")]
-)
-def test_an_unknown_name_gets_the_nearest_names_or_all(name: str, hint: str) -> None:
-    error = unknown_name_error("detector", name, ["lbp", "fusion", "cpf"])
-
-    assert str(error) == f"{name}: unknown detector ({hint})"
-
-
 # --- progress -----------------------------------------------------------------------------
 
 
