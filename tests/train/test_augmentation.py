@@ -135,14 +135,6 @@ def test_weather_changes_what_it_lies_on(weather, changed, unchanged) -> None:
     )
 
 
-def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:
-    black, unlit = torch.zeros(1, 3, 80, 60), torch.ones(1, 1, 80, 60)
-    for seed in range(6):
-        night = darken_to_night(black, unlit, NightAugmentation(lamps=20), seeded_generator(seed))
-        assert night[..., :48, :].amax() > 0.3
-        assert night[..., 60:, :].amax() < 0.05
-
-
 def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:
     image = torch.full((1, 3, 40, 60), 0.5)
     road, ground = torch.zeros(2, 1, 1, 40, 60)

@@ -11,7 +11,7 @@ from roadtorch.base.atomic import lock_folder
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError, WeightsError
 from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import save_network
-from roadtorch.train.config import Descent, PatchTraining, Training, build_training
+from roadtorch.train.config import Descent, Training, build_training
 from roadtorch.train.run import TrainingRequest, train
 from tests.command import Call
 from tests.train.runs import PATCHES, write_config, write_streets
@@ -92,18 +92,6 @@ def test_checkpoints_that_cannot_be_used_are_refused(
 
 
 # --- settings ---------------------------------------------------------------------------
-
-
-def test_the_defaults_are_p2s() -> None:
-    training = build_training({})
-
-    assert isinstance(training, PatchTraining)
-    assert (training.augmentation.min_scale, training.augmentation.max_scale) == (0.6, 1.4)
-    assert training.augmentation.rotation == 17
-    assert (training.augmentation.min_noise, training.augmentation.max_noise) == (0.3, 1.2)
-    assert training.centres.extra == 4
-    assert training.descent.method == "sgd"
-    assert (training.stopping.rule, training.stopping.min_delta) == ("plateau", 0.001)
 
 
 BACKBONE = {"kind": "images", "network": {"heads": 1}}

@@ -68,11 +68,6 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
 
 
-def test_a_run_from_new_weights_has_no_before(streets: Path, cache: Path, tmp_path: Path) -> None:
-    run(*words(tmp_path / "run", streets, "--prepared", cache / "images"))
-    assert not (tmp_path / "run" / "adaptation.html").exists()
-
-
 def test_agreement_counts_the_pixels_where_the_teacher_is_sure(tmp_path: Path) -> None:
     training = training_of("images")
     assert isinstance(training, ImageTraining)

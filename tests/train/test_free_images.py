@@ -45,21 +45,6 @@ def test_the_weights_to_the_letter_saw_as_many_as_the_paper_has() -> None:
 
 
 @pytest.mark.data
-def test_fifteen_of_them_are_images_of_the_fourteen_cameras(data_root: Path) -> None:
-    cameras = {sha256(path.read_bytes()).hexdigest() for path in data_root.glob("many/*/images/*")}
-
-    shared = {
-        row["file"] for rows in recordings().values() for row in rows if row["sha256"] in cameras
-    }
-
-    counts = [
-        sum(name.startswith(kind) for name in shared) for kind in ("comma10k", "mcubes", "cat")
-    ]
-    assert counts == [6, 5, 4]
-    assert len(shared) == 15
-
-
-@pytest.mark.data
 def test_the_images_of_the_street_runs_are_those_listed_and_none_of_the_fourteen_cameras(
     data_root: Path,
 ) -> None:

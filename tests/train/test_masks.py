@@ -14,12 +14,10 @@ from roadtorch.cli.train import train_command
 from roadtorch.data.masks import Mask
 from roadtorch.layout.weights import load_network, read_correction_runs
 from roadtorch.testing.scenes import ROAD
-from roadtorch.train.augmentation import GeometryAugmentation, sample_affine
 from roadtorch.train.config import HeadWeights
 from roadtorch.train.recordings import select_held_out
 from roadtorch.train.run import Outcome
 from roadtorch.train.teachers import Targets
-from roadtorch.train.training_loop import make_generator
 from roadtorch.train.whole_images import target_loss
 from tests.streets import scene
 from tests.train.conftest import Trained
@@ -60,13 +58,6 @@ def test_dice_is_one_minus_the_overlap_of_what_counts() -> None:
 
     assert float(loss(0.0)) == 0
     assert float(loss(2.0)) == pytest.approx(2 * (1 - 2 * 2 / (4 + 4)))
-
-
-@pytest.mark.parametrize(("mirror", "signs"), [(0.0, {1}), (1.0, {-1}), (0.5, {-1, 1})])
-def test_a_fraction_of_the_images_is_mirrored(mirror: float, signs: set[int]) -> None:
-    geometry = GeometryAugmentation(mirror=mirror)
-    maps = sample_affine(40, (32, 40), geometry, make_generator(0))
-    assert set(maps[:, 0, 0].sign().int().tolist()) == signs
 
 
 def test_the_weights_of_the_best_epoch_are_kept_and_training_stops_after_it(

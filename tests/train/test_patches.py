@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, reflect_pad
 from roadtorch.run.memo import write_arrays
 from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
 from roadtorch.train.patches import (
@@ -24,7 +23,6 @@ from roadtorch.train.patches import (
     sample_noise,
     sample_patches,
     sample_variation,
-    squared_error,
 )
 from roadtorch.train.training_loop import Batch
 from tests.draws import seeded_generator
@@ -77,15 +75,6 @@ def drawn(centre: Tensor, scale: float = 1.0, turn: float = 0.0, noise: float = 
     )
 
 
-def test_without_variation_a_patch_is_what_the_network_sees_at_that_pixel() -> None:
-    pixels = torch.randn(3, 20, 24, generator=seeded_generator(1))
-    centres = torch.tensor([[0, 0], [19, 23], [7, 12]])
-    framed = reflect_pad(pixels, 32)
-    expected = [framed[:, r : r + 32, c : c + 32] for r, c in centres.tolist()]
-    patches = sample_patches(pixels, drawn(centres), 32)
-    torch.testing.assert_close(patches, torch.stack(expected), atol=1e-4, rtol=0)
-
-
 @settings(max_examples=15)
 @given(st.floats(0.6, 1.4), st.floats(-17, 17), st.integers(0, 17), st.integers(0, 22))
 def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, column: int) -> None:
@@ -97,18 +86,6 @@ def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, co
 
     expected = reference.jittered_patch(pixels.double().numpy(), row, column, 12, scale, turn)
     np.testing.assert_allclose(patch.numpy(), expected, atol=2e-4)
-
-
-def test_variation_stays_within_its_bounds_and_fills_them() -> None:
-    draw = sample_variation(torch.zeros(4000, 2), PatchAugmentation(), seeded_generator(0))
-
-    for values, low, high in [
-        (draw.scale, 0.6, 1.4),
-        (draw.turn, -math.radians(17), math.radians(17)),
-        (draw.noise, 0.3, 1.2),
-    ]:
-        assert low <= float(values.min()) < low + 0.01 * (high - low)
-        assert high >= float(values.max()) > high - 0.01 * (high - low)
 
 
 def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
@@ -162,18 +139,3 @@ def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
     sums = torch.bincount(targets, weights=weights, minlength=3)
     torch.testing.assert_close(sums, torch.full((3,), 47 / 3))
     assert class_weights(files, training_of()).tolist() == [1, 1, 1]
-
-
-def test_the_loss_is_the_sum_of_squares_to_one_hot() -> None:
-    network = PatchNetwork(PatchNetworkSettings())
-    inputs = torch.randn(4, 3, 32, 32, generator=seeded_generator(3))
-    targets, weights = torch.tensor([0, 2, 1, 1]), torch.tensor([1.0, 2.0, 1.0, 0.5])
-
-    loss = squared_error(network, Batch(inputs, targets, weights))
-
-    potentials = network(inputs).detach().numpy()
-    expected = sum(
-        float(w) * sum((potentials[i, k] - (k == t)) ** 2 for k in range(3))
-        for i, (t, w) in enumerate(zip(targets.tolist(), weights.tolist(), strict=True))
-    )
-    assert loss.item() == pytest.approx(expected, rel=1e-5)

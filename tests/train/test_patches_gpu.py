@@ -9,21 +9,23 @@ import torch
 
 from roadtorch.layout.weights import load_network
 from roadtorch.train.config import PatchTraining
+from tests.draws import random
 from tests.train.conftest import Trained
 from tests.train.runs import rows_of, training_of
 from train import patches_gpu
 
 
-@pytest.mark.parametrize("convolve", [patches_gpu.convolve_unfolded, patches_gpu.convolve_grouped])
+def test_both_convolutions_of_several_networks_are_one() -> None:
+    maps, kernels = random(2, 3, 4, 9, 8), random(2, 5, 4, 3, 3, seed=1)
+
+    unfolded, grouped = patches_gpu.convolve_unfolded, patches_gpu.convolve_grouped
+
+    torch.testing.assert_close(unfolded(maps, kernels), grouped(maps, kernels))
+
+
 def test_networks_side_by_side_learn_what_each_learns_alone(
-    convolve: patches_gpu.Convolution,
-    trained: Trained,
-    streets: Path,
-    cache: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    trained: Trained, streets: Path, cache: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(patches_gpu.StackedNetworks, "convolve", staticmethod(convolve))
     changes = [("descent.momentum=0.9",), ("random_seed=1", "descent.schedule=cosine")]
     students = []
     for number, change in enumerate(changes):

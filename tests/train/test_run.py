@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from torch import nn
 
 from roadtorch.base.atomic import RESULTS_FILE
 from roadtorch.base.errors import DivergedError, ExitCode
@@ -21,10 +20,8 @@ from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
 from roadtorch.train.run_folder import RunFolder
 from roadtorch.train.teachers import TARGET_PLANES
 from roadtorch.train.training_loop import (
-    WARM_UP_STEPS,
     Batch,
     Loop,
-    MovingAverage,
     Recipe,
     TrainingProgress,
 )
@@ -105,6 +102,7 @@ def test_the_weights_that_are_written_are_the_mean_over_the_steps(trained: Train
     changes = ("stopping.epochs=1", "descent.batch=5", "descent.ema=0.9")
     out = folder_of(trained("images", *changes))
 
+    assert not (out / "adaptation.html").exists()  # it compares with the weights before
     # One step: the mean keeps one eleventh of the weights before it.
     last = torch.load(out / "checkpoint.pt", weights_only=True)["network"]
     begun = new_network("images", *changes).state_dict()
@@ -229,30 +227,3 @@ def test_a_step_in_bfloat16_is_that_in_float32_to_its_digits() -> None:
     for exact, rounded in zip(network.parameters(), coarse_network.parameters(), strict=True):
         assert rounded.dtype == torch.float32
         torch.testing.assert_close(rounded, exact, atol=2e-3, rtol=0.02)
-
-
-# --- the moving average --------------------------------------------------------------------
-
-
-def with_weight(value: float) -> nn.Linear:
-    network = nn.Linear(1, 1)
-    torch.nn.init.constant_(network.weight, value)
-    torch.nn.init.constant_(network.bias, -value)
-    return network
-
-
-def weight_of(average: MovingAverage[nn.Linear]) -> float:
-    torch.testing.assert_close(average.network.bias, -average.network.weight[0])
-    return average.network.weight.item()
-
-
-def test_in_the_beginning_it_keeps_as_many_steps_as_there_were_of_those_and_ten_more() -> None:
-    network, ten = with_weight(5.0), WARM_UP_STEPS
-    average = MovingAverage(network, 0.999)
-
-    average.update(with_weight(1.0), 1)
-    first = (5.0 + ten) / (1 + ten)
-    assert weight_of(average) == pytest.approx(first)
-    average.update(with_weight(3.0), 2)
-    assert weight_of(average) == pytest.approx((2 * first + ten * 3.0) / (2 + ten))
-    assert network.weight.item() == 5.0  # the network that is trained is not touched

@@ -24,7 +24,6 @@ from roadtorch.train.self_training import (
     weigh_borders,
 )
 from roadtorch.train.training_loop import TrainingInputs
-from roadtorch.train.whole_images import balanced_weights
 from tests.command import Call
 from tests.draws import seeded_generator
 from tests.train.runs import (
@@ -206,12 +205,6 @@ def test_a_frozen_backbone_and_frozen_blocks_do_not_learn(
 
 
 # --- targets ----------------------------------------------------------------------------
-
-
-def test_an_item_weighs_by_the_number_of_its_like() -> None:
-    names = ["a", "a", "a", "a", "b"]
-    assert balanced_weights(names, 0.5) == pytest.approx([0.5] * 4 + [1])
-    assert balanced_weights(names, 0.0) == [1] * 5
 
 
 @pytest.mark.parametrize(("confidence", "weights"), [(0, [1, 0, 1]), (1, [0.4, 0, 0.9])])
