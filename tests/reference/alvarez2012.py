@@ -64,18 +64,3 @@ def decide(likelihood: Array, threshold: float) -> Array:
     _, areas = cv2.connectedComponents((likelihood > threshold).astype(np.uint8), connectivity=4)
     kept = np.unique(areas[training_area(*likelihood.shape)])
     return np.isin(areas, kept[kept > 0])
-
-
-def road(
-    image: Array, pixels: Array, weights: dict[str, Array], segments: Array, places: Array
-) -> list[float]:
-    """Return eq. 4 with a uniform prior at places (n, 2): ground potential times U of the segment.
-
-    ``image`` is (3, H, W) in [0, 1], ``pixels`` the same, normalised; ``segments`` are int (H, W).
-    """
-    levels = fused_levels(image)
-    return [
-        ground(pixels, weights, row, column)
-        * texture.uniformity_of_values(levels[segments == segments[row, column]])
-        for row, column in places.tolist()
-    ]
