@@ -155,9 +155,9 @@ def table(times: Times) -> str:
     """Format a row for each contestant, with its ratio to LRASPP and to the other checkout."""
     lines = ["| one thread | ms | of LRASPP | of before |", "|---|---:|---:|---:|"]
     for name, values in times.items():
-        shares = [f"{ratio(values, times[LRASPP]):.2f}"]
-        shares += [f"{ratio(values, times[name + BEFORE]):.2f}" if name + BEFORE in times else ""]
-        lines.append(f"| {name} | {median(values):.1f} | {' | '.join(shares)} |")
+        ratios = [f"{ratio(values, times[LRASPP]):.2f}"]
+        ratios += [f"{ratio(values, times[name + BEFORE]):.2f}" if name + BEFORE in times else ""]
+        lines.append(f"| {name} | {median(values):.1f} | {' | '.join(ratios)} |")
     return "\n".join(lines)
 
 
@@ -214,11 +214,11 @@ def time_runtimes(image: Tensor, checkout: Path | None, rounds: int) -> dict[str
     of_before: ratio to ``detect`` of another checkout by torch, for the same JPEG.
     """
     data = cv2.imencode(".jpg", to_pixels(image)[..., ::-1])[1].tobytes()
-    before = detects_of(checkout.resolve(), LARGE_AND_SMALL) if checkout else {}
+    earlier = detects_of(checkout.resolve(), LARGE_AND_SMALL) if checkout else {}
     rows: dict[str, list[dict[str, float]]] = defaultdict(list)
     calls: dict[str, Callable[[], Any]] = {}
     for name in LARGE_AND_SMALL:
-        calls |= {f"{name}{BEFORE}": partial(before[name], data)} if before else {}
+        calls |= {f"{name}{BEFORE}": partial(earlier[name], data)} if earlier else {}
         calls |= {f"{name}:{by}": staged(name, by, data, rows[f"{name}:{by}"]) for by in RUNTIMES}
     calls |= {f"LRASPP:{by}": lraspp(image, by) for by in RUNTIMES}
     times, results = interleaved(calls, rounds), dict[str, dict[str, float]]()
@@ -229,7 +229,7 @@ def time_runtimes(image: Tensor, checkout: Path | None, rounds: int) -> dict[str
         results[key]["detect"] = median(values)
         if runtime in RUNTIMES:
             results[key]["of_lraspp"] = ratio(values, times[f"LRASPP:{runtime}"])
-        if runtime in RUNTIMES and name in before:
+        if runtime in RUNTIMES and name in earlier:
             results[key]["of_before"] = ratio(values, times[f"{name}{BEFORE}"])
     return results
 
@@ -350,8 +350,8 @@ def rates(
                 record = f"commands.{name}" + (".before" if checkout != checkouts[0] else "")
                 values = {"1": single, "2": double, "ratio": double / single}
                 records.update({f"{record}.{key}": value for key, value in values.items()})
-                share = f"{double / reference:.2f}" if len(group) > 1 else ""
-                cells = f"{single:.1f} | {double:.1f} | {double / single:.2f} | {share}"
+                fraction = f"{double / reference:.2f}" if len(group) > 1 else ""
+                cells = f"{single:.1f} | {double:.1f} | {double / single:.2f} | {fraction}"
                 yield f"| {name} | {checkout.resolve().name} | {cells} |"
 
 

@@ -53,7 +53,7 @@ def wait_for_status(page: "Page", begins: str) -> None:
     page.wait_for_function(script, arg=begins)
 
 
-def looked_at(page: "Page", path: Path) -> dict[str, Any]:
+def read_state(page: "Page", path: Path) -> dict[str, Any]:
     """Return the page's result for a file: mask bool (H, W), trust, and milliseconds."""
     page.set_input_files("#file", path)
     wait_for_status(page, path.name)
@@ -89,7 +89,7 @@ def main() -> None:
             start = time.perf_counter()
             detection = detector.detect(image)
             elapsed = 1000 * (time.perf_counter() - start)
-            state = looked_at(page, path)
+            state = read_state(page, path)
             differ = float((state["mask"] != detection.mask.numpy()).mean())
             rows.append(
                 (differ, abs(state["trust"] - (detection.trust or 0)), state["ms"], elapsed)

@@ -29,18 +29,19 @@ from pathlib import Path
 import av
 import numpy as np
 import torch
-from rosbags import rosbag1, rosbag2
-from rosbags.typesys import Stores, get_typestore
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch import list_detectors, load_detector, read_image
 from roadtorch.testing.scenes import render_scene
+from tests.inputs.bags import write_drive
 
 CELLS = (
     *("oneclass:nn:RGB", "oneclass:hist64_s:HS", "oneclass:gaussian:Lab"),
     *("oneclass:robust_gaussian:RGB", "oneclass:mog_opt:O1O2", "oneclass:svdd:S"),
     *("oneclass:pca:HSV", "oneclass:mst:nrng", "oneclass:kmeans:H", "oneclass:dlp:G"),
 )
-PICTURES = (
+IMAGES = (
     ("camvid/train/*.jpg", 4),
     ("idd_lite/images/*.jpg", 3),
     ("many/cityscapes/images/*.jpg", 1),
@@ -52,20 +53,20 @@ FOOTAGE = f"{MAPS},overlay-frames,mask-video,likelihood-video,bag"
 GRID = "--set grid.height=1.5 --save grid"
 EPOCH = "--quiet --threads 1 --set stopping.epochs=1"
 OUTPUTS = {
-    "infer/folder": f"infer pictures --save {MAPS}",
-    "infer/ufl": "infer pictures --detector ufl --save likelihood,cues --depth 16 --jobs 2",
+    "infer/folder": f"infer images --save {MAPS}",
+    "infer/ufl": "infer images --detector ufl --save likelihood,cues --depth 16 --jobs 2",
     "footage/video": f"infer clip.mp4 --save {FOOTAGE} --every 4 --limit 8",
     "footage/unsmoothed": "infer clip.mp4 --no-smoothing --start 2 --end 2.5",
     "footage/ros2": f"infer drive --save {FOOTAGE}",
     "footage/ros1": f"infer drive.bag --save {FOOTAGE}",
-    "footage/mixed": "infer pictures clip.mp4 drive.bag --detector labeller --limit 3",
-    "grid/pictures": f"infer pictures {GRID},grid-likelihood,grid-image --set grid.fov=60",
-    "grid/pitched": f"infer pictures {GRID},grid-likelihood --set grid.fov=60 --set grid.pitch=3",
+    "footage/mixed": "infer images clip.mp4 drive.bag --detector labeller --limit 3",
+    "grid/images": f"infer images {GRID},grid-likelihood,grid-image --set grid.fov=60",
+    "grid/pitched": f"infer images {GRID},grid-likelihood --set grid.fov=60 --set grid.pitch=3",
     "grid/video": f"infer clip.mp4 {GRID},grid-image --set grid.fov=60 --limit 8",
     "grid/ros2": f"infer drive {GRID},bag",
     "grid/ros1": f"infer drive.bag {GRID},bag --set grid.pitch=3",
-    "label/margin": "label pictures --overlay",
-    "label/maximum": "label pictures --set support=maximum",
+    "label/margin": "label images --overlay",
+    "label/maximum": "label images --set support=maximum",
     "label/submit": "evaluate kitti-road kitti --submit",
     "evaluate/camvid": "evaluate camvid ../data/camvid --limit 12 {all}",
     "evaluate/idd": "evaluate idd-lite ../data/idd_lite --limit 6 {all} "
@@ -85,8 +86,8 @@ OUTPUTS = {
     "commands/explained": "detectors cpf",
     "commands/misspelt": "detectors fuson",
     "commands/planes": "detectors planes",
-    "commands/no-key": "infer pictures --set texture.bin=32",
-    "commands/wrong-value": "infer pictures --set texture.bins=1",
+    "commands/no-key": "infer images --set texture.bin=32",
+    "commands/wrong-value": "infer images --set texture.bins=1",
     "commands/nothing": "infer nowhere --out ../commands/nothing",
 }
 """Command lines, run in the folder of inputs, by PART/OUTPUT, which is also their ``--out``."""
@@ -105,17 +106,17 @@ def detectors() -> list[str]:
 
 def spread(data: Path) -> list[Path]:
     """Choose ten images of five sets, evenly spread over each."""
-    pictures = []
-    for pattern, count in PICTURES:
+    chosen = list[Path]()
+    for pattern, count in IMAGES:
         files = sorted(data.glob(pattern))
-        pictures += [files[index * len(files) // count] for index in range(count)]
-    return pictures
+        chosen += [files[index * len(files) // count] for index in range(count)]
+    return chosen
 
 
 def make_inputs(data: Path, folder: Path) -> None:
     """Write two folders of images, a video, bags of ROS 1 and 2, and four images of KITTI."""
     free = sorted((data / "unlabelled_free").rglob("*.jpg"))
-    copies = {f"pictures/{file.name}": file for file in spread(data)[::3]}
+    copies = {f"images/{file.name}": file for file in spread(data)[::3]}
     copies |= {f"footage/{file.name}": file for file in free[::5]}
     copies |= {"clip.mp4": data / "clips/us_rural_damp.mp4"}
     for lens in sorted((data / "kitti_road/calib").iterdir()):
@@ -132,44 +133,23 @@ def write_bags(folder: Path, part: slice) -> None:
     """Write frames of clip.mp4 and their lens: ``drive`` of ROS 2, ``drive.bag`` of ROS 1."""
     with av.open(str(folder / "clip.mp4")) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)][part]
-    height, width = frames[0].shape[:2]
-    matrix = np.array([400, 0, width / 2, 0, 400, height / 2, 0, 0, 1], float)
-    lens = (height, width, "plumb_bob", np.zeros(5), matrix, np.eye(3).ravel(), np.zeros(12), 0, 0)
-    mcap = rosbag2.StoragePlugin.MCAP
-    ros1 = (rosbag1.Writer(folder / "drive.bag"), Stores.ROS1_NOETIC, "serialize_ros1", (0,))
-    ros2 = (rosbag2.Writer(folder / "drive", version=8, storage_plugin=mcap), Stores.ROS2_HUMBLE)
-    for writer, version, pack, numbered in (ros1, (*ros2, "serialize_cdr", ())):
-        store = get_typestore(version)
-        moment = store.types["builtin_interfaces/msg/Time"]
-        region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        with writer as bag:
-            links = [
-                bag.add_connection(f"/camera/{topic}", f"sensor_msgs/msg/{kind}", typestore=store)
-                for topic, kind in (("image_raw", "Image"), ("camera_info", "CameraInfo"))
-            ]
-            for number, pixels in enumerate(frames):
-                stamp = 1_700_000_000_000_000_000 + 100_000_000 * number
-                heading = (*numbered, moment(*divmod(stamp, 10**9)), "camera")
-                header = store.types["std_msgs/msg/Header"](*heading)
-                image = (height, width, "rgb8", 0, 3 * width, pixels.reshape(-1))
-                for link, fields in zip(links, (image, (*lens, region)), strict=True):
-                    message = store.types[link.msgtype](header, *fields)
-                    bag.write(link, stamp, getattr(store, pack)(message, link.msgtype))
+    for form in ("mcap", "bag"):
+        write_drive(folder, form, frames, focal=400)
 
 
 def detections(data: Path) -> Iterator[tuple[str, bytes]]:
-    """Yield ``NAME/PICTURE/WHAT`` and its content, for likelihood, mask, cues and trust."""
+    """Yield ``NAME/IMAGE/MAP`` and its content, for likelihood, mask, cues and trust."""
     torch.set_num_threads(1)
-    images = {picture.name: read_image(picture) for picture in spread(data)}
+    images = {path.name: read_image(path) for path in spread(data)}
     for name in detectors():
         detector = load_detector(name)
-        for picture, image in images.items():
+        for file, image in images.items():
             detection = detector.detect(image)
             maps = {"likelihood": detection.likelihood, "mask": detection.mask}
             maps |= {f"cue {cue}": values for cue, values in detection.cues.items()}
-            for kind, values in maps.items():
-                yield f"{name}/{picture}/{kind}", values.contiguous().numpy().tobytes()
-            yield f"{name}/{picture}/trust", repr(detection.trust).encode()
+            for key, values in maps.items():
+                yield f"{name}/{file}/{key}", values.contiguous().numpy().tobytes()
+            yield f"{name}/{file}/trust", repr(detection.trust).encode()
 
 
 def outputs(part: str, data: Path, out: Path) -> Iterator[tuple[str, bytes]]:

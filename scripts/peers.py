@@ -107,8 +107,8 @@ def road_likelihood(output: np.ndarray, road: list[int], sides: list[int]) -> Te
     if not is_scores or output.shape[1] <= max(len(road), *road):
         raise ValueError(f"gives {output.dtype} {list(output.shape)}")
     scores = torch.from_numpy(output[0]).float()
-    others = [index for index in range(len(scores)) if index not in road]
-    return (scores[road].amax(0) - scores[others].amax(0)).sigmoid()
+    background = [index for index in range(len(scores)) if index not in road]
+    return (scores[road].amax(0) - scores[background].amax(0)).sigmoid()
 
 
 def score(networks: Mapping[str, Predict], dataset: Dataset) -> dict[str, float]:

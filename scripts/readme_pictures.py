@@ -1,6 +1,6 @@
 """Make the images of README: what `fusion` makes of free images and of a free drive.
 
-    python scripts/readme_pictures.py DATA    # docs/pictures: four pictures and made.json
+    python scripts/readme_pictures.py DATA    # docs/pictures: four images and made.json
 
 DATA holds unlabelled_free/ and clips/. docs/pictures/sources.csv says where they are from, and
 made.json has the hashes of the weights and settings that made them, to which a test holds them.
@@ -42,7 +42,7 @@ DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 3
 EVERY, DURATION, COLOURS = 2, 133, 64  # of 15 frames a second; milliseconds; of the palette
 
 QUALITY = 85  # of JPEG
-OUT = Path(__file__).resolve().parents[1] / "docs" / "pictures"
+OUT = Path(__file__).resolve().parents[1] / "docs/pictures"
 
 
 def write_steps(folder: Path, path: Path) -> None:
@@ -83,8 +83,8 @@ def write_fusion(folder: Path, path: Path) -> None:
         f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
     }
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
-    drawn = [caption_tile(tile, text, height) for text, tile in tiles.items()]
-    sheet = np.vstack([np.hstack(drawn[start : start + 4]) for start in (0, 4)])
+    captioned = [caption_tile(tile, text, height) for text, tile in tiles.items()]
+    sheet = np.vstack([np.hstack(captioned[start : start + 4]) for start in (0, 4)])
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
     cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
 

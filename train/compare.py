@@ -122,9 +122,9 @@ def count_image(sample: Sample, detector: Detector) -> tuple[Tensor, Tensor]:
         torch.full_like(road, VOID, dtype=torch.uint8) if truth.layout is None else truth.layout
     )
     obstacle = obstacle_mask(road, layout == VERTICAL)
-    taken = torch.stack([(mask & obstacle).sum(), obstacle.sum()])
+    overlap = torch.stack([(mask & obstacle).sum(), obstacle.sum()])
     levels = count_levels(detection.likelihood, truth.road, valid, LEVELS)
-    return torch.cat([*halves, taken]), torch.stack([levels.road, levels.background])
+    return torch.cat([*halves, overlap]), torch.stack([levels.road, levels.background])
 
 
 def record(name: str, detector: Detector, options: argparse.Namespace) -> Records:
@@ -241,9 +241,9 @@ def obstacles_taken(records: Records, weights: Tensor, cameras: Sequence[str] = 
     """Compute how much of what stands before road is called road, as mean over cameras (or all)."""
     parts = []
     for camera in cameras or np.unique(records.cameras):
-        taken, total = pool(records, weights, records.cameras == camera)[:, TAKEN].unbind(1)
+        hits, total = pool(records, weights, records.cameras == camera)[:, TAKEN].unbind(1)
         if total[0] > MIN_OBSTACLES:
-            parts.append(taken / total.clamp_min(1))
+            parts.append(hits / total.clamp_min(1))
     return torch.stack(parts).mean(0) if parts else torch.full((len(weights),), torch.nan)
 
 
@@ -279,15 +279,15 @@ def load_candidate(text: str, is_large: bool) -> tuple[str, Detector]:
 
 def print_table(name: str, records: Mapping[str, Records]) -> None:
     """Print the scores of a set: what ships, then each candidate's and its difference."""
-    first, *others = records
+    first, *candidates = records
     weights = draw_weights(records[first].cameras)
     print(f"\n| {name} | {' | '.join(records)} |\n|---|{'---|' * len(records)}")
     for label, score in scores_of(name, records[first]).items():
         draws = weights[:1] if score is mean_max_f else weights
         base = score(records[first], draws)
         cells = [f"{float(base[0]):.4f}"]
-        for other in others:
-            values = score(records[other], draws)
+        for candidate in candidates:
+            values = score(records[candidate], draws)
             cell = f"{float(values[0]):.4f} {float(values[0] - base[0]):+.4f}"
             if len(draws) > 1:
                 low, high = percentile_interval(values[1:] - base[1:])

@@ -102,13 +102,13 @@ def score_variants(dataset: Dataset, variants: Mapping[str, Variant]) -> list[di
     counts = {
         title: ConfusionCounts(*tally.table().outcomes.sum(0)) for title, tally in tallies.items()
     }
-    drawn = {title: pooled_replicates(tally, F_MASK) for title, tally in tallies.items()}
+    replicates = {title: pooled_replicates(tally, F_MASK) for title, tally in tallies.items()}
     first, rows = next(iter(variants)), []
     for title, outcome in counts.items():
-        low, high = percentile_interval(drawn[title])
+        low, high = percentile_interval(replicates[title])
         figures = {"P": precision(outcome), "R": recall(outcome), "F": f_measure(outcome)}
         figures |= {"low": low, "high": high, "less": figures["F"] - f_measure(counts[first])}
-        low, high = percentile_interval(drawn[title] - drawn[first])
+        low, high = percentile_interval(replicates[title] - replicates[first])
         figures |= {"less, low": low, "less, high": high}
         row = {"set": dataset.name, "images": len(dataset.items), "method": title}
         rows.append(row | {key: f"{100 * float(value):.2f}" for key, value in figures.items()})

@@ -67,9 +67,9 @@ def blend(image: Tensor, areas: Mapping[tuple[float, float, float], Tensor]) -> 
 
 def blend_result(image: Tensor, mask: Tensor, truth: Truth) -> Tensor:
     """Tint an image (3, H, W) as P1's Fig. 5: yellow correct, red too much, green missed."""
-    shown = torch.where(truth.valid, image, image / 3)
+    dimmed = torch.where(truth.valid, image, image / 3)
     road, mask = truth.road, mask & truth.valid
-    return blend(shown, {YELLOW: mask & road, RED: mask & ~road, GREEN: road & ~mask})
+    return blend(dimmed, {YELLOW: mask & road, RED: mask & ~road, GREEN: road & ~mask})
 
 
 def fig1(data: Path, out: Path) -> None:
@@ -107,7 +107,7 @@ def road_patches(road: Tensor, count: int = PATCHES, side: int = PATCH) -> list[
         return []
     chosen = rows[torch.linspace(0, len(rows) - 1, count).round().long()].tolist()
     columns = [fits[row].nonzero()[:, 0] for row in chosen]
-    return [(row, int(each[len(each) // 2])) for row, each in zip(chosen, columns, strict=True)]
+    return [(row, int(fit[len(fit) // 2])) for row, fit in zip(chosen, columns, strict=True)]
 
 
 def crop_patch(image: Tensor, corner: tuple[int, int]) -> Tensor:
@@ -134,9 +134,9 @@ def fig2(data: Path, out: Path) -> None:
     even = equalise(image, PROGRAM.smoothing)
     rows = {
         f"{title} preprocessing: image, and its road from far to near": [
-            tile(each) for each in (shown, *(crop_patch(shown, corner) for corner in corners))
+            tile(part) for part in (pixels, *(crop_patch(pixels, corner) for corner in corners))
         ]
-        for title, shown in {"without": image, "after": even / (2 * even.mean())}.items()
+        for title, pixels in {"without": image, "after": even / (2 * even.mean())}.items()
     }
     write_sheet(out / "p1-fig2.jpg", rows, (WIDE[0] // 5 * 4, WIDE[1] // 5 * 4))
     few = open_small(data, "camvid", IMAGES)
@@ -265,9 +265,9 @@ def fig4(data: Path, out: Path) -> None:
         above, below = halves
         for axes, level in zip(above.subplots(1, 1 + len(LEVELS)), (None, *LEVELS), strict=True):
             axes.set_axis_off()
-            shown = mean if level is None else regions[tree.regions.labels[level].long()]
+            values = mean if level is None else regions[tree.regions.labels[level].long()]
             colours = "cividis" if level is None else "tab20"
-            axes.imshow(shown.numpy(), cmap=colours, interpolation="nearest")
+            axes.imshow(values.numpy(), cmap=colours, interpolation="nearest")
             axes.set_title("mean map" if level is None else f"regions at {level}/16")
         draw_tree(below.subplots(), tree, rounds[-1])
     side, rows = PROGRAM.dictionary.side, {}
@@ -315,7 +315,7 @@ def fig5(data: Path, out: Path) -> None:
             count_mask(mask, truth.road, truth.valid)
             for mask, (_, truth) in zip(masks, streets, strict=True)
         ]
-        scores = ", ".join(f"{float(f_measure(each)):.2f}" for each in counts)
+        scores = ", ".join(f"{float(f_measure(count)):.2f}" for count in counts)
         rows[f"{name}: F {scores}"] = [
             to_pixels(blend_result(image, mask, truth))
             for mask, (image, truth) in zip(masks, streets, strict=True)

@@ -106,11 +106,11 @@ MEANS: Mapping[str, Callable[[PooledCounts], Tensor]] = {
 
 def mean_recalls(tally: Tally) -> dict[str, str]:
     """Return the mean class recalls of ``MEANS``, pooled and by drives, with 95 % intervals."""
-    counts, drawn = observe(tally), replicate(tally)
+    counts, replicates = observe(tally), replicate(tally)
     scores = {}
     for title, mean_recall in MEANS.items():
-        scores[title] = with_interval(mean_recall(counts.pooled), mean_recall(drawn.pooled))
-        by_drives = counts.mean(mean_recall), drawn.mean(mean_recall)
+        scores[title] = with_interval(mean_recall(counts.pooled), mean_recall(replicates.pooled))
+        by_drives = counts.mean(mean_recall), replicates.mean(mean_recall)
         scores[f"{title}, by drives"] = with_interval(*by_drives)
     return scores
 

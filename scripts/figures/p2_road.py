@@ -131,13 +131,13 @@ def area_rows(tallies: Tallies, labels: Mapping[str, object]) -> list[dict[str, 
         row: dict[str, object] = {**labels, "method": title}
         for kind, (average, auc_of) in product(("", WHOLE), AVERAGES.items()):
             parts = [counts[name + kind] for name in (title, BASELINE, BLIND)]
-            (area, drawn), (base, base_drawn), (blind, blind_drawn) = (
-                (auc_of(observed), auc_of(replicates)) for observed, replicates in parts
+            (area, replicates), (base, base_replicates), (blind, blind_replicates) = (
+                (auc_of(observed), auc_of(resampled)) for observed, resampled in parts
             )
-            gain, gains = 100 * (area / base - 1), 100 * (drawn / base_drawn - 1)
-            ahead = area - blind, drawn - blind_drawn
+            gain, gains = 100 * (area / base - 1), 100 * (replicates / base_replicates - 1)
+            ahead = area - blind, replicates - blind_replicates
             row |= {
-                f"AUC, {average}{kind}": with_interval(area, drawn),
+                f"AUC, {average}{kind}": with_interval(area, replicates),
                 f"over LBP, %, {average}{kind}": with_interval(gain, gains, "+.0f"),
                 f"less rows, {average}{kind}": with_interval(*ahead, "+.3f"),
             }
@@ -182,10 +182,11 @@ def fig6b(data: Path, out: Path) -> None:
     tallies = count_images(open_camvid(data), ACCURACY)
     rows = []
     for name, tally in tallies.items():
-        counts, drawn = observe(tally).pooled, replicate(tally).pooled
+        counts, replicates = observe(tally).pooled, replicate(tally).pooled
         threshold = f"{contender_from_name(name, {}).threshold:g}"
         scores = {
-            title: with_interval(score(counts), score(drawn)) for title, score in COLUMNS.items()
+            title: with_interval(score(counts), score(replicates))
+            for title, score in COLUMNS.items()
         }
         rows.append({"detector": name, "threshold": threshold, **scores})
     show_table(out / "p2-fig6b.csv", rows)

@@ -193,9 +193,9 @@ def fig3(data: Path, out: Path) -> None:
     write_sheet(out / "p3-fig3a.jpg", {"a)": [to_pixels(frame_area(image))]}, (300, 170))
     draw_fig3(out / "p3-fig3.png", image, load_detector("fusion").detect(image).mask)
     few = subsample_dataset(open_dataset("camvid", data / "camvid"), IMAGES)
-    kept = [variance_ratio(few.read(item)[0]) for item in few.items]
-    low, high = mean_interval(torch.tensor(kept))
-    row = {"images": len(kept), "variance kept": fmean(kept), "low": low, "high": high}
+    ratios = [variance_ratio(few.read(item)[0]) for item in few.items]
+    low, high = mean_interval(torch.tensor(ratios))
+    row = {"images": len(ratios), "variance ratios": fmean(ratios), "low": low, "high": high}
     show_table(out / "p3-fig3.csv", [row])
 
 

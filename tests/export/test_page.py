@@ -18,7 +18,7 @@ from roadtorch.export import folders as page_module
 from roadtorch.export.export import ExportResult
 from roadtorch.export.folders import RUNTIME_VERSION, export_page
 from roadtorch.testing import street
-from scripts.browser import CHROMIUM, PATIENCE, looked_at, served, wait_for_status
+from scripts.browser import CHROMIUM, PATIENCE, read_state, served, wait_for_status
 from tests.export.conftest import NAME
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def test_masks_and_trust_are_those_of_python(page: "Page", tmp_path: Path) -> No
     detector = load_detector(NAME)
     for name, size in (("a.png", (240, 320)), ("b.png", (333, 500)), ("wide.png", (120, 400))):
         write_pixels(tmp_path / name, to_pixels(street(*size, len(name))))
-        state = looked_at(page, tmp_path / name)
+        state = read_state(page, tmp_path / name)
         detection = detector.detect(read_image(tmp_path / name))
         assert detection.trust is not None
         assert (state["mask"] != detection.mask.numpy()).mean() <= 0.005, name

@@ -36,8 +36,8 @@ def build_camera(scene: Scene, road: Road, mount: str) -> None:
     data: Any = bpy.data.cameras.new("camera")
     data.sensor_fit, data.clip_start, data.clip_end = "VERTICAL", 0.05, 2000
     data.angle_y = 2 * atan(lens.half_up)
-    beside = road.walks[1 if across > 0 else -1][2] if abs(across) > course.half else 0.0
-    position = course.position(START, across, tall + beside)
+    kerb = road.walks[1 if across > 0 else -1][2] if abs(across) > course.half else 0.0
+    position = course.position(START, across, tall + kerb)
     camera = scene.blender.camera = scene.add("camera", data, position)
     slope = (course.points[START + 2].z - course.points[START].z) / 3
     turn = (radians(90 - pitch) + atan(slope), radians(rng.gauss(0, ranges["roll"])))
@@ -53,11 +53,11 @@ def build_camera(scene: Scene, road: Road, mount: str) -> None:
 
 
 def sample_across(scene: Scene, road: Road, mount: str) -> float:
-    """Sample the camera's metres from the middle of the road; some are beside it."""
+    """Sample the camera's metres from the middle of the road; some are walkable it."""
     rng, half, hand = scene.rng, road.course.half, scene.hand
     _, high, _ = road.walks[hand]
-    beside = road.kind.edges.keys() & {"kerb", "flush"}
-    if mount in ("robot", "bicycle") and beside and scene.chance(0.35):
+    walkable = road.kind.edges.keys() & {"kerb", "flush"}
+    if mount in ("robot", "bicycle") and walkable and scene.chance(0.35):
         return hand * rng.uniform(min(half + 0.6, high), min(high, half + 4))
     if mount == "bicycle" and road.name not in NARROW and half > 1.6:
         return hand * (half - rng.uniform(0.4, 1.3))

@@ -131,8 +131,8 @@ def _sample_surfaces(scene: Scene, road: Road) -> Surfaces:
 
 def _sample_season(scene: Scene, season: str) -> materials.Soil:
     """Sample the soil of the land beside the road."""
-    others = "" if season == "snow" or scene.chance(0.6) else "earth litter"
-    soil = materials.sample_soil(scene, season, others)
+    litter = "" if season == "snow" or scene.chance(0.6) else "earth litter"
+    soil = materials.sample_soil(scene, season, litter)
     covered = season == "litter" and scene.chance(0.6)
     return soil._replace(leaves=scene.rng.uniform(0.15, 0.9) * covered)
 

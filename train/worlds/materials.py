@@ -147,9 +147,9 @@ class Soil(NamedTuple):
     leaves: float = 0.0
 
 
-def sample_soil(scene: Scene, tones: Tones, others: Tones = "") -> Soil:
+def sample_soil(scene: Scene, tones: Tones, second_tones: Tones = "") -> Soil:
     """Sample natural ground."""
-    first, second = sample_colour(scene, tones), sample_colour(scene, others or tones)
+    first, second = sample_colour(scene, tones), sample_colour(scene, second_tones or tones)
     return Soil(first, second, scene.rng.uniform(1, 12), scene.rng.uniform(0.15, 0.6))
 
 

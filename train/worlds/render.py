@@ -66,8 +66,8 @@ def render_world(number: int, folder: Path) -> tuple[str, Photo, str]:
     light = _render_light(scene, number, folder)
     truth = _render_truth(scene, folder)
     circle = image_circle(scene.lens) if scene.lens else None
-    taken = Exposure(scene.light, scene.falling, speed * (not scene.lens), circle)
-    photo = develop(light, truth, taken, np.random.default_rng([35, number]))
+    exposure = Exposure(scene.light, scene.falling, speed * (not scene.lens), circle)
+    photo = develop(light, truth, exposure, np.random.default_rng([35, number]))
     return name, photo, write_lens(scene.lens, scene.mount) if scene.lens else ""
 
 

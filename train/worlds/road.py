@@ -77,13 +77,13 @@ class Course(NamedTuple):
     def position(self, index: float, across: float, up: float = 0.0) -> Point:
         """Return a position beside the course, at one of its points or between two."""
         first = max(0, min(int(index), END - 2))
-        rest = min(max(index - first, 0.0), 1.0)
+        fraction = min(max(index - first, 0.0), 1.0)
         ends = []
         for k in (first, first + 1):
             heading, middle = self.headings[k], self.points[k]
             aside = (across * cos(heading), -across * sin(heading), up)
             ends.append(middle + Vector(aside))
-        x, y, z = ends[0].lerp(ends[1], rest)
+        x, y, z = ends[0].lerp(ends[1], fraction)
         return x, y, z
 
     def heading(self, index: float) -> float:

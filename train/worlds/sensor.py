@@ -34,14 +34,14 @@ AIMS = {"night": (0.003, 0.06), "dusk": (0.012, 0.12), "day": (0.06, 0.26)}
 """Target grey of the exposure in linear light, from … to, by light."""
 
 
-def develop(light: np.ndarray, truth: np.ndarray, taken: Exposure, rng: Random) -> Photo:
+def develop(light: np.ndarray, truth: np.ndarray, exposure: Exposure, rng: Random) -> Photo:
     """Develop linear light, float32 (H, W, 3) BGR, as a camera does; distort the truth alike."""
-    night, circle = taken.light == "night", taken.circle
+    night, circle = exposure.light == "night", exposure.circle
     light = np.nan_to_num(light, posinf=1e4).clip(0, 1e4)
-    if taken.speed:
-        light = blur_by_motion(light, truth, taken.speed, rng)
-    if taken.falling:
-        light = add_rain(light, taken.falling, rng)
+    if exposure.speed:
+        light = blur_by_motion(light, truth, exposure.speed, rng)
+    if exposure.falling:
+        light = add_rain(light, exposure.falling, rng)
     if circle is not None:
         light = light * circle[..., None]
         truth = np.where(circle, truth, np.uint8(VOID))
@@ -55,8 +55,8 @@ def develop(light: np.ndarray, truth: np.ndarray, taken: Exposure, rng: Random) 
     y, x = np.mgrid[-1 : 1 : len(light) * 1j, -1 : 1 : light.shape[1] * 1j]
     dark = rng.choice([0.0, 0.1, 0.25, 0.5], p=[0.4, 0.3, 0.2, 0.1])  # corners
     vignette = (1 - dark * ((x * x + y * y) / 2) ** rng.uniform(1, 3)).astype(np.float32)
-    light = light * sample_gain(light, visible, taken.light, rng) * vignette[..., None]
-    if rng.random() < (0.4 if taken.falling else 0.22):
+    light = light * sample_gain(light, visible, exposure.light, rng) * vignette[..., None]
+    if rng.random() < (0.4 if exposure.falling else 0.22):
         light = add_dirty_glass(light, rng)
     if circle is not None:
         light = light * cv2.GaussianBlur(circle.astype(np.float32), (0, 0), 0.8)[..., None]

@@ -115,12 +115,12 @@ def _build_posts(scene: Scene, road: Road) -> None:
     """Add lamp posts that are lit at night."""
     rng, course = scene.rng, road.course
     count = rng.choice([0, 0, 3] if road.name in NARROW else [0, 5, 10])
-    both = scene.water > 0.9 or scene.chance(0.3)  # half of a street is often unlit
+    both_sides = scene.water > 0.9 or scene.chance(0.3)  # half of a street is often unlit
     count = max(count, 8) if scene.night and scene.water > 0.9 else count
     grey = plain(scene, "grey", 0.6)
     tall, spacing, beyond = rng.uniform(4, 9), rng.randint(8, 17), rng.uniform(0.2, 0.9)
     warm, gain = sample_colour(scene, "lamp", 0), rng.uniform(1, 4) if scene.water > 0.9 else 1
-    spots = [(START + 3 + k * spacing, scene.hand * (-1) ** (k * both)) for k in range(count)]
+    spots = [(START + 3 + k * spacing, scene.hand * (-1) ** (k * both_sides)) for k in range(count)]
     for index, side in spots:
         if index > 115 or not road.is_open(index):
             continue
