@@ -52,11 +52,15 @@ def sides(images: list[Tensor], expected: Tensor, atol: float = 1e-5) -> list[in
 # --- frames --------------------------------------------------------------------------------
 
 
-def test_without_shift_a_frame_is_the_image_or_its_mirror_image() -> None:
+@pytest.mark.parametrize(("mirror", "signs"), [(0.0, {1}), (1.0, {-1}), (0.5, {-1, 1})])
+def test_without_shift_a_frame_is_the_image_or_its_mirror_image(
+    mirror: float, signs: set[int]
+) -> None:
     maps = torch.rand(2, 9, 12, generator=seeded_generator(1))
-    frames = sample_affine(6, (9, 12), STILL, seeded_generator(2))
-    images = warp_affine(maps.expand(6, -1, -1, -1), frames, "border")
-    assert set(sides(list(images), maps)) == {1, -1}
+    geometry = STILL.model_copy(update={"mirror": mirror})
+    frames = sample_affine(9, (9, 12), geometry, seeded_generator(2))
+    images = warp_affine(maps.expand(9, -1, -1, -1), frames, "border")
+    assert set(sides(list(images), maps)) == signs
 
 
 def test_of_a_lower_part_the_bottom_stays_and_the_top_goes() -> None:
@@ -133,6 +137,14 @@ def test_weather_changes_what_it_lies_on(weather, changed, unchanged) -> None:
         change[..., unchanged[0], unchanged[1]].mean()
         < change[..., changed[0], changed[1]].mean() / 3
     )
+
+
+def test_lamps_shine_at_night_and_not_below_the_horizon() -> None:
+    black, unlit = torch.zeros(1, 3, 80, 60), torch.ones(1, 1, 80, 60)
+    for seed in range(6):
+        night = darken_to_night(black, unlit, NightAugmentation(lamps=20), seeded_generator(seed))
+        assert night[..., :48, :].amax() > 0.3
+        assert night[..., 60:, :].amax() < 0.05
 
 
 def test_other_surfaces_change_the_ground_and_leave_the_rest() -> None:

@@ -8,7 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import Tensor
+from torch import Tensor, nn
 
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.run.memo import write_arrays
@@ -23,6 +23,7 @@ from roadtorch.train.patches import (
     sample_noise,
     sample_patches,
     sample_variation,
+    squared_error,
 )
 from roadtorch.train.training_loop import Batch
 from tests.draws import seeded_generator
@@ -139,3 +140,11 @@ def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
     sums = torch.bincount(targets, weights=weights, minlength=3)
     torch.testing.assert_close(sums, torch.full((3,), 47 / 3))
     assert class_weights(files, training_of()).tolist() == [1, 1, 1]
+
+
+def test_the_loss_is_the_weighted_sum_of_squares_to_one_hot() -> None:
+    potentials, targets = torch.tensor([[0.2, 0.3, 0.9], [1, 0, 0]]), torch.tensor([2, 1])
+
+    loss = squared_error(nn.Identity(), Batch(potentials, targets, torch.tensor([1.0, 2.0])))
+
+    assert loss.item() == pytest.approx(0.04 + 0.09 + 0.01 + 2 * 2)

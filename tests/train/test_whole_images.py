@@ -112,7 +112,7 @@ def test_visits_are_fair_to_less_than_a_whole_one(values: list[float], seed: int
     assert ((visits - fair).abs() < 1 + 1e-3).all()
 
 
-NAMES = ("a_1", "a_2", "a_3", "b", "c")
+NAMES = ("a_x_1", "a_x_2", "a_x_3", "b", "c")
 
 
 @pytest.mark.parametrize(("balance", "weight"), [(0.0, 1.0), (0.5, 3**-0.5), (1.0, 1 / 3)])
@@ -131,7 +131,7 @@ def test_recordings_follow_from_names(balance: float, weight: float, tmp_path: P
     samples = recipe.make_samples(TrainingInputs(files, {}, None, tmp_path), StopRequest(), True)
 
     assert samples.sampling_weights.tolist() == pytest.approx([weight, weight, weight, 1, 1])
-    assert samples.ego_cars == {"a": files[1:3], "b": files[3:4], "c": files[4:]}
+    assert samples.ego_cars == {"a_x": files[1:3], "b": files[3:4], "c": files[4:]}
 
 
 # --- the loss -----------------------------------------------------------------------------
