@@ -84,6 +84,9 @@ def test_missing_packages_come_with_their_installation(monkeypatch: pytest.Monke
 
     needed = ["numpy>=1.26", "not-there>=1", 'not-there-either>=2; extra == "video"']
     needed += ['click>=8; extra == "grid"', 'not-there>=8; extra == "test"']
+    needed += ['module-of-click; extra == "grid"']  # as onnxruntime is of onnxruntime-gpu
+    packages = {"module-of-click": ["click"]}
+    monkeypatch.setattr(doctor, "packages_distributions", lambda: packages)
     monkeypatch.setattr(doctor, "requires", lambda _: needed)
     monkeypatch.setattr(doctor, "metadata", lambda _: Metadata())
     monkeypatch.setitem(sys.modules, "av", None)
