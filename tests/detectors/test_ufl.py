@@ -60,14 +60,6 @@ def test_where_no_selected_base_responds_the_likelihood_is_the_mask_alone() -> N
     assert set(detection.likelihood[nothing].tolist()) <= {0.0, 0.5}
 
 
-def test_the_best_settings_find_the_road_of_a_plain_street() -> None:
-    scene = render_scene(0, 120, 160)
-
-    mask = detector("ufl").detect(scene.image).mask
-
-    assert float((mask & scene.road).sum() / (mask | scene.road).sum()) > 0.75
-
-
 @pytest.mark.parametrize("name", BY_NAME)
 @pytest.mark.parametrize("colour", [(0.0, 0.0, 0.0), (0.9, 0.2, 0.4)])
 def test_without_contrast_there_is_no_road(name: str, colour: tuple[float, ...]) -> None:
