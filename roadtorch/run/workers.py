@@ -12,7 +12,6 @@ import os
 import pickle
 import signal
 import sys
-import weakref
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -21,6 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from mmap import mmap
 from multiprocessing import get_context
+from multiprocessing.util import Finalize
 from typing import Any, TypeVar
 
 import torch
@@ -232,7 +232,7 @@ class _Process:
         with end, _safe_path(), block_sigint_in_children():
             self._process = context.Process(target=_work, args=arguments)
             self._process.start()
-        weakref.finalize(self, self._process.kill)  # or Python would wait for it at its own end
+        Finalize(self, self._process.kill, exitpriority=0)  # or Python waits for it at its own end
 
     def run(self, item: Any) -> Any:
         """Return the result of an item: copies, as the memory is soon used again.
