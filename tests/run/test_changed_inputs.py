@@ -145,7 +145,8 @@ def test_other_settings_of_a_file(
     again = call(*words)
 
     assert again.exit_code == 2
-    assert "holds results of other settings" in again.stderr
+    assert "holds results of other settings (config.toml) (give another --out, or" in again.stderr
+    assert call(*words, "--overwrite").exit_code == 0
 
 
 @pytest.mark.parametrize(

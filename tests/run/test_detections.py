@@ -18,7 +18,7 @@ from roadtorch.base.signals import StopRequest
 from roadtorch.camera.camera import Camera
 from roadtorch.detectors.stream import FrameResult, detect_frames
 from roadtorch.inputs.item import Item, Selection, Source
-from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
+from roadtorch.road.temporal_filter import TemporalFilterSettings
 from roadtorch.run.loop import Inference, crashed_evidence, run_behind
 from roadtorch.run.workers import Workers
 from tests.command import Call, save_image
@@ -162,8 +162,8 @@ def is_failed(frame: FrameResult) -> bool:
 # --- whoever works ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [Workers(), Workers(3)])
-def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) -> None:
+@pytest.mark.parametrize(("workers", "cues"), [(Workers(), True), (Workers(3), False)])
+def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers, cues: bool) -> None:
     class Never:
         """A temporal filter that removes all road, and hides an ego car on the left."""
 
@@ -177,41 +177,20 @@ def test_what_steadies_sees_the_frames_in_order_and_decides(workers: Workers) ->
             self.images.append(image)
             return torch.zeros_like(likelihood)
 
-    never = Never()
+    never: Any = Never()
 
-    frames = list(detect_frames(scene_source(5), Inference(GREY), never, map_task=mapping(workers)))  # type: ignore[arg-type]
+    frames = list(
+        detect_frames(scene_source(5), Inference(GREY), never, cues, map_task=mapping(workers))
+    )
 
     for frame in frames:
         detection = frame.detection()
         assert not detection.mask.any()
         assert not detection.likelihood.any()
         assert torch.equal(detection.cues["ego"], never.hidden)
+        assert ("uniformity" in detection.cues) == cues
     for number, image in enumerate(never.images):
         assert torch.equal(image, scene(number % 4, 48, 64).image)
-
-
-@pytest.mark.parametrize("cues", [True, False])
-def test_the_number_of_workers_changes_nothing(cues: bool) -> None:
-    alone, side_by_side = (
-        list(
-            detect_frames(
-                scene_source(7),
-                Inference(GREY),
-                TemporalFilter(TemporalFilterSettings()),
-                cues,
-                map_task=mapping(workers),
-            )
-        )
-        for workers in (Workers(), Workers(3))
-    )
-
-    for first, second in zip(alone, side_by_side, strict=True):
-        assert first.item == second.item
-        first, second = first.detection(), second.detection()
-        assert torch.equal(first.likelihood, second.likelihood)
-        assert torch.equal(first.mask, second.mask)
-        assert first.cues.keys() == second.cues.keys()
-        assert ("uniformity" in first.cues) == cues
 
 
 @pytest.mark.parametrize("workers", [Workers(), Workers(2)])

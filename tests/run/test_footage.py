@@ -85,19 +85,21 @@ def test_neither_the_number_of_jobs_nor_the_source_changes_a_byte(
 ) -> None:
     bag = write_drive(tmp_path, "bag", [street_pixels(n) for n in range(4)], 60.0)
     bag = bag.rename(tmp_path / "ride.bag")
-    kinds = "overlay,mask,likelihood,bag,cues"
-    inputs = (drive, bag, footage)
+    kinds = "overlay,mask,likelihood,bag,cues,grid,grid-likelihood,grid-image"
+    camera = [f"--set=grid.{value}" for value in ("height=1.35", "range=20", "fov=55", "pitch=3")]
+    words = ("infer", drive, bag, footage, *GREY, "--save", kinds, *camera, "--out")
 
     for jobs in ("1", "3"):
-        result = call("infer", *inputs, *GREY, "--out", tmp_path / jobs, "--jobs", jobs,
-                      "--save", kinds)  # fmt: skip
+        result = call(*words, tmp_path / jobs, "--jobs", jobs)
         assert result.exit_code == 0, result.stderr
+    again = call(*words, tmp_path / "1")
+    assert again.stderr.count("roadtorch: 0 done") == 2, again.stderr
 
     alone, side_by_side = bytes_in(tmp_path / "1"), bytes_in(tmp_path / "3")
     differing = [name for name in alone if alone[name] != side_by_side.get(name)]
     assert alone.keys() == side_by_side.keys()
     assert all(".road/" in name or name.endswith(".road.bag") for name in differing), differing
-    for name in ("drive.overlay.mp4", "b.cue.uniformity.png", "drive/000003.mask.png"):
+    for name in ("drive.overlay.mp4", "b.cue.uniformity.png", "drive/000003.grid.npy"):
         assert name in alone
     lasting = [
         {name: row | {"ms": ""} for name, row in read_index_rows(tmp_path / jobs).items()}

@@ -9,12 +9,11 @@ import pytest
 from roadtorch.base.image import to_pixels
 from roadtorch.camera.camera import Camera
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import Call, bytes_in, read_index_rows
+from tests.command import Call, read_index_rows
 from tests.inputs.bags import FIRST, ROS2, STEP, raw_image, write_bag, write_drive
 from tests.run.writers.test_bags import read_bag
 from tests.run.writers.test_files import load_map
 from tests.streets import scene
-from tests.videos import write_video
 
 HEIGHT, WIDTH, HORIZON = 120, 160, 0.42
 FOCAL = 0.95 * WIDTH  # that of the rendered streets
@@ -111,7 +110,9 @@ def test_a_bag_gives_grids_and_messages(call: Call, tmp_path: Path, out: Path, f
         about = entry.message.info
         assert np.array_equal(entry.message.data.reshape(about.height, about.width), cells)
         assert about.resolution == pytest.approx(0.2)
-        assert (about.origin.position.x, about.origin.position.y) == (0, -8)
+        place, turn = about.origin.position, about.origin.orientation
+        assert (place.x, place.y, place.z) == (0, -8, 0)
+        assert (turn.x, turn.y, turn.z, turn.w) == (0, 0, 0, 1)
         assert entry.message.header.frame_id == "robot"
     row = read_index_rows(out)["drive/000001"]
     assert (row["saved"], row["seconds"]) == ("grid bag", "0.100")
@@ -129,23 +130,6 @@ def test_all_frames_have_the_median_of_their_pitches(call: Call, drive: Path, ou
     assert float(words[2]) == pytest.approx(true, abs=1.5)
     low, high = float(words[8].strip("(")), float(words[10].strip(")"))
     assert low <= float(words[2]) <= high > low
-
-
-def test_neither_jobs_nor_a_second_run_change_grids(call: Call, tmp_path: Path) -> None:
-    video = write_video(tmp_path / "drive.mp4", size=(HEIGHT, WIDTH))
-    kinds = ("--save", "grid,grid-likelihood,grid-image", "--every", 4)
-    run = ("infer", video, *VIEW, *kinds, "--out")
-    results = [call(*run, tmp_path / jobs, "--jobs", jobs) for jobs in "12"]
-
-    assert [result.exit_code for result in results] == [0, 0], results[0].stderr
-    grids = [
-        {name: data for name, data in bytes_in(tmp_path / jobs).items() if "grid" in name}
-        for jobs in "12"
-    ]
-    assert grids[0] == grids[1]
-    assert len(grids[0]) == 15
-    again = call(*run, tmp_path / "1")
-    assert "1 skipped (done before)" in again.stderr
 
 
 # --- what goes wrong --------------------------------------------------------------------

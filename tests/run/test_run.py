@@ -15,10 +15,10 @@ import torch
 from PIL import Image
 
 from roadtorch.base.compute import Threads
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import InputError
 from roadtorch.data.correction_formats import read_coco
 from roadtorch.detectors.catalogue import load_detector
-from roadtorch.run.ledger import IndexRow, has_result, open_ledger
+from roadtorch.run.ledger import has_result, open_ledger
 from roadtorch.run.record import record_run
 from roadtorch.testing.scenes import render_scene, write_image
 from tests.command import ROWS, Call, bytes_in, read_index_rows, save_image
@@ -111,21 +111,11 @@ def test_a_bag_that_is_a_folder_is_there_once_it_has_its_list(tmp_path: Path) ->
     assert has_result(tmp_path, "a.road")
 
 
-def test_results_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    for effective in ("a = 1", "a = 2"):  # nothing was done with the first ones
-        with open_ledger(out, effective):
+def test_settings_with_which_nothing_was_done_are_replaced(out: Path) -> None:
+    for effective in ("a = 1", "a = 2"):
+        with open_ledger(out, effective) as ledger:
             assert (out / "config.toml").read_text() == f"{effective}\n"
-    with open_ledger(out, "a = 2") as ledger:
-        ledger.add(IndexRow("a"))
-
-    with (
-        pytest.raises(ConfigError, match=r"holds results of other settings \(config\.toml\)"),
-        open_ledger(out, "a = 1"),
-    ):
-        pass
-    with open_ledger(out, "a = 1", overwrite=True):
-        assert (out / "config.toml").read_text() == "a = 1\n"
+            assert not ledger.rows
 
 
 def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
 from roadtorch.base.errors import InputError
-from roadtorch.camera.ground_grid import Grid
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.bags import image_topic
 from roadtorch.inputs.item import Item
@@ -151,25 +150,3 @@ def test_the_label_list_is_the_type_that_ros_knows():
     # ROS 2's own hash of vision_msgs/msg/LabelInfo (REP 2016), as rosidl_generator_c writes it.
     expected = "RIHS01_3d37df4015cdf660cc851c51897f2acd957e1ca6205ba0a99aebffb9406b0783"
     assert load_message_types(2).hash_rihs01("vision_msgs/msg/LabelInfo") == expected
-
-
-# --- grids ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("generation", [1, 2])
-def test_a_grid_has_its_place(tmp_path: Path, generation: int):
-    path = tmp_path / ("grids.bag" if generation == 1 else "grids")
-    cells = torch.tensor([[0, 100, -1], [100, 0, 0]], dtype=torch.int8)
-    grid = Grid(cells, cells / 100, 0.1, (2.0, -5.0))
-    with closing(BagWriter(path, "camera", 0.5)) as bag:
-        bag.write_grid(item(STAMP), grid, "base_link")
-    (entry,) = read_bag(path)
-    message = entry.message
-    assert entry.topic == "/segmentation/grid"
-    assert np.array_equal(message.data.reshape(2, 3), cells)
-    assert (message.info.width, message.info.height) == (3, 2)
-    assert message.info.resolution == pytest.approx(0.1)
-    place, turn = message.info.origin.position, message.info.origin.orientation
-    assert (place.x, place.y, place.z) == (2, -5, 0)
-    assert (turn.x, turn.y, turn.z, turn.w) == (0, 0, 0, 1)
-    assert message.header.frame_id == "base_link"

@@ -89,15 +89,3 @@ def test_broken_images_are_mended_by_a_second_run(call: Call, kitti: Path, out: 
     assert again.exit_code == 0
     assert again.stderr.startswith("roadtorch: 2 done, 1 skipped (done before)")
     assert (out / "submission.zip").is_file()
-
-
-def test_two_images_of_one_name_are_refused(call: Call, kitti: Path, out: Path) -> None:
-    image = kitti / "image_2/um_000000.png"
-    image.with_suffix(".jpg").write_bytes(image.read_bytes())
-
-    result = call(*SUBMIT, kitti, *GREY, "--out", out)
-
-    assert result.exit_code == 2
-    line = f"roadtorch: error: {image.with_suffix('.jpg')} and {image}: both would "
-    assert result.stderr.startswith(line)
-    assert not out.exists()
