@@ -1,4 +1,4 @@
-"""One-class detectors of P3: names, composition, shared steps, and what P3 observed."""
+"""One-class detectors of P3: names, composition, shared steps."""
 
 from functools import cache
 from typing import Any
@@ -14,7 +14,6 @@ from roadtorch.detectors.catalogue import list_detectors, load_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import Detector
 from roadtorch.detectors.oneclass import ENTRIES
-from roadtorch.evaluation import metrics
 from roadtorch.imaging.color import REPRESENTATIONS, color_planes
 from roadtorch.oneclass import CLASSIFIERS, FittedClassifier, fit, make_axes, samples
 from roadtorch.oneclass.samples import AllSampleSettings, SampleSettings, road_samples
@@ -133,28 +132,3 @@ def test_of_a_byte_plane_no_more_than_its_levels_are_scored(planes: str) -> None
         detector(f"gaussian:{planes}").detect(image)
 
     assert 0 < sum(sizes) <= 256
-
-
-# --- what P3 observed -------------------------------------------------------------------
-
-
-def auc_of(name: str, values: dict[str, float]) -> float:
-    detection = detector(name, classifier=values).detect(street())
-    counts = metrics.count_levels(detection.likelihood, SCENE.road, ~SCENE.void)
-    return float(metrics.auc(counts))
-
-
-@pytest.mark.parametrize("plane", [name for name, of in REPRESENTATIONS.items() if len(of) == 1])
-def test_in_one_plane_distances_to_one_centre_agree(plane: str) -> None:
-    """As P3's Table III has it: about the mean, and about the middle."""
-    mean: dict[str, dict[str, float]] = {
-        "gaussian": {},
-        "kmeans": {"centres": 1},
-        "mog2": {"components": 1},
-        "mpm": {"sigma": 1e3, "ridge": 1.0},
-    }
-    about_mean = [auc_of(f"{name}:{plane}", values) for name, values in mean.items()]
-    about_middle = [auc_of(f"{name}:{plane}", {}) for name in ("svdd", "dlp")]
-
-    assert max(about_mean) - min(about_mean) < 1e-3
-    assert max(about_middle) - min(about_middle) < 1e-3

@@ -83,16 +83,6 @@ def test_the_fused_plane_varies_least_over_the_seed_area_and_a_single_plane_is_i
     assert torch.allclose(alone, color_plane(street(), "ng"))
 
 
-def test_segments_with_the_texture_of_the_seed_area_are_more_likely_road_by_lbp() -> None:
-    generator = torch.Generator().manual_seed(0)
-    image = 0.5 + 0.1 * torch.randn(3, 64, 64, generator=generator).clamp(-4, 4)
-    image[:, :32] = 0.2 + 0.4 * torch.arange(32)[:, None] / 32  # smooth above, rough below
-
-    detection = load_detector("lbp").detect(image.clamp(0, 1))
-
-    assert detection.likelihood[40:].mean() > detection.likelihood[:24].mean() + 0.3
-
-
 # --- CPFv2 --------------------------------------------------------------------------------
 
 
