@@ -300,16 +300,5 @@ def test_small_regions_join_others(seed: int, height: int, width: int, smallest:
     assert np.array_equal(found, reference.connected(labels[0].numpy(), smallest))
 
 
-@pytest.mark.parametrize(
-    ("labels", "smallest"),
-    [
-        ([[0, 1, 0], [1, 1, 0], [0, 1, 0]], 100),  # every region is too small
-        ([[0, 0, 0, 1, 2, 3, 4]], 2),  # tiny ones that touch no settled one
-    ],
-)
-def test_the_largest_one_takes_all_through_others(labels: list, smallest: int) -> None:
-    assert not connect(torch.tensor([labels]), smallest).any()
-
-
 def test_squares_are_numbered_by_rows_and_cut_off_at_the_edges():
     assert square_grid(3, 5, 2).tolist() == [[0, 0, 1, 1, 2], [0, 0, 1, 1, 2], [3, 3, 4, 4, 5]]
