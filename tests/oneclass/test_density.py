@@ -21,10 +21,8 @@ from roadtorch.oneclass.histogram import HistogramSettings, add_noisy_copy, bin_
 from roadtorch.oneclass.mixture import (
     Mixtures,
     MixtureSettings,
-    _polynomial_features,
     expectation_maximisation,
     k_means_plus_plus,
-    log_densities,
     m_step,
 )
 from tests.draws import random, seeded_generator
@@ -83,16 +81,6 @@ def test_weights_are_those_of_the_docstring_at_the_end() -> None:
 
 
 SIMPLE = CLASSIFIERS["hist64_s"]
-
-
-def test_distance_zero_is_the_fullest_bin_and_an_empty_one_is_infinitely_far() -> None:
-    samples = torch.tensor([[0.1], [0.5], [0.5], [0.5], [0.9]])
-    fitted = fit(SIMPLE, samples, make_axes(("S",)))
-
-    distance = fitted.distance(torch.tensor([[0.5], [0.1], [0.3]]))
-
-    assert distance.tolist() == pytest.approx([0, (2 * np.log(3)) ** 0.5, np.inf])
-    assert fitted.likelihood(torch.tensor([[0.3]])) == 0
 
 
 @pytest.mark.parametrize("bins", [64, 100])
@@ -155,21 +143,6 @@ def parts_of(mixtures: Mixtures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return weights (N,), means (N, d) and covariances (N, d, d) of the only mixture."""
     covariances = torch.linalg.inv(mixtures.whitening.mT @ mixtures.whitening)
     return mixtures.log_weights[0].exp().numpy(), mixtures.means[0].numpy(), covariances[0].numpy()
-
-
-# --- density ----------------------------------------------------------------------------
-
-
-@DIMENSIONS
-def test_the_density_is_the_sum_of_its_gaussians(dimensions: int) -> None:
-    samples = 0.1 * torch.randn(60, dimensions, generator=seeded_generator(), dtype=torch.float64)
-    mixtures = m_step(samples, memberships(samples, 3), WIDENING[:1].expand(dimensions))
-    points = torch.randn(40, dimensions, generator=seeded_generator(1), dtype=torch.float64)
-
-    logs = log_densities(_polynomial_features(points), mixtures).logsumexp(1)[0]
-
-    expected = reference.log_sum(reference.log_densities(points.numpy(), *parts_of(mixtures)))
-    np.testing.assert_allclose(logs, expected, rtol=1e-8)
 
 
 @pytest.mark.parametrize("formula", ["density", "paper"])
