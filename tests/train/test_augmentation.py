@@ -209,8 +209,6 @@ def test_light_of_a_negative_rounding_error_is_a_number() -> None:
 
 # --- ego cars ------------------------------------------------------------------------------
 
-STILL_CAR = EgoCarAugmentation(growth=0, shrinkage=0, widening=0, light=0)
-
 
 def car_of(height: int, width: int, rows: int) -> EgoCar:
     """Return a frame of noise whose lowest rows are the ego car."""
