@@ -2,7 +2,6 @@
 
 import os
 import struct
-import sys
 import tomllib
 import zlib
 from hashlib import sha256
@@ -109,15 +108,6 @@ def test_set_goes_over_the_file_and_threshold_over_both_and_what_is_kept_gives_t
     assert (values["detector"], values["threshold"]) == ("cpf", 0.3)
     assert (values["texture"]["bins"], values["texture"]["ridge"]) == (8, 0.5)
     assert "3 skipped (done before)" in again.stderr
-
-
-def test_ray_that_is_not_installed_is_one_line(run: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-
-    refused = run("--engine", "ray")
-
-    message = "--engine ray: Ray is not installed (pip install 'roadtorch[ray]')"
-    assert (refused.exit_code, refused.stderr) == (2, f"roadtorch: error: {message}\n")
 
 
 # --- a second run ---------------------------------------------------------------------------

@@ -20,10 +20,6 @@ def test_a_missing_folder_of_a_list_is_a_failed_row(call: Call, footage: Path, o
 
     assert result.exit_code == 1
     assert [row["status"][:6] for row in read_index_rows(out).values()] == ["done", "failed"]
-    for name, problem in (("gone/", "gone: does not exist"), ("", "'': is an empty name")):
-        refused = call("infer", name, *ROWS, "--out", out)
-        assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
-        assert problem in refused.stderr
 
 
 def test_a_glob_meets_each_file_once(call: Call, footage: Path, out: Path) -> None:

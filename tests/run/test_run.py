@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import shlex
 import sys
 from collections.abc import Sequence
 from hashlib import sha256
@@ -15,7 +16,6 @@ import torch
 from PIL import Image
 
 from roadtorch.base.compute import Threads
-from roadtorch.base.errors import InputError
 from roadtorch.data.correction_formats import read_coco
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run.ledger import has_result, open_ledger
@@ -118,27 +118,12 @@ def test_settings_with_which_nothing_was_done_are_replaced(out: Path) -> None:
             assert not ledger.rows
 
 
-def test_a_folder_is_for_one_run_alone_and_no_address(tmp_path: Path) -> None:
-    handle = os.open(tmp_path, os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
-    with (
-        pytest.raises(InputError, match=r"another run is writing here \(wait for it, or give ano"),
-        open_ledger(tmp_path, ""),
-    ):
-        pass
-    os.close(handle)
-    with (
-        pytest.raises(InputError, match="is an address"),
-        open_ledger(Path("s3://bucket/out"), ""),
-    ):
-        pass
-
-
 # --- owners of results ------------------------------------------------------------------
 
 
 def write_inputs(root: Path, names: Sequence[str]) -> Path:
     """Write images and videos to a folder."""
+    root.mkdir(exist_ok=True)
     for seed, name in enumerate(names):
         if name.endswith(".mp4"):
             write_video(root / name)
@@ -147,27 +132,44 @@ def write_inputs(root: Path, names: Sequence[str]) -> Path:
     return root
 
 
+KINDS = "--save json,polygons,cues"
+
+
 @pytest.mark.parametrize(
-    "names",
+    ("names", "line", "message"),
     [
-        ["1.png", "1.jpg"],
-        ["drive.mp4", "drive/000003.png"],
-        ["1.png", "run.png"],
-        ["1.png", "1.coco.png"],
-        [r"1\xff.png", os.fsdecode(b"1\xff.png")],  # index.csv calls both 1\xff.png
+        ("1.png 1.jpg", f"infer in {KINDS}", "in/1.jpg and in/1.png: both would write out/1.co"),
+        ("drive.mp4 drive/000003.png", f"infer in {KINDS}", "drive.mp4: both would write out/dri"),
+        ("1.png run.png", f"infer in {KINDS}", "the run itself and in/run.png: both would write"),
+        ("1.png 1.coco.png", f"infer in {KINDS}", "in/1.coco.png and in/1.png: both would write"),
+        (r"1\xff.png " + os.fsdecode(b"1\xff.png"), f"infer in {KINDS}", r"in/1\xff.png and in/1"),
+        ("b.png", "infer gone/", "gone: does not exist ("),
+        ("b.png", "infer ''", "'': is an empty name (give a file or a folder)"),
+        ("b.png", "infer in --engine ray", "--engine ray: Ray is not installed (pip install 'road"),
+        ("b.png", "infer in --out s3://bucket/out", "s3:/bucket/out: is an address (give a local"),
+        ("b.png", "infer in --out locked", "locked: another run is writing here (wait for it, or "),
+        ("b.png", "label in --out in", "in/b.png: is one of the input images (give another --out)"),
     ],
 )
-def test_two_images_with_one_result(
-    names: list[str], call: Call, tmp_path: Path, out: Path
+def test_refusals(
+    names: str, line: str, message: str, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "in").mkdir()
-    inputs = write_inputs(tmp_path / "in", names)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    Path("locked").mkdir()
+    handle = os.open("locked", os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    contents = bytes_in(write_inputs(Path("in"), names.split()))
+    words = ["--out", "out", *(("--detector", "prior:rows") * line.startswith("infer"))]
 
-    result = call("infer", inputs, *ROWS, "--out", out, "--save", "json,polygons,cues")
+    result = call(*shlex.split(line)[:1], *words, *shlex.split(line)[1:])
 
-    assert result.exit_code == 2
-    assert "both would write" in result.stderr
-    assert not out.exists()
+    os.close(handle)
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert result.stderr.startswith("roadtorch: error: ")
+    assert message in result.stderr
+    assert bytes_in(Path("in")) == contents
+    assert not {"out", "s3:"} & {path.name for path in tmp_path.iterdir()}
 
 
 def test_images_beside_a_video_of_their_name_stay(call: Call, tmp_path: Path, out: Path) -> None:

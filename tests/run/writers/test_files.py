@@ -87,16 +87,6 @@ def test_labels_are_bytes(
     assert read_image(out / "sub" / "street.overlay.jpg").shape == (3, 96, 128)
 
 
-def test_labels_never_replace_the_images(call: Call, footage: Path) -> None:
-    original = (footage / "b.png").read_bytes()
-
-    result = call("label", footage, "--out", footage)
-
-    assert result.exit_code == 2
-    assert "b.png: is one of the input images" in result.stderr
-    assert (footage / "b.png").read_bytes() == original
-
-
 # --- polygons ---------------------------------------------------------------------------
 
 
