@@ -37,7 +37,7 @@ def served(folder: Path) -> Iterator[str]:
     """Serve a folder on the loopback and yield its address."""
 
     class Handler(SimpleHTTPRequestHandler):
-        def log_message(self, *_: object) -> None:
+        def log_message(self, format: str, *args: object) -> None:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))

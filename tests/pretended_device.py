@@ -16,9 +16,9 @@ DEVICE = torch.device("meta")
 
 
 class Pretended(Tensor):
-    """A tensor of the pretended device; ``inner`` is the tensor on the CPU."""
+    """A tensor of the pretended device; ``plain`` is the tensor on the CPU."""
 
-    inner: Tensor
+    plain: Tensor
 
     @staticmethod
     def __new__(cls, inner: Tensor) -> "Pretended":
@@ -32,17 +32,17 @@ class Pretended(Tensor):
         )
 
     def __init__(self, inner: Tensor) -> None:
-        self.inner = inner
+        self.plain = inner
 
-    def new_tensor(self, data: Any, **options: Any) -> Tensor:
+    def new_tensor(self, data: Any, *_: Any, **options: Any) -> Tensor:
         """Make a tensor without torch's shortcut, which makes one on the real ``meta``."""
-        return Pretended(self.inner.new_tensor(data, **options))
+        return Pretended(self.plain.new_tensor(data, **options))
 
     def tolist(self) -> Any:
-        return self.inner.tolist()
+        return self.plain.tolist()
 
     def __repr__(self, **_: Any) -> str:
-        return f"Pretended({self.inner!r})"
+        return f"Pretended({self.plain!r})"
 
     @classmethod
     def __torch_dispatch__(
@@ -92,4 +92,4 @@ def _run(operation: Any, values: Sequence[Any], named: Mapping[str, Any]) -> Any
 
 
 def _inner(value: Any) -> Any:
-    return value.inner if isinstance(value, Pretended) else value
+    return value.plain if isinstance(value, Pretended) else value

@@ -12,7 +12,7 @@ Answer = Callable[[BaseHTTPRequestHandler], object]
 class Server(ThreadingHTTPServer):
     daemon_threads = False  # closing waits for them
 
-    def handle_error(self, *_: object) -> None:
+    def handle_error(self, request: object, client_address: object) -> None:
         """Ignore clients that hang up."""
 
 
@@ -24,7 +24,7 @@ def serving(answer: Answer) -> Iterator[str]:
         def do_GET(self) -> None:
             answer(self)
 
-        def log_message(self, *_: object) -> None:
+        def log_message(self, format: str, *args: object) -> None:
             pass
 
     with Server(("127.0.0.1", 0), Handler) as server:

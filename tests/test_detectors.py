@@ -350,8 +350,8 @@ def test_a_detector_works_on_another_device(name: str) -> None:
     assert isinstance(on_device.mask, Pretended)
     # On the CPU it is OpenCV that resizes: equal but for rounding, which deep networks magnify.
     rounding = 5e-5 if name.startswith("fusion") else 1e-6
-    np.testing.assert_allclose(on_device.likelihood.inner, result.likelihood, atol=rounding, rtol=0)
-    assert torch.equal(on_device.mask.inner, result.mask)
+    np.testing.assert_allclose(on_device.likelihood.plain, result.likelihood, atol=rounding, rtol=0)
+    assert torch.equal(on_device.mask.plain, result.mask)
     assert on_device.trust == (
         None if result.trust is None else pytest.approx(result.trust, abs=1e-4)
     )

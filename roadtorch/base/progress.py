@@ -30,14 +30,13 @@ class Progress(tqdm):  # pyright: ignore[reportMissingTypeArgument]
             options |= {"mininterval": LINE_INTERVAL, "delay": LINE_INTERVAL}
         super().__init__(items, unit=unit, disable=quiet, file=sys.stderr, **options)
 
-    def display(self, msg: str | None = None, pos: int | None = None) -> bool:
+    def display(self, msg: str | None = None, pos: int | None = None) -> None:
         """Draw the bar, or write its line."""
         if not self._lines:
-            return bool(super().display(msg, pos))
-        if msg is None:
+            super().display(msg, pos)
+        elif msg is None:
             self.fp.write(f"{self}\n")
             self.fp.flush()
-        return False
 
     def clear(self, nolock: bool = False) -> None:
         """Clear the bar to make room for a message; lines stay."""

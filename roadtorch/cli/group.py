@@ -142,7 +142,7 @@ class CommandGroup(click.Group):
 class _OneLineError(click.ClickException):
     """An error whose message is already ``where: problem (hint)``."""
 
-    exit_code: int = ExitCode.WRONG_USAGE
+    exit_code = int(ExitCode.WRONG_USAGE)
 
 
 def _one_line(error: click.ClickException) -> str:

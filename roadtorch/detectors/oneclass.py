@@ -77,7 +77,7 @@ class OneClassSettings(WorkingSettings):
     )
     isolated: Isolated = "keep"
     working: WorkingSize = WorkingSize(pixels=P3_PIXELS)
-    seed_area: WideSeedArea = WideSeedArea()
+    seed_area: WideSeedArea = WideSeedArea()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
     samples: SampleSettings = SampleSettings()
     classifier: ClassifierSettings = ClassifierSettings()
     random_seed: int = Field(
@@ -113,12 +113,12 @@ def classify_pixels(
     fitted = fit(classifier, samples, make_axes(names), settings.classifier, generator)
     palette = representation(pixels, names)
     distance = fitted.distance(palette.values.T)
-    seed = torch.zeros_like(palette.index, dtype=torch.bool)
-    seed[sample_area(palette.index.shape, settings.seed_area)] = True
+    seed = torch.zeros_like(palette.indices, dtype=torch.bool)
+    seed[sample_area(palette.indices.shape, settings.seed_area)] = True
     clipped = distance.clamp_max(MAX_SCALED_DISTANCE * fitted.threshold)
     cues = {
-        "likelihood": fitted.to_likelihood(distance)[palette.index],
-        "distance": clipped[palette.index],
+        "likelihood": fitted.to_likelihood(distance)[palette.indices],
+        "distance": clipped[palette.indices],
         "seed_area": seed,
     }
     return {name: cue.to(image.device) for name, cue in cues.items()}

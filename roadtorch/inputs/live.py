@@ -106,7 +106,7 @@ def _fill_queue(
     newest: "Queue[NewestFrame | InputError]", stop: Event, connect: Connection, policy: RetryPolicy
 ) -> None:
     """Keep only the newest frame in the queue and reconnect; end with the error that stopped it."""
-    failures, count = 0, 0
+    failures, count, last = 0, 0, InputError("stream", "ended", "run it again when it is back")
     while not stop.is_set():
         try:
             with closing(connect()) as images:

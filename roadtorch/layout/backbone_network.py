@@ -115,7 +115,7 @@ class Conv2dSame(nn.Conv2d):
     ) -> None:
         super().__init__(inputs, outputs, kernel, stride, kernel // 2, groups=groups)
 
-    def forward(self, maps: Tensor) -> Tensor:
+    def forward(self, input: Tensor) -> Tensor:
         """Convolve maps (B, C, H, W); H and W must be multiples of the stride.
 
         On CPUs a matrix product is faster than a 1×1 convolution, and padding the kernel is faster
@@ -123,16 +123,16 @@ class Conv2dSame(nn.Conv2d):
         """
         kernel, exporting = self.kernel_size[0], torch.compiler.is_exporting()
         if kernel == 1 and not self.training and not exporting:
-            pixels = linear(maps.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias)
+            pixels = linear(input.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias)
             return pixels.permute(0, 3, 1, 2)
         if self.stride[0] == 1:
-            return super().forward(maps)
+            return super().forward(input)
         if exporting:
             padding = (kernel // 2 - 1, kernel // 2)
-            maps = F.pad(maps, padding * 2)
-            return F.conv2d(maps, self.weight, self.bias, self.stride, 0, groups=self.groups)
+            input = F.pad(input, padding * 2)
+            return F.conv2d(input, self.weight, self.bias, self.stride, 0, groups=self.groups)
         weight = F.pad(self.weight, (1, 0, 1, 0))
-        return F.conv2d(maps, weight, self.bias, self.stride, kernel // 2, groups=self.groups)
+        return F.conv2d(input, weight, self.bias, self.stride, kernel // 2, groups=self.groups)
 
 
 def linear(pixels: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:

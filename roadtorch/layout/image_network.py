@@ -214,12 +214,12 @@ class ConvBlock(nn.Sequential):
             nn.GroupNorm(outputs // GROUP_SIZE, outputs),
         )
 
-    def forward(self, maps: Tensor) -> Tensor:
+    def forward(self, input: Tensor) -> Tensor:
         """Return maps (B, outputs, H/stride, W/stride) for maps (B, inputs, H, W)."""
         convolution, groups = cast("tuple[nn.Conv2d, nn.GroupNorm]", tuple(self))
         stride, dilation = convolution.stride, convolution.dilation  # also the padding
-        maps = torch.conv2d(maps, convolution.weight, None, stride, dilation, dilation)
-        return torch.group_norm(maps, groups.num_groups, groups.weight, groups.bias).relu_()
+        input = torch.conv2d(input, convolution.weight, None, stride, dilation, dilation)
+        return torch.group_norm(input, groups.num_groups, groups.weight, groups.bias).relu_()
 
 
 class Residual(nn.Module):

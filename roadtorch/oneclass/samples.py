@@ -80,10 +80,10 @@ class AllSampleSettings(SampleSettings):
 
 
 class Palette(NamedTuple):
-    """Distinct values (d, k) of an image, and their index int64 (H, W) at each pixel."""
+    """Distinct values (d, k) of an image, and their indices int64 (H, W) at each pixel."""
 
     values: Tensor
-    index: Tensor
+    indices: Tensor
 
 
 @cached_per_image
@@ -107,7 +107,7 @@ def plane_values(image: Tensor, name: str) -> Palette:
     """Return the distinct values of one plane of an image (3, H, W): values (1, k)."""
     palette = distinct_colours(image)
     values, index = color_plane(palette.values[:, None], name)[0].unique(return_inverse=True)
-    return Palette(values[None], index[palette.index])
+    return Palette(values[None], index[palette.indices])
 
 
 @cached_per_image
@@ -121,7 +121,7 @@ def representation(image: Tensor, names: tuple[str, ...]) -> Palette:
     if len(names) == 1:
         return plane_values(image, names[0])
     return Palette(
-        torch.stack([palette_plane(image, name) for name in names]), distinct_colours(image).index
+        torch.stack([palette_plane(image, name) for name in names]), distinct_colours(image).indices
     )
 
 
@@ -142,7 +142,7 @@ def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Te
 @cached_per_image
 def area_values(image: Tensor, name: str, seed: SeedArea) -> Tensor:
     """Return one plane in the seed area of an image: (h, w)."""
-    index = distinct_colours(image).index
+    index = distinct_colours(image).indices
     return palette_plane(image, name)[index[sample_area(index.shape, seed)]]
 
 

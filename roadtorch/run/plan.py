@@ -68,7 +68,7 @@ class Plan(NamedTuple):
     results: Mapping[str, Item | Source | None]  # by name, as in ``open_ledger``
 
     @property
-    def count(self) -> int | None:
+    def image_count(self) -> int | None:
         """Number of images; None where there is footage as well."""
         return None if self.sources else len(self.images)
 

@@ -205,7 +205,7 @@ def open_run(out: Path, effective: str, plan: Plan, options: RunOptions) -> Iter
     effective: all settings as TOML, written to config.toml.
     """
     with (
-        options.workers(plan.count) as workers,
+        options.workers(plan.image_count) as workers,
         open_ledger(out, effective, options.overwrite, plan.results) as ledger,
     ):
         yield Run(ledger, workers, options)

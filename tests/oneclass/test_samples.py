@@ -56,7 +56,7 @@ def test_distinct_colours_are_bit_identical_to_the_image() -> None:
     for image in (eight_bit(), random(3, 20, 30, dtype=torch.float32)):
         palette = distinct_colours(image)
 
-        assert torch.equal(palette.values[:, palette.index], image)
+        assert torch.equal(palette.values[:, palette.indices], image)
         assert palette.values.unique(dim=1).shape == palette.values.shape
         assert palette.values.shape[1] <= 12**3
 
@@ -67,7 +67,9 @@ def test_a_representation_is_its_planes(names: tuple[str, ...]) -> None:
         palette = representation(image, names)
 
         expected = color_planes(image, names)
-        np.testing.assert_allclose(palette.values[:, palette.index], expected, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            palette.values[:, palette.indices], expected, rtol=1e-6, atol=1e-6
+        )
 
 
 # --- samples ------------------------------------------------------------------------------------

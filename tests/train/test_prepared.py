@@ -171,8 +171,7 @@ def examined(monkeypatch: pytest.MonkeyPatch) -> list[list[torch.Tensor]]:
 def test_that_there_is_none_is_kept_until_a_frame_changes(
     footage: list[Item], examined: list[list[torch.Tensor]], tmp_path: Path
 ) -> None:
-    for _ in range(2):
-        cars = find_ego_cars(footage, tmp_path, NUMBERED, *ALONE)
+    _, cars = (find_ego_cars(footage, tmp_path, NUMBERED, *ALONE) for _ in range(2))
     assert len(examined) == 1
     assert read_ego(cars["bonnet_0"], torch.zeros(3, 60, 80)) is None
     find_ego_cars(footage[:8], tmp_path, NUMBERED, *ALONE)

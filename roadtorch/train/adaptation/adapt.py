@@ -100,7 +100,7 @@ def adapt(
         folders = (out / TEACHER_LABELS, out / PREPARED)
         if stopped := write_smoothed_labels(frames, *folders, training, quiet):
             return result(Outcome(None, stopped, 0))
-        training, skipped = limit_samples(training, frames.count), 0
+        training, skipped = limit_samples(training, frames.frame_count), 0
         for number, half in enumerate(HALVES, 1):
             pattern, part = frames.glob(half), (number, len(HALVES))
             request = TrainingRequest(pattern, out / half, out / PREPARED, quiet, part=part)
@@ -111,7 +111,7 @@ def adapt(
         halves = _average(frames, out, training, quiet)
         if isinstance(error, StaticFootageError):
             reason = "the footage is static: both halves show the same"
-            verdict = no_verdict(reason, frames.count)
+            verdict = no_verdict(reason, frames.frame_count)
         else:
             initial = weights_path(training.initial_weights)
             judged = []
@@ -192,7 +192,7 @@ def _average(frames: SampledFrames, out: Path, training: ImageTraining, quiet: b
         for name, value in states[0].items()
     }
     network.load_state_dict(mean)
-    save_network(out / WEIGHTS, network, {**read_origin(files[0]), "images": frames.count})
+    save_network(out / WEIGHTS, network, {**read_origin(files[0]), "images": frames.frame_count})
     if inherited := inherited_corrections(training):
         write_text((out / WEIGHTS).with_suffix(".md"), format_card(inherited))
     RunFolder(out).write_log(rows)

@@ -50,7 +50,7 @@ class SampledFrames(NamedTuple):
     skipped: tuple[str, ...]
 
     @property
-    def count(self) -> int:
+    def frame_count(self) -> int:
         """Number of frames."""
         return sum(self.halves)
 
@@ -85,8 +85,8 @@ def sample_frames(
         for file in folder.glob("*.jpg"):  # of an interrupted run
             file.unlink()
         sample = _write_frames(Inputs(images, sources), folder, limit, quiet)
-        if sample.count < 2:  # not recorded, so that the next run samples again
-            problem = f"has {sample.count} frames"
+        if sample.frame_count < 2:  # not recorded, so that the next run samples again
+            problem = f"has {sample.frame_count} frames"
             raise InputError(inputs[0], problem, "give a few minutes of a drive")
         values = {"halves": sample.halves, "moving": sample.has_times, "skipped": sample.skipped}
         write_json(list_file, {"key": key, **values})

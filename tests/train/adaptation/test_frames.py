@@ -50,14 +50,14 @@ def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
 
     numbers = [round(float(frame.read().mean()) * 60) for frame in sample.images()]
     assert numbers == [first + step for first in (0, 10, 30, 40) for step in range(5)]
-    assert len(list((tmp_path / "kept").glob("*.jpg"))) == sample.count
+    assert len(list((tmp_path / "kept").glob("*.jpg"))) == sample.frame_count
 
 
 def test_of_a_video_some_frames_a_second_are_kept(tmp_path: Path) -> None:
     video = write_video(tmp_path / "drive.mp4", [number / 10 for number in range(25)])
     sample = sample_of(video, tmp_path)
     assert sample.has_times
-    assert sample.count == 7  # at 0, .4, .8 … 2.4 of its 2.5 seconds
+    assert sample.frame_count == 7  # at 0, .4, .8 … 2.4 of its 2.5 seconds
 
 
 def test_a_image_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_a_image_that_cannot_be_read_is_told_and_left_out(tmp_path: Path) -> Non
 
     sample = sample_of(tmp_path / "drive", tmp_path)
 
-    assert sample.count == 2
+    assert sample.frame_count == 2
     (message,) = sample.skipped
     assert "01.png" in message
 
@@ -85,7 +85,7 @@ def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
         sample_of(images, tmp_path)
     monkeypatch.undo()
 
-    assert sample_of(images, tmp_path).count == 10
+    assert sample_of(images, tmp_path).frame_count == 10
     assert len(list((tmp_path / "kept").glob("*.jpg"))) == 10
 
 
@@ -99,7 +99,7 @@ def test_too_few_frames_are_not_taken_as_they_are_by_the_next_run(
         sample_of(images, tmp_path)
     monkeypatch.undo()
 
-    assert sample_of(images, tmp_path).count == 10
+    assert sample_of(images, tmp_path).frame_count == 10
 
 
 def test_other_footage_and_other_files_are_refused(images: Path, tmp_path: Path) -> None:
