@@ -74,7 +74,6 @@ def test_what_moves_with_the_image_stays_where_it_belongs() -> None:
     wide = render_scene(1, 120, 240, noise=0.0)
     temporal_filter, shift, generator = make_filter(), 4, torch.Generator().manual_seed(0)
     columns, smooth, likelihood = slice(0), wide.image, wide.image
-
     for number in range(12):
         columns = slice(number * shift, number * shift + 160)
         odds = 4.0 * wide.road[:, columns] - 2 + 2 * torch.randn(120, 160, generator=generator)
@@ -141,7 +140,6 @@ def test_what_one_frame_hides_is_remembered() -> None:
 
 def test_an_ego_car_is_never_road_not_even_where_a_frame_misses_it() -> None:
     temporal_filter, smooth = make_filter(), ROAD
-
     assert temporal_filter.hidden is None  # before the first frame nothing is known
     for number in range(12):
         hidden = EGO & (number % 3 != 2)
