@@ -42,7 +42,7 @@ MAX_AHEAD = 2
 SHARED_BYTES = 2**27
 """Address space for the arrays of an item, and for those of a result: an image of 4K fits."""
 
-NO_MEMORY = memoryview(b"")
+NO_MEMORY = memoryview(bytearray())
 SHUTDOWN_TIMEOUT = 10.0  # seconds that a worker gets to finish its item, before it is killed
 
 WORKER_CRASH = ("its worker process died", "run it again, with --jobs 1 if memory is short")
@@ -217,18 +217,18 @@ class _Process:
     """A process of this machine, with a pipe to it.
 
     It is forked, so that nothing is loaded twice, where that is safe: on Linux, without CUDA and
-    without several OpenMP threads, neither of which survives a fork. It then shares memory, half
-    for an item and half for its result: arrays pass through it in a fifth of a pipe's time.
+    without several OpenMP threads, neither of which survives a fork. It then shares memory,
+    for an item and for its result: arrays pass through it in a fifth of a pipe's time.
     """
 
     def __init__(self, threads: Threads, task: Callable[[Any], Any]) -> None:
         forks = sys.platform == "linux" and threads.torch == 1 and not torch.cuda.is_initialized()
         context: Any = get_context("fork" if forks else "spawn")
-        self._memory = mmap(-1, 2 * SHARED_BYTES) if forks else b""
+        self._memories = [mmap(-1, SHARED_BYTES) if forks else bytearray() for _ in range(2)]
         self._unsent_task, inherited_task = (None, task) if forks else (task, None)
         self._is_ready = False
         self._pipe, end = context.Pipe()
-        arguments = (end, threads, inherited_task, self._memory)
+        arguments = (end, threads, inherited_task, self._memories)
         with end, _safe_path(), block_sigint_in_children():
             self._process = context.Process(target=_work, args=arguments)
             self._process.start()
@@ -248,7 +248,7 @@ class _Process:
         except (EOFError, OSError):
             hint = "give --jobs 1, and check the Python environment of new processes"
             raise InputError("--jobs", "a worker process died at its start", hint) from None
-        item_memory, result_memory = _halves(self._memory)
+        item_memory, result_memory = map(memoryview, self._memories)
         try:
             self._pipe.send(pickle_value(item, item_memory))
             is_error, data, places = self._pipe.recv()
@@ -263,7 +263,6 @@ class _Process:
         """Kill the process."""
         self._process.kill()
         self._process.join()
-        self._memory = b""
 
 
 @contextmanager
@@ -278,12 +277,8 @@ def _safe_path() -> Iterator[None]:
         os.environ.update(previous)
 
 
-def _halves(memory: mmap | bytes) -> tuple[memoryview, memoryview]:
-    return memoryview(memory)[:SHARED_BYTES], memoryview(memory)[SHARED_BYTES:]
-
-
 def _work(
-    pipe: Any, threads: Threads, task: Callable[[Any], Any] | None, memory: mmap | bytes
+    pipe: Any, threads: Threads, task: Callable[[Any], Any] | None, memories: list[Any]
 ) -> None:
     """Run a task, inherited or sent first, on the items from a pipe.
 
@@ -295,7 +290,7 @@ def _work(
     end_with_parent()
     threads.set()
     keep_freed_memory()
-    item_memory, result_memory = _halves(memory)
+    item_memory, result_memory = map(memoryview, memories)
     sent_task = pickle.loads(pipe.recv()[0])
     run = task or sent_task
     pipe.send(True)

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -30,19 +30,6 @@ DEFAULT_IMAGE_KINDS, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
 """Kinds of results without ``--save``, for images, footage and bags."""
 
 CAMERA_FRAME = "camera"  # frame_id in bags written from footage, which has none
-
-
-class CachedOverlay:
-    """The overlay of the last detection, drawn once for all writers."""
-
-    def __init__(self) -> None:
-        self._last: tuple[Detection, np.ndarray] | None = None
-
-    def __call__(self, detection: Detection) -> np.ndarray:
-        """Return the overlay of a detection, uint8 RGB, shape (H, W, 3)."""
-        if self._last is None or self._last[0] is not detection:
-            self._last = detection, detection.overlay()
-        return self._last[1]
 
 
 VIDEOS = {
@@ -93,8 +80,8 @@ class MapOutput:
     @contextmanager
     def _open(self, source: Source, maps: MapWriter, suffixes: dict[str, str]) -> Iterator[Writers]:
         """Open the writers; videos and bags are finished however the block ends."""
-        stem, overlay = maps.folder / source.name, CachedOverlay()
-        grids = self._fit_grids(source)
+        stem, grids = maps.folder / source.name, self._fit_grids(source)
+        overlay = lru_cache(maxsize=1)(Detection.overlay)  # drawn once for all writers
         draws: dict[str, Callable[[Detection], np.ndarray]] = {
             "overlay": overlay,
             "mask-video": lambda result: result.mask.numpy().astype(np.uint8) * 255,
