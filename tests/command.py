@@ -15,6 +15,7 @@ from roadtorch.cli import main
 
 Call = Callable[..., Result]
 
+GREY = ("--detector", "grey-uniformity")
 ROWS = ("--detector", "prior:rows")
 
 

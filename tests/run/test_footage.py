@@ -19,7 +19,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item, Selection
 from roadtorch.inputs.video import video_source
 from roadtorch.run.writers.video import VideoWriter
-from tests.command import ROWS, Call, bytes_in, files_in, read_index_rows
+from tests.command import GREY, ROWS, Call, bytes_in, files_in, read_index_rows
 from tests.inputs.bags import write_drive
 from tests.videos import (
     read_frame_pixels,
@@ -28,8 +28,6 @@ from tests.videos import (
     write_tracks,
     write_video,
 )
-
-GREY = ("--detector", "grey-uniformity")
 
 
 @pytest.fixture

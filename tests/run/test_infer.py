@@ -18,9 +18,7 @@ from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Inference
 from roadtorch.run.writers.maps import cue_image
 from roadtorch.testing.scenes import render_scene
-from tests.command import ROWS, Call, files_in, read_index_rows, save_image
-
-GREY = ("--detector", "grey-uniformity")
+from tests.command import GREY, ROWS, Call, files_in, read_index_rows, save_image
 
 # --- what is written ------------------------------------------------------------------------
 

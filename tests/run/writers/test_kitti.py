@@ -10,12 +10,11 @@ from PIL import Image
 from roadtorch.base.image import read_image
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.testing.scenes import render_scene, write_image
-from tests.command import Call, read_index_rows
+from tests.command import GREY, Call, read_index_rows
 from tests.reference import bev as reference
 
 HEIGHT, WIDTH = 120, 160
 SUBMIT = ("evaluate", "--submit", "kitti-road")
-GREY = ("--detector", "grey-uniformity")
 MAPS = ["um_road_000000.png", "umm_road_000003.png", "uu_road_000012.png"]
 
 
