@@ -2,6 +2,13 @@
 # Checks everything: form, lint, types, imports, tests; with --slow the slow tests, too. Other
 # arguments go to pytest. Where files or folders are among them, types are checked in these alone.
 set -euo pipefail
+for word in "$@"; do
+  case "$word" in
+    *.py | *.py::* | tests/*)
+      [ -e "${word%%::*}" ] || { echo "test.sh: ${word%%::*}: does not exist" >&2; exit 2; }
+      ;;
+  esac
+done
 source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
 prepare_venv test
 if [ "${1:-}" = --slow ]; then

@@ -3,16 +3,20 @@
 Each section imports the packages that it checks, so that one that fails breaks only its section.
 """
 
+import importlib
 import os
 import platform
 import re
 import statistics
+from base64 import urlsafe_b64encode
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
+from hashlib import sha256
 from importlib.metadata import (
     PackageNotFoundError,
+    distribution,
     metadata,
     packages_distributions,
     requires,
@@ -20,6 +24,7 @@ from importlib.metadata import (
 )
 from itertools import product
 from pathlib import Path
+from pkgutil import walk_packages
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -40,7 +45,10 @@ BENCH_DETECTORS = ("fusion", "fusion:large")
 MIN_F = 0.85
 """F-score below which the self-test fails; ours: the shipped weights have .95 on this street."""
 
-REINSTALL_HINT = "install roadtorch again"
+BUSY_LOAD = 0.5
+"""Load for each processor above which times mean little."""
+
+REINSTALL_HINT = "reinstall with pip install --force-reinstall --no-deps roadtorch"
 
 
 class Check(NamedTuple):
@@ -62,6 +70,9 @@ def check_machine() -> list[Check]:
     limit = os.environ.get("OMP_NUM_THREADS", "not set")
     threads = f"processors {count_processors()}, torch {torch.get_num_threads()}, "
     threads += f"opencv {cv2.getNumThreads()}, OMP_NUM_THREADS {limit}"
+    load, processors = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0, count_processors()
+    busy = f"load {load:.1f} on {processors} processors"
+    busy += ": the times below mean little" if load > BUSY_LOAD * processors else ""
     board = Path("/proc/device-tree/model")  # such as Raspberry Pi 5 Model B
     model = platform.machine()
     with suppress(OSError, ValueError):
@@ -70,7 +81,36 @@ def check_machine() -> list[Check]:
         Check("python", "ok", f"{platform.python_version()}, {platform.python_implementation()}"),
         Check("system", "ok", f"{platform.system()} {platform.release()}, {model}"),
         Check("threads", "ok", threads),
+        Check("load", "ok", busy),
     ]
+
+
+def check_files() -> list[Check]:
+    """Compare roadtorch's files with the hashes that pip recorded, and import every module."""
+    import roadtorch
+
+    recorded = [file for file in distribution("roadtorch").files or () if file.hash]
+    broken = {
+        str(file): "is missing" if digest is None else "differs from what was installed"
+        for file in recorded
+        if (digest := _digest(Path(str(file.locate())))) != (file.hash and file.hash.value)
+    }
+    for module in walk_packages(roadtorch.__path__, "roadtorch.", onerror=lambda name: None):
+        try:
+            importlib.import_module(module.name)
+        except ImportError as error:  # of a package of an extra
+            if (error.name or "roadtorch").split(".")[0] == "roadtorch":
+                broken[module.name] = reason(error)
+    if broken:
+        return [Check(name, "broken", problem, REINSTALL_HINT) for name, problem in broken.items()]
+    return [Check("roadtorch", "ok", f"{len(recorded)} files are those that were installed")]
+
+
+def _digest(path: Path) -> str | None:
+    """Return the SHA-256 of a file as pip records it; None without the file."""
+    if not path.is_file():
+        return None
+    return urlsafe_b64encode(sha256(path.read_bytes()).digest()).decode().rstrip("=")
 
 
 def check_packages() -> list[Check]:
@@ -194,6 +234,7 @@ def check_runtimes(names: Sequence[str] = ("fusion",)) -> list[Check]:
 
 CHECKS: dict[str, Callable[[], list[Check]]] = {
     "machine": check_machine,
+    "files": check_files,
     "packages": check_packages,
     "video": check_video,
     "weights": check_weights,

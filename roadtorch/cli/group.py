@@ -47,6 +47,9 @@ SYNONYMS = {
     **dict.fromkeys(("finetune", "fine-tune", "learn"), "adapt"),
     **dict.fromkeys(("score", "test", "eval", "benchmark", "val"), "evaluate"),
     **dict.fromkeys(("calibrate", "ego"), "camera"),
+    "images": "roadtorch infer images",
+    "video": "roadtorch infer VIDEO",
+    "grid": "roadtorch infer --save grid",
 }
 """Names of other programs for our commands, to suggest ours."""
 

@@ -44,8 +44,20 @@ class Cues(Mapping[str, Tensor]):
         """Return the number of cues."""
         return len(self.maps)
 
+    def __repr__(self) -> str:
+        """Return a line for each cue: name, shape, range."""
+        parts = [f"{name} {_describe_map(map)}" for name, map in self.maps.items()]
+        height, width = self.size
+        return "\n".join([f"<Cues {width}×{height}, stored as", *parts]) + ">"
+
     __eq__ = object.__eq__  # two tensors have no one truth value
     __hash__ = object.__hash__  # type: ignore[assignment]  # a Mapping has none
+
+
+def _describe_map(map: Tensor) -> str:
+    """Return shape, type and range of a map."""
+    low, high = (float(end) for end in map.float().aminmax())
+    return f"{tuple(map.shape)} {str(map.dtype).removeprefix('torch.')} {low:.3g} to {high:.3g}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,13 +139,14 @@ class Detector(nn.Module):
         return self.conclude(self.find_evidence(as_image(image, order or self.order)))
 
     def detect_many(
-        self, images: Iterable[ImageLike], order: ColourOrder | None = None
+        self, images: str | os.PathLike[str] | Iterable[ImageLike], order: ColourOrder | None = None
     ) -> Generator[Detection]:
         """Detect the road in several images, one after the other, in order.
 
         Args:
             images: list or generator of images as ``detect`` takes them, or a stack of arrays of
-                one size. A generator is advanced only as results are needed.
+                one size; or a folder or a glob, as ``stream`` takes it, without smoothing. Images
+                are read and a generator is advanced only as results are needed.
             order: colour order of arrays, as in ``detect``.
 
         Raises:
@@ -158,8 +159,10 @@ class Detector(nn.Module):
         >>> [detection.mask.shape[1] for detection in detector.detect_many(frames)]
         [80, 81]
         """
-        if isinstance(images, (str, os.PathLike, bytes)) or not isinstance(images, Iterable):
-            hint = "give a list; detect takes one image"
+        if isinstance(images, (str, os.PathLike)):
+            return self.stream(images, smoothing=False)
+        if isinstance(images, bytes) or not isinstance(images, Iterable):
+            hint = "give a list, a folder or a glob; detect takes one image"
             raise InputError("images", f"are {type(images).__name__}", hint)
         return self._detections(images, order)
 

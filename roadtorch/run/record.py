@@ -61,7 +61,7 @@ def record_run(
             "runtime": detector.runtime,
             "settings": settings,
             "corrected_images": count_corrected_images(settings),
-            "weights_sha256": hash_tensors(detector.state_dict()),
+            "tensors_sha256": hash_tensors(detector.state_dict()),
             "threads": vars(Threads.current()),
             "options": {
                 name: strip_password(value) if isinstance(value, str) else value

@@ -224,7 +224,8 @@ def least_trusted_lines(rows: Iterable[IndexRow], only_doubtful: bool = False) -
         f"  {row.trust}  {row.file}{row.status.removeprefix(DONE).removeprefix(DOUBTFUL)}"
         for row in rated[:LEAST_TRUSTED]
     ]
-    return [f"roadtorch: {doubtful} doubtful of {len(rated)}; least trusted:", *lines]
+    head = f"roadtorch: {doubtful} doubtful of {len(rated)}; least trusted"
+    return [f"{head} (trust does not tell pavement from road: look at the overlays):", *lines]
 
 
 # --- one source ---------------------------------------------------------------------------

@@ -2,6 +2,9 @@
 
 import re
 import sys
+from base64 import urlsafe_b64encode
+from hashlib import sha256
+from importlib.metadata import PathDistribution
 from pathlib import Path
 
 import pytest
@@ -29,6 +32,38 @@ def test_a_sound_installation_line_by_line(call: Call, monkeypatch: pytest.Monke
     assert checks["fusion"][1].startswith("F 0.9")
     for runtime in ("torch", "onnxruntime"):
         assert re.search(rf"ok +fusion, {runtime} +\d+\.\d ms, \d+\.\d fps", result.stdout)
+
+
+def test_files_that_an_interrupted_pip_left_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "roadtorch-1.dist-info").mkdir()
+    for name in ("sound.py", "empty.py"):
+        (tmp_path / name).write_text("" if name == "empty.py" else "x = 1")
+    of_text = "sha256=" + urlsafe_b64encode(sha256(b"x = 1").digest()).decode().rstrip("=")
+    rows = [f"{name},{of_text},5\n" for name in ("sound.py", "empty.py", "absent.py")]
+    (tmp_path / "roadtorch-1.dist-info" / "RECORD").write_text("".join(rows))
+    installed = PathDistribution(tmp_path / "roadtorch-1.dist-info")
+    monkeypatch.setattr(doctor, "distribution", lambda name: installed)
+    monkeypatch.setattr(doctor, "walk_packages", lambda *_, **__: [])
+
+    checks = doctor.check_files()
+
+    problems = {check.name: (check.state, check.details) for check in checks}
+    differs = "broken", "differs from what was installed"
+    assert problems == {"empty.py": differs, "absent.py": ("broken", "is missing")}
+    assert {check.hint for check in checks} == {doctor.REINSTALL_HINT}
+
+
+@pytest.mark.parametrize(("load", "is_busy"), [(0.1, False), (99.0, True)])
+def test_a_busy_machine_is_reported(
+    load: float, is_busy: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.getloadavg", lambda: (load, 0, 0))
+
+    details = {check.name: check.details for check in doctor.check_machine()}
+
+    assert details["load"].endswith("the times below mean little") == is_busy
 
 
 @pytest.mark.parametrize(
@@ -73,7 +108,7 @@ def test_a_failing_section_breaks_itself_alone(call: Call, monkeypatch: pytest.M
     assert result.exit_code == 1
     assert [" ".join(line.split()) for line in result.stdout.splitlines()[1:]] == [
         *("", "one", "ok torch 2.13.0", "missing video is not (fix it)", "", "gone"),
-        "broken gone ModuleNotFoundError: No module named 'torch' (install roadtorch again)",
+        f"broken gone ModuleNotFoundError: No module named 'torch' ({doctor.REINSTALL_HINT})",
     ]
 
 

@@ -46,7 +46,7 @@ def test_images_become_maps_and_a_broken_one_a_failed_row_even_in_ascii(tmp_path
     )
 
     assert done.returncode == 1
-    assert done.stdout.startswith("roadtorch: 0 doubtful of 2; least trusted:\n")
+    assert done.stdout.startswith("roadtorch: 0 doubtful of 2; least trusted (trust does")
     assert "images/broken.png: cannot be decoded" in done.stderr
     assert "roadtorch: 2 done, 1 failed; results in out\n" in done.stderr
     rows = (out / "index.csv").read_text(encoding="utf-8").splitlines()[1:]

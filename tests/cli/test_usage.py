@@ -12,6 +12,7 @@ from tests.command import Call, bytes_in, save_image
 MISTAKES = {
     # Commands and options
     "infr": "infr: no such command (did you mean infer?)",
+    "images": "images: no such command (did you mean roadtorch infer images?)",
     "xyz": "xyz: no such command (see roadtorch --help)",
     "finetune": "finetune: no such command (did you mean adapt?)",
     "infer": "Missing argument 'INPUT...' (see roadtorch infer --help)",

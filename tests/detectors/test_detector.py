@@ -55,6 +55,8 @@ def test_cues_are_enlarged_when_asked_for_and_cross_processes_small() -> None:
     sent = pickle.loads(pickle.dumps(evidence))
 
     assert list(sent.cues) == list(evidence.cues)
+    assert len(repr(sent.cues).splitlines()) == 1 + len(sent.cues)
+    assert "layout (3, " in repr(sent.cues)
     for name, cue in sent.cues.items():
         assert cue.shape[-2:] == (48, 64)
         assert sent.cues.maps[name].shape[-2:] != (48, 64)
@@ -198,10 +200,24 @@ def test_other_values_are_refused_as_given(
         load_detector("prior:rows")(images, **options)
 
 
+@pytest.mark.parametrize("within", ["", "*.png"])
+def test_a_folder_and_a_glob_are_read_when_an_image_is_needed(tmp_path: Path, within: str) -> None:
+    for name in "abc":
+        Image.new("RGB", (32, 32)).save(tmp_path / f"{name}.png")
+    detections = load_detector("prior:rows").detect_many(tmp_path / within)
+
+    first = next(detections)
+    (tmp_path / "c.png").write_bytes(b"cut")
+
+    assert (first.name, next(detections).name) == ("a", "b")
+    with pytest.raises(InputError, match=r"c\.png: cannot be decoded"):
+        next(detections)
+
+
 def test_one_image_is_no_list_and_an_order_is_checked_at_once() -> None:
     detector = load_detector("prior:rows")
-    with pytest.raises(InputError, match=r"images: are str \(give a list"):
-        detector.detect_many("street.jpg")
+    with pytest.raises(InputError, match=r"images: are bytes \(give a list"):
+        detector.detect_many(b"\xff")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"images: have the shape \(3, 32, 32\)"):
         detector.forward(torch.zeros(3, 32, 32))
     with pytest.raises(ConfigError, match="BGR: unknown colour order"):

@@ -14,9 +14,18 @@ from tests.servers import serving
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "venv.sh"
 
 
-def test_a_missing_input_is_told_before_the_installation(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("script", "argument", "message"),
+    [
+        ("demo.sh", "none.jpg", "demo.sh: none.jpg: does not exist\n"),
+        ("test.sh", "tests/nope.py::test_x", "test.sh: tests/nope.py: does not exist\n"),
+    ],
+)
+def test_a_missing_input_is_reported_before_the_installation(
+    tmp_path: Path, script: str, argument: str, message: str
+) -> None:
     done = subprocess.run(
-        ["bash", SCRIPT.with_name("demo.sh"), "none.jpg"],
+        ["bash", SCRIPT.with_name(script), argument],
         cwd=tmp_path,
         env={"PATH": "/usr/bin:/bin", "VENV": str(tmp_path / "venv")},
         capture_output=True,
@@ -25,7 +34,7 @@ def test_a_missing_input_is_told_before_the_installation(tmp_path: Path) -> None
     )
 
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "demo.sh: none.jpg: does not exist\n"
+    assert done.stderr == message
     assert not (tmp_path / "venv").exists()
 
 
