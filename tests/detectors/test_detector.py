@@ -210,7 +210,7 @@ def test_a_folder_and_a_glob_are_read_when_an_image_is_needed(tmp_path: Path, wi
     (tmp_path / "c.png").write_bytes(b"cut")
 
     assert (first.name, next(detections).name) == ("a", "b")
-    with pytest.raises(InputError, match=r"c\.png: cannot be decoded"):
+    with pytest.raises(InputError, match=r"c\.png: is not an image"):
         next(detections)
 
 
