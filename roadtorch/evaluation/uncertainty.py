@@ -129,6 +129,8 @@ def _mean_over_groups(
         part = pool_replicates(group, threshold, counts)
         for measure in measures:
             values = measure.formula(part)
+            if values is None:  # this group lacks it, such as a layout
+                continue
             if not isinstance(values, Tensor):
                 problem = "uses counts that bootstrap replicates lack"
                 raise TypeError(f"the formula of {measure.key} {problem}")

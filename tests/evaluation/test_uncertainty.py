@@ -96,6 +96,21 @@ def test_every_headline_score_has_an_interval_around_it(dataset, scenes):
     assert intervals["maxf"][1] > intervals["maxf"][0]
 
 
+def test_a_score_that_some_groups_lack_has_the_interval_of_the_others(dataset, scenes):
+    def look(image, item):
+        likelihood = blurred(scenes[item.name].road, item.name, 0.7)
+        scores = blurred(torch.rand(3, 48, 64), item.name, 0.5)
+        cues = {"layout": scores} if item.name.startswith(GROUPS[0]) else {}
+        return Detection(likelihood, likelihood > 0.5, cues)
+
+    tally = tally_of(dataset, look)
+    scores = scores_of(tally)
+
+    low, high = uncertainty.score_intervals(uncertainty.bootstrap(tally, scores))["layout/mean"]
+
+    assert low <= scores.headline["layout/mean"] <= high
+
+
 def test_replicates_are_those_of_a_plain_bootstrap_the_same_for_both(dataset, scenes):
     masks = {
         noise: {name: blurred(scenes[name].road, name, noise) > 0.5 for name in scenes}
