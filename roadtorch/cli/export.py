@@ -5,10 +5,10 @@ from pathlib import Path
 
 import click
 
-from roadtorch.cli.options import PATH, SETTING_OPTION, suggest_detectors
+from roadtorch.cli.options import PATH, SETTING_OPTION, CheckedCommand, suggest_detectors
 
 
-@click.command()
+@click.command(cls=CheckedCommand)
 @click.argument("name", shell_complete=suggest_detectors)
 @click.option("--out", type=PATH, required=True, help="File NAME.onnx; for web, a folder.")
 @click.option(
@@ -18,8 +18,11 @@ from roadtorch.cli.options import PATH, SETTING_OPTION, suggest_detectors
     default="onnx",
     help="web: a page for browsers.",
 )
+@click.option("--mask", is_flag=True, help="The mask and its trust alone; a mask is uint8.")
 @SETTING_OPTION
-def export_command(name: str, out: Path, target: str, assignments: tuple[str, ...]) -> None:
+def export_command(
+    name: str, out: Path, target: str, mask: bool, assignments: tuple[str, ...]
+) -> None:
     """Export the part of a detector that runs without Python: fusion, layout:cnn-7.
 
     The model takes RGB images of any size, uint8 (N, height, width, 3), and returns maps of that
@@ -36,7 +39,11 @@ def export_command(name: str, out: Path, target: str, assignments: tuple[str, ..
     detector = load_detector(name, **parse_assignments(assignments))
     folder, files = (out, WEB_FILES) if target == "web" else (out.parent, (out.name,))
     with lock_folder(folder), claim_results(folder, dict.fromkeys(files, name)):
-        exported = export_page(detector, out) if target == "web" else export_detector(detector, out)
+        exported = (
+            export_page(detector, out)
+            if target == "web"
+            else export_detector(detector, out, "mask" if mask else "maps")
+        )
     for file in exported.files:
         click.echo(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     click.echo(f"{name}: {exported.metadata['part']}")

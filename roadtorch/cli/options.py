@@ -198,6 +198,7 @@ OPTION_CONDITIONS: Mapping[str, Mapping[str, str]] = {
     "evaluate": dict.fromkeys((*SCORING.split(), "--road", "--void"), "without --submit")
     | dict.fromkeys(("--montage", "--tune"), "with --out without --submit")
     | {"--submit": "with --out"},
+    "export": {"--mask": "without --format"},
     "infer": dict.fromkeys(FOOTAGE, "with footage")
     | {"--topic": "with bag", "--depth": "with likelihood", "--set grid": "with grid"},
     "train": dict.fromkeys(("--road", "--void"), "with --masks")

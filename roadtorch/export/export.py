@@ -2,10 +2,11 @@
 
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 import numpy as np
 import torch
@@ -52,6 +53,7 @@ OUTPUT_DESCRIPTIONS: Mapping[str, str] = {
     "ego": "float32 (N, H, W): vehicle that carries the camera, 0 to 1",
     "seed_area": "float32 (N, H, W): road that isolated road does not touch, 0 or 1",
     "trust": "float32 (N): predicted F-score of the mask, 0 to 1",
+    "mask": "uint8 (N, H, W): 1 road, 0 not",
 }
 """Outputs of the files, by name."""
 
@@ -98,7 +100,7 @@ def find_part(detector: Detector) -> ExportPart:
             "likelihood, layout, ego car and trust",
             f"filling of thin holes, {ISOLATED_ROAD_STEP}",
             partial(fusion_maps, analysis, settings),
-            tuple(OUTPUT_DESCRIPTIONS),
+            ("likelihood", "layout", "ego", "seed_area", "trust"),
             ("weights", "second", "threshold", "calibration", "crops", "working", "seed_area"),
             tuple(
                 weights_path(file)
@@ -149,6 +151,19 @@ def cnn7_maps(analysis: Cnn7, settings: Cnn7Settings, image: Tensor) -> dict[str
     return {"likelihood": layout[..., HORIZONTAL, :, :], "layout": layout}
 
 
+def mask_part(part: ExportPart, threshold: float) -> ExportPart:
+    """Return a part whose maps are the mask alone: a quarter of the likelihood's bytes."""
+
+    def compute(image: Tensor) -> dict[str, Tensor]:
+        maps = part.compute(image)
+        mask = (maps["likelihood"] >= threshold).to(torch.uint8)
+        return {"mask": mask, **{name: maps[name] for name in outputs if name != "mask"}}
+
+    outputs = ("mask", "trust") if "trust" in part.outputs else ("mask",)
+    description = " and ".join(outputs)
+    return replace(part, description=description, compute=compute, outputs=outputs)
+
+
 def describe_export(detector: Detector, part: ExportPart) -> dict[str, str]:
     """Return the metadata of the file, by name."""
     return {
@@ -185,7 +200,8 @@ and above the working size of detectors."""
 class Parity:
     """Largest and mean difference of a file's results to Python's, over all pixels.
 
-    location: output and image size of the largest. images: number of images checked.
+    The difference of masks is the fraction of an image's pixels that differ. location: output and
+    image size of the largest. images: number of images checked.
     """
 
     max_difference: float
@@ -217,8 +233,10 @@ def measure_parity(
             height, width = image.shape[:2]
             images += 1
             for name, values in maps.items():
-                difference = (torch.as_tensor(values[index]) - expected[name]).abs()
-                difference = difference.nan_to_num(torch.inf)
+                actual = torch.as_tensor(values[index])
+                difference = (actual.float() - expected[name].float()).abs().nan_to_num(torch.inf)
+                if actual.dtype == torch.uint8:
+                    difference = difference.mean()
                 extremes.append((float(difference.max()), f"{name} at {width}×{height}"))
                 pixels += difference.numel()
                 total += float(difference.double().sum())
@@ -262,8 +280,12 @@ class ExportResult:
     parity: Parity
 
 
-def export_detector(detector: Detector, out: Path) -> ExportResult:
+def export_detector(
+    detector: Detector, out: Path, content: Literal["maps", "mask"] = "maps"
+) -> ExportResult:
     """Write the exportable part of a detector as ONNX, after a check against Python.
+
+    content: all maps, or the mask alone with its trust.
 
     Raises ConfigError for a detector that cannot be exported, another suffix than .onnx, and a
     missing extra; InputError when the file would differ by more than ``MAX_DIFFERENCE``, and when
@@ -274,6 +296,8 @@ def export_detector(detector: Detector, out: Path) -> ExportResult:
         raise ConfigError(out, problem, f"name it {out.stem or 'road'}.onnx")
     require_packages("export", "onnx", *TRACING_PACKAGES, "onnxruntime")
     part = exportable_part(detector)
+    if content == "mask":
+        part = mask_part(part, detector.settings.threshold)
     make_folder(out.parent)
     metadata = describe_export(detector, part)
     with TemporaryDirectory(prefix="roadtorch.") as folder:

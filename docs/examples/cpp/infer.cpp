@@ -1,6 +1,6 @@
 // Run an exported network on one image with ONNX Runtime, without Python.
 //
-//   roadtorch export fusion --out road.onnx
+//   roadtorch export fusion --mask --out road.onnx
 //   g++ -std=c++17 -O2 infer.cpp -I ORT/include -L ORT/lib -lonnxruntime -o infer
 //   ./infer road.onnx street.ppm road.pgm
 //
@@ -12,7 +12,6 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <cstdlib>
 #include <fstream>
 #include <iostream>
 #include <stdexcept>
@@ -39,17 +38,12 @@ Image read_ppm(const std::string& path) {
 }
 
 int main(int count, char** words) try {
-    if (count != 4) throw std::runtime_error("usage: infer MODEL.onnx IMAGE.ppm MAP.pgm");
+    if (count != 4) throw std::runtime_error("usage: infer MODEL.onnx IMAGE.ppm MASK.pgm");
 
     Ort::Env environment(ORT_LOGGING_LEVEL_ERROR, "roadtorch");
     Ort::SessionOptions options;
     options.SetIntraOpNumThreads(1);
     Ort::Session session(environment, words[1], options);
-
-    Ort::AllocatorWithDefaultOptions allocator;
-    auto threshold =
-        session.GetModelMetadata().LookupCustomMetadataMapAllocated("threshold", allocator);
-    if (!threshold) throw std::runtime_error(std::string(words[1]) + ": not of roadtorch export");
 
     Image image = read_ppm(words[2]);
     const std::array<int64_t, 4> shape = {1, image.height, image.width, 3};
@@ -58,9 +52,9 @@ int main(int count, char** words) try {
         memory, image.rgb.data(), image.rgb.size(), shape.data(), shape.size());
 
     const char* given[] = {"image"};
-    const char* wanted[] = {"likelihood", "trust"};  // trust: of fusion and fusion:large alone
+    const char* wanted[] = {"mask", "trust"};  // trust: of fusion and fusion:large alone
     auto found = session.Run(Ort::RunOptions{nullptr}, given, &input, 1, wanted, 2);
-    const float* likelihood = found[0].GetTensorData<float>();  // height × width, 0 to 1
+    const uint8_t* mask = found[0].GetTensorData<uint8_t>();  // height × width, 1 road
     const float trust = found[1].GetTensorData<float>()[0];
 
     std::ofstream map(words[3], std::ios::binary);
@@ -68,8 +62,8 @@ int main(int count, char** words) try {
     const int64_t pixels = image.height * image.width;
     int64_t road = 0;
     for (int64_t at = 0; at < pixels; ++at) {
-        road += likelihood[at] >= std::atof(threshold.get());
-        map.put(static_cast<char>(likelihood[at] * 255 + 0.5f));
+        road += mask[at];
+        map.put(static_cast<char>(mask[at] * 255));
     }
     std::cout << image.width << "x" << image.height << ", road " << 100 * road / pixels
               << " %, trust " << std::round(100 * trust) / 100 << "\n";
