@@ -87,6 +87,15 @@ def test_a_signal_is_reported_as_a_signal(
     assert set(group.INTERRUPT_MESSAGES) < set(group.COMMANDS)
 
 
+def test_a_closed_pipe_is_no_crash(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, "fails", failing(BrokenPipeError(32, "Broken pipe")))
+
+    result = call("fails")
+
+    assert result.exit_code == 1
+    assert result.stderr == ""
+
+
 # --- completion -------------------------------------------------------------------------
 
 

@@ -1,5 +1,6 @@
 """One-class detectors of P3: names, composition, shared steps."""
 
+import re
 from functools import cache
 from typing import Any
 from unittest.mock import patch
@@ -73,6 +74,19 @@ def test_every_classifier_is_on_every_representation_but_pca_on_single_planes() 
 def test_what_there_is_not_is_refused(name: str, settings: dict[str, Any], problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         load_detector(f"oneclass:{name}", **settings)
+
+
+def test_all_of_them_are_registered_and_look_at_an_image() -> None:
+    image = render_scene(3, 24, 24).image
+
+    with image_cache():
+        for name in BY_NAME:
+            detection = load_detector(name).detect(image)
+            assert detection.likelihood.shape == detection.mask.shape == (24, 24), name
+            low, high = detection.likelihood.aminmax()
+            assert 0 <= low <= high <= 1, name
+            # P3 has no values of PCA for two planes: as published, it keeps both components.
+            assert low < high or re.fullmatch(r"oneclass:pca:\w+:paper", name), name
 
 
 # --- what they find ---------------------------------------------------------------------

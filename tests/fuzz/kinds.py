@@ -407,5 +407,13 @@ KINDS: Mapping[str, Kind] = {
     ),
     "results": Kind(INFER_CONFIG, text_file(RESULTS), read_results),
     "maps": Kind("a.npy", make_map, read_maps),
+    "map images": Kind(
+        "a.png",
+        mutated_file(
+            lambda path: Image.fromarray((MAP * 255).astype(np.uint8)).save(path, "PNG"),
+            IMAGE_MUTATIONS,
+        ),
+        read_maps,
+    ),
     "metrics": Kind("metrics.json", make_metrics, read_thresholds),
 }

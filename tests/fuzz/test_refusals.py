@@ -87,7 +87,7 @@ def test_mutated_files_are_read_or_refused(make: Callable[[Draw, Path], Path], r
     assert verdicts["refused"] > 0
 
 
-# --- files of another kind, on the command line ---------------------------------------------
+# --- files of another kind ------------------------------------------------------------------
 
 FOREIGN: Mapping[str, Callable[[Path], object]] = {
     "missing": lambda path: None,
@@ -103,6 +103,29 @@ FOREIGN: Mapping[str, Callable[[Path], object]] = {
     "noise": lambda path: path.write_bytes(bytes(range(256)) * 40),
 }
 
+
+HARMLESS: Mapping[str, set[str]] = {
+    "images": {"image"},
+    "configs": {"empty"},
+    "journals": {"missing", "empty", "values"},  # a line without its end is that of a crash
+    "index": {"missing", "empty", "loop", "values"},
+    **{kind: {"missing", "loop"} for kind in ("checkpoints", "records")},
+    "results": {"missing", "empty", "loop", "settings"},
+}
+"""Files that a kind accepts."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_of_another_kind_are_refused(kind: str, tmp_path: Path) -> None:
+    for name in FOREIGN.keys() - HARMLESS.get(kind, set()):
+        path = tmp_path / name / KINDS[kind].name
+        path.parent.mkdir()
+        FOREIGN[name](path)
+
+        assert verdict(path, KINDS[kind].read) == "refused", name
+
+
+# --- the command line -----------------------------------------------------------------------
 
 PRIOR = "--detector prior:rows"
 COMMANDS: Mapping[str, set[str]] = {

@@ -77,6 +77,17 @@ def test_a_stream_that_never_answers_is_given_up_in_time() -> None:
     assert time.monotonic() - start < 60  # no reconnection was tried
 
 
+def test_nobody_there_is_told_at_once() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        port = server.getsockname()[1]
+    url = f"rtsp://user:secret@127.0.0.1:{port}/live"
+
+    with pytest.raises(InputError, match="cannot be read: Connection refused") as caught:
+        next(stream_source(url, "live", Selection(), QUICK).items())
+
+    assert "secret" not in str(caught.value)
+
+
 def test_no_such_camera(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="camera:63: no such camera"):
         next(camera_source(63, Selection(), QUICK).items())
