@@ -165,10 +165,3 @@ def test_a_runtime_that_fails_or_differs_is_refused(
         load_detector("fusion", runtime="onnxruntime", **weights)
 
     assert str(raised.value).count("\n") == 0
-
-
-def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runtimes, "find_spec", lambda name: None if name == "onnxruntime" else 1)
-
-    with pytest.raises(ConfigError, match=r"not installed \(pip install 'roadtorch\[onnx\]'"):
-        load_detector("fusion", runtime="onnxruntime")

@@ -16,7 +16,6 @@ from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.metrics import auc, count_levels
 from roadtorch.evaluation.tally import ImageCounts, Tally
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
-from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.road.seed_area import remove_isolated, seed_rectangle
 from scripts.figures import counting, p1, p2_layout, p2_road, p3_table3
 from tests.streets import as_bytes, scene, write_camvid, write_drives
@@ -103,19 +102,6 @@ def test_a_confusion_is_printed_in_the_papers_order() -> None:
     ratios = p2_layout.printed_ratios(confusion)
 
     assert ratios.tolist() == [[0.5, 0, 0.5], [1, 0, 0], [0.25, 0, 0.75]]
-
-
-def test_the_maps_of_stages_end_in_the_potentials_of_the_patch() -> None:
-    network = PatchNetwork()
-    image = scene(3, 32, 32).image
-
-    stages = p2_layout.stage_maps(network, image)
-
-    sides = [tuple(maps.shape) for maps in stages.values()]
-    assert sides == [(4, 26, 26), (4, 13, 13), (16, 7, 7), (3, 1, 1)]
-    patch = normalise(image, network.settings.normalisation).pixels
-    potentials = list(stages.values())[-1].flatten()
-    assert torch.allclose(potentials, network(patch[None])[0], atol=1e-6)
 
 
 # --- P3 ---------------------------------------------------------------------------------

@@ -36,15 +36,6 @@ def test_any_hundred_numbers_are_balanced(first: int) -> None:
     assert sum(plan.light == {"night": 1} for plan in plans) == 14
 
 
-def test_a_plan_comes_back_as_evenly_as_its_count_allows() -> None:
-    turns: dict[tuple, list[int]] = {}
-    for turn, plan in enumerate(SCHEDULE):
-        turns.setdefault((plan.name, plan.mount, *plan.ground, *plan.light), []).append(turn)
-
-    for row in turns.values():
-        assert np.diff([*row, row[0] + len(SCHEDULE)]).max() < 2 * len(SCHEDULE) / len(row)
-
-
 def test_tables_name_only_what_there_is() -> None:
     kinds, colours = {row["kind"] for row in read_table("kinds")}, read_column("colours", "percent")
     things = {row["thing"] for row in read_table("things")} | {"child"}

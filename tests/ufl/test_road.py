@@ -111,25 +111,6 @@ def stable(seed: int) -> torch.Tensor:
 
 
 @settings(max_examples=25)
-@given(st.integers(0, 10**6))
-def test_regions_are_the_components_of_every_level_in_reading_order(seed: int) -> None:
-    values = bumpy(seed)
-
-    regions = hierarchy.threshold_regions(values, STEPS)
-
-    number = 1
-    assert (regions.labels[0] == 1).all()
-    for level, step in enumerate(STEPS.tolist()[1:], 1):
-        for pixels in reference.components(values.numpy() >= step):
-            number += 1
-            rows, columns = zip(*sorted(pixels), strict=True)
-            assert (regions.labels[level][rows, columns] == number).all()
-            assert (regions.level[number], regions.area[number]) == (level, len(pixels))
-            assert regions.parent[number] == regions.labels[level - 1][rows[0], columns[0]]
-    assert len(regions.area) == number + 1
-
-
-@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 12))
 def test_the_chosen_road_is_that_of_the_paper_step_by_step(seed: int, least: int) -> None:
     values = bumpy(seed)
