@@ -369,14 +369,6 @@ def test_images_are_moved_to_the_device_that_a_detector_was_made_for() -> None:
     assert isinstance(on_device.likelihood, Pretended)
 
 
-@pytest.mark.parametrize(
-    ("device", "problem"), [("gpu", "is no torch device"), ("meta", "cannot be used")]
-)
-def test_a_missing_device_is_refused_when_the_detector_is_made(device: str, problem: str) -> None:
-    with pytest.raises(ConfigError, match=rf"^device: {problem}"):
-        load_detector("fusion", device=device)
-
-
 # --- memory -----------------------------------------------------------------------------
 
 

@@ -69,16 +69,6 @@ def test_statistics_over_segments_are_those_of_loops(seed: int) -> None:
     assert found == pytest.approx(expected, abs=1e-5)
 
 
-def test_pixels_that_are_not_usable_do_not_enter_a_histogram() -> None:
-    levels, labels = torch.tensor([[0, 1], [1, 1]]), torch.tensor([[0, 0], [1, 1]])
-    usable = torch.tensor([[True, False], [True, True]])
-
-    counts = segment_histogram(levels, labels, 3, 2, usable)
-
-    assert counts.dtype == torch.float32
-    assert counts.tolist() == [[1, 0], [0, 2], [0, 0]]
-
-
 def test_the_mean_over_a_million_pixels_is_exact_to_five_digits() -> None:
     labels = torch.zeros(1000, 1000, dtype=torch.int64)
 

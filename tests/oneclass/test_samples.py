@@ -8,7 +8,6 @@ from torch import Tensor
 from roadtorch.imaging.color import REPRESENTATIONS, color_planes
 from roadtorch.imaging.segments import segment_median
 from roadtorch.oneclass.samples import (
-    AllSampleSettings,
     SampleSettings,
     WideSeedArea,
     area_segments,
@@ -21,7 +20,6 @@ from tests.draws import random, seeded_generator
 from tests.streets import scene
 
 GRID = SampleSettings(reduction="grid")
-ALL = AllSampleSettings()
 
 
 def eight_bit(levels: int = 12) -> Tensor:
@@ -86,17 +84,6 @@ def test_a_sample_is_the_median_of_one_of_about_ninety_superpixels() -> None:
     expected = segment_median(stack, labels, int(labels.max()) + 1)
     assert 60 <= len(samples) <= 130
     np.testing.assert_allclose(samples, expected.T, atol=1e-6)
-
-
-@pytest.mark.parametrize("settings", [GRID, SampleSettings(), ALL], ids=repr)
-@pytest.mark.parametrize("size", [(16, 16), (16, 300), (200, 17)])
-def test_small_areas_have_samples(settings: SampleSettings, size: tuple[int, int]) -> None:
-    image = 0.2 + 0.5 * random(3, *size, seed=1, dtype=torch.float32)
-
-    samples = road_samples(image, ("R", "G", "B"), settings)
-
-    assert len(samples) >= 8
-    assert samples.min() > 0.19  # no segment is empty
 
 
 @pytest.mark.parametrize("settings", [SampleSettings(), GRID], ids=["superpixels", "grid"])

@@ -78,15 +78,6 @@ def test_the_exported_solution_is_that_of_linear_algebra(seed: int) -> None:
     torch.testing.assert_close(solution, expected, atol=5e-3, rtol=5e-3)
 
 
-def test_a_flat_image_has_finite_log_odds() -> None:
-    grey = torch.full((1, 3, 24, 32), 0.5)
-    scores = torch.linspace(-4, 4, 48).view(1, 6, 8)
-
-    fused = fuse_appearance(scores, torch.zeros(1, 5, 6, 8), grey, 1.0)
-
-    assert fused.isfinite().all()
-
-
 def test_shadow_changes_brightness_and_neither_chromaticity_nor_ratio() -> None:
     colour = torch.tensor([0.6, 0.5, 0.4])[:, None, None]
 
