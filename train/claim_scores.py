@@ -11,7 +11,6 @@ many) count the same. The intervals are of 95 % over images, drawn within their 
 
 import argparse
 import csv
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -28,12 +27,11 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.evaluate import tally_images
 from roadtorch.evaluation.methods import Contender, contender_from_name
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.tally import Tally
+from roadtorch.evaluation.tally import Tally, pool
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
     REPLICATES,
     percentile_interval,
-    pool_replicates,
     sample_weights,
     student_weights,
 )
@@ -114,7 +112,7 @@ def measure(tally: Tally) -> Scores:
     for group in sorted(tally.road.keys() - set(EXCLUDED)):
         table = tally.table([group])
         weights = sample_weights(table.groups, generator)
-        part = pool_replicates(table, math.nan, weights)
+        part = pool(table, {}, weights)
         roads.append(part.road)
         if part.layout is not None and bool(part.layout[0, 0].any()):
             recalls.append(metrics.mean_class_recall(part.layout))

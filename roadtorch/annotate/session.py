@@ -45,6 +45,7 @@ from roadtorch.data.events import (
     Import,
     SuperpixelStroke,
     count_clicks,
+    effective_events,
     redoable_ids,
 )
 from roadtorch.data.polygons import encode_counts
@@ -188,7 +189,7 @@ class Session:
                 summary = None
                 if log and log.events:
                     summary = {
-                        "events": len(log.effective_events),
+                        "events": len(effective_events(log.events)),
                         "confirmed": log.confirmed,
                         "version": len(log.events),
                     }
@@ -258,7 +259,7 @@ class Session:
             "shape": [view.shape[1], view.shape[0]],
             "trust": self._trust(name),
             "version": len(log.events),
-            "events": [event.id for event in log.effective_events],
+            "events": [event.id for event in effective_events(log.events)],
             "redo": redoable_ids(log.events),
             "confirmed": log.confirmed,
             "seconds": round(log.seconds, 1),

@@ -46,9 +46,7 @@ def open_dataset(
     if split is not None and split not in splits:
         raise unknown_name_error(f"split of {name}", split, splits)
     if not root.is_dir():
-        raise DatasetError(
-            root, "is not a folder", "check the path: it holds the images and labels"
-        )
+        raise DatasetError(root, "is not a folder", "give the one with the images and labels")
     split = split or splits[0]
     values = {key: value for key, value in values.items() if value}
     if values and dataset_format.open is not open_folder:

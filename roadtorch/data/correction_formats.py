@@ -4,7 +4,6 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Annotated, NamedTuple
 from unicodedata import normalize
@@ -23,20 +22,18 @@ from roadtorch.data.events import LABEL_NAMES
 from roadtorch.data.label_images import LabelPixels, read_labels
 from roadtorch.data.polygons import coco_annotation, decode_counts, fill_area, unpack_counts
 
-ImageSizes = Mapping[str, tuple[int, int]]
-"""(height, width) of images by their relative name with extension."""
+ImageSizes = Mapping[str, tuple[int, int]]  # (height, width) by relative name with extension
 
 
 class CorrectionFormat(NamedTuple):
     """A file format in which other programs keep labels.
 
-    write: writes corrections to a folder. files: returns the names of what it writes. read: returns
-    labels uint8 (H, W) by image, from a path and the sizes of the images, without images that have
-    no labels; raises DatasetError for files that cannot be read or do not fit the images.
+    read: returns labels uint8 (H, W) of the images that have any; raises DatasetError for files
+    that cannot be read or do not fit the images.
     """
 
     write: Callable[[Sequence[Correction], Path], None]
-    files: Callable[[Sequence[Correction]], list[str]]
+    files: Callable[[Sequence[Correction]], list[str]]  # names of what ``write`` writes
     read: Callable[[Path, ImageSizes], dict[str, np.ndarray]]
 
 
@@ -89,16 +86,13 @@ def read_png(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
         hint = "give the folder that holds the labels"
         raise DatasetError(path / "labels", "has no file for any of the images", hint)
     _require_unique_stems(present)
-    return {name: read_label_numbers(file, sizes[name]) for name, file in present.items()}
-
-
-def read_label_numbers(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Read indices in ``LABEL_NAMES``, uint8 (H, W); DatasetError for others or another size."""
-    labels = read_labels(path, size)
-    if not np.isin(labels, range(len(LABEL_NAMES))).all():
-        message = f"has other values than 0 to {len(LABEL_NAMES) - 1}"
-        raise DatasetError(path, message, f"0 is {LABEL_NAMES[0]}, 1 {LABEL_NAMES[1]}, …")
-    return labels.astype(np.uint8)
+    labels = {name: read_labels(file, sizes[name]) for name, file in present.items()}
+    for name, values in labels.items():
+        if not np.isin(values, range(len(LABEL_NAMES))).all():
+            message = f"has other values than 0 to {len(LABEL_NAMES) - 1}"
+            hint = f"0 is {LABEL_NAMES[0]}, 1 {LABEL_NAMES[1]}, …"
+            raise DatasetError(present[name], message, hint)
+    return {name: values.astype(np.uint8) for name, values in labels.items()}
 
 
 # --- COCO -------------------------------------------------------------------------------
@@ -173,29 +167,38 @@ class _CocoFile(ForeignDocument):
     annotations: tuple[_CocoRegion, ...]
 
 
-@dataclass(frozen=True)
-class CocoRegions:
-    """Regions of an image in a COCO file, each with its value; later ones cover earlier ones."""
+CocoRegions = list[tuple[_Counts | _Polygons, int]]
+"""Regions of an image in a COCO file, each with its value; later ones cover earlier ones."""
 
-    path: Path
-    name: str
-    size: tuple[int, int]
-    regions: list[tuple[_Counts | _Polygons, int]] = field(default_factory=list)
 
-    def read(self) -> LabelPixels:
-        """Return the values uint16 (H, W), 0 outside of all; DatasetError for a wrong region."""
-        values = np.zeros(self.size, np.uint16)
-        for segmentation, value in self.regions:
-            mask = np.zeros(self.size, np.bool_)
-            try:
-                _fill_region(mask, segmentation)
-            except (ValueError, MemoryError) as error:
-                raise DatasetError(self.path, f"cannot be read: {reason(error)}", HINT) from None
-            if not mask.any():
-                message = f"cannot be read: a region on {self.name} has no area"
-                raise DatasetError(self.path, message, "draw it as a polygon, or delete it")
-            values[mask] = value
-        return LabelPixels(values)
+def fill_regions(path: Path, name: str, size: tuple[int, int], regions: CocoRegions) -> LabelPixels:
+    """Return values uint16 (H, W), 0 outside of all regions; DatasetError for a wrong region."""
+    values = np.zeros(size, np.uint16)
+    for segmentation, value in regions:
+        try:
+            mask = _region_mask(segmentation, size)
+        except (ValueError, MemoryError) as error:
+            raise DatasetError(path, f"cannot be read: {reason(error)}", HINT) from None
+        if not mask.any():
+            message = f"cannot be read: a region on {name} has no area"
+            raise DatasetError(path, message, "draw it as a polygon, or delete it")
+        values[mask] = value
+    return LabelPixels(values)
+
+
+def _region_mask(segmentation: _Counts | _Polygons, size: tuple[int, int]) -> np.ndarray:
+    if isinstance(segmentation, _Counts):
+        if segmentation.size not in (None, size):
+            rows, columns = segmentation.size or (0, 0)
+            raise ValueError(f"a region has {columns} by {rows} pixels, not {size[1]} by {size[0]}")
+        counts = segmentation.counts
+        return decode_counts(unpack_counts(counts) if isinstance(counts, str) else counts, size)
+    mask = np.zeros(size, np.bool_)
+    for polygon in segmentation:
+        if len(polygon) % 2:
+            raise ValueError(f"a polygon has {len(polygon)} coordinates, an odd number")
+        fill_area(np.array(polygon).reshape(-1, 2), mask, 1)
+    return mask
 
 
 def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
@@ -211,7 +214,10 @@ def read_coco_labels(path: Path, sizes: ImageSizes) -> dict[str, np.ndarray]:
             message = f"cannot be read: the category {category!r} on {image} is not a label"
             raise DatasetError(path, message, f"use {', '.join(LABEL_NAMES[1:])}")
     labels = np.array([0, *(LABEL_NAMES.index(category) for category, _ in categories)], np.uint8)
-    return {name: labels[part.read().values] for name, part in regions.items()}
+    return {
+        name: labels[fill_regions(path, name, sizes[name], part).values]
+        for name, part in regions.items()
+    }
 
 
 def read_coco(
@@ -242,7 +248,7 @@ def read_coco(
             names[image.id] = name
         if not names:
             raise ValueError("it lists none of the images")
-        regions = {name: CocoRegions(path, name, sizes[name]) for name in names.values()}
+        regions: dict[str, CocoRegions] = {name: [] for name in names.values()}
         used = {NO_REGION: ""}
         categories = {category.id: category.name for category in document.categories}
         for region in document.annotations:
@@ -255,7 +261,7 @@ def read_coco(
                         f"a region on {name} has category {number}, which is not listed"
                     )
                 used.setdefault(category, name)
-                regions[name].regions.append((region.segmentation, list(used).index(category)))
+                regions[name].append((region.segmentation, list(used).index(category)))
     return regions, list(used.items())
 
 
@@ -284,22 +290,6 @@ def match_image_name(file: str, names: Collection[str]) -> str | None:
     if len(candidates) > 1:
         raise ValueError(f"the upload {upload[1]} could be {' or '.join(candidates[:2])}")
     return candidates[0] if candidates else None
-
-
-def _fill_region(mask: np.ndarray, segmentation: _Counts | _Polygons) -> None:
-    height, width = mask.shape
-    if isinstance(segmentation, _Counts):
-        if segmentation.size not in (None, (height, width)):
-            rows, columns = segmentation.size or (0, 0)
-            raise ValueError(f"a region has {columns} by {rows} pixels, not {width} by {height}")
-        counts = segmentation.counts
-        counts = unpack_counts(counts) if isinstance(counts, str) else counts
-        mask[:] = decode_counts(counts, (height, width))
-        return
-    for polygon in segmentation:
-        if len(polygon) % 2:
-            raise ValueError(f"a polygon has {len(polygon)} coordinates, an odd number")
-        fill_area(np.array(polygon).reshape(-1, 2), mask, 1)
 
 
 CORRECTION_FORMATS: Mapping[str, CorrectionFormat] = {

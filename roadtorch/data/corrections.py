@@ -31,7 +31,6 @@ from roadtorch.data.events import (
     ROAD_LABEL,
     AnyEvent,
     Confirm,
-    LabelEvent,
     Redo,
     Undo,
     apply_event,
@@ -78,14 +77,9 @@ class EventLog:
         return self.header.height, self.header.width
 
     @property
-    def effective_events(self) -> list[LabelEvent]:
-        """Events that have not been undone."""
-        return effective_events(self.events)
-
-    @property
     def confirmed(self) -> bool:
         """True if the remaining labels were confirmed as shown."""
-        return any(isinstance(event, Confirm) for event in self.effective_events)
+        return any(isinstance(event, Confirm) for event in effective_events(self.events))
 
     @property
     def seconds(self) -> float:

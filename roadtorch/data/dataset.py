@@ -92,6 +92,11 @@ class Dataset:
     left_out: frozenset[str] = frozenset()
     summary: str = ""
 
+    @property
+    def space_name(self) -> str:
+        """Name of the space in which the set is scored."""
+        return self.scoring_space.name if self.scoring_space else "the image"
+
     def groups(self) -> list[str]:
         """Return the groups, sorted; an empty list if the data set has none."""
         return sorted({item.group for item in self.items if item.group is not None})
@@ -118,6 +123,11 @@ class Dataset:
             message = f"is {columns} by {rows} pixels, its image {width} by {height}"
             raise DatasetError(item.label, message, "labels must have the size of the image")
         return image, truth
+
+    def warp(self, item: LabelledItem, size: tuple[int, int], values: Tensor) -> Tensor:
+        """Map values (..., H, W), if of the image's size, to the space of the scores."""
+        space = self.scoring_space
+        return space(item, values) if space and tuple(values.shape[-2:]) == size else values
 
 
 def subsample_dataset(dataset: Dataset, limit: int | None) -> Dataset:

@@ -20,7 +20,7 @@ from roadtorch.data.label_images import (
     read_labels,
     require_labels,
 )
-from roadtorch.data.masks import MASK_VALUES, Mask, MaskValues, find_masks
+from roadtorch.data.masks import MASK_VALUES, Mask, MaskValues, read_masks
 from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
 
 # --- folder -----------------------------------------------------------------------------
@@ -51,11 +51,7 @@ class FolderLabels:
         """Read the item's labels; DatasetError where they cannot be read."""
         truth = self.masks[item.name].truth
         for path in item.extra:
-            labels = read_labels(path)
-            if labels.shape != truth.road.shape:
-                size = f"{labels.shape[1]} by {labels.shape[0]} pixels"
-                hint = "labels must have the size of the image"
-                raise DatasetError(path, f"is {size}, unlike {item.label.name}", hint)
+            labels = read_labels(path, (truth.road.shape[0], truth.road.shape[1]))
             truth = replace(truth, layout=decode_labels(labels, LAYOUT_CODING, path).layout)
         return truth
 
@@ -66,7 +62,7 @@ def open_folder(
     """Open ROOT/images with one of ``LABEL_SOURCES``, or folders of this layout as groups.
 
     Images of groups are called GROUP/NAME. Images without a mask are left out, as the summary says.
-    Conditions come from ROOT/pictures.csv, if it exists. road, void: values as in ``find_masks``.
+    Conditions come from ROOT/pictures.csv, if it exists. road, void: values as in ``read_masks``.
     Raises DatasetError naming a missing folder, unknown values, or a mistake in that table.
     """
     folders: dict[str | None, Path] = {None: root}
@@ -80,9 +76,9 @@ def open_folder(
         defaults = ROAD_FOLDER_VALUES if source.name == "road" else MASK_VALUES
         if not source.exists():
             raise DatasetError(source, "does not exist", f"give {', '.join(LABEL_SOURCES)}")
-        mask_set = find_masks(source, names, road, void, defaults)
-        summaries.append(f"{source}: {mask_set.summary}")
-        for mask in mask_set.masks:
+        folder_masks, summary = read_masks(source, names, road, void, defaults, requires_road=False)
+        summaries.append(f"{source}: {summary}")
+        for mask in folder_masks:
             name = f"{group}/{mask.image.stem}" if group else mask.image.stem
             layout = folder / "layout" / f"{mask.image.stem}.png"
             extra = (layout,) if layout.is_file() else ()

@@ -283,10 +283,15 @@ def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth
 
 def _list_counts(names: list[str], counts: np.ndarray) -> str:
     """List the most frequent names with their numbers of pixels."""
-    order = np.argsort(-counts, kind="stable")[:MAX_LISTED_VALUES]
-    text = ", ".join(f"{names[index]} ({counts[index]} pixels)" for index in order)
-    unlisted = len(names) - len(order)
-    return text + (f" and {unlisted} others" if unlisted else "")
+    order = np.argsort(-counts, kind="stable")
+    return list_names([f"{names[index]} ({counts[index]} pixels)" for index in order])
+
+
+def list_names(names: Sequence[str]) -> str:
+    """List the first names, and the number of others."""
+    unlisted = len(names) - MAX_LISTED_VALUES
+    others = f" and {unlisted} others" if unlisted > 0 else ""
+    return ", ".join(names[:MAX_LISTED_VALUES]) + others
 
 
 def _pack_colours(colours: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ CHECKED_MAPS = 8  # maps of a folder whose values are looked at before the run
 INFER_WHITE = {"uint8": 255, "uint16": 65535}
 """Levels that are 1 in the maps and masks of ``infer``, which may hold 0 and 1 alone."""
 
-DECISION_KEYS = ("threshold", "isolated", "seed_area")
+DECISION_KEYS = {"threshold", "isolated", "seed_area"}
 """Settings that turn a likelihood into a mask."""
 
 
@@ -107,13 +107,13 @@ def read_decision_settings(folder: Path) -> DetectorSettings:
     """Read the settings by which a folder's likelihoods become masks; 0.5 without config.toml."""
     if not is_infer_folder(folder):
         return DetectorSettings()
-    values = read_settings_file(folder / INFER_CONFIG)
+    path = folder / INFER_CONFIG
+    values = read_settings_file(path)
     try:
-        settings = {key: values[key] for key in DECISION_KEYS if key in values}
-        return build_settings(DetectorSettings, settings)
+        decision = {key: values[key] for key in DECISION_KEYS & values.keys()}
+        return build_settings(DetectorSettings, decision)
     except ConfigError as error:
-        message = f"{error.where}: {error.problem}"
-        raise ConfigError(folder / INFER_CONFIG, message, error.hint) from None
+        raise ConfigError(path, f"{error.where}: {error.problem}", error.hint) from None
 
 
 @dataclass(frozen=True)

@@ -8,22 +8,21 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
 from unicodedata import normalize
 
 import numpy as np
 import torch
 
 from roadtorch.base.errors import ConfigError, DatasetError
-from roadtorch.data.correction_formats import NO_REGION, read_coco
+from roadtorch.data.correction_formats import NO_REGION, fill_regions, read_coco
 from roadtorch.data.corrections import read_image_size
 from roadtorch.data.dataset import Truth
 from roadtorch.data.events import LABEL_NAMES
 from roadtorch.data.label_images import (
     LEVEL_BETWEEN,
-    MAX_LISTED_VALUES,
     LabelPixels,
     is_image_file,
+    list_names,
     read_label_pixels,
     value_name,
 )
@@ -37,16 +36,18 @@ MaskValues = tuple[Sequence[str], Sequence[str]]
 
 MASK_VALUES: MaskValues = ("1", "255", "road"), ("127", "128", "void")
 
+BOTH = "has both 1 and 255:"  # of which one may be void
+
 _Readers = dict[Path, tuple[Path, Callable[[], LabelPixels]]]
 """File and reader of the mask of each image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mask:
-    """Mask of one image; read: returns its values (H, W). road, void: those that mean this."""
+    """Mask of one image; read: returns its values. road, void: those that mean this."""
 
     image: Path
-    read: Callable[[], np.ndarray]
+    read: Callable[[], LabelPixels]
     road: tuple[int, ...]
     void: tuple[int, ...]
     file: Path = Path()
@@ -54,7 +55,7 @@ class Mask:
     @property
     def truth(self) -> Truth:
         """Road, and what is not void; DatasetError where the mask cannot be read."""
-        values = self.read()
+        values = self.read().values
         road, void = (torch.from_numpy(np.isin(values, part)) for part in (self.road, self.void))
         return Truth(road, road | ~void)
 
@@ -66,39 +67,17 @@ class Mask:
         return np.where(truth.valid, np.where(truth.road, road, not_road), void).astype(np.uint8)
 
 
-class MaskSet(NamedTuple):
-    """Masks of images, decoded when they are used; what is road in them, and all values."""
-
-    masks: list[Mask]
-    summary: str
-    has_road: bool
-    values: str
-
-
 def read_masks(
-    path: Path, images: Mapping[str, Path], road: Sequence[str] = (), void: Sequence[str] = ()
-) -> tuple[list[Mask], str]:
-    """Return the masks of ``find_masks`` and what is road in them, in words.
-
-    Raises:
-        DatasetError: as ``find_masks``, and where no pixel is road.
-    """
-    mask_set = find_masks(path, images, road, void)
-    if not mask_set.has_road:
-        raise DatasetError(path, f"has no road, but {mask_set.values}", "name it with --road")
-    return mask_set.masks, mask_set.summary
-
-
-def find_masks(
     path: Path,
     images: Mapping[str, Path],
     road: Sequence[str] = (),
     void: Sequence[str] = (),
     defaults: MaskValues = MASK_VALUES,
-) -> MaskSet:
-    """Find the masks of images, and decide by the values of all of them what is road.
+    requires_road: bool = True,
+) -> tuple[list[Mask], str]:
+    """Return masks of images, decoded when they are used, and what is road in them, in words.
 
-    A mask that cannot be read decides nothing; it fails when it is used.
+    The values of all masks decide. One that cannot be read decides nothing; it fails when used.
 
     Args:
         path: folder of label images named like their images, or a COCO file.
@@ -106,6 +85,7 @@ def find_masks(
         road: values (numbers, colours as #rrggbb) or categories of COCO that are road.
         void: those that do not count; by default, if ``road`` is, those of ``defaults``.
         defaults: what is road and void by default.
+        requires_road: whether masks without any road are an error.
 
     Raises:
         ConfigError: for a value that is to be both.
@@ -115,15 +95,47 @@ def find_masks(
     if clash := {*road} & {*void}:
         raise ConfigError("--void", f"{min(clash)} is also --road", "give it one meaning")
     readers, names = _read_regions(path, images) if path.is_file() else _pair(path, images)
+    counts, numbers, palettes, has_jpeg = _count_values(path, readers, names)
+    road_names = road or [name for name in defaults[0] if name not in void]
+    void_names = [*(void or (() if road else defaults[1])), *[str(LEVEL_BETWEEN)] * has_jpeg]
+    meaning = {
+        "road": [name for name in road_names if name in counts],
+        "not road": [name for name in counts if name not in {*road_names, *void_names}],
+        "void": [name for name in dict.fromkeys(void_names) if name in counts],
+    }
+    listed = _list_values(counts, counts)
+    frequent = [shlex.quote(n) for n, _ in counts.most_common(3) if n != NO_REGION][:2]
+    hint = f"try --road {' or --road '.join(frequent)}, and --void for values that do not count"
+    if problem := _find_problem(counts, palettes, road, meaning, bool(names)):
+        hint = "try --road 1 --void 255, or --road 1 --road 255" if problem == BOTH else hint
+        raise DatasetError(path, f"{problem} {listed}", hint)
+    if requires_road and not meaning["road"]:
+        raise DatasetError(path, f"has no road, but {listed}", "name it with --road")
+    is_road, is_void = (tuple(numbers[name] for name in meaning[part]) for part in ("road", "void"))
+    masks = [Mask(image, read, is_road, is_void, file) for image, (file, read) in readers.items()]
+    texts = [f"{key} is {_list_values(counts, part)}" for key, part in meaning.items() if part]
+    bare = [name for name, image in images.items() if image not in readers]
+    without = f", none for {list_names(bare)}" if bare else ""
+    summary = f"{len(masks)} of {len(images)} images have a mask{without}; {'; '.join(texts)}"
+    return masks, summary
+
+
+def _count_values(
+    path: Path, readers: _Readers, names: list[str]
+) -> tuple[Counter[str], dict[str, int], list[bytes], bool]:
+    """Return pixels and number of each value, by its name; the palettes; whether any is a JPEG.
+
+    Raises DatasetError where no mask can be read, and for different palettes.
+    """
     counts, numbers = Counter[str](), dict[str, int]()
-    errors, palettes, blurred = list[DatasetError](), dict[bytes, Path](), 0
+    errors, palettes, jpegs = list[DatasetError](), dict[bytes, Path](), 0
     for file, read in readers.values():
         try:
             pixels = read()
         except DatasetError as error:
             errors.append(error)
             continue
-        blurred += pixels.is_jpeg
+        jpegs += pixels.is_jpeg
         if pixels.palette:
             palettes.setdefault(pixels.palette, file)
         values, sizes = np.unique(pixels.values + np.uint8(0), return_counts=True)
@@ -133,72 +145,53 @@ def find_masks(
             numbers[name] = number
     if len(errors) == len(readers):
         raise errors[0]
+    longest = max(palettes, key=len, default=b"")
     for palette, file in palettes.items():
-        longest = max(palettes, key=len)
         if not longest.startswith(palette):
             message = f"and {palettes[longest].name} have different palettes"
             raise DatasetError(file, message, "save one number, or one colour, a pixel")
-    if blurred:
-        text = f"{blurred} masks are JPEG, which blurs borders: levels from 64 to 191 are void"
-        warnings.warn(f"{path}: {text} (write PNG)", stacklevel=2)
-    road_names = road or [name for name in defaults[0] if name not in void]
-    void_names = [*(void or (() if road else defaults[1])), *[str(LEVEL_BETWEEN)] * (blurred > 0)]
-    not_road = [name for name in counts if name not in {*road_names, *void_names}]
-    meaning = {
-        "road": [name for name in road_names if name in counts],
-        "not road": not_road,
-        "void": [name for name in dict.fromkeys(void_names) if name in counts],
-    }
-    listed = _list_values(counts, counts)
-    frequent = [shlex.quote(n) for n, _ in counts.most_common(3) if n != NO_REGION][:2]
-    hint = f"try --road {' or --road '.join(frequent)}, and --void for values that do not count"
-    problem = ""
+    if jpegs:
+        text = f"{jpegs} masks are JPEG, which blurs borders: levels from 64 to 191 are void"
+        warnings.warn(f"{path}: {text} (write PNG)", stacklevel=3)
+    return counts, numbers, list(palettes), bool(jpegs)
+
+
+def _find_problem(
+    counts: Counter[str],
+    palettes: Sequence[bytes],
+    road: Sequence[str],
+    meaning: Mapping[str, list[str]],
+    is_coco: bool,
+) -> str:
+    """Return what is wrong with the meaning of the values; empty if nothing is."""
     if missing := [name for name in road if name not in counts]:
-        problem = f"has no value {missing[0]}, but"
-    elif names and not meaning["road"]:
-        problem = "has no road, but"
-    elif not road and (unknown := [n for n in not_road if n not in {*names, "0"}]):
-        problem = f"has values of unknown meaning, such as {unknown[0]}:"
-    elif not road and any(any(palette[:3]) for palette in palettes):
-        problem = "has masks in a palette whose first colour is not black:"
-    elif not road and {"1", "255"} <= {*meaning["road"]}:
-        problem, hint = "has both 1 and 255:", "try --road 1 --void 255, or --road 1 --road 255"
-    if problem:
-        raise DatasetError(path, f"{problem} {listed}", hint)
-    is_road, is_void = (tuple(numbers[name] for name in meaning[part]) for part in ("road", "void"))
-    masks = [
-        Mask(image, partial(_read_values, read), is_road, is_void, file)
-        for image, (file, read) in readers.items()
-    ]
-    texts = [f"{key} is {_list_values(counts, part)}" for key, part in meaning.items() if part]
-    bare = [name for name, image in images.items() if image not in readers]
-    without = f", none for {_list_names(bare)}" if bare else ""
-    summary = f"{len(masks)} of {len(images)} images have a mask{without}; {'; '.join(texts)}"
-    return MaskSet(masks, summary, bool(meaning["road"]), listed)
-
-
-def _read_values(read: Callable[[], LabelPixels]) -> np.ndarray:
-    return read().values
+        return f"has no value {missing[0]}, but"
+    if is_coco:
+        return "" if meaning["road"] else "has no road, but"
+    if road:
+        return ""
+    if unknown := [name for name in meaning["not road"] if name != "0"]:
+        return f"has values of unknown meaning, such as {unknown[0]}:"
+    if any(any(palette[:3]) for palette in palettes):
+        return "has masks in a palette whose first colour is not black:"
+    return BOTH if {"1", "255"} <= {*meaning["road"]} else ""
 
 
 def _list_values(counts: Counter[str], names: Iterable[str]) -> str:
     """List values with their fractions of all pixels, the most frequent first."""
     total, ordered = counts.total(), sorted(names, key=lambda name: -counts[name])
-    return _list_names([f"{name} ({100 * counts[name] / total:.1f} %)" for name in ordered])
-
-
-def _list_names(names: Sequence[str]) -> str:
-    unlisted = (
-        f" and {len(names) - MAX_LISTED_VALUES} others" if len(names) > MAX_LISTED_VALUES else ""
-    )
-    return ", ".join(names[:MAX_LISTED_VALUES]) + unlisted
+    return list_names([f"{name} ({100 * counts[name] / total:.1f} %)" for name in ordered])
 
 
 def _read_regions(path: Path, images: Mapping[str, Path]) -> tuple[_Readers, list[str]]:
     """Return the readers of images with regions in a COCO file, and the categories by value."""
     sizes = {name: size for name, image in images.items() if (size := _read_size(image))}
     regions, categories = read_coco(path, sizes)
-    readers = {images[name]: (path, part.read) for name, part in regions.items() if part.regions}
+    readers = {
+        images[name]: (path, partial(fill_regions, path, name, sizes[name], part))
+        for name, part in regions.items()
+        if part
+    }
     if not readers:
         raise DatasetError(path, "has no region on any of the images", "label some of them")
     return readers, [name for name, _ in categories]

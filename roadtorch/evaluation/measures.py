@@ -5,46 +5,22 @@ are compared, and which columns the tables on the screen and in the report have.
 append it here or pass it to `evaluate`.
 """
 
-import math
 import statistics
 from collections.abc import Callable
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from roadtorch.evaluation import boundary, curves, metrics
-from roadtorch.evaluation.measure import Formula, Measure
-from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
-from roadtorch.evaluation.tally import ImageTable, PooledCounts
+from roadtorch.evaluation.measure import Measure
+from roadtorch.evaluation.tally import PooledCounts
 from roadtorch.evaluation.trust_measures import TRUST_MEASURES
 from roadtorch.layout.classes import CLASS_NAMES
 
-# --- formulas ----------------------------------------------------------
 
-
-def _from_road(function: Callable[[RoadCounts], Tensor]) -> Formula:
-    return lambda part: function(part.road)
-
-
-def _at_chosen_threshold(function: Callable[[ConfusionCounts], Tensor]) -> Formula:
-    """Apply a function to the counts at the chosen threshold; NaN where there is none."""
-
-    def formula(part: PooledCounts) -> Tensor:
-        if part.at_threshold is not None:
-            return function(part.at_threshold)
-        return torch.full(part.road.road.shape[:-1], math.nan, dtype=torch.float64)
-
-    return formula
-
-
-def _from_mask(function: Callable[[ConfusionCounts], Tensor]) -> Formula:
-    return lambda part: function(part.mask)
-
-
-def _from_images(function: Callable[[ImageTable], float]) -> Formula:
-    """Apply a function to the single images, which bootstrap replicates do not have."""
-    return lambda part: None if part.images is None else function(part.images)
+def _median_milliseconds(part: PooledCounts) -> float | None:
+    seconds = [] if part.images is None else part.images.seconds.tolist()
+    return 1000 * statistics.median(seconds) if seconds else None
 
 
 # --- the road ---------------------------------------------------------------------------
@@ -72,20 +48,24 @@ IOU = Measure(
     "iou",
     "IoU",
     "Intersection over union of predicted and true road, at the chosen threshold.",
-    _at_chosen_threshold(metrics.iou),
+    lambda part: metrics.iou(part.at_threshold),
     interval=True,
     tables=("scores", "pairs", "compared"),
 )
 
 F = Measure(
-    "f", "F", "F at the chosen threshold.", _at_chosen_threshold(metrics.f_measure), interval=True
+    "f",
+    "F",
+    "F at the chosen threshold.",
+    lambda part: metrics.f_measure(part.at_threshold),
+    interval=True,
 )
 
 F_MASK = Measure(
     "f_mask",
     "F of mask",
     "F of the detector's mask at its default threshold, as a user gets it.",
-    _from_mask(metrics.f_measure),
+    lambda part: metrics.f_measure(part.mask),
     interval=True,
     tables=("headline", "parts", "pairs", "compared"),
 )
@@ -94,7 +74,7 @@ IOU_MASK = Measure(
     "iou_mask",
     "IoU of mask",
     "Intersection over union of the detector's mask, at its default threshold.",
-    _from_mask(metrics.iou),
+    lambda part: metrics.iou(part.mask),
     interval=True,
     tables=("headline", "parts"),
 )
@@ -104,7 +84,7 @@ ROAD_MEASURES = (
         "images",
         "images",
         "Number of images scored.",
-        _from_images(lambda images: len(images.names)),
+        lambda part: None if part.images is None else len(part.images.names),
         better=None,
         digits=0,
         aggregate="whole",
@@ -126,7 +106,7 @@ ROAD_MEASURES = (
         "AUC",
         "Fraction of pairs of a road and a background pixel in which the road has the higher "
         "likelihood.",
-        _from_road(metrics.auc),
+        lambda part: metrics.auc(part.road),
         interval=True,
         tables=("scores", "pairs", "compared"),
     ),
@@ -135,7 +115,7 @@ ROAD_MEASURES = (
         "ap",
         "AP",
         "Mean over the recalls 0, 0.1, … 1 of the best precision at that recall or above (KITTI).",
-        _from_road(metrics.average_precision),
+        lambda part: metrics.average_precision(part.road),
         interval=True,
         tables=("scores", "compared"),
     ),
@@ -144,7 +124,7 @@ ROAD_MEASURES = (
         "eer",
         "EER",
         "Rate at which the false positive and the false negative rate are equal.",
-        _from_road(lambda counts: curves.equal_error_rate(curves.operating_points(counts))),
+        lambda part: curves.equal_error_rate(curves.operating_points(part.road)),
         better="lower",
         interval=True,
         tables=("scores",),
@@ -153,7 +133,7 @@ ROAD_MEASURES = (
         "brier",
         "Brier",
         "Mean squared difference of likelihood and truth.",
-        _from_road(curves.brier_score),
+        lambda part: curves.brier_score(part.road),
         better="lower",
         interval=True,
         tables=("scores", "compared"),
@@ -162,7 +142,7 @@ ROAD_MEASURES = (
         "ms_per_image",
         "ms/image",
         "Median time of the detector per image, in milliseconds.",
-        _from_images(lambda images: 1000 * statistics.median(images.seconds.tolist())),
+        _median_milliseconds,
         better=None,
         digits=1,
         aggregate="whole",
@@ -173,7 +153,7 @@ ROAD_MEASURES = (
         "ECE",
         "Expected calibration error: mean difference of the likelihood and the observed fraction "
         "of road.",
-        _from_road(curves.expected_calibration_error),
+        lambda part: curves.expected_calibration_error(part.road),
         better="lower",
         tables=("scores", "parts"),
     ),
@@ -195,14 +175,14 @@ DECISION_MEASURES = (
         "precision_mask",
         "precision of mask",
         "Fraction of the detector's mask that is road.",
-        _from_mask(metrics.precision),
+        lambda part: metrics.precision(part.mask),
         tables=("parts",),
     ),
     Measure(
         "recall_mask",
         "recall of mask",
         "Fraction of the true road that the detector's mask covers.",
-        _from_mask(metrics.recall),
+        lambda part: metrics.recall(part.mask),
         tables=("parts",),
     ),
 )

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePath
@@ -134,7 +135,10 @@ def parse_contenders(
     if not equals or os.path.exists(text):
         name, file = "", text
     path = Path(file)
-    if not equals and is_detector(text):
+    entry = None
+    with suppress(ConfigError):
+        entry = detector_entry(text)
+    if entry is not None and not equals:
         return [contender_from_name(text, settings, camera)]
     if not name.isprintable() or set(name) & set("/\\"):
         raise ConfigError(text, f"{name!r} cannot be a file name", "choose another")
@@ -154,14 +158,6 @@ def parse_contenders(
     entry = contender_from_name(detector, merge(values, settings), camera)
     by_file = f"{path.resolve().parent.name}-{path.stem}"  # many files are called weights
     return [replace(entry, name=name or to_printable(by_file))]
-
-
-def is_detector(name: str) -> bool:
-    """Return whether the catalogue has a detector of that name."""
-    try:
-        return bool(detector_entry(name))
-    except ConfigError:
-        return False
 
 
 def contender_from_name(

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
-from operator import add
 from typing import NamedTuple
 
 import torch
@@ -15,8 +13,8 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import UNDEFINED, Measure, Scores, TableName
 from roadtorch.evaluation.measures import MAXF, MEASURES
 from roadtorch.evaluation.methods import Contender
-from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts
-from roadtorch.evaluation.tally import UNGROUPED, ImageTable, PooledCounts, Tally
+from roadtorch.evaluation.metrics import RoadCounts
+from roadtorch.evaluation.tally import UNGROUPED, ImageTable, PooledCounts, Tally, pool
 
 
 class Interval(NamedTuple):
@@ -220,7 +218,7 @@ def summarise(
         for group, threshold in thresholds.items()
     }
     by_condition = {
-        name: pool_images(images, thresholds)
+        name: pool(images, {group: thresholds[group] for group in images.groups})
         for name, items in (conditions or {}).items()
         if (images := tally.select({item.name for item in items})).names
     }
@@ -244,40 +242,8 @@ def summarise(
 
 def pool_groups(tally: Tally, thresholds: Mapping[str, float]) -> PooledCounts:
     """Add up the counts of the groups that have thresholds."""
-    counts = {group: tally.road[group] for group in thresholds}
-    return _pool(tally.table(thresholds), counts, thresholds)
-
-
-def pool_images(images: ImageTable, thresholds: Mapping[str, float]) -> PooledCounts:
-    """Add up the counts of images of any groups, from 8-bit maps; thresholds: of their groups."""
-    counts = {
-        group: RoadCounts(images.road.road[members].sum(0), images.road.background[members].sum(0))
-        for group in dict.fromkeys(images.groups)
-        for members in [images.group_mask(group)]
-    }
-    return _pool(images, counts, thresholds)
-
-
-def _pool(
-    images: ImageTable, counts: Mapping[str, RoadCounts], thresholds: Mapping[str, float]
-) -> PooledCounts:
-    """Add up masks and counts by likelihood level, at each group's threshold; average AUCs."""
-    areas = [area for area in images.auc.tolist() if not math.isnan(area)]
-    layout = None if images.layout is None else images.layout.sum(0)
-    outcomes = [
-        metrics.confusion_at(counts[group], thresholds[group])
-        for group in counts
-        if not math.isnan(thresholds[group])
-    ]
-    return PooledCounts(
-        reduce(add, counts.values()),
-        ConfusionCounts(*images.outcomes.sum(0)),
-        images.boundary.sum(0),
-        layout,
-        reduce(add, outcomes) if outcomes else None,
-        torch.tensor(sum(areas) / len(areas) if areas else math.nan, dtype=torch.float64),
-        images=images,
-    )
+    road = {group: tally.road[group] for group in thresholds}
+    return pool(tally.table(thresholds), thresholds, road=road)
 
 
 def compute_scores(part: PooledCounts, measures: Sequence[Measure]) -> Scores:

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from torch import Tensor
 
@@ -14,47 +15,39 @@ from roadtorch.evaluation.boundary import count_boundary
 from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.metrics import count_layout, count_levels, count_mask
 from roadtorch.evaluation.tally import ImageCounts, ImageResult
+from roadtorch.imaging.resize import spatial_size
 from roadtorch.run.workers import WORKER_CRASH, make_workers
 
 # --- one image ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class LabelledImage:
-    """An item that has been read: its image, and the truth in the space of the image."""
-
-    dataset: Dataset
-    item: LabelledItem
-    image: Tensor
-    truth: Truth
-
-    def warp(self, values: Tensor) -> Tensor:
-        """Warp a map (..., H, W) of the image's size to the space in which the set is scored."""
-        space = self.dataset.scoring_space
-        in_image = values.shape[-2:] == self.image.shape[-2:]
-        return space(self.item, values) if space is not None and in_image else values
-
-    def scoring_truth(self) -> Truth:
-        """Return the truth in the space in which the set is scored."""
-        layout = None if self.truth.layout is None else self.warp(self.truth.layout)
-        return Truth(self.warp(self.truth.road), self.warp(self.truth.valid), layout)
+def warp_truth(dataset: Dataset, item: LabelledItem, truth: Truth) -> Truth:
+    """Map the ground truth of one item to the space of the scores."""
+    warp = partial(dataset.warp, item, (truth.road.shape[0], truth.road.shape[1]))
+    layout = None if truth.layout is None else warp(truth.layout)
+    return Truth(warp(truth.road), warp(truth.valid), layout)
 
 
 def count_image(
-    predictor: Predictor, scene: LabelledImage, truth: Truth, shared: ImageCache
+    predictor: Predictor,
+    dataset: Dataset,
+    item: LabelledItem,
+    image: Tensor,
+    truth: Truth,
+    shared: ImageCache,
 ) -> ImageCounts:
     """Run one detector on one image and count; truth: in the scoring space."""
     saved_before, start = shared.saved_seconds, time.perf_counter()
-    detection = predictor(scene.image, scene.item)
+    detection = predictor(image, item)
     # Parts that were cached for other detectors count as this detector's work, too.
     seconds = time.perf_counter() - start + shared.saved_seconds - saved_before
-    mask, layout = scene.warp(detection.mask), detection.cues.get("layout")
+    warp = partial(dataset.warp, item, spatial_size(image))
+    mask, layout = warp(detection.mask), detection.cues.get("layout")
     confusion = None
     if layout is not None and truth.layout is not None:
-        confusion = count_layout(scene.warp(layout.argmax(0)), truth.layout)
-    likelihood = scene.warp(detection.likelihood)
+        confusion = count_layout(warp(layout.argmax(0)), truth.layout)
     return ImageCounts(
-        count_levels(likelihood, truth.road, truth.valid, scene.dataset.levels),
+        count_levels(warp(detection.likelihood), truth.road, truth.valid, dataset.levels),
         count_mask(mask, truth.road, truth.valid),
         count_boundary(mask, truth.road, truth.valid),
         confusion,
@@ -78,11 +71,11 @@ class ScoringTask:
         """
         name = ""
         try:
-            scene = LabelledImage(self.dataset, item, *self.dataset.read(item))
-            truth, counts = scene.scoring_truth(), {}
+            image, truth = self.dataset.read(item)
+            truth, counts = warp_truth(self.dataset, item, truth), {}
             with image_cache() as shared:
                 for name, predictor in self.predictors.items():
-                    counts[name] = count_image(predictor, scene, truth, shared)
+                    counts[name] = count_image(predictor, self.dataset, item, image, truth, shared)
             return ImageResult(item, counts)
         except RoadtorchError as error:
             return ImageResult(item, {}, f"{name}: {error}" if name else str(error))

@@ -7,7 +7,8 @@ The sums have one size whatever the number of images. Of each image the 8-bit hi
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 
 import numpy as np
 import torch
@@ -141,7 +142,7 @@ class PooledCounts:
     mask: ConfusionCounts
     boundary: Tensor
     layout: Tensor | None
-    at_threshold: ConfusionCounts | None  # at the threshold of each group; None where there is none
+    at_threshold: ConfusionCounts  # at the threshold of each group; zeros where there is none
     image_auc: Tensor  # mean of the AUCs of single images, float64 (…)
     threshold: float | None = None  # where all groups share one; replicates lack it
     images: ImageTable | None = None  # replicates lack them
@@ -150,3 +151,48 @@ class PooledCounts:
     def max_f(self) -> tuple[Tensor, Tensor]:
         """KITTI's MaxF and its threshold, see ``metrics.max_f``."""
         return metrics.max_f(self.road)
+
+
+def pool(
+    images: ImageTable,
+    thresholds: Mapping[str, float],
+    weights: Tensor | None = None,
+    road: Mapping[str, RoadCounts] | None = None,
+) -> PooledCounts:
+    """Add up the counts of images.
+
+    thresholds: of their groups, NaN for none. weights: how often each image counts in each
+    replicate, (replicates, n). road: pixels by level of each group; by default from 8-bit maps.
+    """
+    weights = None if weights is None else weights.to(torch.float64)
+
+    def total(counts: Tensor, members: Tensor | slice = slice(None)) -> Tensor:
+        if weights is None:
+            return counts[members].sum(0)
+        flat = weights[:, members] @ counts[members].flatten(1).to(torch.float64)
+        return flat.reshape(-1, *counts.shape[1:])
+
+    road = road or {
+        group: RoadCounts(*(total(part, members).round().to(torch.int64) for part in parts))
+        for parts in [(images.road.road, images.road.background)]
+        for group in dict.fromkeys(images.groups)
+        for members in [images.group_mask(group)]
+    }
+    whole, areas = reduce(add, road.values()), images.auc[~images.auc.isnan()]
+    if weights is None:
+        mean = sum(areas.tolist()) / len(areas) if len(areas) else math.nan
+        area = torch.tensor(mean, dtype=torch.float64)
+    else:
+        counted = weights[:, ~images.auc.isnan()]
+        area = (counted @ areas) / counted.sum(1)
+    known = {group: value for group, value in thresholds.items() if not math.isnan(value)}
+    none = ConfusionCounts(*torch.zeros(4, *whole.road.shape[:-1], dtype=torch.int64))
+    return PooledCounts(
+        whole,
+        ConfusionCounts(*total(images.outcomes).unbind(-1)),
+        total(images.boundary),
+        None if images.layout is None else total(images.layout),
+        reduce(add, (metrics.confusion_at(road[group], known[group]) for group in known), none),
+        area,
+        images=images if weights is None else None,
+    )

@@ -10,19 +10,17 @@ seeds: their weights are drawn so that the mean of any values has Student's t di
 Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13 (percentiles).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 
 import torch
 from scipy.special import stdtrit
 from torch import Tensor
 
-from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import Measure
 from roadtorch.evaluation.measures import MEASURES
-from roadtorch.evaluation.metrics import ConfusionCounts, RoadCounts, f_measure
+from roadtorch.evaluation.metrics import ConfusionCounts, f_measure
 from roadtorch.evaluation.result import Comparison, DetectorScores, Difference, Interval
-from roadtorch.evaluation.tally import ImageTable, PooledCounts, Tally
+from roadtorch.evaluation.tally import ImageTable, Tally, pool
 
 REPLICATES = 1000
 BOOTSTRAP_SEED = 11
@@ -125,8 +123,8 @@ def _mean_over_groups(
 ) -> dict[str, Tensor]:
     """Return the scores (replicates,) by key, with weights for the images of each group."""
     scores: dict[str, list[Tensor]] = {measure.key: [] for measure in measures}
-    for group, threshold, counts in zip(groups, thresholds, weights, strict=True):
-        part = pool_replicates(group, threshold, counts)
+    for images, threshold, counts in zip(groups, thresholds, weights, strict=True):
+        part = pool(images, {images.groups[0]: threshold}, counts)
         for measure in measures:
             values = measure.formula(part)
             if values is None:  # this group lacks it, such as a layout
@@ -136,30 +134,6 @@ def _mean_over_groups(
                 raise TypeError(f"the formula of {measure.key} {problem}")
             scores[measure.key].append(values)
     return {key: torch.stack(values).nanmean(0) for key, values in scores.items()}
-
-
-def pool_replicates(images: ImageTable, threshold: float, weights: Tensor) -> PooledCounts:
-    """Pool the images of one group, with weights (replicates, n), from 8-bit maps."""
-
-    def weighted_sum(counts: Tensor) -> Tensor:
-        flat = weights.to(torch.float64) @ counts.flatten(1).to(torch.float64)
-        return flat.reshape(-1, *counts.shape[1:])
-
-    road, background = (
-        weighted_sum(part).round().to(torch.int64)
-        for part in (images.road.road, images.road.background)
-    )
-    counts = RoadCounts(road, background)
-    defined = ~images.auc.isnan()
-    areas, area_weights = images.auc[defined], weights[:, defined].to(torch.float64)
-    return PooledCounts(
-        counts,
-        ConfusionCounts(*weighted_sum(images.outcomes).unbind(1)),
-        weighted_sum(images.boundary),
-        None if images.layout is None else weighted_sum(images.layout),
-        None if math.isnan(threshold) else metrics.confusion_at(counts, threshold),
-        (area_weights @ areas) / area_weights.sum(1),
-    )
 
 
 def score_intervals(replicates: Replicates) -> dict[str, Interval]:

@@ -18,7 +18,7 @@ from roadtorch.evaluation.disagreement import (
 )
 from roadtorch.evaluation.methods import parse_reference
 from roadtorch.evaluation.metrics import count_mask
-from roadtorch.evaluation.report.adaptation import Adaptation, write_adaptation
+from roadtorch.evaluation.report.adaptation import write_adaptation
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
     percentile_interval,
@@ -106,14 +106,15 @@ def write_page(
             if isinstance(network, WholeImageNetwork)
         ]
         agreement = TeacherAgreement(training.teacher.detector, *agreements)
-    change = Adaptation(
-        comparison=comparison,
-        files=(start, weights),
-        examples=select_changed(comparison.images, MAX_SHOWN),
-        agreement=agreement,
-        epochs=RunFolder(request.out).read_log(),
-        verdict=verdict,
-    )
     with claim_results(request.out, {ADAPTATION_PAGE: ""}):
-        write_adaptation(request.out / ADAPTATION_PAGE, change, command)
+        write_adaptation(
+            request.out / ADAPTATION_PAGE,
+            comparison,
+            (start, weights),
+            select_changed(comparison.images, MAX_SHOWN),
+            agreement,
+            RunFolder(request.out).read_log(),
+            verdict,
+            command,
+        )
     return True

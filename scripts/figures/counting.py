@@ -11,12 +11,11 @@ from roadtorch.data.dataset import Dataset
 from roadtorch.evaluation.evaluate import tally_images
 from roadtorch.evaluation.methods import Contender, collect_contenders
 from roadtorch.evaluation.result import pool_groups
-from roadtorch.evaluation.tally import PooledCounts, Tally
+from roadtorch.evaluation.tally import PooledCounts, Tally, pool
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
     bootstrap_weights,
     percentile_interval,
-    pool_replicates,
     student_weights,
 )
 
@@ -66,8 +65,8 @@ def replicate(tally: Tally) -> Replicates:
     by_drive = student_weights(len(tally.road), generator).unbind(1)
     tables = [tally.table([name]) for name in tally.road]
     weights = [bootstrap_weights(len(table.names), generator) for table in tables]
-    parts = [pool_replicates(table, math.nan, w) for table, w in zip(tables, weights, strict=True)]
-    whole = pool_replicates(tally.table(tally.road), math.nan, torch.cat(weights, 1))
+    parts = [pool(table, {}, w) for table, w in zip(tables, weights, strict=True)]
+    whole = pool(tally.table(tally.road), {}, torch.cat(weights, 1))
     return Replicates(whole, list(zip(by_drive, parts, strict=True)))
 
 

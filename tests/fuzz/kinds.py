@@ -21,7 +21,7 @@ from roadtorch.camera.camera import Camera, EgoTemplate
 from roadtorch.cli.options import DetectorOptions
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import CORRECTION_FORMATS as IMPORTED
-from roadtorch.data.correction_formats import read_coco
+from roadtorch.data.correction_formats import fill_regions, read_coco
 from roadtorch.data.corrections import Correction, read_log
 from roadtorch.data.label_folders import add_conditions
 from roadtorch.data.likelihood_maps import (
@@ -30,7 +30,7 @@ from roadtorch.data.likelihood_maps import (
     read_decision_settings,
     read_map,
 )
-from roadtorch.data.masks import find_masks
+from roadtorch.data.masks import read_masks
 from roadtorch.data.polygons import coco_annotation
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.evaluation.methods import Contender, apply_thresholds, contender_from_name
@@ -196,8 +196,9 @@ def make_polygons(draw: Draw, _: Path) -> bytes:
 
 def read_polygons(path: Path) -> bool:
     """Read them, and write them to coco.json."""
-    regions, _ = read_coco(path, {"a.png": (HEIGHT, WIDTH)})
-    assert regions["a.png"].read().values.shape == (HEIGHT, WIDTH)
+    size = (HEIGHT, WIDTH)
+    regions, _ = read_coco(path, {"a.png": size})
+    assert fill_regions(path, "a.png", size, regions["a.png"]).values.shape == size
     write_index(path.with_name("index.csv"), [ROW])
     write_coco(path.parent)
     return len(json.loads(path.with_name("coco.json").read_text())["images"]) == 1
@@ -213,7 +214,8 @@ def make_labels(draw: Draw, _: Path) -> bytes:
 
 def read_labels(path: Path) -> bool:
     write(path.parent / "images/label.png", np.zeros((HEIGHT, WIDTH), np.uint8))
-    masks = find_masks(path.parent, {"label.png": path.parent / "images/label.png"}).masks
+    images = {"label.png": path.parent / "images/label.png"}
+    masks, _ = read_masks(path.parent, images, requires_road=False)
     truth = masks[0].truth
     return truth.road.shape == truth.valid.shape and truth.road.dtype == torch.bool
 

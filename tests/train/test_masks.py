@@ -1,6 +1,7 @@
 """Fine-tuning on masks: held-out images decide when it stops, and score it."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 from torch import Tensor
 
 from roadtorch.cli.train import train_command
+from roadtorch.data.label_images import LabelPixels
 from roadtorch.data.masks import Mask
 from roadtorch.layout.weights import load_network, read_correction_runs
 from roadtorch.testing.scenes import ROAD
@@ -63,8 +65,8 @@ def test_dice_is_one_minus_the_overlap_of_what_counts() -> None:
 def test_the_weights_of_the_best_epoch_are_kept_and_training_stops_after_it(
     trained: Trained, streets: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    labels = np.ones((60, 80), np.uint8)
-    masks = [Mask(path, labels.copy, (1,), ()) for path in sorted(streets.iterdir())]
+    read = partial(LabelPixels, np.ones((60, 80), np.uint8))
+    masks = [Mask(path, read, (1,), ()) for path in sorted(streets.iterdir())]
     settings = ("corrections.held_out=0.2", "stopping.patience=2", "stopping.epochs={}")
 
     def run(scores: Sequence[float], epochs: int) -> tuple[Outcome, list[Tensor]]:

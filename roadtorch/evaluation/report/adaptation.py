@@ -2,8 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,16 +11,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from roadtorch.base.atomic import write_text
+from roadtorch.base.bounded import plural
 from roadtorch.base.image import read_image, tint_mask, to_pixels
 from roadtorch.base.image_cache import image_cache
-from roadtorch.data.dataset import LabelledItem
 from roadtorch.evaluation.disagreement import Disagreement, Disagreements, TeacherAgreement
 from roadtorch.evaluation.measure import UNDEFINED
 from roadtorch.evaluation.report.charts import COLOURS, DASHES, GREY, PANEL_WIDTH, Series, svg_uri
-from roadtorch.evaluation.report.montage import BLUE, TILE_WIDTH, VERMILLION, caption_tile, jpeg_uri
+from roadtorch.evaluation.report.montage import BLUE, VERMILLION, hstack_tiles, jpeg_uri
 from roadtorch.evaluation.report.table import (
     MINUS,
     Cell,
+    Section,
     Table,
     format_number,
     format_percent,
@@ -29,57 +29,80 @@ from roadtorch.evaluation.report.table import (
     render_page,
 )
 
+NOTE = (
+    "Trust is the predicted F of the mask. It depends on the agreement of the detector's parts, so "
+    "training with this teacher may raise it without better masks. The agreement is that of the "
+    "network alone, on the pixels where the teacher is confident."
+)
 
-@dataclass(frozen=True)
-class Adaptation:
-    """Changes by an adaptation."""
-
-    comparison: Disagreements  # masks before and after
-    files: tuple[Path, Path]  # the two weight files
-    examples: Sequence[Disagreement]  # images on the page
-    agreement: TeacherAgreement | None  # None for networks without a teacher's maps
-    epochs: Sequence[Mapping[str, Any]]  # round, epoch and loss of each
-    verdict: str = ""  # whether to adopt it, and why; empty without a verdict
-
-
-def write_adaptation(path: Path, adaptation: Adaptation, command: str = "") -> None:
-    """Write the page as one self-contained file."""
-    items = [image.item for image in adaptation.examples]
-    montages = draw_montages(adaptation.comparison, items, "blue: only before, orange: only after")
-    is_part = len(items) < len(adaptation.comparison.images)
-    loss_chart = svg_uri(PANEL_WIDTH, 260, partial(draw_losses, rows=adaptation.epochs))
-    differences = [image.difference for image in adaptation.comparison.images]
-    values = {
-        "comparison": adaptation.comparison,
-        "agreement": adaptation.agreement,
-        "files": adaptation.files,
-        "verdict": adaptation.verdict,
-        "mean": statistics.fmean(differences),
-        "median": statistics.median(differences),
-        "maximum": max(differences),
-        "examples": list(zip(adaptation.examples, montages, strict=True)),
-        "half": len(items) - len(items) // 2 if is_part else len(items),
-        "summary": summary_table(adaptation),
-        "charts": [loss_chart, trust_chart(adaptation)],
-    }
-    write_text(path, render_page("adaptation.html", command, values))
+ORDER = (
+    "The largest difference first; if not all are shown, half are evenly spread over the others."
+)
+TRUST_CAPTION = "Trust before and after: a mark is an image; above the line trust rose."
 
 
-def draw_montages(pair: Disagreements, items: Iterable[LabelledItem], caption: str) -> list[str]:
-    """Return for each item a JPEG for the page: the two overlays, and their difference."""
-    predictors = {method.name: method.prepare(pair.dataset) for method in pair.methods}
-    montages = []
-    for item in items:
-        image = read_image(item.image)
+def write_adaptation(
+    path: Path,
+    comparison: Disagreements,
+    files: tuple[Path, Path],
+    examples: Sequence[Disagreement],
+    agreement: TeacherAgreement | None,
+    epochs: Sequence[Mapping[str, Any]],
+    verdict: str = "",
+    command: str = "",
+) -> None:
+    """Write the page as one self-contained file.
+
+    comparison: masks before and after. files: the two weight files. examples: images to show.
+    agreement: None for networks without a teacher's maps. epochs: round, epoch and loss of each.
+    verdict: whether to adopt the network, and why.
+    """
+    differences = [image.difference for image in comparison.images]
+    average, median, largest = (
+        format_percent(function(differences))
+        for function in (statistics.fmean, statistics.median, max)
+    )
+    losses = svg_uri(PANEL_WIDTH, 260, partial(draw_losses, rows=epochs))
+    weights = Table("weights", ["before", "after"])
+    weights.add("file", [Cell(str(file)) for file in files])
+    weights.add("threshold", [Cell(format_number(m.threshold)) for m in comparison.methods])
+    images = list(draw_montages(comparison, examples))
+    charts = [("Mean loss of the epochs", losses), *trust_chart(comparison.images)]
+    page = render_page(
+        "Before and after the adaptation",
+        f"Masks of {len(differences)} images with the initial and with the final weights differ on "
+        f"{average} of the pixels on average (median {median}, maximum {largest}). The images have "
+        "no labels: the page shows what changed, not what is correct.",
+        [
+            Section("Without labels", NOTE, [summary_table(comparison, agreement)], charts=charts),
+            Section(f"Before and after, {plural(len(images), 'image')}", ORDER, images=images),
+            Section("Weights", tables=[weights]),
+        ],
+        verdict=verdict,
+        failures=comparison.failures,
+        command=command,
+    )
+    write_text(path, page)
+
+
+def draw_montages(
+    comparison: Disagreements, examples: Iterable[Disagreement]
+) -> Iterator[tuple[str, str]]:
+    """Yield caption and image of each example: the two overlays, and their difference."""
+    predictors = {m.name: m.prepare(comparison.dataset) for m in comparison.methods}
+    for example in examples:
+        image = read_image(example.item.image)
         with image_cache():
-            masks = {n: predict(image, item).mask.numpy() for n, predict in predictors.items()}
-        pixels = to_pixels(image)
+            detections = {n: predict(image, example.item) for n, predict in predictors.items()}
+        pixels, masks = to_pixels(image), {n: d.mask.numpy() for n, d in detections.items()}
         tiles = {name: tint_mask(pixels, mask) for name, mask in masks.items()}
-        tiles[caption] = difference_tile(pixels, *masks.values())
-        height = round(pixels.shape[0] * TILE_WIDTH / pixels.shape[1])
-        montage = np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()])
-        montages.append(jpeg_uri(montage))
-    return montages
+        tiles["blue: only before, orange: only after"] = difference_tile(pixels, *masks.values())
+        caption = (
+            f"{example.item.name}: {format_percent(example.difference)} of the pixels differ; road "
+            f"{format_percent(example.first_road)} → {format_percent(example.second_road)}; trust "
+            f"{format_number(example.first_trust)} → {format_number(example.second_trust)}"
+        )
+        yield caption, jpeg_uri(hstack_tiles(tiles, pixels.shape[:2]))
 
 
 def difference_tile(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -90,31 +113,33 @@ def difference_tile(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -
     return grey.round().astype(np.uint8)
 
 
-def summary_table(adaptation: Adaptation) -> Table:
+def summary_table(comparison: Disagreements, agreement: TeacherAgreement | None) -> Table:
     """Return means before and after that need no labels: road, trust, agreement."""
-    images, rows = adaptation.comparison.images, {}
-    road = [(image.first_road, image.second_road) for image in images]
-    rows["fraction of road"] = _row(*map(statistics.fmean, zip(*road, strict=True)))
+    images, rows = comparison.images, {}
+    before, after = ([getattr(i, side) for i in images] for side in ("first_road", "second_road"))
+    rows["fraction of road"] = _row(statistics.fmean(before), statistics.fmean(after))
     if trusts := [(image.first_trust, image.second_trust) for image in images if image.has_trust]:
         start, end = map(statistics.fmean, zip(*trusts, strict=True))
         rose = sum(second > first for first, second in trusts)
         fell = sum(second < first for first, second in trusts)
         change = Cell(format_signed(end - start), note=f"rose on {rose}, fell on {fell} images")
         rows["trust"] = (Cell(format_number(start)), Cell(format_number(end)), change)
-    if adaptation.agreement is not None:
-        start, end = adaptation.agreement.initial, adaptation.agreement.final
-        rows["agreement with the teacher on road"] = _row(start.road, end.road)
-        rows["agreement with the teacher on layout"] = _row(start.layout, end.layout)
+    if agreement is not None:
+        teacher, initial, final = agreement
+        note, key = f"{final.images} prepared images", f"agreement with the teacher {teacher} on"
+        rows[f"{key} road"] = _row(initial.road, final.road, note)
+        rows[f"{key} layout"] = _row(initial.layout, final.layout, note)
     table = Table("mean over the images", list(rows))
     for index, header in enumerate(("before", "after", "change")):
         table.add(header, [row[index] for row in rows.values()])
     return table
 
 
-def _row(start: float, end: float) -> tuple[Cell, Cell, Cell]:
+def _row(start: float, end: float, note: str = "") -> tuple[Cell, Cell, Cell]:
     """Return two fractions, and their difference in percentage points."""
     change = UNDEFINED if math.isnan(start + end) else f"{100 * (end - start):+.1f} points"
-    return Cell(format_percent(start)), Cell(format_percent(end)), Cell(change.replace("-", MINUS))
+    difference = Cell(change.replace("-", MINUS), note=note)
+    return Cell(format_percent(start)), Cell(format_percent(end)), difference
 
 
 # --- charts ------------------------------------------------------------------------------
@@ -135,12 +160,11 @@ def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
         axes.legend()
 
 
-def trust_chart(adaptation: Adaptation) -> str:
-    """Return a chart of trust after over trust before, a mark an image; empty without trust."""
-    images = adaptation.comparison.images
+def trust_chart(images: Sequence[Disagreement]) -> list[tuple[str, str]]:
+    """Return a chart of trust after over trust before, with its caption; empty without trust."""
     pairs = [(image.first_trust, image.second_trust) for image in images if image.has_trust]
     if not pairs:
-        return ""
+        return []
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
@@ -150,4 +174,4 @@ def trust_chart(adaptation: Adaptation) -> str:
         low = max(0.0, min(*start, *end) - 0.05)
         axes.set(xlabel="trust before", ylabel="trust after", xlim=(low, 1), ylim=(low, 1))
 
-    return svg_uri(PANEL_WIDTH, 260, draw)
+    return [(TRUST_CAPTION, svg_uri(PANEL_WIDTH, 260, draw))]

@@ -12,11 +12,34 @@ from roadtorch.evaluation import metrics
 from roadtorch.evaluation.measure import Measure, Scores
 from roadtorch.evaluation.report.charts import build_charts
 from roadtorch.evaluation.report.montage import write_montages
-from roadtorch.evaluation.report.table import render_page
+from roadtorch.evaluation.report.table import Images, Section, Table, render_page
 from roadtorch.evaluation.report.tables import build_tables
 from roadtorch.evaluation.result import DetectorScores, Evaluation, image_f
 
 EXAMPLES = 4  # images of a montage by default
+
+TABLE_NOTE = (
+    "Scores are means over the groups, if any. Grey rows are baselines that ignore the image. "
+    "Bold: best of a column, or a difference whose interval excludes 0."
+)
+
+CHART_NOTE = (
+    "ROC: mean over the groups, if any, at each false positive rate; thin lines are the groups of "
+    "the best detector; right: the corner enlarged. Reliability: fraction of road among the pixels "
+    "of each likelihood; on the diagonal the likelihood is a probability."
+)
+
+MONTAGE_NOTE = (
+    "Ranked by F at their group's threshold. From left to right: image, cues of the detector, "
+    "likelihood (dark blue 0, yellow 1), mask (blue) with the outline of the true road "
+    "(vermillion); void is black."
+)
+
+GLOSSARY = {
+    "95 %": "Bootstrap interval over images, resampled within each group. Neighbouring images are "
+    "similar, so the true uncertainty is larger; other cameras are not covered.",
+    "–": "Undefined, for example without road in the truth.",
+}
 
 IMAGE_COLUMNS = (
     *("image", "group", "detector", "auc", "maxf", "threshold", "f", "f_mask", "iou_mask"),
@@ -36,16 +59,38 @@ def write_report(
     write_text(out / "images.csv", csv_text(IMAGE_COLUMNS, image_rows(evaluation)))
     tables = build_tables(evaluation)
     write_text(out / "tables.md", "\n".join(table.to_markdown() for table in tables))
-    parts = (values.headline for values in evaluation.detectors.values())
-    keys = set(chain.from_iterable(parts))
-    values = {
-        "evaluation": evaluation,
-        "tables": tables,
-        "charts": build_charts(evaluation),
-        "montages": write_montages(out, evaluation, images) if images else {},
-        "measures": [m for m in evaluation.measures if m.tables and m.key in keys],
-    }
-    write_text(out / "report.html", render_page("report.html", command, values))
+    montages = write_montages(out, evaluation, images) if images else []
+    write_text(out / "report.html", build_page(evaluation, tables, montages, command))
+
+
+def build_page(
+    evaluation: Evaluation, tables: Sequence[Table], montages: Images, command: str
+) -> str:
+    """Return report.html: tables, charts and montages, and the meaning of each measure."""
+    dataset, groups, failures = evaluation.dataset, evaluation.groups, evaluation.failures
+    left_out = ", ".join(evaluation.left_out)
+    facts = [
+        f"{evaluation.images} images" + (f" of {len(groups)} groups" if groups else ""),
+        f"{left_out} left out of all means and thresholds" if left_out else "",
+        f"scored in {dataset.space_name}; void is ignored",
+        "images that failed are not scored for any detector" if failures else "",
+    ]
+    roc, *charts = build_charts(evaluation).items()
+    keys = set(chain.from_iterable(part.headline for part in evaluation.detectors.values()))
+    measures = [m for m in evaluation.measures if m.tables and m.key in keys]
+    sections = [
+        Section("", TABLE_NOTE, tables),
+        Section("Charts", CHART_NOTE, images=[roc], charts=charts),
+        *([Section("Images", MONTAGE_NOTE, images=montages)] if montages else []),
+    ]
+    return render_page(
+        ", ".join(filter(None, [f"Road detection on {dataset.name}", dataset.split])),
+        "; ".join(filter(None, facts)) + ".",
+        sections,
+        command=command,
+        failures=failures,
+        glossary={measure.name: measure.meaning for measure in measures} | GLOSSARY,
+    )
 
 
 def image_rows(evaluation: Evaluation) -> Iterator[Mapping[str, str]]:
@@ -94,7 +139,7 @@ def build_document(evaluation: Evaluation, command: str) -> dict[str, Any]:
         "void": "ignored",
         "command": command,
         "levels": dataset.levels,
-        "view": "the image" if dataset.scoring_space is None else dataset.scoring_space.name,
+        "view": dataset.space_name,
         "left_out": evaluation.left_out,
         "failed": [
             {"image": failure.image, "reason": failure.reason} for failure in evaluation.failures

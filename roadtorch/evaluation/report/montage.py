@@ -15,8 +15,9 @@ from roadtorch.data.dataset import Dataset, LabelledItem, Truth
 from roadtorch.detectors.detection import Detection
 from roadtorch.evaluation.methods import Predictor
 from roadtorch.evaluation.result import Evaluation, rank_images, select_examples
-from roadtorch.evaluation.scoring import LabelledImage
+from roadtorch.evaluation.scoring import warp_truth
 from roadtorch.evaluation.tally import UNGROUPED
+from roadtorch.imaging.resize import spatial_size
 from roadtorch.layout.classes import colour_layout
 
 MAX_DETECTORS = 8  # detectors with montages
@@ -27,15 +28,15 @@ JPEG_QUALITY = 80  # on pages; ours: no artefact is visible at that size
 BLUE, VERMILLION, WHITE = (0, 114, 178), (213, 94, 0), (255, 255, 255)  # Okabe and Ito
 
 
-def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, dict[str, str]]:
+def write_montages(out: Path, evaluation: Evaluation, count: int) -> list[tuple[str, str]]:
     """Write ``montage.NAME.best.jpg``, ``.median`` and ``.worst`` for the best detectors.
 
-    At most ``MAX_DETECTORS`` with the highest MaxF get one, baselines none. Returns the images for
-    the page, by detector and part.
+    At most ``MAX_DETECTORS`` with the highest MaxF get one, baselines none. Returns captions and
+    data URIs for the page.
     """
     detectors = evaluation.detectors
     ranked = [name for name in evaluation.ranking() if not detectors[name].is_baseline]
-    montages: dict[str, dict[str, str]] = {}
+    montages = []
     for name in ranked[:MAX_DETECTORS]:
         thresholds = detectors[name].thresholds
         predictor = detectors[name].contender.prepare(evaluation.dataset)
@@ -45,7 +46,7 @@ def write_montages(out: Path, evaluation: Evaluation, count: int) -> dict[str, d
                 path = out / f"montage.{name.replace(':', '-')}.{part}.jpg"
                 pixels = draw_montage(evaluation.dataset, predictor, images, thresholds)
                 write_pixels(path, pixels)
-                montages.setdefault(name, {})[part] = jpeg_uri(_shrink(pixels))
+                montages.append((f"{name}, {part}", jpeg_uri(_shrink(pixels))))
     return montages
 
 
@@ -74,8 +75,8 @@ def draw_montage_row(
     image, truth = dataset.read(item)
     viewed, detection = image, predictor(image, item)
     if detection.likelihood.shape != truth.road.shape:
-        scene = LabelledImage(dataset, item, image, truth)
-        viewed, truth = scene.warp(image), scene.scoring_truth()
+        viewed = dataset.warp(item, spatial_size(image), image)
+        truth = warp_truth(dataset, item, truth)
     decided = detection.likelihood >= threshold
     tiles = {
         f"{item.name}  F {value:.3f}": to_pixels(image),
@@ -83,7 +84,12 @@ def draw_montage_row(
         "likelihood": apply_colormap(detection.likelihood),
         "decision (blue), truth (line)": decision_tile(viewed, decided, truth),
     }
-    height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
+    return hstack_tiles(tiles, image.shape[1:])
+
+
+def hstack_tiles(tiles: Mapping[str, np.ndarray], size: Sequence[int]) -> np.ndarray:
+    """Return captioned tiles side by side, uint8 RGB, as high as an image of a size needs."""
+    height = round(size[0] * TILE_WIDTH / size[1])
     return np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()])
 
 

@@ -1,9 +1,9 @@
-"""A table in three forms: text for a screen, Markdown, HTML; and rendering of pages."""
+"""A table in three forms: text for a screen, Markdown, HTML; and pages of tables and images."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 
@@ -146,11 +146,27 @@ TEMPLATES = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-TEMPLATES.filters |= {"number": format_number, "percent": format_percent}
+
+Images = Sequence[tuple[str, str]]  # captions and data URIs
 
 
-def render_page(template: str, command: str, values: Mapping[str, Any]) -> str:
-    """Return a self-contained page from a template of this package, all values escaped."""
-    text = TEMPLATES.get_template(template).render(**values, version=__version__, command=command)
+class Section(NamedTuple):
+    """A part of a page: a note, tables, images below one another, and charts beside one another."""
+
+    title: str = ""
+    note: str = ""
+    tables: Sequence[Table] = ()
+    images: Images = ()
+    charts: Images = ()
+
+
+def render_page(title: str, summary: str, sections: Sequence[Section], **more: Any) -> str:
+    """Return a self-contained page, all values escaped.
+
+    more: command (the command line), verdict, failures (with image and reason), and glossary.
+    """
+    values: dict[str, Any] = {"command": "", "verdict": "", "failures": (), "glossary": {}, **more}
+    values |= {"title": title, "summary": summary, "sections": sections, "version": __version__}
+    text = TEMPLATES.get_template("page.html").render(values)
     # A file name may hold bytes that are no text.
     return text.encode("utf-8", "backslashreplace").decode()

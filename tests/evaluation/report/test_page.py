@@ -19,11 +19,12 @@ from tests.reports import replace_scores
 GOLDEN = Path(__file__).with_name("report.html")
 HOSTILE = '"><script>alert(1)</script><img src="http://example.org/x.png">\udcff'
 UNSETTLED = (
+    (r"(?s)<style>.*</style>", "<style></style>"),
     (r"data:(image/[\w+]+);base64,[^\"]+", r"data:\1"),
     (r"<td>\d+\.\d</td>", "<td>MS</td>"),
     (r"roadtorch \d[\w.+]*", "roadtorch VERSION"),
 )
-"""Images, times and the version, and what stands there instead."""
+"""Style, images, times and the version, and what stands there instead."""
 
 
 def test_a_whole_page_is_as_it_was(oracle_run: Evaluation, tmp_path: Path) -> None:
