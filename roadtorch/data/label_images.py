@@ -290,8 +290,8 @@ def _list_counts(names: list[str], counts: np.ndarray) -> str:
 def list_names(names: Sequence[str]) -> str:
     """List the first names, and the number of others."""
     unlisted = len(names) - MAX_LISTED_VALUES
-    others = f" and {unlisted} others" if unlisted > 0 else ""
-    return ", ".join(names[:MAX_LISTED_VALUES]) + others
+    ending = f" and {unlisted} others" if unlisted > 0 else ""
+    return ", ".join(names[:MAX_LISTED_VALUES]) + ending
 
 
 def _pack_colours(colours: np.ndarray) -> np.ndarray:

@@ -185,14 +185,14 @@ def pool(
     else:
         counted = weights[:, ~images.auc.isnan()]
         area = (counted @ areas) / counted.sum(1)
-    known = {group: value for group, value in thresholds.items() if not math.isnan(value)}
+    defined = {group: value for group, value in thresholds.items() if not math.isnan(value)}
     none = ConfusionCounts(*torch.zeros(4, *whole.road.shape[:-1], dtype=torch.int64))
     return PooledCounts(
         whole,
         ConfusionCounts(*total(images.outcomes).unbind(-1)),
         total(images.boundary),
         None if images.layout is None else total(images.layout),
-        reduce(add, (metrics.confusion_at(road[group], known[group]) for group in known), none),
+        reduce(add, (metrics.confusion_at(road[group], defined[group]) for group in defined), none),
         area,
         images=images if weights is None else None,
     )

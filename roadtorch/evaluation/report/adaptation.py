@@ -116,8 +116,8 @@ def difference_tile(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -
 def summary_table(comparison: Disagreements, agreement: TeacherAgreement | None) -> Table:
     """Return means before and after that need no labels: road, trust, agreement."""
     images, rows = comparison.images, {}
-    before, after = ([getattr(i, side) for i in images] for side in ("first_road", "second_road"))
-    rows["fraction of road"] = _row(statistics.fmean(before), statistics.fmean(after))
+    starts, ends = ([getattr(i, side) for i in images] for side in ("first_road", "second_road"))
+    rows["fraction of road"] = _row(statistics.fmean(starts), statistics.fmean(ends))
     if trusts := [(image.first_trust, image.second_trust) for image in images if image.has_trust]:
         start, end = map(statistics.fmean, zip(*trusts, strict=True))
         rose = sum(second > first for first, second in trusts)
