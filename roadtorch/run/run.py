@@ -2,13 +2,13 @@
 
 import sys
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -16,7 +16,7 @@ from roadtorch.base.atomic import OUT_HINT, make_folder, remove_leftovers
 from roadtorch.base.bounded import plural
 from roadtorch.base.errors import InputError, RoadtorchError, to_input_error
 from roadtorch.base.progress import Progress
-from roadtorch.base.signals import StopRequest, stop_on_signals, until_stopped
+from roadtorch.base.signals import stop_on_signals, until_stopped
 from roadtorch.detectors.stream import FrameResult, detect_frames
 from roadtorch.inputs.item import Item, Source
 from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSettings
@@ -124,7 +124,11 @@ class Run:
         state = _file_state(source)
         try:
             with stop_on_signals() as stop, output.open() as writers:
-                frames = self._detect_frames(source, task, output.cues, smoothing, stop)
+                # Shared by no other source: it remembers the frames.
+                temporal_filter = TemporalFilter(TemporalFilterSettings()) if smoothing else None
+                spread = partial(self.workers.map, on_crash=crashed_evidence, live=source.live)
+                steps = (temporal_filter, output.cues, stop, spread)
+                frames = detect_frames(source, cast("Inference", task.infer), *steps)
                 with closing(frames), self._progress(frames, "frame", source.count) as bar:
                     frame_task = replace(task, writer=writers.files)
                     write = partial(self._write_frame, frame_task, writers.streams, rows, bar)
@@ -150,15 +154,6 @@ class Run:
         if row.failed:
             click.echo(f"roadtorch: {row.status}", err=True)
         return row
-
-    def _detect_frames(
-        self, source: Source, task: Task, cues: bool, smoothing: bool, stop: StopRequest
-    ) -> Generator[FrameResult]:
-        """Detect the road in the frames of a source, in order."""
-        temporal_filter = TemporalFilter(TemporalFilterSettings()) if smoothing else None
-        assert isinstance(task.infer, Inference)
-        spread = partial(self.workers.map, on_crash=crashed_evidence, live=source.live)
-        return detect_frames(source, task.infer, temporal_filter, cues, stop, spread)
 
     def _write_frame(
         self,

@@ -226,7 +226,6 @@ class _Process:
         context: Any = get_context("fork" if forks else "spawn")
         self._memories = [mmap(-1, SHARED_BYTES) if forks else bytearray() for _ in range(2)]
         self._unsent_task, inherited_task = (None, task) if forks else (task, None)
-        self._is_ready = False
         self._pipe, end = context.Pipe()
         arguments = (end, threads, inherited_task, self._memories)
         with end, _safe_path(), block_sigint_in_children():
@@ -240,11 +239,11 @@ class _Process:
         A process that dies before it has its task raises InputError: all others would die as well.
         """
         try:
-            if not self._is_ready:
+            if self._unsent_task is not None:
                 # In bytes, because torch would share tensors between processes through sockets.
                 # Python itself would wait forever for a process that dies reading its arguments.
                 self._pipe.send(pickle_value(self._unsent_task))
-                self._is_ready = self._pipe.recv()
+                self._unsent_task = self._pipe.recv()
         except (EOFError, OSError):
             hint = "give --jobs 1, and check the Python environment of new processes"
             raise InputError("--jobs", "a worker process died at its start", hint) from None
@@ -291,14 +290,16 @@ def _work(
     threads.set()
     keep_freed_memory()
     item_memory, result_memory = map(memoryview, memories)
-    sent_task = pickle.loads(pipe.recv()[0])
-    run = task or sent_task
-    pipe.send(True)
-    while True:
-        data, places = pipe.recv()
-        try:
-            item = pickle.loads(data, buffers=[item_memory[place] for place in places])
-            result = (False, *pickle_value(run(item), result_memory))
-        except Exception as error:
-            result = (True, *pickle_value(error))
-        pipe.send(result)
+    if task is None:
+        task = pickle.loads(pipe.recv()[0])
+        pipe.send(None)  # it has its task
+    assert task is not None
+    with suppress(EOFError, OSError):  # the parent process has ended
+        while True:
+            data, places = pipe.recv()
+            try:
+                item = pickle.loads(data, buffers=[item_memory[place] for place in places])
+                result = (False, *pickle_value(task(item), result_memory))
+            except Exception as error:
+                result = (True, *pickle_value(error))
+            pipe.send(result)

@@ -154,47 +154,39 @@ def test_a_cut_video_keeps_what_is_readable(
     assert "1 skipped (done before)" in again.stderr
 
 
-def test_a_video_that_cannot_be_written_on_keeps_the_finished_frames(
-    run: Call, out: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("number", "error", "status"),
+    [
+        (5, InputError("x.mp4", "cannot be written", "make room"), "partial: {1} (make room)"),
+        (0, ValueError("a surprise"), "failed: {0}: ValueError: a surprise (report it)"),
+    ],
+)
+def test_an_error_of_a_writer_costs_the_rest_of_its_video(
+    number: int,
+    error: Exception,
+    status: str,
+    call: Call,
+    drive: Path,
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    write = VideoWriter.write
-
-    def full(self: VideoWriter, item: Item, detection: Detection) -> Mapping[str, str]:
-        if item.number == 5:
-            raise InputError(self.path, "cannot be written: No space left on device", "make room")
-        return write(self, item, detection)
-
-    monkeypatch.setattr(VideoWriter, "write", full)
-
-    result = run()
-
-    message = f"{out}/drive.overlay.mp4: cannot be written: No space left on device (make room)"
-    assert result.exit_code == 1
-    assert result.stderr.splitlines()[1] == f"roadtorch: partial: {message}"
-    assert len(read_frame_times(out / "drive.overlay.mp4")) == 5
-    rows = read_index_rows(out)
-    assert len(rows) == 5 + 1
-    assert rows["drive.mp4"]["status"] == f"partial: {message}"
-
-
-def test_an_error_of_a_library_costs_its_video_alone(
-    call: Call, drive: Path, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    other = write_video(drive.with_name("other.mp4"))
-    write = VideoWriter.write
+    other, write = write_video(drive.with_name("other.mp4")), VideoWriter.write
 
     def fail(self: VideoWriter, item: Item, detection: Detection) -> Mapping[str, str]:
-        if self.path.name == "drive.overlay.mp4":
-            raise ValueError("a surprise")
+        if self.path.name == "drive.overlay.mp4" and item.number == number:
+            raise error
         return write(self, item, detection)
 
     monkeypatch.setattr(VideoWriter, "write", fail)
 
     result = call("infer", drive, other, *ROWS, "--out", out)
 
+    rows, status = read_index_rows(out), status.format(drive, "x.mp4: cannot be written")
     assert result.exit_code == 1
-    rows = read_index_rows(out)
-    assert rows["drive.mp4"]["status"] == f"failed: {drive}: ValueError: a surprise (report it)"
+    assert rows["drive.mp4"]["status"] == status
+    assert f"roadtorch: {status}\n" in result.stderr
+    assert sum(name.startswith("drive/") for name in rows) == number
+    assert not number or len(read_frame_times(out / "drive.overlay.mp4")) == number
     assert rows["other.mp4"]["status"] == "done"
 
 

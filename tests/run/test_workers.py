@@ -1,5 +1,6 @@
 """Workers: results in order, and crashes that cost one item each."""
 
+import multiprocessing
 import os
 import pickle
 import signal
@@ -65,6 +66,17 @@ def test_a_death_costs_exactly_the_item_in_hand(deadly: tuple[int, ...]) -> None
 
     assert [number for number, _ in results] == [*range(30)]
     assert tuple(number for number, process in results if not process) == deadly
+
+
+def test_a_death_before_the_first_item_costs_one() -> None:
+    def items() -> Iterator[int]:
+        multiprocessing.active_children()[0].kill()
+        yield from range(6)
+
+    results = list(Workers(2).map(work, items(), died))
+
+    assert [number for number, _ in results] == [*range(6)]
+    assert [process for _, process in results].count(0) == 1
 
 
 def test_reading_ahead_is_bounded() -> None:
