@@ -29,7 +29,7 @@ LINES = {
     "roadtorch/oneclass": 1_790,
     "roadtorch/road": 1_595,
     "roadtorch/ros": 535,
-    "roadtorch/run": 2_455,
+    "roadtorch/run": 2_450,
     "roadtorch/testing": 640,
     "roadtorch/train": 4_450,
     "roadtorch/ufl": 1_355,
