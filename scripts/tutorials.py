@@ -7,8 +7,9 @@ Without PAGE: all pages of docs that have a block ``console``.
 
 A block ``console`` holds commands after ``$ `` with what they print, both streams. A block
 ``python`` is executed, in one namespace for the page; what it prints stands in a block ``text``
-right behind it. A line or an end of a line ``…`` stands for anything. Numbers may differ by a
-little, times by anything: see ``same_line``. The folder has a link to ``configs``.
+right behind it. A line or an end of a line ``…`` stands for anything. Times may differ by anything,
+the last decimal of a number by one, and more on pages that train a network. The folder has a link
+to ``configs``.
 
 Commands of roadtorch run in copies of this process, which has imported everything once.
 """
@@ -38,24 +39,26 @@ ANYTHING = "…"
 BLOCK = re.compile(r"^```(console|python|text)\n(.*?)^```$", re.M | re.S)
 SPLIT = re.compile(r"([+\-\u2212]?(?:\d+(?:,\d{3})*(?:\.\d+)?|\.\d+))")
 TIMES = re.compile(r"^ ?(ms|s|seconds|minutes|MB|kB)\b")
-TOLERANCE = 0.03  # fraction of a number that it may differ by
-STEPS = 3  # of the last decimal that it may differ by
+TRAINING = re.compile(r"^\$ roadtorch (train|adapt) ", re.M)
+TRAINED_TOLERANCE = 0.03
+"""Fraction by which numbers may differ where a network was trained: machines round differently."""
 
 
 # --- comparing ---------------------------------------------------------------------------
 
 
-def same(expected: Sequence[str], actual: Sequence[str]) -> bool:
-    """Return whether lines are those expected, ``…`` being any lines."""
+def same(expected: Sequence[str], actual: Sequence[str], tolerance: float = 0) -> bool:
+    """Return whether lines are those expected, ``…`` being any lines; numbers as ``near``."""
     if not expected:
         return not actual
     if expected[0].strip() == ANYTHING:
-        return any(same(expected[1:], actual[at:]) for at in range(len(actual) + 1))
-    return bool(actual) and same_line(expected[0], actual[0]) and same(expected[1:], actual[1:])
+        return any(same(expected[1:], actual[at:], tolerance) for at in range(len(actual) + 1))
+    is_equal = bool(actual) and same_line(expected[0], actual[0], tolerance)
+    return is_equal and same(expected[1:], actual[1:], tolerance)
 
 
-def same_line(expected: str, actual: str) -> bool:
-    """Return whether lines are equal up to spaces and small differences of numbers."""
+def same_line(expected: str, actual: str, tolerance: float = 0) -> bool:
+    """Return whether lines are equal up to spaces, times and roundings of numbers."""
     if expected.rstrip().endswith(ANYTHING):
         expected = expected.rstrip().removesuffix(ANYTHING).rstrip()
         actual = " ".join(actual.split()[: len(expected.split())])  # as long as the expected line
@@ -63,18 +66,15 @@ def same_line(expected: str, actual: str) -> bool:
     if parts[0::2] != actual_parts[0::2]:
         return False
     triples = zip(parts[1::2], actual_parts[1::2], parts[2::2], strict=True)
-    return all(bool(TIMES.match(unit)) or near(*numbers) for *numbers, unit in triples)
+    return all(bool(TIMES.match(unit)) or near(a, b, tolerance) for a, b, unit in triples)
 
 
-def near(expected: str, actual: str) -> bool:
-    """Return whether a number is near another: by ``TOLERANCE``, or ``STEPS`` of its last decimal.
-
-    Whole numbers have no decimals: below 34 they have to be equal.
-    """
+def near(expected: str, actual: str, tolerance: float) -> bool:
+    """Return whether a number differs by at most one of its last decimal, or by this fraction."""
     a, b = (float(text.replace(",", "").replace("\u2212", "-")) for text in (expected, actual))
     decimals = len(expected.partition(".")[2])
-    steps = STEPS * 10.0**-decimals if decimals else 0.0
-    return abs(a - b) <= max(TOLERANCE * abs(a), steps) + 1e-12
+    step = 10.0**-decimals if decimals else 0.0
+    return abs(a - b) <= max(tolerance * abs(a), step) + 1e-12
 
 
 # --- executing ---------------------------------------------------------------------------
@@ -157,20 +157,20 @@ def execute_all(pipe: Any) -> None:
         pipe.send(output.getvalue().rstrip("\n").splitlines())
 
 
-def console_as_run(text: str) -> str:
+def console_as_run(text: str, tolerance: float) -> str:
     """Return a console block with what its commands print now."""
     lines = ""
     for command, expected in commands_of(text):
-        lines += f"$ {command}\n" + output_as_shown(expected, printed_by(command))
+        lines += f"$ {command}\n" + output_as_shown(expected, printed_by(command), tolerance)
     return lines
 
 
-def output_as_shown(expected: Sequence[str], actual: Sequence[str]) -> str:
+def output_as_shown(expected: Sequence[str], actual: Sequence[str], tolerance: float) -> str:
     """Return the expected lines where the actual ones are the same, otherwise the actual ones."""
     lines = [line.rstrip() for line in expected]
     while lines and not lines[-1]:
         lines.pop()
-    output = expected if same(lines, actual) else shortened(lines, actual)
+    output = expected if same(lines, actual, tolerance) else shortened(lines, actual)
     return "".join(f"{line}\n" for line in output)
 
 
@@ -189,6 +189,7 @@ def shortened(expected: Sequence[str], actual: Sequence[str]) -> list[str]:
 def run_page(page: str) -> str:
     """Return a page with the output that it has now, executed in an empty folder."""
     cwd, context, printed = Path.cwd(), get_context("fork"), list[str]()
+    tolerance = TRAINED_TOLERANCE if TRAINING.search(page) else 0.0
     # Not in this process: libraries that have worked have threads, which its copies lack.
     python, child_end = context.Pipe()
     process = context.Process(target=execute_all, args=(child_end,), daemon=True)
@@ -202,9 +203,9 @@ def run_page(page: str) -> str:
             python.send(text)
             printed = python.recv()
         elif kind == "text":
-            text, printed = output_as_shown(text.splitlines(), printed), []
+            text, printed = output_as_shown(text.splitlines(), printed, tolerance), []
         else:
-            text = console_as_run(text)
+            text = console_as_run(text, tolerance)
         return f"```{kind}\n{text}```"
 
     with tempfile.TemporaryDirectory() as folder:
