@@ -18,10 +18,19 @@ from scipy.stats import spearmanr
 
 from docs._extensions import generated_parts as parts
 from docs._extensions.plain_docstrings import as_restructured
+from roadtorch.base.atomic import file_digest
 from roadtorch.base.errors import RoadtorchError
 from roadtorch.base.settings import parse_assignments
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.detectors.detection import Detection
+from roadtorch.layout.backbone_network import BackboneNetwork
+from roadtorch.layout.weights import (
+    DEFAULT_WEIGHTS,
+    WeightsFile,
+    load_image_network,
+    shipped_weights,
+)
+from roadtorch.road import trust
 from roadtorch.testing.scenes import render_scene, write_image
 from scripts.figures import FIGURES
 from scripts.readme_pictures import made_with
@@ -195,11 +204,34 @@ Returns:
 Raises:
     InputError: if wrong."""
 
-    assert as_restructured(docstring.split("\n")) == [
+    lines: list[str] = docstring.split("\n")
+    assert as_restructured(lines) == [
         *("Return \\|x\\| of a \\*b\\*.", "", "::", "", "    >>> 1", "    1", ""),
         *(":param one: a and c.", ":param two: d.", ":param three: d.", ""),
         *(":returns: A mask, shape (H, W).", "", ":raises InputError: if wrong.", ""),
     ]
+
+
+def test_the_page_on_fusion_states_the_size_of_the_network_and_the_formula_of_trust() -> None:
+    page = (ROOT / "docs/how/fusion.md").read_text(encoding="utf-8")
+    network = load_image_network(WeightsFile(), DEFAULT_WEIGHTS)
+    assert isinstance(network, BackboneNetwork)
+    parts = network, network.backbone, network.heads
+    stated = [f"{sum(weight.numel() for weight in part.parameters()):,}" for part in parts]
+    stability, expected, seed, _ = trust.FEATURE_WEIGHTS
+
+    stated += [f"{trust.INTERCEPT} + {stability}\\,s + {expected}\\,e + {seed}\\,r"]
+    stated += [f"{trust.ROAD_INTERCEPT} + {trust.ROAD_STABILITY}\\,s - {-trust.ROAD_ENTROPY}\\,h"]
+    assert [text for text in stated if text not in page] == []
+
+
+def test_hashes_of_weights_on_a_page_are_those_that_ship() -> None:
+    page = (ROOT / "docs/installation.md").read_text(encoding="utf-8")
+
+    stated = re.findall(r"(\S+)\.safetensors +SHA-256 (\w+)…", page)
+
+    assert stated
+    assert stated == [(name, file_digest(shipped_weights(name))[:12]) for name, _ in stated]
 
 
 def test_the_images_were_made_with_the_weights_and_settings_that_ship() -> None:
