@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
+from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings
 from roadtorch.camera.calibration import (
     read_calibration,
@@ -30,6 +31,7 @@ from roadtorch.camera.ground import (
 from roadtorch.camera.ground_grid import FREE, OCCUPIED, UNKNOWN, Grid, GridSettings, ground_grid
 from roadtorch.camera.ground_points import ground_points
 from roadtorch.camera.mounting import PitchFilter
+from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run.writers.bag import MASK_CLASS_NAMES
 from tests.reference import bev as reference
 from tests.reference.semantic_layer import NAV2_PARAMETERS, count_stray_cells, mark_cells
@@ -383,6 +385,23 @@ def test_a_bonnets_edge_hides_no_road_and_a_wall_behind_it_does() -> None:
     assert OCCUPIED not in behind_edge.cells
     assert area[2] < 0.1 * area[0]
     assert OCCUPIED in behind_wall.cells
+
+
+@pytest.mark.data
+def test_the_motorway_is_free_behind_an_estimated_bonnet(data_root: Path) -> None:
+    files = sorted((data_root / "unlabelled_free").glob("udhwy_00[0-3]*.jpg"))[::13]
+    estimated, by_hand = load_detector("fusion"), load_detector("fusion", ego={"bottom": 0.11})
+
+    for file in files:
+        image = read_image(file)
+        areas = []
+        for detection in (estimated.detect(image), by_hand.detect(image)):
+            lens = pinhole_lens(image.shape[2], image.shape[1], 77)
+            camera = GroundCamera(lens, camera_pose(1.3, pitch_from_horizon(lens, 0.6)))
+            road = detection.likelihood * detection.mask
+            grid = ground_grid(road, camera, GridSettings(), detection.cues.get("ego"))
+            areas.append(float((grid.cells == FREE).sum()))
+        assert areas[0] == pytest.approx(areas[1], rel=0.2)
 
 
 def test_walls_have_no_gaps_and_shadows_no_walls() -> None:

@@ -204,7 +204,7 @@ Returns:
 Raises:
     InputError: if wrong."""
 
-    lines: list[str] = docstring.split("\n")
+    lines = [str(line) for line in docstring.split("\n")]
     assert as_restructured(lines) == [
         *("Return \\|x\\| of a \\*b\\*.", "", "::", "", "    >>> 1", "    1", ""),
         *(":param one: a and c.", ":param two: d.", ":param three: d.", ""),

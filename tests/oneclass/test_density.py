@@ -9,6 +9,7 @@ from torch import Tensor
 
 from roadtorch.base.errors import ConfigError
 from roadtorch.imaging.color import PLANES as COLOR_PLANES
+from roadtorch.imaging.color import color_planes
 from roadtorch.oneclass import CLASSIFIERS, fit, make_axes
 from roadtorch.oneclass.density import (
     GaussianSettings,
@@ -93,6 +94,16 @@ def test_a_value_on_the_edge_of_two_bins_is_in_the_upper_one(name: str, bins: in
     low, scale = torch.tensor(axes.low), (bins / axes.span).float()
 
     assert bin_indices(pixels, low, scale, bins).tolist() == [list(range(bins))]
+
+
+def test_every_colour_with_equal_red_and_green_is_in_the_bin_that_integers_give() -> None:
+    level, blue = torch.meshgrid(torch.arange(256), torch.arange(256), indexing="ij")
+    axes, image = make_axes(("O1",)), torch.stack([level, level, blue]).float() / 255
+
+    low, scale = torch.tensor(axes.low), (64 / axes.span).float()
+    indices = bin_indices(color_planes(image, ("O1",)).flatten(1), low, scale, 64)
+
+    assert indices.unique().tolist() == [(0 + 255) * 64 // 510]
 
 
 def test_the_noisy_copy_has_p3s_deviation_and_is_clipped_dropped_or_wrapped_at_the_range() -> None:
