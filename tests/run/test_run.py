@@ -16,7 +16,7 @@ import torch
 from PIL import Image
 
 from roadtorch.base.compute import Threads
-from roadtorch.data.correction_formats import read_coco
+from roadtorch.data.correction_formats import read_coco_labels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.run.ledger import has_result, open_ledger
 from roadtorch.run.record import record_run
@@ -41,8 +41,8 @@ def test_polygons_are_the_mask_and_coco_has_all(call: Call, tmp_path: Path, out:
     assert names == [["1.png"], ["1.png", "2.png"]]
     for seed, entry in zip((1, 2), cocos[1]["annotations"], strict=True):
         mask = np.asarray(Image.open(out / f"{seed}.mask.png")) == 255
-        regions, _ = read_coco(out / f"{seed}.coco.json", {f"{seed}.png": mask.shape})
-        assert np.array_equal(regions[f"{seed}.png"].read().values == 1, mask)
+        labels = read_coco_labels(out / f"{seed}.coco.json", {f"{seed}.png": mask.shape})
+        assert np.array_equal(labels[f"{seed}.png"] == 1, mask)
         assert entry["area"] == mask.sum() > 0
 
 
