@@ -41,7 +41,7 @@ LINES = {
 
 TOP_NAMES = 18
 DEPENDENCIES = 14
-OPTIONS = 98
+OPTIONS = 85
 COMMAND_COUNT = 11
 
 REASON = "cut something, or raise the number and state the reason in the same commit"

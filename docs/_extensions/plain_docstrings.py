@@ -9,7 +9,7 @@ and the settings reference has every field with its range and meaning.
 
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sphinx.application import Sphinx
@@ -28,7 +28,7 @@ TEXTS = {"Returns": "returns", "Yields": "yields"}
 """Sections that are a text."""
 
 
-def as_restructured(lines: list[str]) -> list[str]:
+def as_restructured(lines: Sequence[str]) -> list[str]:
     """Return a docstring as reStructuredText that shows the same."""
     made: list[str] = []
     for block in "\n".join(lines).strip("\n").split("\n\n"):

@@ -55,6 +55,9 @@ from roadtorch.inputs.images import find_images
 MAX_LOGS = 8  # in memory, with their labels
 LISTING_SECONDS = 2.0  # for which a listing of the folder is cached
 
+Summary = dict[str, int | bool]
+"""Numbers of events and of lines of a log, and whether the image is confirmed."""
+
 # --- images and logs --------------------------------------------------------------------
 
 
@@ -132,9 +135,7 @@ class Session:
     _batch: tuple[object, list[str]] = field(default=(None, []), repr=False)
     _logs: dict[str, EventLog] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-    _summaries: dict[Path, tuple[int, dict[str, Any] | None]] = field(
-        default_factory=dict, repr=False
-    )
+    _summaries: dict[Path, tuple[int, Summary | None]] = field(default_factory=dict, repr=False)
 
     @property
     def key(self) -> str:
@@ -178,9 +179,9 @@ class Session:
         trust = self.trusts.get(name)
         return None if trust is None or np.isnan(trust) else round(trust, 3)
 
-    def _summarise_logs(self) -> dict[str, dict[str, Any]]:
+    def _summarise_logs(self) -> dict[str, Summary]:
         """Summarise the log of each image; a log is read again when its size has changed."""
-        summaries: dict[str, dict[str, Any]] = {}
+        summaries: dict[str, Summary] = {}
         for path in sorted(self.out.rglob(f"*{LOG_SUFFIX}")):
             name = path.relative_to(self.out).as_posix().removesuffix(LOG_SUFFIX)
             length, (cached, summary) = path.stat().st_size, self._summaries.get(path, (-1, None))
@@ -235,7 +236,7 @@ class Session:
 
     def _complete(self, event: AnyEvent, log: EventLog, view: ImageView) -> AnyEvent:
         """Return an event with its time and the pixels that it labels."""
-        changes: dict[str, Any] = {"time": round(time.time(), 3)}
+        changes: dict[str, object] = {"time": round(time.time(), 3)}
         if isinstance(event, SuperpixelStroke):
             count = len(view.segment_odds)
             if any(number >= count for number in event.segments):
@@ -248,7 +249,7 @@ class Session:
             changes["counts"] = encode_counts(corrected_road(odds, log.labels, view.size))
         return event.model_copy(update=changes)
 
-    def _page_state(self, name: str, log: EventLog, view: ImageView) -> dict[str, Any]:
+    def _page_state(self, name: str, log: EventLog, view: ImageView) -> dict[str, object]:
         odds = corrected_log_odds(view, log.labels, self.views.settings)
         road = corrected_road(odds, log.labels, view.shape)
         layout = np.minimum(corrected_layout(view, log.labels, self.views.settings), 3)

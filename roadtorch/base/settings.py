@@ -37,7 +37,7 @@ class Settings(pydantic.BaseModel):
 AnySettings = TypeVar("AnySettings", bound=Settings)
 
 
-def build_settings(settings_class: type[AnySettings], values: Mapping[str, Any]) -> AnySettings:
+def build_settings(settings_class: type[AnySettings], values: Mapping[str, object]) -> AnySettings:
     """Build settings from values by key, a mapping for a group; missing keys get their defaults.
 
     Raises:

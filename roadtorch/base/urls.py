@@ -6,8 +6,8 @@ import string
 import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from http.client import HTTPException
-from typing import Any
+from http.client import HTTPException, HTTPMessage, HTTPResponse
+from typing import IO
 from urllib.error import HTTPError
 from urllib.parse import quote, unquote, urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
@@ -53,7 +53,7 @@ class _OwnCredentials(HTTPRedirectHandler):
     """Redirections, on which another origin (scheme, host, port) gets no credentials."""
 
     def redirect_request(
-        self, req: Request, fp: Any, code: int, msg: str, headers: Any, newurl: str
+        self, req: Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
     ) -> Request | None:
         """Return the request to the new address."""
         target = encode_url(strip_user(newurl))
@@ -64,7 +64,7 @@ class _OwnCredentials(HTTPRedirectHandler):
 
 
 @contextmanager
-def open_url(url: str) -> Iterator[Any]:
+def open_url(url: str) -> Iterator[HTTPResponse]:
     """Yield the response to a GET request, after redirections; InputError if there is none."""
     origin = strip_password(url)
     headers = {"User-Agent": "roadtorch"}
@@ -102,7 +102,7 @@ def read_url(url: str) -> bytes:
     return bytes(data)
 
 
-def read_chunks(response: Any, size: int = READ_SIZE) -> Iterator[bytes]:
+def read_chunks(response: HTTPResponse, size: int = READ_SIZE) -> Iterator[bytes]:
     """Yield the body of a response, unpacked if the server packed it unasked (RFC 9110, 8.4).
 
     Raises ValueError where the body is truncated, or packed in another way than gzip and deflate.

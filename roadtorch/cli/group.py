@@ -103,7 +103,7 @@ class CommandGroup(click.Group):
         except RoadtorchError as error:
             _print_traceback(ctx)
             one_line = _OneLineError(str(error))
-            one_line.exit_code = error.exit_code
+            one_line.exit_code = error.exit_code  # pyright: ignore[reportAttributeAccessIssue]
             raise one_line from None
         except (click.ClickException, click.exceptions.Exit, click.Abort, OSError):
             raise  # OSError: a closed pipe, on which click exits quietly
@@ -178,7 +178,7 @@ def _debug_first(args: list[str]) -> list[str]:
 def _configure_process() -> None:
     """Configure warnings, encoding errors, OpenMP, the garbage collector and standard streams."""
 
-    def show_warning(message: Warning | str, *_: Any) -> None:
+    def show_warning(message: Warning | str, *_: object) -> None:
         click.echo(f"roadtorch: warning: {message}", err=True)
 
     warnings.showwarning = show_warning

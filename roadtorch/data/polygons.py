@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import cv2
 import numpy as np
@@ -93,7 +92,7 @@ def unpack_counts(text: str) -> list[int]:
 # --- COCO -------------------------------------------------------------------------------
 
 
-def coco_annotation(mask: np.ndarray, number: int, image: int, category: int) -> dict[str, Any]:
+def coco_annotation(mask: np.ndarray, number: int, image: int, category: int) -> dict[str, object]:
     """Return the COCO annotation of a non-empty mask bool (H, W)."""
     rows, columns = (np.flatnonzero(mask.any(axis)).tolist() for axis in (1, 0))
     left, top = columns[0], rows[0]

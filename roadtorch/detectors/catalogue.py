@@ -173,7 +173,7 @@ def register_detector(
     settings: type[DetectorSettings] = DetectorSettings,
     *,
     summary: str = "",
-    defaults: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, object] | None = None,
 ) -> Callable[[Build], Build]:
     """Register a detector in this process: decorator of the class (or function) that builds it.
 

@@ -122,9 +122,9 @@ class Entry:
     build: Callable[[Any], nn.Module]
     grid: DetectorGrid | None = None
     baseline: bool = False
-    defaults: Mapping[str, Any] = field(default_factory=dict)
+    defaults: Mapping[str, object] = field(default_factory=dict)
 
-    def make_settings(self, changes: Mapping[str, Any]) -> DetectorSettings:
+    def make_settings(self, changes: Mapping[str, object]) -> DetectorSettings:
         """Return its settings with changes, nested; ConfigError as ``build_settings``."""
         return build_settings(self.settings, merge(self.defaults, changes))
 
@@ -145,7 +145,7 @@ def use_inference_mode(
     """
 
     @wraps(run)
-    def wrapped(*arguments: Any) -> dict[str, Tensor]:
+    def wrapped(*arguments: object) -> dict[str, Tensor]:
         if torch.compiler.is_exporting():
             return dict(run(*arguments))
         on_cpu = all(item.device.type == "cpu" for item in arguments if isinstance(item, Tensor))

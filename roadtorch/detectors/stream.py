@@ -63,6 +63,10 @@ def _time_step(where: str, step: Callable[[], _Value]) -> tuple[_Value | Roadtor
     return result, 1000 * (perf_counter() - start)
 
 
+_Image = Tensor | RoadtorchError
+_Frame = tuple[_Image, _Image | None, _Image | None]
+
+
 @dataclass(frozen=True)
 class _EvidenceTask:
     """The work on a frame that needs no other result: its evidence, on the CPU, and its motion.
@@ -75,16 +79,16 @@ class _EvidenceTask:
     cues: bool
     smoothing: TemporalFilterSettings | None
 
-    def __call__(self, frame: tuple[Any, Any, Any]) -> tuple[Evidence | RoadtorchError, float]:
+    def __call__(self, frame: _Frame) -> tuple[Evidence | RoadtorchError, float]:
         return _time_step("image", partial(self._evidence, *frame))
 
-    def _evidence(self, image: Any, previous: Any, grey: Any) -> Evidence:
+    def _evidence(self, image: _Image, previous: _Image | None, grey: _Image | None) -> Evidence:
         if isinstance(image, RoadtorchError):
             raise image
         evidence, motion = self.detector.find_evidence(image).cpu(), None
-        is_pair = isinstance(previous, Tensor) and isinstance(grey, Tensor)
-        if self.smoothing and is_pair and previous.shape == grey.shape:
-            motion = estimate_motion(previous, grey, self.smoothing)
+        if self.smoothing and isinstance(previous, Tensor) and isinstance(grey, Tensor):
+            is_cut = previous.shape != grey.shape
+            motion = None if is_cut else estimate_motion(previous, grey, self.smoothing)
         cues = evidence.cues if self.cues else Cues({}, evidence.cues.size)
         return evidence._replace(cues=cues, image=None, motion=motion)
 
@@ -112,8 +116,8 @@ def detect_frames(
     waiting: deque[tuple[Item, Tensor | RoadtorchError, float]] = deque()
     smoothing = None if temporal_filter is None else temporal_filter.settings
 
-    def read_frames(items: Iterable[Item]) -> Iterator[tuple[Any, Any, Any]]:
-        grey: Any = None
+    def read_frames(items: Iterable[Item]) -> Iterator[_Frame]:
+        grey: _Image | None = None
         for item in items:
             image, ms = _time_step(item.origin, item.read)
             waiting.append((item, image, ms))

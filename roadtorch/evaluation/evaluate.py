@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from roadtorch.base.errors import ConfigError, DatasetError, UnscorableError
 from roadtorch.base.progress import Progress
@@ -30,7 +29,7 @@ def evaluate(
     dataset: Dataset,
     detectors: Sequence[str | Contender] = ("fusion",),
     *,
-    settings: Mapping[str, Any] | None = None,
+    settings: Mapping[str, object] | None = None,
     camera: Camera | None = None,
     limit: int | None = None,
     mean_from: Dataset | None = None,

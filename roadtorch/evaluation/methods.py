@@ -61,7 +61,7 @@ class Contender:
 
     name: str
     prepare: Callable[[Dataset], Predictor] = field(repr=False)  # loads it for a set
-    settings: Mapping[str, Any] = field(default_factory=dict)  # all but the threshold, as JSON
+    settings: Mapping[str, object] = field(default_factory=dict)  # all but the threshold, as JSON
     threshold: float = 0.5  # the default one
     is_baseline: bool = False  # whether it ignores the image
     earlier_threshold: float | None = None  # that an earlier run chose
@@ -72,7 +72,7 @@ class Contender:
 def collect_contenders(
     dataset: Dataset,
     detectors: Sequence[str | Contender],
-    settings: Mapping[str, Any],
+    settings: Mapping[str, object],
     camera: Camera | None = None,
     mean_from: Dataset | None = None,
     with_baselines: bool = True,
@@ -104,7 +104,7 @@ def collect_contenders(
 
 
 def parse_reference(
-    text: str, settings: Mapping[str, Any], camera: Camera | None = None
+    text: str, settings: Mapping[str, object], camera: Camera | None = None
 ) -> Contender:
     """Return the one contender that all others are compared with, as ``parse_contenders`` does."""
     matches = parse_contenders(text, settings, camera)
@@ -117,7 +117,7 @@ def parse_reference(
 
 
 def parse_contenders(
-    text: str, settings: Mapping[str, Any] | None = None, camera: Camera | None = None
+    text: str, settings: Mapping[str, object] | None = None, camera: Camera | None = None
 ) -> list[Contender]:
     """Return the contenders that a text names.
 

@@ -52,7 +52,7 @@ LayoutNetwork = PatchNetwork | WholeImageNetwork
 
 
 def save_network(
-    path: str | os.PathLike[str], network: LayoutNetwork, origin: Mapping[str, Any]
+    path: str | os.PathLike[str], network: LayoutNetwork, origin: Mapping[str, object]
 ) -> None:
     """Write a network with its settings and origin (as JSON); equal input gives equal bytes.
 
@@ -140,7 +140,7 @@ def read_correction_runs(path: str | os.PathLike[str]) -> list[Mapping[str, Any]
     return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
 
 
-def count_corrected_images(settings: Mapping[str, Any]) -> int:
+def count_corrected_images(settings: Mapping[str, object]) -> int:
     """Sum the human-corrected images of all runs behind a detector's weights; 0 if label-free."""
     groups = [settings.get(name) for name in ("weights", "second")]
     files = [group.get("file") for group in groups if isinstance(group, Mapping)]

@@ -105,7 +105,7 @@ class Classifier:
     settings: type[ClassifierSettings]
     fit: Callable[[RoadSamples, Any], DistanceModel]
     single_plane_error: str = ""
-    paper: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    paper: Mapping[str, object] = field(default_factory=dict, hash=False)
 
     def refusal(self, planes: int) -> str:
         """Return why it cannot work with that number of planes, or an empty string."""

@@ -49,7 +49,7 @@ def declare_parameters(node: Any) -> Mapping[str, NodeParameters]:
         value = value.value
         return [*filter(None, value)] if isinstance(value, list | array) else value
 
-    def declare_grid(prefix: str) -> dict[str, Any]:
+    def declare_grid(prefix: str) -> dict[str, object]:
         """Declare the settings of the grid without defaults; return those that are set."""
         names = GridSettings.model_fields
         values = {name: declare(f"{prefix}grid.{name}", None) for name in names}
@@ -71,7 +71,7 @@ def declare_parameters(node: Any) -> Mapping[str, NodeParameters]:
     return by_camera
 
 
-def _build_parameters(values: Mapping[str, Any]) -> NodeParameters:
+def _build_parameters(values: Mapping[str, object]) -> NodeParameters:
     """Build the parameters; ConfigError with an example for a wrong value."""
     try:
         return build_settings(NodeParameters, values)

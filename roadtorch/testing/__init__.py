@@ -37,7 +37,7 @@ class ContractError(AssertionError):
     """A violation of the detector contract."""
 
 
-def check_detector(entry: Entry, **settings: Any) -> None:
+def check_detector(entry: Entry, **settings: object) -> None:
     """Check a detector against every rule of the contract, ``CONTRACT_CHECKS``.
 
     Args:
@@ -51,7 +51,7 @@ def check_detector(entry: Entry, **settings: Any) -> None:
         raise ContractError("; ".join(violations))
 
 
-def contract_violations(entry: Entry, **settings: Any) -> list[str]:
+def contract_violations(entry: Entry, **settings: object) -> list[str]:
     """Return violations of the contract, the first of each check; empty for a valid detector."""
     checked = entry.make_settings(settings)
     detector, again = (build_detector(entry, checked) for _ in range(2))

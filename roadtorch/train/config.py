@@ -416,6 +416,6 @@ def check_self_training(settings: SelfTraining) -> None:
         raise ConfigError("rounds.0.target", message, "learn from source images first")
 
 
-def as_values(settings: Training) -> dict[str, Any]:
+def as_values(settings: Training) -> dict[str, object]:
     """Return nested values from which ``build_training`` builds the same settings."""
     return {"kind": settings.name, **settings.model_dump(mode="json")}

@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tomli_w
@@ -54,7 +53,7 @@ def corrections_by_image(
     return by_name, errors
 
 
-def corrections_summary(corrections: Mapping[str, HumanLabels]) -> dict[str, Any] | None:
+def corrections_summary(corrections: Mapping[str, HumanLabels]) -> dict[str, object] | None:
     """Summarise the corrections of a run: images, pixels, hash of all labels; None without any."""
     if not corrections:
         return None
@@ -113,7 +112,7 @@ def write_fusion_config(path: Path, weights: Path, corrections: Sequence[HumanLa
 # --- record in the weights --------------------------------------------------------------
 
 
-def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:
+def inherited_corrections(training: Training) -> list[Mapping[str, object]]:
     """Return the corrections that the initial and the teacher's weights were trained with.
 
     Raises WeightsError for an unusable weight file.
@@ -130,7 +129,7 @@ def inherited_corrections(training: Training) -> list[Mapping[str, Any]]:
     return [run for number, run in enumerate(runs) if run not in runs[:number]]
 
 
-def format_card(runs: Sequence[Mapping[str, Any]]) -> str:
+def format_card(runs: Sequence[Mapping[str, object]]) -> str:
     """Format the card beside weights that were trained with human corrections."""
     lines = [
         "# Weights trained with human corrections",

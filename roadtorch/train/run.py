@@ -206,7 +206,7 @@ class TrainingRun:
         self,
         prepared: Sequence[PreparedImage],
         state: dict[str, Any] | None,
-        inherited: Sequence[Mapping[str, Any]],
+        inherited: Sequence[Mapping[str, object]],
         held_out: Sequence[str],
     ) -> bool:
         """Train the remaining epochs; return whether the last one was reached."""
@@ -286,7 +286,7 @@ class TrainingRun:
         network: LayoutNetwork,
         progress: TrainingProgress,
         used: int,
-        inherited: Sequence[Mapping[str, Any]],
+        inherited: Sequence[Mapping[str, object]],
     ) -> None:
         """Write the current weights and the loss curve."""
         path, config = self.folder.path / WEIGHTS, as_values(self.training)
@@ -310,7 +310,7 @@ class TrainingRun:
             self.folder.write_curve(progress.rows)
 
 
-def _read_progress(state: Mapping[str, Any], path: Path) -> TrainingProgress:
+def _read_progress(state: Mapping[str, object], path: Path) -> TrainingProgress:
     """Read the progress of a checkpoint; WeightsError if it is invalid."""
     try:
         return TypeAdapter(TrainingProgress).validate_python(state["progress"])

@@ -54,15 +54,15 @@ RUN_FILES = (
 BAD_CHECKPOINT = ("is damaged or no checkpoint", "start again in another --out")
 
 
-def config_hash(values: Mapping[str, Any]) -> str:
+def config_hash(values: Mapping[str, object]) -> str:
     """Return the SHA-256 of nested settings, independent of their order."""
     return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def make_record(
-    config: Mapping[str, Any],
+    config: Mapping[str, object],
     images: Sequence[Item],
-    corrections: Mapping[str, Any] | None,
+    corrections: Mapping[str, object] | None,
     source: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Return the content of run.json: settings, images and corrections, with a key of each.
@@ -115,7 +115,7 @@ class RunFolder:
                 message = f"holds a run with other {part}"
                 raise ConfigError(self.path, message, f"give those of {RUN}, or another --out")
 
-    def begin(self, record: Mapping[str, Any]) -> None:
+    def begin(self, record: Mapping[str, object]) -> None:
         """Remove half-written files of killed runs, and write the record of this run."""
         remove_leftovers([self.path, *self.path.glob(f"{LABELS}*")])
         write_text(self.path / RUN, json.dumps(record, indent=1) + "\n")
@@ -135,7 +135,7 @@ class RunFolder:
 
     # --- checkpoint -------------------------------------------------------------------------
 
-    def write_checkpoint(self, state: Mapping[str, Any]) -> None:
+    def write_checkpoint(self, state: Mapping[str, object]) -> None:
         """Write the state of a run atomically."""
         data = io.BytesIO()  # torch would raise an error of its own for a full disk
         torch.save({"format": CHECKPOINT_FORMAT, **state}, data)
@@ -177,11 +177,11 @@ class RunFolder:
         )
         write_text(self.path / IMAGES, csv_text(["file", "status"], rows))
 
-    def write_log(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def write_log(self, rows: Sequence[Mapping[str, object]]) -> None:
         """Write the epochs as CSV."""
         write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
-    def read_log(self) -> list[dict[str, Any]]:
+    def read_log(self) -> list[dict[str, float]]:
         """Read round, epoch and loss of each epoch; rounds are halves of an adaptation."""
         parsers = {"round": int, "epoch": int, "loss": float}
         with (self.path / LOG).open(newline="", encoding="utf-8") as file:
@@ -190,7 +190,7 @@ class RunFolder:
                 for row in csv.DictReader(file)
             ]
 
-    def write_curve(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def write_curve(self, rows: Sequence[Mapping[str, float]]) -> None:
         """Write a chart of the loss by epoch."""
         from matplotlib.figure import Figure
 

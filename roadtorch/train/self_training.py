@@ -411,7 +411,7 @@ class SelfTrainingRecipe(Recipe):
 
     # --- card -------------------------------------------------------------------------------
 
-    def format_card(self, origin: Mapping[str, Any], command: str) -> str:
+    def format_card(self, origin: Mapping[str, object], command: str) -> str:
         """Format the card beside the weights of a run."""
         training, backbone = self._training, self._training.network.backbone
         weights = training.initial_weights or "random weights"

@@ -5,7 +5,6 @@ import statistics
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -47,7 +46,7 @@ def write_adaptation(
     files: tuple[Path, Path],
     examples: Sequence[Disagreement],
     agreement: TeacherAgreement | None,
-    epochs: Sequence[Mapping[str, Any]],
+    epochs: Sequence[Mapping[str, float]],
     verdict: str = "",
     command: str = "",
 ) -> None:
@@ -145,7 +144,7 @@ def _row(start: float, end: float, note: str = "") -> tuple[Cell, Cell, Cell]:
 # --- charts ------------------------------------------------------------------------------
 
 
-def draw_losses(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
+def draw_losses(figure: Figure, rows: Sequence[Mapping[str, float]]) -> None:
     """Draw the mean loss of the epochs, one line a round."""
     axes = figure.subplots()
     rounds = sorted({row["round"] for row in rows})

@@ -160,7 +160,7 @@ def build_document(evaluation: Evaluation, command: str) -> dict[str, Any]:
     })  # fmt: skip
 
 
-def _detector(scores: DetectorScores, measures: Sequence[Measure]) -> dict[str, Any]:
+def _detector(scores: DetectorScores, measures: Sequence[Measure]) -> dict[str, object]:
     content = {
         **_nest(scores.headline),
         "maxf_threshold": scores.best_threshold,
@@ -186,7 +186,7 @@ def _detector(scores: DetectorScores, measures: Sequence[Measure]) -> dict[str, 
     }
 
 
-def _nest(values: Scores) -> dict[str, Any]:
+def _nest(values: Scores) -> dict[str, object]:
     """Return scores with keys like "layout/mean" as nested mappings."""
     levels: dict[str, Any] = {}
     for key, value in values.items():

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jinja2
 
@@ -160,12 +160,18 @@ class Section(NamedTuple):
     charts: Images = ()
 
 
-def render_page(title: str, summary: str, sections: Sequence[Section], **more: Any) -> str:
+def render_page(title: str, summary: str, sections: Sequence[Section], **more: object) -> str:
     """Return a self-contained page, all values escaped.
 
     more: command (the command line), verdict, failures (with image and reason), and glossary.
     """
-    values: dict[str, Any] = {"command": "", "verdict": "", "failures": (), "glossary": {}, **more}
+    values: dict[str, object] = {
+        "command": "",
+        "verdict": "",
+        "failures": (),
+        "glossary": {},
+        **more,
+    }
     values |= {"title": title, "summary": summary, "sections": sections, "version": __version__}
     text = TEMPLATES.get_template("page.html").render(values)
     # A file name may hold bytes that are no text.
