@@ -54,9 +54,7 @@ from roadtorch.inputs.images import find_images
 
 MAX_LOGS = 8  # in memory, with their labels
 LISTING_SECONDS = 2.0  # for which a listing of the folder is cached
-
-Summary = dict[str, int | bool]
-"""Numbers of events and of lines of a log, and whether the image is confirmed."""
+Summary = dict[str, int | bool]  # of a log: its events and version, and whether confirmed
 
 # --- images and logs --------------------------------------------------------------------
 

@@ -22,6 +22,8 @@ from roadtorch.road.temporal_filter import TemporalFilter, TemporalFilterSetting
 
 _Value = TypeVar("_Value")
 _Result = TypeVar("_Result")
+_Image = Tensor | RoadtorchError
+_Frame = tuple[_Image, _Image | None, _Image | None]
 
 
 @runtime_checkable
@@ -61,10 +63,6 @@ def _time_step(where: str, step: Callable[[], _Value]) -> tuple[_Value | Roadtor
     except Exception as error:  # one frame that breaks a detector must not end a long run
         result = to_input_error(where, error)
     return result, 1000 * (perf_counter() - start)
-
-
-_Image = Tensor | RoadtorchError
-_Frame = tuple[_Image, _Image | None, _Image | None]
 
 
 @dataclass(frozen=True)

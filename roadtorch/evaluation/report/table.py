@@ -165,14 +165,8 @@ def render_page(title: str, summary: str, sections: Sequence[Section], **more: o
 
     more: command (the command line), verdict, failures (with image and reason), and glossary.
     """
-    values: dict[str, object] = {
-        "command": "",
-        "verdict": "",
-        "failures": (),
-        "glossary": {},
-        **more,
-    }
+    values: dict[str, object] = {"command": "", "verdict": "", "failures": (), "glossary": {}}
     values |= {"title": title, "summary": summary, "sections": sections, "version": __version__}
-    text = TEMPLATES.get_template("page.html").render(values)
+    text = TEMPLATES.get_template("page.html").render(values, **more)
     # A file name may hold bytes that are no text.
     return text.encode("utf-8", "backslashreplace").decode()
