@@ -39,8 +39,8 @@ def operating_points(counts: RoadCounts) -> Curve:
     At the first point nothing is road; at point i it is every pixel with level ≥ levels - i. NaN
     where road (y) or background (x) is missing. Levels without pixels repeat a point.
     """
-    false, true = _cumulative_counts(counts)
-    return Curve(_normalise_by_last(false), _normalise_by_last(true))
+    false, true = (sums.to(torch.float64) for sums in _cumulative_counts(counts))
+    return Curve(false / false[..., -1:], true / true[..., -1:])
 
 
 def roc(counts: RoadCounts) -> Curve:
@@ -61,10 +61,6 @@ def _cumulative_counts(counts: RoadCounts) -> tuple[Tensor, Tensor]:
         for part in (counts.background, counts.road)
     )
     return false, true
-
-
-def _normalise_by_last(sums: Tensor) -> Tensor:
-    return sums.to(torch.float64) / sums[..., -1:]
 
 
 # --- averages ---------------------------------------------------------------------------

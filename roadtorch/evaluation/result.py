@@ -220,7 +220,7 @@ def summarise(
     by_condition = {
         name: pool(images, {group: thresholds[group] for group in images.groups})
         for name, items in (conditions or {}).items()
-        if (images := tally.select({item.name for item in items})).names
+        if (images := tally.table(names={item.name for item in items})).names
     }
     is_whole = list(group_counts) == [UNGROUPED]
     whole = group_counts[UNGROUPED] if is_whole else pool_groups(tally, counting)

@@ -104,18 +104,15 @@ class Tally:
         row["numbers"] = area, best, score.seconds, score.trust
         self.rows += row.tobytes()
 
-    def table(self, groups: Iterable[str] | None = None) -> ImageTable:
-        """Return the images of some groups, group by group, or all in their order."""
+    def table(
+        self, groups: Iterable[str] | None = None, names: Container[str] | None = None
+    ) -> ImageTable:
+        """Return the images of some groups, group by group, or of some names, in their order."""
         indices = range(len(self.keys))
         if groups is not None:
             indices = [i for group in groups for i in indices if self.keys[i][1] == group]
-        return self._select(indices)
-
-    def select(self, names: Container[str]) -> ImageTable:
-        """Return the images with these names, in their order."""
-        return self._select([i for i, (name, _) in enumerate(self.keys) if name in names])
-
-    def _select(self, indices: Sequence[int]) -> ImageTable:
+        if names is not None:
+            indices = [i for i in indices if self.keys[i][0] in names]
         rows = np.frombuffer(self.rows, ROW)[np.array(indices, np.int64)]
         road, mask, boundary, layout, numbers = (
             torch.from_numpy(np.ascontiguousarray(rows[name])) for name in ROW.fields or ()

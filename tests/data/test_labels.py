@@ -17,7 +17,7 @@ from roadtorch.data.label_images import ColourLabels, NumberLabels, pair_files
 from roadtorch.data.likelihood_maps import find_maps, open_maps
 from roadtorch.data.polygons import fill_polygon
 from roadtorch.detectors.entry import DetectorSettings
-from tests.data.conftest import read_likelihood_map
+from tests.data.conftest import read_likelihood_map, write
 from tests.reference.polygons import contains, edges, is_on, is_on_drawn_border
 
 NUMBERS = NumberLabels(road=(1, 5), void=(9,), values=(0, 1, 5, 7, 9), layout=(1, 2, 2, 0, 255))
@@ -30,10 +30,7 @@ MASKS = NumberLabels(road=(1, 255), void=(), values=(0, 1, 255))
 
 
 def saved(path: Path, image: np.ndarray | Image.Image) -> LabelledItem:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    image = image if isinstance(image, Image.Image) else Image.fromarray(image)
-    image.save(path)
-    return LabelledItem(path.stem, path, path)
+    return LabelledItem(path.stem, write(path, image), path)
 
 
 ROW = np.array([[0, 1, 5, 7, 9]], np.uint8)

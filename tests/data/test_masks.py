@@ -196,10 +196,13 @@ def test_a_value_is_road_or_void(images: dict[str, Path], tmp_path: Path) -> Non
 
 
 def coco(path: Path, segmentation: object = (0, 3, 8, 3, 8, 6, 0, 6)) -> Path:
-    """Write regions of a road, and of a car in its first column, of a.jpg."""
+    """Write regions of a road, and of a car in its first column, of a.jpg; b.png has none."""
     areas = [[segmentation], [[0, 3, 1, 3, 1, 6, 0, 6]]]
     document = {
-        "images": [{"id": 4, "file_name": "x/a.jpg", "width": 8, "height": 6}],
+        "images": [
+            {"id": number, "file_name": name, "width": 8, "height": 6}
+            for number, name in ((4, "x/a.jpg"), (5, "drive/b.png"))
+        ],
         "categories": [{"id": 9, "name": "street"}, {"id": 2, "name": "car"}],
         "annotations": [
             {"id": number, "image_id": 4, "category_id": (9, 2)[number], "segmentation": area}
@@ -210,30 +213,22 @@ def coco(path: Path, segmentation: object = (0, 3, 8, 3, 8, 6, 0, 6)) -> Path:
     return path
 
 
-def test_regions_of_coco_cover_one_another(images: dict[str, Path], tmp_path: Path) -> None:
+def test_regions_of_coco_cover_one_another_and_no_region_is_no_mask(
+    images: dict[str, Path], tmp_path: Path
+) -> None:
     path, expected = coco(tmp_path / "coco.json"), halves(NOT_ROAD, ROAD)
     expected[3:, 0] = VOID
 
     ((mask,), summary) = read_masks(path, images, ("street",), ("car",))
 
     assert np.array_equal(mask.labels, expected)
-    assert summary.endswith(
-        "road is street (43.8 %); not road is no region (50.0 %); void is car (6.2 %)"
+    assert mask.image == images["a.jpg"]
+    assert summary == (
+        "1 of 2 images have a mask, none for drive/b.png; road is street (43.8 %); "
+        "not road is no region (50.0 %); void is car (6.2 %)"
     )
     for road, message in (((), "has no road, but no region"), (("0",), "has no value 0")):
         with pytest.raises(DatasetError, match=message):
             read_masks(path, images, road)
     with pytest.raises(DatasetError, match="an odd number"):
         read_masks(coco(path, (0, 3, 8, 3, 8, 6, 0)), images, ("street",))
-
-
-def test_images_without_a_region_have_no_mask(images: dict[str, Path], tmp_path: Path) -> None:
-    path = coco(tmp_path / "coco.json")
-    document = json.loads(path.read_text())
-    document["images"].append({"id": 5, "file_name": "drive/b.png", "width": 8, "height": 6})
-    path.write_text(json.dumps(document))
-
-    masks, summary = read_masks(path, images, ("street",))
-
-    assert [mask.image for mask in masks] == [images["a.jpg"]]
-    assert summary.startswith("1 of 2 images have a mask, none for drive/b.png; road is street (")

@@ -205,7 +205,7 @@ def test_images_without_trust_are_left_out_and_detectors_without_any_have_no_sco
     tally = tally_of(dataset, trusting(scenes, trusts))
     never = scores_of(tally_of(dataset, trusting(scenes, dict.fromkeys(scenes, None))))
 
-    errors = (metrics.f_measure(tally.select(trusted).mask) - 0.9).abs()
+    errors = (metrics.f_measure(tally.table(names=trusted).mask) - 0.9).abs()
     assert scores_of(tally).headline["trust/error"] == pytest.approx(float(errors.mean()))
     assert not any(key.startswith("trust/") for key in (*never.headline, *never.pooled))
 

@@ -53,7 +53,7 @@ def test_images_come_group_by_group_when_groups_are_asked_for(dataset):
     table = tally.table(GROUPS[2:0:-1])
 
     assert list(table.groups) == [GROUPS[2]] * 2 + [GROUPS[1]] * 2
-    assert torch.equal(table.road.road, tally.select(table.names).road.road[[2, 3, 0, 1]])
+    assert torch.equal(table.road.road, tally.table(names=table.names).road.road[[2, 3, 0, 1]])
     assert tally.table(GROUPS[2:]).names == table.names[:2]
 
 
