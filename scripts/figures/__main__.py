@@ -1,7 +1,7 @@
 """Draw a figure or print a table of the three papers, or all of them, on the data at hand.
 
     python scripts/figures --help
-    python scripts/figures p3-table2 DATA --out results/papers
+    python scripts/figures p3-table3 DATA --out results/papers
     python scripts/figures all DATA --out results/papers
 
 DATA holds camvid/, idd_lite/, kitti_road/, many/, unlabelled_free/ and simulated/. P1 is Zhang et
