@@ -1,7 +1,8 @@
 """Plans of worlds by number: ground, light, weather, crowd, camera mount, side of traffic.
 
-A number's plan is ``SCHEDULE[number % 100]``. The pack on which networks learn is 50000 to 52999:
-thirty times the schedule. Numbers below 50000 gave other images before.
+A number's plan is one of a hundred in turn: of trails.csv in the second thousand of each ten
+thousand, otherwise of plans.csv. The pack on which networks learn is 50000 to 52999. Numbers below
+50000 gave other images before.
 """
 
 from collections.abc import Iterable, Mapping
@@ -50,9 +51,10 @@ def spread_evenly(rows: Iterable[Row]) -> tuple[Plan, ...]:
     return tuple(plan for *_, plan in sorted(turns, key=lambda turn: turn[:2]))
 
 
-SCHEDULE = spread_evenly(read_table("plans"))
+SCHEDULE, TRAILS = (spread_evenly(read_table(name)) for name in ("plans", "trails"))
 
 
 def plan_world(number: int) -> Plan:
     """Return the plan of a world's number."""
-    return SCHEDULE[number % len(SCHEDULE)]
+    schedule = TRAILS if number % 10_000 // 1000 == 1 else SCHEDULE
+    return schedule[number % len(schedule)]
