@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 4_450,
     "roadtorch/ufl": 1_355,
     "scripts": 4_780,
-    "tests": 28_970,
+    "tests": 28_980,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""
