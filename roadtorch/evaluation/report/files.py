@@ -75,12 +75,12 @@ def build_page(
         f"scored in {dataset.space_name}; void is ignored",
         "images that failed are not scored for any detector" if failures else "",
     ]
-    roc, *charts = build_charts(evaluation).items()
+    charts = list(build_charts(evaluation).items())  # the first is as wide as the page
     keys = set(chain.from_iterable(part.headline for part in evaluation.detectors.values()))
     measures = [m for m in evaluation.measures if m.tables and m.key in keys]
     sections = [
         Section("", TABLE_NOTE, tables),
-        Section("Charts", CHART_NOTE, images=[roc], charts=charts),
+        Section("Charts", CHART_NOTE, images=charts[:1], charts=charts[1:]),
         *([Section("Images", MONTAGE_NOTE, images=montages)] if montages else []),
     ]
     return render_page(
