@@ -127,12 +127,10 @@ def _mean_over_groups(
         part = pool(images, {images.groups[0]: threshold}, counts)
         for measure in measures:
             values = measure.formula(part)
-            if values is None:  # this group lacks it, such as a layout
-                continue
-            if not isinstance(values, Tensor):
-                problem = "uses counts that bootstrap replicates lack"
-                raise TypeError(f"the formula of {measure.key} {problem}")
-            scores[measure.key].append(values)
+            if isinstance(values, Tensor):  # a group may lack a score, such as that of layouts
+                scores[measure.key].append(values)
+    if absent := [key for key, values in scores.items() if not values]:
+        raise TypeError(f"the formula of {absent[0]} uses counts that bootstrap replicates lack")
     return {key: torch.stack(values).nanmean(0) for key, values in scores.items()}
 
 

@@ -220,7 +220,7 @@ def least_trusted_lines(rows: Iterable[IndexRow], only_doubtful: bool = False) -
         for row in rated[:LEAST_TRUSTED]
     ]
     head = f"roadtorch: {doubtful} doubtful of {len(rated)}; least trusted"
-    return [f"{head} (trust does not tell pavement from road: look at the overlays):", *lines]
+    return [f"{head} (trust does not tell pavement from road: see overlays):", *lines]
 
 
 # --- one source ---------------------------------------------------------------------------

@@ -78,7 +78,7 @@ def test_planes_lists_planes_and_representations(call: Call) -> None:
 
 
 def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def written(detector: Detector, out: Path) -> ExportResult:
+    def written(detector: Detector, out: Path, content: str = "maps") -> ExportResult:
         out.write_bytes(bytes(20_000))
         part = f"the whole of {detector.name}"
         notes = {"part": part, "lacks": "a soul, trust", "threshold": "0.4"}

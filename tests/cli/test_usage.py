@@ -97,6 +97,7 @@ WORKING = {
     "adapt": "x.jpg --out o",
     "annotate": ".",
     "evaluate": "camvid .",
+    "export": "fusion --out o",
     "infer": "x.jpg --detector prior:rows",
     "train": "--images . --out o --config cnn7",
 }

@@ -213,7 +213,7 @@ def test_the_five_least_trusted_images_are_named_in_order(call: Call, tmp_path: 
     rows = read_index_rows(tmp_path / "out")
     first, *lines = result.stdout.splitlines()
     trusts = [float(line.split()[0]) for line in lines]
-    assert "of 7; least trusted (trust does not tell pavement from road: look at" in first
+    assert "of 7; least trusted (trust does not tell pavement from road: see" in first
     assert trusts == sorted(float(row["trust"]) for row in rows.values())[:5]
     assert lines[0].split()[1].startswith("noise.jpg")
     for row in rows.values():
