@@ -36,6 +36,7 @@ def write_video(
     with av.open(str(path), "w", options=header) as container:
         stream = container.add_stream(codec, rate=10, options=options or {})
         assert isinstance(stream, av.VideoStream)
+        stream.codec_context.thread_count = 1  # bytes do not depend on the number of cores
         stream.height, stream.width = size
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
         stream.time_base = stream.codec_context.time_base = Fraction(1, ticks)
