@@ -45,6 +45,12 @@ QUALITY = 85  # of JPEG
 OUT = Path(__file__).resolve().parents[1] / "docs/pictures"
 
 
+def write_jpeg(path: Path, sheet: np.ndarray) -> None:
+    """Write a sheet, uint8 RGB (H, W, 3)."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
+
+
 def write_steps(folder: Path, path: Path) -> None:
     """Write a row for each image: input, layout, likelihood, mask."""
     detector, rows = load_detector("fusion"), []
@@ -59,8 +65,7 @@ def write_steps(folder: Path, path: Path) -> None:
         }
         height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
         rows.append(np.hstack([caption_tile(tile, text, height) for text, tile in tiles.items()]))
-    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-    cv2.imwrite(str(path), np.ascontiguousarray(np.vstack(rows)[..., ::-1]), options)
+    write_jpeg(path, np.vstack(rows))
 
 
 def write_fusion(folder: Path, path: Path) -> None:
@@ -85,8 +90,7 @@ def write_fusion(folder: Path, path: Path) -> None:
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
     captioned = [caption_tile(tile, text, height) for text, tile in tiles.items()]
     sheet = np.vstack([np.hstack(captioned[start : start + 4]) for start in (0, 4)])
-    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-    cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
+    write_jpeg(path, sheet)
 
 
 def write_failures(folder: Path, path: Path) -> None:
@@ -102,8 +106,7 @@ def write_failures(folder: Path, path: Path) -> None:
             np.vstack([caption_tile(tile, text, height) for text, tile in tiles.items()])
         )
     sheet = cv2.resize(np.hstack(columns), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
-    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-    cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
+    write_jpeg(path, sheet)
 
 
 def write_drive(clip: Path, path: Path) -> None:

@@ -8,12 +8,11 @@ import os
 import platform
 import re
 import statistics
-from base64 import urlsafe_b64encode
+from base64 import urlsafe_b64decode
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from hashlib import sha256
 from importlib.metadata import (
     PackageNotFoundError,
     distribution,
@@ -67,10 +66,10 @@ def check_machine() -> list[Check]:
 
     from roadtorch.run.workers import count_processors
 
-    limit = os.environ.get("OMP_NUM_THREADS", "not set")
-    threads = f"processors {count_processors()}, torch {torch.get_num_threads()}, "
-    threads += f"opencv {cv2.getNumThreads()}, OMP_NUM_THREADS {limit}"
     load, processors = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0, count_processors()
+    limit = os.environ.get("OMP_NUM_THREADS", "not set")
+    threads = f"processors {processors}, torch {torch.get_num_threads()}, "
+    threads += f"opencv {cv2.getNumThreads()}, OMP_NUM_THREADS {limit}"
     busy = f"load {load:.1f} on {processors} processors"
     busy += ": the times below mean little" if load > BUSY_LOAD * processors else ""
     board = Path("/proc/device-tree/model")  # such as Raspberry Pi 5 Model B
@@ -88,12 +87,16 @@ def check_machine() -> list[Check]:
 def check_files() -> list[Check]:
     """Compare roadtorch's files with the hashes that pip recorded, and import every module."""
     import roadtorch
+    from roadtorch.base.atomic import file_digest
 
-    recorded = [file for file in distribution("roadtorch").files or () if file.hash]
+    recorded = {
+        file: file.hash.value for file in distribution("roadtorch").files or () if file.hash
+    }
     broken = {
-        str(file): "is missing" if digest is None else "differs from what was installed"
-        for file in recorded
-        if (digest := _digest(Path(str(file.locate())))) != (file.hash and file.hash.value)
+        str(file): "differs from what was installed" if digest else "is missing"
+        for file, record in recorded.items()
+        if (digest := file_digest(Path(str(file.locate()))))
+        != urlsafe_b64decode(f"{record}=").hex()
     }
     for module in walk_packages(roadtorch.__path__, "roadtorch.", onerror=lambda name: None):
         try:
@@ -104,13 +107,6 @@ def check_files() -> list[Check]:
     if broken:
         return [Check(name, "broken", problem, REINSTALL_HINT) for name, problem in broken.items()]
     return [Check("roadtorch", "ok", f"{len(recorded)} files are those that were installed")]
-
-
-def _digest(path: Path) -> str | None:
-    """Return the SHA-256 of a file as pip records it; None without the file."""
-    if not path.is_file():
-        return None
-    return urlsafe_b64encode(sha256(path.read_bytes()).digest()).decode().rstrip("=")
 
 
 def check_packages() -> list[Check]:

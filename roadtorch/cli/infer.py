@@ -143,17 +143,18 @@ def infer_command(
     effective = to_toml(detector.name, detector.settings)
     selected = select_inputs(inputs, selection, out)
     kinds = DEFAULT_IMAGE_KINDS if save is None else save
+    has_grid = not set(kinds).isdisjoint(GRID_KINDS)
     refuse_unused(
         context,
         footage=bool(selected.sources),
         bag=any(map(is_from_bag, selected.sources)),
         likelihood="likelihood" in kinds and bool(selected.images or save),
-        grid=not set(kinds).isdisjoint(GRID_KINDS),
+        grid=has_grid,
     )
     bits = 16 if depth == "16" else 8
     inference, level = Inference(detector, camera), detector.settings.threshold
     maps, key = MapWriter(out, frozenset(kinds), detector.name, level, bits), (detector, depth)
-    if not set(kinds).isdisjoint(GRID_KINDS):
+    if has_grid:
         only_bags = not selected.images and all(map(is_from_bag, selected.sources))
         placement = build_placement(camera, grid_values, only_bags)
         maps = replace(maps, grids=GridWriter(placement, level))

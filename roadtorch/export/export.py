@@ -156,8 +156,7 @@ def mask_part(part: ExportPart, threshold: float) -> ExportPart:
 
     def compute(image: Tensor) -> dict[str, Tensor]:
         maps = part.compute(image)
-        mask = (maps["likelihood"] >= threshold).to(torch.uint8)
-        return {"mask": mask, **{name: maps[name] for name in outputs if name != "mask"}}
+        return {**maps, "mask": (maps["likelihood"] >= threshold).to(torch.uint8)}
 
     outputs = ("mask", "trust") if "trust" in part.outputs else ("mask",)
     description = " and ".join(outputs)
