@@ -85,9 +85,6 @@ def video_source(path: Path | str, name: str, selection: Selection) -> Source:
     )
 
 
-# --- reading ----------------------------------------------------------------------------
-
-
 @contextmanager
 def open_video(path: Path | str) -> "Iterator[tuple[InputContainer, VideoStream]]":
     """Open a video; yield its container and main video stream, InputError if there is none."""
@@ -162,13 +159,14 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
     lost frames, whose items raise on reading. Frames without a time stamp follow at the frame rate.
 
     Raises:
-        InputError: if the video cannot be opened and, after the last frame, if frames were lost,
-            or it ends more than ``END_TOLERANCE`` before the declared duration.
+        InputError: before the first frame, if the video cannot be opened; after the last, if some
+            were lost, or it ends more than ``END_TOLERANCE`` before the declared duration.
     """
     seek = _find_seek_point(path, start) if start > 0 else SeekPoint()
     with open_video(path) as (container, stream):
         clock = FrameClock(strip_password(str(path)), frame_step(stream))
         number, end, lost = seek.number, 0.0, list[float]()
+        failure: Exception | None = None
         if seek.number:
             clock.seconds(stream_seconds(stream, seek.first))
         decode = frame_decoder(stream)
@@ -186,15 +184,17 @@ def video_frames(path: Path | str, name: str, start: float = 0.0) -> Generator[I
                 yield Item(f"{name}/{number:06d}", origin, read, number=number, seconds=seconds)
                 number += 1
         except import_av().FFmpegError as error:
-            problem = f"ends after {end:.1f} seconds"
-            if lost and end + END_TOLERANCE >= declared_duration(container, stream):
-                problem = f"lacks {len(lost)} of its frames, the first at {lost[0]:.1f} seconds"
-            problem += f": {ffmpeg_reason(error)}"
-            raise InputError(path, problem, "copy it again, or repair it") from None
+            failure = error
         length = declared_duration(container, stream)
-    if number == seek.number or clock.stepped or end + END_TOLERANCE >= length:
-        return
-    if track_duration(stream) or not _other_track_lasts(path):
+    is_cut = number > seek.number and not clock.stepped and end + END_TOLERANCE < length
+    # A cut packet is refused by the decoder of one thread, dropped by those of several.
+    if failure is not None and not (is_cut and isinstance(failure, import_av().InvalidDataError)):
+        problem = f"ends after {end:.1f} seconds"
+        if lost and end + END_TOLERANCE >= length:
+            problem = f"lacks {len(lost)} of its frames, the first at {lost[0]:.1f} seconds"
+        problem += f": {ffmpeg_reason(failure)}"
+        raise InputError(path, problem, "copy it again, or repair it")
+    if is_cut and (failure or track_duration(stream) or not _other_track_lasts(path)):
         problem = f"ends after {end:.1f} of {length:.1f} seconds"
         raise InputError(path, problem, "the rest was used; copy it again, or repair it")
 

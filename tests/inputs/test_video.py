@@ -1,7 +1,9 @@
 """Video files: frames, time stamps, rotation, damage."""
 
+import os
 import re
 import struct
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -172,9 +174,6 @@ def test_sound_may_outlast_the_images(suffix: str, begin: float, tmp_path: Path)
     assert read_until_problem(path) == ([True] * 10, "")
 
 
-# --- what is wrong ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("suffix", "codec"), [(".mp4", "libx264"), (".webm", "libvpx"), (".avi", "mjpeg")]
 )
@@ -184,10 +183,12 @@ def test_a_cut_video_is_read_to_its_end(suffix: str, codec: str, tmp_path: Path)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 6 // 10])
 
-    frames, error = read_until_problem(path)
-
-    assert 5 < sum(frames) < 40
-    assert re.match(r"ends after \d\.\d (of \d\.\d seconds|seconds: Invalid data)", error)
+    # One core, then all: their decoders answer a cut packet differently.
+    with ThreadPoolExecutor(1, initializer=os.sched_setaffinity, initargs=(0, {0})) as core:
+        alone = core.submit(read_until_problem, path).result()
+    for frames, error in (alone, read_until_problem(path)):
+        assert 5 < sum(frames) < 40
+        assert re.match(r"ends after \d\.\d of \d\.\d seconds$", error)
     assert len(list(islice(video_frames(path, "drive"), 5))) == 5  # who stops before is not told
 
 
