@@ -1,10 +1,11 @@
-"""Gather the free images that the weights were trained on into one folder.
+"""Gather free images that weights learn from into one folder.
 
     python -m train.free_images DATA --out IMAGES [--count 500] [--without RECORDING ...]
 
-train/free_images.csv lists each image with its SHA-256, source and licence. DATA is searched for
-files of those names; one with other bytes does not count. They are taken from all recordings in
-turn until there are enough, so that no long recording outweighs the others, and are called
+A list names each image with its SHA-256, source and licence: street_images.csv, which new networks
+learn from, none of which is one of many's; free_images.csv for CNN-7. DATA is searched for files
+of those names; one with other bytes does not count. They are taken from all recordings in turn
+until there are enough, so that no long recording outweighs the others, and are called
 RECORDING_NUMBER, as ``roadtorch train`` tells recordings apart. The exit status is 1 if one is
 missing.
 """
@@ -19,10 +20,10 @@ from pathlib import Path
 
 from roadtorch.base.atomic import file_digest
 
-MANIFEST = Path(__file__).with_suffix(".csv")
+STREET_IMAGES = Path(__file__).with_name("street_images.csv")
 
 
-def recordings(manifest: Path = MANIFEST) -> dict[str, list[Mapping[str, str]]]:
+def recordings(manifest: Path) -> dict[str, list[Mapping[str, str]]]:
     """Return the rows of each recording: a file's folder, or its name up to the last ``_``."""
     rows: dict[str, list[Mapping[str, str]]] = {}
     with manifest.open(encoding="utf-8", newline="") as file:
@@ -65,10 +66,10 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="IMAGES")
     parser.add_argument("--count", type=int)
     parser.add_argument("--without", nargs="*", default=[], metavar="RECORDING")
+    parser.add_argument("--list", type=Path, default=STREET_IMAGES, metavar="CSV")
     options = parser.parse_args(words)
-    missing = gather(
-        options.data, options.out, round_robin(recordings(), options.count, options.without)
-    )
+    chosen = round_robin(recordings(options.list), options.count, options.without)
+    missing = gather(options.data, options.out, chosen)
     print("\n".join([*(f"missing {name}" for name in missing), f"{len(missing)} missing"]))
     return int(bool(missing))
 
