@@ -83,16 +83,16 @@ def adapt_command(
         click.echo(text, err=True)
         context.exit(128 + outcome.interrupted)
     request = TrainingRequest(frames.glob(), out, prepared=adaptation.prepared, quiet=quiet)
-    is_written = write_page(training, request, outcome, verdict, command_line(context))
-    files = [outcome.weights, adaptation.camera, out / ADAPTATION_PAGE if is_written else None]
+    camera = ["--camera", str(adaptation.camera)] if adaptation.camera else []
+    words = ["--set", f"weights.file={outcome.weights}", *camera, "--out", "roads"]
+    is_adopted = adaptation.verdict is not None and adaptation.verdict.word == "adopt"
+    use = f"roadtorch infer FOOTAGE {shlex.join(words)}" if is_adopted else ""
+    page = write_page(training, request, outcome, verdict, command_line(context), use)
+    files = [outcome.weights, adaptation.camera, None if page is None else out / ADAPTATION_PAGE]
     lines = [*frames.skipped, *adaptation.missing]
     if not quiet:
-        camera = ["--camera", str(adaptation.camera)] if adaptation.camera else []
-        words = ["--set", f"weights.file={outcome.weights}", *camera, "--out", "roads"]
-        use = f"roadtorch infer FOOTAGE {shlex.join(words)}"
-        is_adopted = adaptation.verdict is not None and adaptation.verdict.word == "adopt"
         lines += [f"wrote {file}" for file in files if file]
-        lines += [f"to use it: {use}"] if is_adopted else []
+        lines += [f"to use it: {use}"] if use else []
     for line in lines:
         click.echo(f"roadtorch: {line}", err=True)
     click.echo(verdict)

@@ -96,15 +96,15 @@ def train_command(
       prepared/            small copies of the images with their machine labels
       weights.md           with labels by hand or --source: card of the weights
       sheet-N.jpg          with --source: road in some images after each round
-      adaptation.html      with initial_weights: masks, trust, agreement before and after
+      adaptation.html      with labels by hand or initial_weights: masks, F, trust before and after
     """
     import torch
 
     from roadtorch.base.errors import ConfigError
     from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
     from roadtorch.data.corrections import read_corrections
-    from roadtorch.train.comparison_page import score_held_out, write_page
-    from roadtorch.train.config import SelfTraining, build_training
+    from roadtorch.train.comparison_page import write_page
+    from roadtorch.train.config import ImageTraining, SelfTraining, build_training
     from roadtorch.train.run import TrainingRequest, train
     from roadtorch.train.run_folder import ADAPTATION_PAGE
 
@@ -123,9 +123,7 @@ def train_command(
         corrected, summary = read_masks_of_images(masks, images, out, road, void)
         if not quiet:
             click.echo(f"roadtorch: {summary}", err=True)
-    is_self_training = isinstance(training, SelfTraining)
-    is_named = is_self_training or training.initial_weights  # in a card, on a page
-    command = command_line(context) if is_named else ""
+    command = command_line(context)
     request = TrainingRequest(images, out, prepared, quiet, corrected, source=source)
     request = replace(request, device=device, command=command)
     outcome = train(training, request)
@@ -137,15 +135,15 @@ def train_command(
     if not quiet:
         skipped = f"; {outcome.skipped} skipped, see images.csv" if outcome.skipped else ""
         click.echo(f"roadtorch: weights in {outcome.weights}{skipped}", err=True)
-    if training.initial_weights and not is_self_training:
-        is_written = write_page(training, request, outcome, command=command)
-        if is_written and not quiet:
-            click.echo(f"roadtorch: masks before and after in {out / ADAPTATION_PAGE}", err=True)
-    if masks and not quiet:
-        weights = {"before": training.initial_weights, "after": str(outcome.weights)}
-        click.echo(f"roadtorch: {score_held_out(weights, outcome.held_out)}", err=True)
-        words = ["roadtorch", "infer", images, "--set", f"weights.file={outcome.weights}"]
-        click.echo(f"roadtorch: to use it: {shlex.join([*words, '--out', 'roads'])}", err=True)
+    if (training.initial_weights or corrected) and not isinstance(training, SelfTraining):
+        words = ["infer", images, "--set", f"weights.file={outcome.weights}", "--out", "roads"]
+        is_usable = corrected and isinstance(training, ImageTraining)
+        use = shlex.join(["roadtorch", *words]) if is_usable else ""
+        verdict = write_page(training, request, outcome, command=command, use=use)
+        if verdict is not None and not quiet:
+            lines = [f"masks before and after in {out / ADAPTATION_PAGE}", verdict]
+            for line in filter(None, [*lines, use and f"to use it: {use}"]):
+                click.echo(f"roadtorch: {line}", err=True)
     context.exit(1 if outcome.skipped else 0)
 
 

@@ -1,20 +1,17 @@
-"""Differences between two methods on unlabelled images: before and after further training."""
+"""Differences between the masks of two methods: before and after further training."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
-from roadtorch.base.errors import DatasetError, InputError, RoadtorchError
-from roadtorch.base.image import read_image
+from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image_cache import image_cache
 from roadtorch.base.progress import Progress
-from roadtorch.data.dataset import Dataset, LabelledItem, Truth
+from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.evaluation.methods import Contender, Predictor
 from roadtorch.evaluation.result import Failure
-from roadtorch.inputs.item import Item
 from roadtorch.run.workers import WORKER_CRASH, make_workers
 
 
@@ -36,23 +33,8 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
-class UnlabelledReader:
-    """Truth of a set without labels, which cannot be read."""
-
-    def truth(self, item: LabelledItem) -> Truth:
-        """Raise DatasetError, as the set has no labels."""
-        raise DatasetError(item.image, "has no label", "give a labelled set")
-
-
-def unlabelled_dataset(images: Iterable[Item]) -> Dataset:
-    """Return images as a ``Dataset`` whose truth cannot be read: masks are only compared."""
-    items = tuple(LabelledItem(image.name, image.path, image.path) for image in images)
-    return Dataset("images", Path(), "", items, UnlabelledReader())
-
-
-@dataclass(frozen=True)
 class Disagreements:
-    """Two methods on a set without labels; images: the largest difference first, then by name."""
+    """Masks of two methods on a set; images: the largest difference first, then by name."""
 
     dataset: Dataset
     methods: tuple[Contender, Contender]
@@ -64,12 +46,13 @@ class Disagreements:
 class CompareTask:
     """Task of a worker process: the masks of two contenders on one image."""
 
+    dataset: Dataset
     predictors: Sequence[Predictor]
 
     def __call__(self, item: LabelledItem) -> Disagreement | Failure:
         """Return the difference of the masks, or the failure of a contender."""
         try:
-            image = read_image(item.image)
+            image, _ = self.dataset.read(item)  # truth that cannot be read is a failure, too
             with image_cache():
                 first, second = (predict(image, item) for predict in self.predictors)
         except RoadtorchError as error:
@@ -84,17 +67,14 @@ def compare_masks(
     dataset: Dataset, methods: tuple[Contender, Contender], quiet: bool = False, **progress: str
 ) -> Disagreements:
     """Compare the masks of two methods on every image, each at its own threshold."""
-    task = CompareTask([contender.prepare(dataset) for contender in methods])
+    task = CompareTask(dataset, [contender.prepare(dataset) for contender in methods])
     items = dataset.items
     results = make_workers(None, len(items)).map(task, items, _crash_failure)
-    images, failures = list[Disagreement](), list[Failure]()
     with closing(results):
-        for result in Progress(results, total=len(items), unit="image", quiet=quiet, **progress):
-            if isinstance(result, Failure):
-                failures.append(result)
-            else:
-                images.append(result)
+        rows = [*Progress(results, total=len(items), unit="image", quiet=quiet, **progress)]
+    images = [row for row in rows if isinstance(row, Disagreement)]
     images.sort(key=lambda pair: (-pair.difference, pair.item.name))
+    failures = [row for row in rows if isinstance(row, Failure)]
     return Disagreements(dataset, methods, images, failures)
 
 
@@ -113,12 +93,8 @@ class Agreement(NamedTuple):
     images: int  # number of images compared
 
 
-class TeacherAgreement(NamedTuple):
-    """Name of the teacher, and the network's agreement with it before and after training."""
-
-    teacher: str
-    initial: Agreement
-    final: Agreement
+Agreements = tuple[str, Agreement, Agreement]
+"""Name of the teacher, and the network's agreement with it before and after training."""
 
 
 def select_changed(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:

@@ -28,6 +28,11 @@ class Interval(NamedTuple):
         """Whether both ends are defined."""
         return not math.isnan(self.low) and not math.isnan(self.high)
 
+    @property
+    def sign(self) -> int:
+        """1 where the interval lies above 0, -1 below it, else 0."""
+        return (self.low > 0) - (self.high < 0)
+
     def __str__(self) -> str:
         """Return both ends with three decimals."""
         return f"{self.low:.3f}–{self.high:.3f}" if self.is_defined else UNDEFINED
@@ -87,6 +92,11 @@ class Difference:
 
     value: float
     interval: Interval
+
+    def __str__(self) -> str:
+        """Return it with its interval, signed."""
+        low, high = self.interval
+        return f"{self.value:+.3f} (95 % {low:+.3f} to {high:+.3f})"
 
 
 @dataclass(frozen=True)

@@ -1,75 +1,94 @@
 """Page that compares the network of a training run with its initial weights."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-import torch
+import numpy as np
 
 from roadtorch.base.atomic import claim_results
-from roadtorch.base.image import read_image
-from roadtorch.data.corrections import HumanLabels, labels_to_truth
-from roadtorch.data.dataset import subsample_dataset
-from roadtorch.detectors.catalogue import load_detector
-from roadtorch.evaluation.disagreement import (
-    TeacherAgreement,
-    compare_masks,
-    select_changed,
-    unlabelled_dataset,
-)
+from roadtorch.base.bounded import plural
+from roadtorch.base.errors import DatasetError
+from roadtorch.data.corrections import HumanLabels, labels_to_truth, read_image_size
+from roadtorch.data.dataset import Dataset, LabelledItem, Truth, subsample_dataset
+from roadtorch.detectors.fusion import DEFAULT_WEIGHTS
+from roadtorch.evaluation.disagreement import Agreements, compare_masks, select_changed
+from roadtorch.evaluation.evaluate import evaluate
+from roadtorch.evaluation.measures import F_MASK, IOU_MASK, MAXF
 from roadtorch.evaluation.methods import parse_reference
-from roadtorch.evaluation.metrics import count_mask
 from roadtorch.evaluation.report.adaptation import write_adaptation
-from roadtorch.evaluation.uncertainty import (
-    BOOTSTRAP_SEED,
-    percentile_interval,
-    pooled_f,
-    sample_weights,
-)
+from roadtorch.evaluation.result import Evaluation
 from roadtorch.inputs.images import find_images
-from roadtorch.inputs.item import evenly_spaced
+from roadtorch.inputs.item import Item, evenly_spaced
 from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_path
-from roadtorch.run.loop import Inference
 from roadtorch.train.config import ImageTraining, Training
 from roadtorch.train.prepared import image_file_name
 from roadtorch.train.run import Outcome, TrainingRequest
-from roadtorch.train.run_folder import ADAPTATION_PAGE, FUSION_CONFIG, PREPARED, RunFolder
+from roadtorch.train.run_folder import ADAPTATION_PAGE, PREPARED, RunFolder
 from roadtorch.train.teachers import teacher_agreement
 
-MIN_INTERVAL = 5
-"""Held-out images from which an interval is given."""
+MIN_INTERVAL, SCORES = 5, (F_MASK, IOU_MASK, MAXF)
+"""Held-out images from which an interval is given, and their scores on the page."""
 
 MAX_COMPARED, MAX_SHOWN = 60, 10
-"""Images that are compared, evenly spaced, and those on the page, half of them the most changed."""
+"""Images that are compared, evenly spaced, and those on the page, half of them the most changed.
+
+Of held-out images all are compared.
+"""
 
 
-def score_held_out(weights: Mapping[str, str], held_out: Sequence[HumanLabels]) -> str:
-    """Compare two networks of `fusion`, by title, on held-out images; return the result in words.
+@dataclass(frozen=True)
+class LabelsByImage:
+    """Truth of images by their resolved file; those without labels are void everywhere."""
 
-    The interval is a bootstrap of the images.
-    """
-    if not held_out:
-        return "no image was held out, so nothing shows what the masks bring"
-    detectors = {name: load_detector("fusion", weights={"file": weights[name]}) for name in weights}
-    detectors["prior:rows"] = load_detector("prior:rows")
-    images = [read_image(labels.image) for labels in held_out]
-    truths = [labels_to_truth(labels.labels) for labels in held_out]
-    draws = sample_weights(("",) * len(images), torch.Generator().manual_seed(BOOTSTRAP_SEED))
-    scores = {}
-    for name, detector in detectors.items():
-        masks = [Inference(detector)(image).mask for image in images]
-        counts = [
-            torch.stack(count_mask(mask, truth.road, truth.valid))
-            for mask, truth in zip(masks, truths, strict=True)
-        ]
-        scores[name] = pooled_f(torch.stack(counts), draws)
-    first, second = (scores[name] for name in weights)
-    interval = percentile_interval(second[1:] - first[1:])
-    texts = [f"{values[0]:.3f} {name}" for name, values in scores.items()]
-    text = f"{len(images)} held out: F of the mask {', '.join(texts)}"
-    text += f"; difference {second[0] - first[0]:+.3f}"
-    if len(images) >= MIN_INTERVAL:
-        text += f" (95 % {interval.low:+.3f} to {interval.high:+.3f})"
-    return text + ("" if second[0] > first[0] else "; no gain: use fusion as it is, or add masks")
+    labels: Mapping[Path, HumanLabels]
+
+    def truth(self, item: LabelledItem) -> Truth:
+        """Return the truth; DatasetError where labels, or an image without any, cannot be read."""
+        labels = self.labels.get(item.image.resolve())
+        none = np.zeros(read_image_size(item.image) if labels is None else 0, np.uint8)
+        return labels_to_truth(none if labels is None else labels.labels)
+
+
+def select_compared(
+    images: Sequence[Item], held_out: Sequence[HumanLabels], labels: Sequence[HumanLabels]
+) -> Dataset:
+    """Return the held-out images, or else some of all, with the truth of those that have labels."""
+    by_image = {entry.image.resolve(): entry for entry in held_out or labels}
+    if held_out:
+        images = [image for image in images if image.path.resolve() in by_image]
+    items = tuple(LabelledItem(image.name, image.path, image.path) for image in images)
+    dataset = Dataset("images", Path(), "", items, LabelsByImage(by_image))
+    return dataset if held_out else subsample_dataset(dataset, MAX_COMPARED)
+
+
+def describe_gain(evaluation: Evaluation) -> str:
+    """Return in words whether the masks of held-out images got better, and a blind baseline."""
+    change = evaluation.comparison.differences["after"][F_MASK.key]
+    scores = {name: F_MASK.get(values) for name, values in evaluation.headlines.items()}
+    enough = evaluation.images >= MIN_INTERVAL
+    word = ("undecided", "better", "worse")[enough * change.interval.sign]
+    hint = {"better": "", "worse": "; use fusion as it is", "undecided": "; add masks to decide"}
+    return (
+        f"{word}: on {plural(evaluation.images, 'held-out image')} F of the mask "
+        f"{scores['before']:.3f} before, {scores['after']:.3f} after, "
+        + (str(change) if enough else f"{change.value:+.3f} (no interval below {MIN_INTERVAL})")
+        + f"; prior:rows {scores['prior:rows']:.3f}"
+        + hint[word]
+    )
+
+
+def measure_agreement(
+    training: ImageTraining, weights: Sequence[Path], files: Sequence[Path]
+) -> Agreements:
+    """Compare two networks with the teacher on some of the prepared images that exist."""
+    files = evenly_spaced([file for file in files if file.exists()], MAX_COMPARED)
+    first, second = (
+        teacher_agreement(network.eval(), files, training)
+        for network in map(load_network, weights)
+        if isinstance(network, WholeImageNetwork)
+    )
+    return training.teacher.detector, first, second
 
 
 def write_page(
@@ -78,34 +97,38 @@ def write_page(
     outcome: Outcome,
     verdict: str = "",
     command: str = "",
-) -> bool:
-    """Write the page of a run with initial weights; return False without weights or images.
+    use: str = "",
+) -> str | None:
+    """Write the page of a run; return its verdict, or None without weights or images.
 
-    verdict: sentence at the top. command: command line at the end.
+    verdict: sentence at the top, if no image has labels. command: command line at the end. use:
+    that which uses the result.
     """
     if outcome.weights is None:
-        return False
-    weights, config = outcome.weights, outcome.weights.with_name(FUSION_CONFIG)
-    start = weights_path(training.initial_weights)
-    initial = parse_reference(str(start), {})
-    trained = parse_reference(str(config if config.exists() else weights), {})
+        return None
+    weights, start = outcome.weights, weights_path(training.initial_weights or DEFAULT_WEIGHTS)
+    initial, trained = (parse_reference(str(path), {}) for path in (start, weights))
     methods = (replace(initial, name="before"), replace(trained, name="after"))
-    images = find_images([request.images], request.out)
-    dataset = subsample_dataset(unlabelled_dataset(images), MAX_COMPARED)
+    images, held_out = find_images([request.images], request.out), outcome.held_out
+    dataset = select_compared(images, held_out, request.corrections)
     comparison = compare_masks(dataset, methods, quiet=request.quiet, desc="before and after")
     if not comparison.images:
-        return False
-    agreement = None
-    if isinstance(training, ImageTraining):
+        return None
+    evidence, evaluation, agreement = "Without labels", None, None
+    if held_out:
+        evidence = "Held-out images"
+        try:
+            evaluation = evaluate(dataset, methods, against="before", measures=SCORES, jobs=None)
+            verdict = describe_gain(evaluation)
+        except DatasetError as error:
+            verdict = f"undecided: {error.problem}"
+    elif request.corrections:
+        evidence = "Images that trained"
+        verdict = "undecided: no image was held out, so nothing shows what the labels bring"
+    if isinstance(training, ImageTraining) and not held_out:
         folder = request.prepared or request.out / PREPARED
         files = [folder / f"{image_file_name(image)}.npz" for image in images]
-        files = evenly_spaced([file for file in files if file.exists()], MAX_COMPARED)
-        agreements = [
-            teacher_agreement(network.eval(), files, training)
-            for network in map(load_network, (start, weights))
-            if isinstance(network, WholeImageNetwork)
-        ]
-        agreement = TeacherAgreement(training.teacher.detector, *agreements)
+        agreement = measure_agreement(training, (start, weights), files)
     with claim_results(request.out, {ADAPTATION_PAGE: ""}):
         write_adaptation(
             request.out / ADAPTATION_PAGE,
@@ -114,7 +137,10 @@ def write_page(
             select_changed(comparison.images, MAX_SHOWN),
             agreement,
             RunFolder(request.out).read_log(),
-            verdict,
-            command,
+            evaluation,
+            evidence,
+            verdict=verdict,
+            command=command,
+            use=use,
         )
-    return True
+    return verdict

@@ -6,11 +6,10 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-import tomli_w
 
-from roadtorch.base.atomic import make_folder, write_text
+from roadtorch.base.atomic import make_folder
 from roadtorch.base.errors import DatasetError, InputError
-from roadtorch.data.corrections import HumanLabels, labels_to_truth, read_image_size
+from roadtorch.data.corrections import HumanLabels, read_image_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import read_correction_runs, weights_path
@@ -87,26 +86,6 @@ def write_corrections(
     for file, path in written.items():
         write_arrays(path, encode(files[file]))
     return written
-
-
-# --- config of fusion -------------------------------------------------------------------
-
-
-def write_fusion_config(path: Path, weights: Path, corrections: Sequence[HumanLabels]) -> bool:
-    """Write a config of ``fusion`` with the weights beside it; return False without road labels.
-
-    Its calibration has the centre 0, as log odds learned from true labels need no shift.
-    """
-    if not any(bool(labels_to_truth(entry.labels).valid.any()) for entry in corrections):
-        return False
-    comment = f"# Trained with {len(corrections)} human-corrected images: not label-free."
-    values = {
-        "detector": "fusion",
-        "weights": {"file": weights.name},
-        "calibration": {"centre": 0.0},
-    }
-    write_text(path, f"{comment}\n{tomli_w.dumps(values)}")
-    return True
 
 
 # --- record in the weights --------------------------------------------------------------

@@ -42,7 +42,6 @@ from roadtorch.train.corrections import (
     inherited_corrections,
     scale_learning_rate,
     write_corrections,
-    write_fusion_config,
 )
 from roadtorch.train.patches import PatchRecipe
 from roadtorch.train.prepared import Preparation, PreparedImage, prepare
@@ -51,7 +50,6 @@ from roadtorch.train.run_folder import (
     BAD_CHECKPOINT,
     CHECKPOINT,
     CORRECTIONS,
-    FUSION_CONFIG,
     PREPARED,
     WEIGHTS,
     RunFolder,
@@ -240,8 +238,6 @@ class TrainingRun:
                 break
             progress = TrainingProgress(progress.round + 1, rows=progress.rows)
         self._write(network, progress, len(files), inherited)
-        if human and progress.finished and isinstance(self.training, ImageTraining):
-            write_fusion_config(path / FUSION_CONFIG, path / WEIGHTS, list(human.values()))
         return progress.finished
 
     def _train_round(

@@ -42,11 +42,9 @@ ROUND_WEIGHTS, SHEET = "round-{}.safetensors", "sheet-{}.jpg"
 """Weights of a round, and target images with the road that its network finds."""
 
 CARD, PREPARED, CORRECTIONS = "weights.md", "prepared", "corrections"
-FUSION_CONFIG = "fusion.toml"
-"""Config of the detector ``fusion`` with the weights of a run with corrections."""
 
 RUN_FILES = (
-    *(RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, CARD, ADAPTATION_PAGE, FUSION_CONFIG),
+    *(RUN, CHECKPOINT, LOG, CURVE, IMAGES, WEIGHTS, CARD, ADAPTATION_PAGE),
     *(ROUND_WEIGHTS, SHEET),
     *(f"{PREPARED}/", f"{CORRECTIONS}/", f"{LABELS}{{}}"),
 )
@@ -182,11 +180,14 @@ class RunFolder:
         write_text(self.path / LOG, csv_text(list(rows[0]), rows))
 
     def read_log(self) -> list[dict[str, float]]:
-        """Read round, epoch and loss of each epoch; rounds are halves of an adaptation."""
-        parsers = {"round": int, "epoch": int, "loss": float}
+        """Read round, epoch, loss and held-out F, where there is one, of each epoch.
+
+        Rounds are halves of an adaptation.
+        """
+        parsers = {"round": int, "epoch": int, "loss": float, "held_out_f": float}
         with (self.path / LOG).open(newline="", encoding="utf-8") as file:
             return [
-                {key: parse(row[key]) for key, parse in parsers.items()}
+                {key: parse(row[key]) for key, parse in parsers.items() if key in row}
                 for row in csv.DictReader(file)
             ]
 
@@ -194,9 +195,9 @@ class RunFolder:
         """Write a chart of the loss by epoch."""
         from matplotlib.figure import Figure
 
-        from roadtorch.evaluation.report.adaptation import draw_losses
+        from roadtorch.evaluation.report.adaptation import draw_epochs
 
         figure = Figure(figsize=(6, 4), layout="constrained")
-        draw_losses(figure, rows)
+        draw_epochs(figure, rows)
         with atomic_write(self.path / CURVE) as temporary:
             figure.savefig(temporary, format="png", dpi=120)

@@ -118,7 +118,7 @@ def test_the_means_leave_out_images_without_trust() -> None:
     minus = "\N{MINUS SIGN}"
     rows = {name: [(cell.text, cell.note) for cell in cells] for name, cells in table.rows()}
     assert rows == {
-        "fraction of road": [("30.0 %", ""), ("50.0 %", ""), ("+20.0 points", "")],
+        "fraction of road": [("0.300", ""), ("0.500", ""), ("+0.200", "")],
         "trust": [
             ("0.550", ""), ("0.500", ""), (f"{minus}0.050", "rose on 1, fell on 1 images")
         ],

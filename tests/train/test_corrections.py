@@ -7,22 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 
 from roadtorch.annotate.session import make_import_event
 from roadtorch.base.errors import ConfigError, InputError
-from roadtorch.base.settings import read_settings_file
 from roadtorch.cli.train import train_command
 from roadtorch.data.corrections import Correction, EventLog, LogHeader, log_path
-from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.weights import count_corrected_images, load_network, read_correction_runs
 from roadtorch.train.config import PatchTraining, Training, build_training
-from roadtorch.train.corrections import write_fusion_config
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, merge_corrections, oversample
 from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
-from roadtorch.train.run_folder import FUSION_CONFIG
 from roadtorch.train.teachers import Targets
 from roadtorch.train.whole_images import corrected_targets, reweight
+from tests.command import invoke_command
 from tests.train.conftest import Trained
 from tests.train.runs import PATCHES, training_of, write_config
 
@@ -160,11 +156,6 @@ def test_weights_say_that_people_corrected_images(kind: str, runs: dict[str, Out
     assert count_corrected_images({"weights": {"file": str(weights)}}) == 1
     assert count_corrected_images({"weights": {"file": ""}, "second": {"file": str(weights)}}) == 1
     assert json.loads((weights.parent / "run.json").read_text())["corrections"] == summary
-    config = weights.parent / FUSION_CONFIG
-    assert config.exists() == (kind == "images")
-    if config.exists():
-        values = read_settings_file(config)
-        assert (values["detector"], values["weights"]) == ("fusion", {"file": str(weights)})
 
 
 def test_what_starts_there_is_not_label_free(trained: Trained, runs: dict[str, Outcome]) -> None:
@@ -185,7 +176,7 @@ def test_the_command_reads_what_annotate_kept(streets: Path, cache: Path, tmp_pa
     words = ["--config", config, "--images", streets, "--out", tmp_path / "run", "--quiet"]
     words += ["--corrections", logs, "--corrected-images", streets, "--prepared", cache / "patches"]
 
-    result = CliRunner().invoke(train_command, [str(word) for word in words])
+    result = invoke_command(train_command, *words)
 
     assert result.exit_code == 0, result.output
     (summary,) = read_correction_runs(tmp_path / "run" / "weights.safetensors")
@@ -203,19 +194,3 @@ def test_other_corrections_are_refused(
     ):
         with pytest.raises(error, match=message):
             train(training, replace(request, corrections=corrections))
-
-
-def test_after_corrections_zero_are_the_log_odds_that_part_road(tmp_path: Path) -> None:
-    file = tmp_path / "fusion.toml"
-    assert write_fusion_config(file, tmp_path / "weights.safetensors", [correction(quarters())])
-
-    values = read_settings_file(file)
-    assert values["calibration"] == {"centre": 0.0}
-    load_detector("fusion", calibration=values["calibration"])
-
-
-@pytest.mark.parametrize("label", [VOID, UNTOUCHED])
-def test_who_says_nothing_of_road_leaves_the_detector_as_it_is(label: int, tmp_path: Path) -> None:
-    silent = correction(np.full((8, 8), label))
-    assert not write_fusion_config(tmp_path / "fusion.toml", tmp_path / "w", [silent])
-    assert not (tmp_path / "fusion.toml").exists()

@@ -1,26 +1,33 @@
 """Fine-tuning on masks: held-out images decide when it stops, and score it."""
 
+import base64
+import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 from torch import Tensor
 
 from roadtorch.cli.train import train_command
 from roadtorch.data.label_images import LabelPixels
 from roadtorch.data.masks import Mask
+from roadtorch.evaluation.report.montage import TILE_WIDTH, VERMILLION
+from roadtorch.evaluation.result import Comparison, Difference, Interval
 from roadtorch.layout.weights import load_network, read_correction_runs
 from roadtorch.testing.scenes import ROAD
+from roadtorch.train.comparison_page import describe_gain
 from roadtorch.train.config import HeadWeights
 from roadtorch.train.recordings import select_held_out
 from roadtorch.train.run import Outcome
 from roadtorch.train.teachers import Targets
 from roadtorch.train.whole_images import target_loss
+from tests.command import invoke_command
 from tests.streets import scene
 from tests.train.conftest import Trained
 from tests.train.runs import IMAGES, rows_of, write_config
@@ -86,6 +93,36 @@ def test_the_weights_of_the_best_epoch_are_kept_and_training_stops_after_it(
     assert not all(map(torch.equal, weights, run([0.2, 0.1, 0.3], 3)[1]))
 
 
+# --- the verdict ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "images", "verdict"),
+    [
+        (0.01, 0.03, 5, "better: on 5 held-out images F of the mask 0.700 before, 0.720 after, "
+         "+0.020 (95 % +0.010 to +0.030); prior:rows 0.600"),
+        (-0.01, 0.05, 5, "undecided: on 5 held-out images"),
+        (-0.03, -0.01, 9, "worse: on 9 held-out images"),
+        (0.01, 0.03, 4, "undecided: on 4 held-out images"),
+    ],
+)  # fmt: skip
+def test_the_interval_decides_in_words(low: float, high: float, images: int, verdict: str) -> None:
+    scores = {"before": 0.7, "after": 0.72, "prior:rows": 0.6}
+    change = {"after": {"f_mask": Difference(0.02, Interval(low, high))}}
+    evaluation: Any = SimpleNamespace(
+        images=images,
+        headlines={name: {"f_mask": score} for name, score in scores.items()},
+        comparison=Comparison("before", change),
+    )
+
+    text = describe_gain(evaluation)
+
+    assert text.startswith(verdict)
+    assert text.endswith("; use fusion as it is") == verdict.startswith("worse")
+    assert text.endswith("; add masks to decide") == verdict.startswith("undecided")
+    assert ("95 %" in text) == (images >= 5)
+
+
 # --- the command ------------------------------------------------------------------------
 
 
@@ -101,14 +138,27 @@ def test_masks_train_and_the_held_out_image_scores(
     words = ["--config", config, "--masks", masks, "--images", streets, "--out", out]
     words += ["--prepared", cache / "images", "--set", "corrections.held_out=0.2"]
 
-    result = CliRunner().invoke(train_command, [str(word) for word in words])
+    result = invoke_command(train_command, *words)
 
     assert result.exit_code == 0, result.output
     first, *_, score, last = result.stderr.splitlines()
     assert first.startswith("roadtorch: 5 of 5 images have a mask; road is 1 (")
-    assert score.startswith("roadtorch: 1 held out: F of the mask 0.")
+    assert score.startswith("roadtorch: undecided: on 1 held-out image F of the mask 0.")
     use = f"infer {streets} --set weights.file={out}/weights.safetensors --out roads"
     assert last == f"roadtorch: to use it: roadtorch {use}"
+    page = (out / "adaptation.html").read_text()
+    for text in (
+        *(f"<strong>{score.removeprefix('roadtorch: ')}.", f"To use it: <code>roadtorch {use}<"),
+        *("<h2>Held-out images", ">prior:rows<", 'alt="F on held-out images by epoch"', "; F 0."),
+    ):
+        assert text in page
+    assert "no labels" not in page
+    assert "agreement with the teacher" not in page
+    (montage,) = re.findall(r"data:image/jpeg;base64,([^\"]*)", page)
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(montage), np.uint8), cv2.IMREAD_COLOR)
+    assert pixels is not None
+    distances = np.abs(pixels[:, :TILE_WIDTH].astype(int) - VERMILLION[::-1]).max(2)
+    assert (distances < 40).sum() > 100  # the true road is outlined over the mask before
     rows = (out / "images.csv").read_text().splitlines()
     assert [row.endswith(",held out") for row in rows] == [False] * 5 + [True]
     (summary,) = read_correction_runs(out / "weights.safetensors")

@@ -32,7 +32,7 @@ CHART_NOTE = (
 MONTAGE_NOTE = (
     "Ranked by F at their group's threshold. From left to right: image, cues of the detector, "
     "likelihood (dark blue 0, yellow 1), mask (blue) with the outline of the true road "
-    "(vermillion); void is black."
+    "(vermillion); void is dark."
 )
 
 GLOSSARY = {

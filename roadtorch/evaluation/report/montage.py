@@ -113,9 +113,9 @@ def apply_colormap(values: Tensor) -> np.ndarray:
 
 
 def decision_tile(image: Tensor, decided: Tensor, truth: Truth) -> np.ndarray:
-    """Draw the predicted road blue, void black, and the outline of the true road."""
+    """Draw the predicted road blue, void dark, and the outline of the true road."""
     tint = torch.tensor(BLUE)[:, None, None] / 255
-    tinted = torch.where(decided, 0.45 * image + 0.55 * tint, image) * truth.valid
+    tinted = torch.where(decided, 0.45 * image + 0.55 * tint, image) * (0.3 + 0.7 * truth.valid)
     pixels = to_pixels(tinted)
     road = truth.road.numpy().astype(np.uint8)
     outlines, _ = cv2.findContours(road, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)

@@ -163,10 +163,10 @@ class Section(NamedTuple):
 def render_page(title: str, summary: str, sections: Sequence[Section], **more: object) -> str:
     """Return a self-contained page, all values escaped.
 
-    more: command (the command line), verdict, failures (with image and reason), and glossary.
+    more: verdict, use and command (command lines), failures (with image and reason), and glossary.
     """
-    values: dict[str, object] = {"command": "", "verdict": "", "failures": (), "glossary": {}}
-    values |= {"title": title, "summary": summary, "sections": sections, "version": __version__}
-    text = TEMPLATES.get_template("page.html").render(values, **more)
+    values = {"failures": (), "glossary": {}, "command": "", "use": "", "verdict": "", **more}
+    page = {"title": title, "summary": summary, "sections": sections, "version": __version__}
+    text = TEMPLATES.get_template("page.html").render(values, **page)
     # A file name may hold bytes that are no text.
     return text.encode("utf-8", "backslashreplace").decode()

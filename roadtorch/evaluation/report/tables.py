@@ -143,7 +143,7 @@ def _difference_cell(change: Difference | None) -> Cell:
         return Cell(UNDEFINED)
     low, high = change.interval
     note = f"{format_signed(low)} to {format_signed(high)}" if change.interval.is_defined else ""
-    return Cell(format_signed(change.value), low > 0 or high < 0, note)
+    return Cell(format_signed(change.value), bool(change.interval.sign), note)
 
 
 # --- groups and conditions of one detector ----------------------------------------------

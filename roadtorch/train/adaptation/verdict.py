@@ -21,7 +21,7 @@ from roadtorch.base.progress import Progress
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import FusionSettings
 from roadtorch.evaluation.metrics import RoadCounts, count_levels, count_mask, max_f
-from roadtorch.evaluation.result import Interval
+from roadtorch.evaluation.result import Difference, Interval
 from roadtorch.evaluation.uncertainty import percentile_interval, pooled_f, sample_weights
 from roadtorch.imaging.resize import spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
@@ -56,7 +56,7 @@ class MaskCounts(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The decision on an adaptation: F of the networks, and the interval of their difference.
+    """The decision on an adaptation: F of the networks, and the difference of the first two.
 
     initial, adapted: on held-out frames. averaged: of the averaged network on the same frames, on
     which it was trained. reason: why the networks were not compared.
@@ -65,7 +65,7 @@ class Verdict(NamedTuple):
     word: Literal["adopt", "do not adopt", "cannot tell"]
     initial: float
     adapted: float
-    change: Interval
+    change: Difference
     averaged: float
     frames: int
     reason: str = ""
@@ -74,7 +74,6 @@ class Verdict(NamedTuple):
         """Return the verdict as one sentence, with its reason."""
         if self.reason:
             return f"{self.word}: {self.reason}"
-        change = self.change
         outcome = {
             "adopt": "agrees better",
             "do not adopt": "agrees less",
@@ -82,10 +81,10 @@ class Verdict(NamedTuple):
         }[self.word]
         text = (
             f"{self.word}: on {self.frames} held-out frames the mask {outcome} with the teacher: "
-            f"F {self.initial:.3f} to {self.adapted:.3f}, "
-            f"{self.adapted - self.initial:+.3f} ({change.low:+.3f} to {change.high:+.3f})"
+            f"F {self.initial:.3f} to {self.adapted:.3f}, {self.change}"
         )
-        return text + (f"; averaged network {self.averaged:.3f}" if change.high < 0 else "")
+        is_less = self.change.interval.sign < 0
+        return text + (f"; averaged network {self.averaged:.3f}" if is_less else "")
 
 
 def count_masks(
@@ -149,7 +148,8 @@ def _labelled_frames(
 
 def no_verdict(reason: str, frames: int) -> Verdict:
     """Return a verdict without comparison, with the reason."""
-    return Verdict("cannot tell", math.nan, math.nan, Interval(), math.nan, frames, reason)
+    none = Difference(math.nan, Interval())
+    return Verdict("cannot tell", math.nan, math.nan, none, math.nan, frames, reason)
 
 
 def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
@@ -163,10 +163,11 @@ def decide_verdict(judged: Sequence[MaskCounts]) -> Verdict:
     weights = sample_weights(("",) * len(blocks[0]), generator)
     scores = [pooled_f(sums, weights) for sums in blocks]
     initial, adapted, averaged = (float(values[0]) for values in scores)
-    change = percentile_interval(scores[1][1:] - scores[0][1:])
+    interval = percentile_interval(scores[1][1:] - scores[0][1:])
+    change = Difference(adapted - initial, interval)
     word = "cannot tell"
-    if change.low > 0 and adapted - initial >= MIN_GAIN:
+    if interval.sign > 0 and change.value >= MIN_GAIN:
         word = "adopt"
-    elif change.high < 0 and averaged - initial < MIN_GAIN:
+    elif interval.sign < 0 and averaged - initial < MIN_GAIN:
         word = "do not adopt"
     return Verdict(word, initial, adapted, change, averaged, frames)

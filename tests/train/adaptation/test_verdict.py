@@ -152,5 +152,5 @@ def test_a_verdict_needs_a_change_on_held_out_frames(halves: list[Half], word: s
 def test_a_verdict_is_a_sentence_with_its_figures() -> None:
     assert str(decide_verdict([judged(([60] * 24, [50] * 24, [70] * 24))])) == (
         "cannot tell: on 24 held-out frames the mask may or may not agree better with the teacher: "
-        "F 0.750 to 0.667, -0.083 (-0.083 to -0.083); averaged network 0.824"
+        "F 0.750 to 0.667, -0.083 (95 % -0.083 to -0.083); averaged network 0.824"
     )
