@@ -68,10 +68,9 @@ def compare_masks(
 ) -> Disagreements:
     """Compare the masks of two methods on every image, each at its own threshold."""
     task = CompareTask(dataset, [contender.prepare(dataset) for contender in methods])
-    items = dataset.items
-    results = make_workers(None, len(items)).map(task, items, _crash_failure)
+    results = make_workers(None, len(dataset.items)).map(task, dataset.items, _crash_failure)
     with closing(results):
-        rows = [*Progress(results, total=len(items), unit="image", quiet=quiet, **progress)]
+        rows = [*Progress(results, total=len(dataset.items), unit="image", quiet=quiet, **progress)]
     images = [row for row in rows if isinstance(row, Disagreement)]
     images.sort(key=lambda pair: (-pair.difference, pair.item.name))
     failures = [row for row in rows if isinstance(row, Failure)]

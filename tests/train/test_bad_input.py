@@ -1,6 +1,5 @@
 """Settings of training; images, folders and checkpoints that cannot be used: nothing is lost."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,8 +27,8 @@ def test_broken_images_are_skipped_and_listed(call: Call, tmp_path: Path) -> Non
     assert result.exit_code == 1
     assert f"roadtorch: skipped: {footage}/broken.jpg: is not an image (" in result.stderr
     assert "2 skipped, see images.csv" in result.stderr
-    with (out / "images.csv").open(newline="") as file:
-        status = {row["file"]: row["status"] for row in csv.DictReader(file)}
+    rows = (out / "images.csv").read_text().splitlines()
+    status = dict(row.split(",", 1) for row in rows)
     assert status["street_0.png"] == "used"
     assert "is not an image" in status["broken.jpg"]
     assert "cannot be decoded" in status["cut.png"]
@@ -44,10 +43,7 @@ def test_a_folder_with_something_else_is_refused_and_stays_as_it_is(
 ) -> None:
     training, request = finished
     values = training.model_dump()
-    whole, changed = (
-        build_training({"kind": "images"}),
-        build_training({**values, "shuffle_images": 3}),
-    )
+    whole, changed = map(build_training, ({"kind": "images"}, {**values, "shuffle_images": 3}))
     images = str(write_streets(tmp_path / "other", 2))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "log.csv").write_text("mine")

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -31,22 +30,15 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-run = partial(invoke_command, train_command)
-
-
-def words(out: Path, images: Path, *more: object) -> list[object]:
-    config = write_config(out.with_suffix(".toml"), IMAGES)
-    return ["--config", config, "--images", images, "--out", out, *more]
-
-
 def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> None:
     images = tmp_path / "footage"
     write_image(images / "plain.png", scene(0, 60, 80))
     for name in (HOSTILE, "third"):
         shutil.copy(images / "plain.png", images / f"{name}.png")
-    arguments = words(tmp_path / "run", images, "--set", f"initial_weights={start}")
+    words = ["--config", write_config(tmp_path / "run.toml", IMAGES), "--images", images]
+    words += ["--out", tmp_path / "run", "--set", f"initial_weights={start}"]
 
-    result = run(*arguments)
+    result = invoke_command(train_command, *words)
 
     assert "before and after in" in result.output
     path = tmp_path / "run" / "adaptation.html"
@@ -64,7 +56,7 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     assert HOSTILE not in page
 
     path.unlink()  # it is written again by resuming
-    run(*arguments)
+    invoke_command(train_command, *words)
     assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
 
 

@@ -19,12 +19,7 @@ from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
 from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
 from roadtorch.train.run_folder import RunFolder
 from roadtorch.train.teachers import TARGET_PLANES
-from roadtorch.train.training_loop import (
-    Batch,
-    Loop,
-    Recipe,
-    TrainingProgress,
-)
+from roadtorch.train.training_loop import Batch, Loop, Recipe, TrainingProgress
 from roadtorch.train.whole_images import image_loss
 from tests.command import Call
 from tests.draws import seeded_generator

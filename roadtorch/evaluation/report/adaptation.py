@@ -70,7 +70,7 @@ def write_adaptation(
     whether to adopt the network, and why; use and command, command lines.
     """
     differences = [image.difference for image in comparison.images]
-    average, largest = (format_percent(part(differences)) for part in (statistics.fmean, max))
+    average, largest = map(format_percent, (statistics.fmean(differences), max(differences)))
     charts = [
         (title, svg_uri(PANEL_WIDTH, 260, partial(draw_epochs, rows=epochs, key=key)))
         for key, title in CURVES.items()
