@@ -18,7 +18,7 @@ LINES = {
     "roadtorch/annotate": 2_345,
     "roadtorch/base": 2_180,
     "roadtorch/camera": 2_160,
-    "roadtorch/cli": 1_995,
+    "roadtorch/cli": 1_990,
     "roadtorch/data": 2_550,
     "roadtorch/detectors": 2_440,
     "roadtorch/evaluation": 3_655,
