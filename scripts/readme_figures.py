@@ -4,11 +4,12 @@
     python scripts/readme_figures.py write           # documents as docs/figures have them
     python scripts/readme_figures.py check           # is every number bound, and as recorded?
 
-docs/figures/RUN.json is {"command": …, "values": {name: value}}. DATA holds many/, camvid/ and
-idd_lite/; ``evaluate`` runs the commands anew and keeps what documents use, in about ten minutes on
-two quiet cores; --only RUN… does some of it. Names are RUN.DETECTOR.MEASURE, with ``.low`` and
-``.high`` its interval, ``@GROUP`` one camera, drive or condition, ``.worst`` and ``.worst.camera``
-the lowest of the groups, ``.less`` the difference to ``fusion``, ``.iou`` that of an F. What the
+docs/figures/RUN.json is {"command": …, "commit": of the package, "weights": digests, "values":
+{name: value}}. DATA holds many/, camvid/ and idd_lite/; ``evaluate`` runs the commands anew and
+keeps what documents use, in about ten minutes on two quiet cores; --only RUN… does some of it.
+Names are RUN.DETECTOR.MEASURE, with ``.low`` and ``.high`` its interval, ``@GROUP`` one camera,
+drive or condition, ``.worst`` and ``.worst.camera`` the lowest of the groups, ``.less`` the
+difference to ``fusion``, ``.iou`` that of an F. What the
 code itself states is a record, too: ``code:MODULE:NAME``, ``setting:DETECTOR:KEY``,
 ``config:NAME:KEY`` of configs/NAME.toml; ``/GiB`` behind it divides.
 
@@ -40,6 +41,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -47,7 +49,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
 from roadtorch.base.settings import build_settings, read_settings_file
-from roadtorch.detectors.catalogue import detector_entry, list_detectors
+from roadtorch.detectors.catalogue import detector_entry, list_detectors, load_detector
+from roadtorch.layout.weights import hash_tensors
 from roadtorch.oneclass import CLASSIFIERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -78,10 +81,31 @@ def evaluate(data: Path, out: Path, runs: Sequence[str], jobs: int) -> None:
 
 
 def keep_records(run: str, command: str, values: Records) -> None:
-    """Write the records that documents use."""
-    values_used = {key: values[key] for key in sorted(used() & values.keys())}
-    text = json.dumps({"command": command, "values": values_used}, indent=0)
-    (FIGURES / f"{run}.json").write_text(f"{text}\n", encoding="utf-8")
+    """Write the records that documents use, beside the commit of the package and its weights.
+
+    CalledProcessError where the package differs from that commit.
+    """
+    subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "roadtorch"], check=True, cwd=ROOT)
+    log = ["git", "log", "-1", "--format=%h", "--abbrev=7", "--", "roadtorch"]
+    commit = subprocess.run(log, check=True, cwd=ROOT, capture_output=True, text=True).stdout
+    kept = {key: values[key] for key in sorted(used() & values.keys())}
+    weights = weights_of(" ".join((command, *kept)))
+    record = {"command": command, "commit": commit.strip(), "weights": weights, "values": kept}
+    (FIGURES / f"{run}.json").write_text(f"{json.dumps(record, indent=0)}\n", encoding="utf-8")
+
+
+def weights_of(text: str) -> dict[str, str]:
+    """Return digests of the weights of the detectors that a text names, or else of ``fusion``."""
+    names = set(list_detectors()) & set(re.split(r"[ .=]|:torch|:onnxruntime", text))
+    digests = {name: digest_weights(name) for name in sorted(names) or ["fusion"]}
+    return {name: digest for name, digest in digests.items() if digest}
+
+
+@cache
+def digest_weights(detector: str) -> str:
+    """Return eight hexadecimal digits of a detector's weights; "" without any."""
+    state = load_detector(detector).state_dict()
+    return hash_tensors(state)[:8] if state else ""
 
 
 def records_of(run: str, metrics: Mapping[str, Any]) -> dict[str, float | str]:

@@ -10,13 +10,7 @@ from roadtorch.data.label_folders import FolderLabels
 from roadtorch.evaluation.measure import Scores
 from roadtorch.evaluation.measures import MEASURES
 from roadtorch.evaluation.methods import Contender, Predictor
-from roadtorch.evaluation.result import (
-    Comparison,
-    DetectorScores,
-    Difference,
-    Evaluation,
-    Interval,
-)
+from roadtorch.evaluation.result import Comparison, DetectorScores, Difference, Evaluation, Interval
 
 GROUPS = ("0001TP", "0006R0", "0016E5")
 NAMES = ("fusion", "labeller", "prior:mean", "cpf:v2", "prior:rows")

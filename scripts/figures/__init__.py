@@ -4,15 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from scripts.figures import (
-    p1,
-    p1_stages,
-    p2_layout,
-    p2_road,
-    p3_area,
-    p3_page,
-    p3_table3,
-)
+from scripts.figures import p1, p1_stages, p2_layout, p2_road, p3_area, p3_page, p3_table3
 
 
 class PaperFigure(NamedTuple):

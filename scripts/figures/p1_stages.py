@@ -12,7 +12,6 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from roadtorch.base.image import read_image, to_pixels
-from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Truth
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.ufl import UflSettings
@@ -31,7 +30,7 @@ from roadtorch.ufl.preprocess import WorkingShape, equalise, resize_bicubic
 from roadtorch.ufl.road import Round, dilate, find_road, mask_to_image
 from scripts.figures.chart import chart, show_table
 from scripts.figures.p1 import open_small, resize_as_p1, score_variants
-from scripts.figures.sheets import write_sheet
+from scripts.figures.sheets import read_labelled, write_sheet
 
 EXAMPLE = "udadv_test5.jpg"
 """Of unlabelled_free/: a motorway with its road in the sun and in the shade of trees."""
@@ -288,20 +287,6 @@ def fig4(data: Path, out: Path) -> None:
 
 METHODS = ("vanishing-point", "kmeans-road", "ufl:original", "ufl")
 """The three of Table I in its order, and our best reading."""
-
-LABELLED = (
-    *("comma10k/0006_0c5c849415c7dba2_2018-08-12", "comma10k/0004_2ac95059f70d76eb_2018-05-12"),
-    *("dn_mcubes/multimodal-m_h01", "dn_mcubes/multimodal-m_h04"),
-    *("dn_cat/cat_h10", "dn_cat/cat_v06"),
-)
-"""Images of many/ with human labels that are free for any use: MIT, MIT, CC BY 4.0."""
-
-
-def read_labelled(data: Path, names: Sequence[str] = LABELLED) -> list[tuple[Tensor, Truth]]:
-    """Read free images of many/ and their truth."""
-    dataset = open_dataset("folder", data / "many")
-    by_name = {item.name: item for item in dataset.items}
-    return [dataset.read(by_name[name]) for name in names]
 
 
 def fig5(data: Path, out: Path) -> None:

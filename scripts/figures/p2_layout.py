@@ -1,6 +1,6 @@
 """P2, Figs. 1, 2, 4b, 4c and 5: the layout of CNN-7 and of its teacher."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from roadtorch.layout.weights import load_network, weights_path
 from roadtorch.train.config import PatchTraining, build_training
 from scripts.figures.chart import chart, show_table
 from scripts.figures.counting import count_images, observe, replicate, with_interval
-from scripts.figures.sheets import RENDERED, read_streets, write_sheet
+from scripts.figures.sheets import RENDERED, read_labelled, read_streets, write_sheet
 
 STUDENT, TEACHER = "layout:paper", "labeller"
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "cnn7-paper.toml"
@@ -79,40 +79,29 @@ def show_confusions(
     means = {name: mean_recalls(tally) for name, tally in tallies.items()}
     means["P2"] = {PRINTED_MEAN: f"{np.diagonal(matrices['P2']).mean():.3f}"}
     rows = [
-        {
-            "detector": name,
-            "truth": truth,
-            **dict(zip(PRINTED_ORDER, ratios, strict=True)),
-            **scores,
-        }
+        {"detector": name, "truth": truth}
+        | dict(zip(PRINTED_ORDER, ratios, strict=True))
+        | means[name]
         for name, matrix in matrices.items()
-        for truth, ratios, scores in zip(
-            PRINTED_ORDER, matrix.tolist(), (means[name], {}, {}), strict=True
-        )
+        for truth, ratios in zip(PRINTED_ORDER, matrix.tolist(), strict=True)
     ]
     show_table(out / f"{figure}.csv", rows)
     draw_confusions(matrices, out / f"{figure}.png")
 
 
 PRINTED_MEAN = "mean of the diagonal"
-MEANS: Mapping[str, Callable[[PooledCounts], Tensor]] = {
-    PRINTED_MEAN: lambda counts: metrics.mean_class_recall(
-        metrics.void_as_vertical(confusion_of(counts))
-    ),
-    "void ignored": lambda counts: metrics.mean_class_recall(confusion_of(counts)),
-}
-"""By title, a mean class recall; P2's counts void as vertical."""
 
 
 def mean_recalls(tally: Tally) -> dict[str, str]:
-    """Return the mean class recalls of ``MEANS``, pooled and by drives, with 95 % intervals."""
+    """Return the mean recall of the classes, pooled and by drives, with 95 % intervals."""
+
+    def recall(counts: PooledCounts) -> Tensor:
+        return metrics.mean_class_recall(metrics.void_as_vertical(confusion_of(counts)))
+
     counts, replicates = observe(tally), replicate(tally)
-    scores = {}
-    for title, mean_recall in MEANS.items():
-        scores[title] = with_interval(mean_recall(counts.pooled), mean_recall(replicates.pooled))
-        by_drives = counts.mean(mean_recall), replicates.mean(mean_recall)
-        scores[f"{title}, by drives"] = with_interval(*by_drives)
-    return scores
+    by_drives = with_interval(counts.mean(recall), replicates.mean(recall))
+    pooled = with_interval(recall(counts.pooled), recall(replicates.pooled))
+    return {PRINTED_MEAN: pooled, f"{PRINTED_MEAN}, by drives": by_drives}
 
 
 def confusion_of(counts: PooledCounts) -> Tensor:
@@ -167,7 +156,7 @@ def fig2(data: Path, out: Path) -> None:
     """Write P2's Fig. 2, the stages of a network, as the maps of CNN-7 on one image."""
     network = load_network(weights_path("cnn-7-paper"))
     assert isinstance(network, PatchNetwork)
-    image = read_streets(data)[-len(RENDERED)].image
+    image = read_labelled(data, "simulated", RENDERED)[0][0]
     small = resize_to_work(image, network.settings.working)
     rows = {"image": [to_pixels(small)]}
     for title, maps in stage_maps(network, small).items():

@@ -32,7 +32,7 @@ from scripts.figures.counting import (
     with_interval,
 )
 from scripts.figures.p2_layout import open_camvid
-from scripts.figures.sheets import read_streets, write_sheet
+from scripts.figures.sheets import read_labelled, write_sheet
 
 IDD_EVERY = 5
 """Step between IDD's images in Fig. 6a, of which CamVid's alone take eight minutes on one core."""
@@ -195,31 +195,27 @@ def fig6b(data: Path, out: Path) -> None:
 # --- images -----------------------------------------------------------------------------
 
 
-def fig7(data: Path, out: Path) -> None:
-    """Write P2's Fig. 7: uniformity of the grey plane, and of the fused planes."""
-    images = [street.image for street in read_streets(data)]
+def likelihood_rows(data: Path, detectors: Mapping[str, str]) -> dict[str, list[np.ndarray]]:
+    """Return rows of free labelled images, their truth and the likelihoods of detectors."""
+    streets = read_labelled(data)
+    images = [image for image, _ in streets]
     rows = {"image": [to_pixels(image) for image in images]}
-    for caption, name in (("U of grey", "grey-uniformity"), ("U of the fused planes", "cpf")):
+    rows["truth"] = [tint_mask(to_pixels(image), truth.road.numpy()) for image, truth in streets]
+    for caption, name in detectors.items():
         detector = load_detector(name)
         rows[caption] = [apply_colormap(detector.detect(image).likelihood) for image in images]
-    write_sheet(out / "p2-fig7.jpg", rows)
+    return rows
+
+
+def fig7(data: Path, out: Path) -> None:
+    """Write P2's Fig. 7: uniformity of the grey plane, and of the fused planes."""
+    detectors = {"U of grey": "grey-uniformity", "U of the fused planes": "cpf"}
+    write_sheet(out / "p2-fig7.jpg", likelihood_rows(data, detectors))
 
 
 def fig8(data: Path, out: Path) -> None:
     """Write P2's Fig. 8: likelihoods by texture and by layout, and the road of their product."""
-    streets = read_streets(data)
-    product_of = load_detector("fusion:paper")
-    rows: dict[str, list[np.ndarray | None]] = {
-        "image": [to_pixels(street.image) for street in streets],
-        "truth, where a renderer knows it": [
-            None
-            if street.truth is None
-            else tint_mask(to_pixels(street.image), street.truth.road.numpy())
-            for street in streets
-        ],
-    }
-    for caption, name in (("texture, CPF", "cpf"), ("layout, CNN-7", "layout:paper")):
-        detector = load_detector(name)
-        rows[caption] = [apply_colormap(detector.detect(s.image).likelihood) for s in streets]
-    rows["their product"] = [product_of.detect(street.image).overlay() for street in streets]
+    rows = likelihood_rows(data, {"texture, CPF": "cpf", "layout, CNN-7": "layout:paper"})
+    detector = load_detector("fusion:paper")
+    rows["product"] = [detector.detect(image).overlay() for image, _ in read_labelled(data)]
     write_sheet(out / "p2-fig8.jpg", rows)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,25 +21,32 @@ PHOTOS = (
 RENDERED = ("carla_lyft/carla_lyft_cc0_023", "carlarain/seqTown03Clear_001814")
 """Streets of simulated/, whose truth the renderer knows."""
 
+LABELLED = (
+    *("comma10k/0006_0c5c849415c7dba2_2018-08-12", "comma10k/0004_2ac95059f70d76eb_2018-05-12"),
+    *("dn_mcubes/multimodal-m_h01", "dn_mcubes/multimodal-m_h04"),
+    *("dn_cat/cat_h10", "dn_cat/cat_v06"),
+)
+"""Images of many/ with human labels that are free for any use: MIT, MIT, CC BY 4.0."""
+
 TILE = 140, 90  # pixels, width and height
 CAPTION = 13  # pixels, above each row
 QUALITY = 72  # of JPEG
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
-class Street(NamedTuple):
-    """An image (3, H, W), free for any use, and its truth where a renderer knows it."""
+def read_labelled(
+    data: Path, folder: str = "many", names: Sequence[str] | None = None
+) -> list[tuple[Tensor, Truth]]:
+    """Read images of a folder of the data by their names and their truth, ``LABELLED`` if None."""
+    dataset = open_dataset("folder", data / folder)
+    by_name = {item.name: item for item in dataset.items}
+    return [dataset.read(by_name[name]) for name in names or LABELLED]
 
-    image: Tensor
-    truth: Truth | None
 
-
-def read_streets(data: Path) -> list[Street]:
+def read_streets(data: Path) -> list[tuple[Tensor, Truth | None]]:
     """Read the photos, then the rendered streets with their truth."""
-    photos = [Street(read_image(data / "unlabelled_free" / name), None) for name in PHOTOS]
-    simulated = open_dataset("folder", data / "simulated")
-    by_name = {item.name: item for item in simulated.items}
-    return photos + [Street(*simulated.read(by_name[name])) for name in RENDERED]
+    photos = [(read_image(data / "unlabelled_free" / name), None) for name in PHOTOS]
+    return [*photos, *read_labelled(data, "simulated", RENDERED)]
 
 
 def write_sheet(

@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from roadtorch.annotate.next_images import (
-    SCENE_DISTANCE,
-    Candidates,
-    select_batch,
-    view_features,
-)
+from roadtorch.annotate.next_images import SCENE_DISTANCE, Candidates, select_batch, view_features
 from roadtorch.annotate.session import Session, compute_views
 from roadtorch.annotate.views import ImageView
 from roadtorch.data.events import Confirm

@@ -15,10 +15,7 @@ from torch import Tensor
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
 from roadtorch.base.image import read_image
 from roadtorch.base.settings import build_settings
-from roadtorch.camera.calibration import (
-    read_calibration,
-    read_camera_info,
-)
+from roadtorch.camera.calibration import read_calibration, read_camera_info
 from roadtorch.camera.ground import (
     GroundCamera,
     Lens,
@@ -159,15 +156,9 @@ CALIBRATION_YAML = """
 image_width: 640
 image_height: 480
 camera_name: front
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [500, 0, 320.5, 0, 510, 240, 0, 0, 1]
+camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320.5, 0, 510, 240, 0, 0, 1]}
 distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [-0.3, 0.1, 0.001, -0.001, 0]
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.3, 0.1, 0.001, -0.001, 0]}
 """
 OPENCV_YAML = """%YAML:1.0
 ---

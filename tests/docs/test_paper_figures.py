@@ -38,7 +38,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     add_frame(root / "kitti_road", "um_000000", street())
     for name in {p1_stages.EXAMPLE, *p3_area.CONDITIONS.values(), *sheets.PHOTOS}:
         write_image(root / "unlabelled_free" / name, render_scene(1, 96, 128))
-    for name in p1_stages.LABELLED:
+    for name in sheets.LABELLED:
         camera, _, stem = name.partition("/")
         write_labelled(root / "many" / camera, stem, "road")
     for name in sheets.RENDERED:
@@ -62,7 +62,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reduce the sets and detectors of the longest tables to one each."""
     monkeypatch.setattr(p1, "SETS", {"camvid": "camvid"})
     monkeypatch.setattr(p1_stages, "METHODS", ("ufl:original",))
-    monkeypatch.setattr(p1_stages, "LABELLED", p1_stages.LABELLED[:1])
+    monkeypatch.setattr(sheets, "LABELLED", sheets.LABELLED[:1])
     monkeypatch.setattr(p1, "TABLE", ("ufl:paper",))
     monkeypatch.setattr(p1, "BENCHMARK", ("fusion:paper",))
     for module in (p1_stages, p3_area, p3_table3):
@@ -104,7 +104,7 @@ def test_all_skips_figures_that_exist_and_goes_on_after_one_that_fails(
 
     assert failed == ["p2-fig4b"]
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[1] for line in lines] == ["exists", "failed:", "made"]
+    assert [line.split()[1] for line in lines] == ["exists", "failed:", "made", "of"]
     assert (tmp_path / "p3-fig8.png").exists()
 
 

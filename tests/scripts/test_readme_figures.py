@@ -1,8 +1,11 @@
 """README and docs: every bound figure is as its record has it."""
 
+import json
 import re
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,6 +13,7 @@ from scripts import readme_figures
 from scripts.readme_figures import restate, rewrite, unbound_numbers
 
 ROOT = Path(__file__).resolve().parents[2]
+RECORDS = sorted(readme_figures.FIGURES.glob("*.json"))
 
 
 def test_every_figure_is_as_recorded_and_every_number_is_bound() -> None:
@@ -20,6 +24,25 @@ def test_no_record_is_kept_that_no_document_uses() -> None:
     records = {name for name in readme_figures.records() if not name.startswith("facts.")}
 
     assert records <= readme_figures.used()
+
+
+def pages_untold(run: str, record: Mapping[str, Any]) -> list[str]:
+    """List the pages with records of other weights than today's that do not name their commit."""
+    today = readme_figures.weights_of(" ".join((record["command"], *record["values"])))
+    pages = {path.name: path.read_text("utf-8") for path in readme_figures.documents()}
+    uses = {name for name, page in pages.items() if re.search(rf"[ \[?]{run}\.", page)}
+    is_today = record["weights"] == today
+    return [name for name in uses if not is_today and record["commit"] not in pages[name]]
+
+
+@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.stem)
+def test_records_are_of_todays_weights_or_their_page_names_the_commit(path: Path) -> None:
+    record = json.loads(path.read_text("utf-8"))
+
+    assert pages_untold(path.stem, record) == []
+    if path.stem == "idd-slow":
+        record["weights"]["fusion"] = "0" * 8
+        assert pages_untold(path.stem, record) == ["tables.md"]
 
 
 def test_pages_name_commits_of_the_history_and_their_dates() -> None:
@@ -34,6 +57,8 @@ def test_pages_name_commits_of_the_history_and_their_dates() -> None:
         assert [study for study in studies if history.get(study[0]) != study[1]] == []
         named = set(re.findall(r"\b(?:at|by|of|to|in) ([0-9a-f]{7})\b", page))
         assert named <= history.keys()
+    commits = re.findall(r'"commit": "(\w+)"', "".join(map(Path.read_text, RECORDS)))
+    assert set(commits) <= history.keys()
 
 
 @pytest.mark.parametrize(
