@@ -155,7 +155,6 @@ def test_impossible_cameras_are_refused(call: Callable[[], object], problem: str
 CALIBRATION_YAML = """
 image_width: 640
 image_height: 480
-camera_name: front
 camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320.5, 0, 510, 240, 0, 0, 1]}
 distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 5, data: [-0.3, 0.1, 0.001, -0.001, 0]}

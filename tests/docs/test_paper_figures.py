@@ -38,12 +38,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     add_frame(root / "kitti_road", "um_000000", street())
     for name in {p1_stages.EXAMPLE, *p3_area.CONDITIONS.values(), *sheets.PHOTOS}:
         write_image(root / "unlabelled_free" / name, render_scene(1, 96, 128))
-    for name in sheets.LABELLED:
-        camera, _, stem = name.partition("/")
-        write_labelled(root / "many" / camera, stem, "road")
-    for name in sheets.RENDERED:
-        folder, _, stem = name.partition("/")
-        write_labelled(root / "simulated" / folder, stem, "road", "layout")
+    for name in map(Path, sheets.LABELLED):
+        write_labelled(root / "many" / name.parent, name.name, "road")
+    for name in map(Path, sheets.RENDERED):
+        write_labelled(root / "simulated" / name.parent, name.name, "road", "layout")
     write_labelled(root / "idd_lite", "a", "labels")
     return root
 
