@@ -88,13 +88,13 @@ def keep_records(run: str, command: str, values: Records) -> None:
     subprocess.run(["git", "diff", "--quiet", "HEAD", "--", "roadtorch"], check=True, cwd=ROOT)
     log = ["git", "log", "-1", "--format=%h", "--abbrev=7", "--", "roadtorch"]
     commit = subprocess.run(log, check=True, cwd=ROOT, capture_output=True, text=True).stdout
-    values_used = {key: values[key] for key in sorted(used() & values.keys())}
-    weights = weights_of(" ".join((command, *values_used)))
+    values = {key: values[key] for key in sorted(used() & values.keys())}
+    weights = weights_of(" ".join((command, *values)))
     record = {
         "command": command,
         "commit": commit.strip(),
         "weights": weights,
-        "values": values_used,
+        "values": values,
     }
     (FIGURES / f"{run}.json").write_text(f"{json.dumps(record, indent=0)}\n", encoding="utf-8")
 
