@@ -90,12 +90,7 @@ def keep_records(run: str, command: str, values: Records) -> None:
     commit = subprocess.run(log, check=True, cwd=ROOT, capture_output=True, text=True).stdout
     values = {key: values[key] for key in sorted(used() & values.keys())}
     weights = weights_of(" ".join((command, *values)))
-    record = {
-        "command": command,
-        "commit": commit.strip(),
-        "weights": weights,
-        "values": values,
-    }
+    record = {"command": command, "commit": commit.strip(), "weights": weights, "values": values}
     (FIGURES / f"{run}.json").write_text(f"{json.dumps(record, indent=0)}\n", encoding="utf-8")
 
 
