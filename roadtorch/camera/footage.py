@@ -34,7 +34,7 @@ from roadtorch.camera.gradients import (
 )
 from roadtorch.camera.ground import Lens, project_rays
 from roadtorch.camera.views import SLOPE_AHEAD, sample_view, view_ahead
-from roadtorch.imaging.resize import resize_to_image, spatial_size
+from roadtorch.imaging.resize import WorkingSize, resize_to_image, resize_to_work, spatial_size
 from roadtorch.road.ego import Ego
 from roadtorch.road.illuminant import invariant_angle, log_chromaticity, projection_entropies
 
@@ -202,7 +202,8 @@ def estimate_camera(
             view = sample_view(frame, lens, view_ahead(lens))
             rectified.append(sobel_gradient(small_grey(view, small_size([view]))))
         if len(entropies) * ENTROPY_STEP < len(sizes):
-            entropies.append(projection_entropies(log_chromaticity(frame)))
+            small = resize_to_work(frame, WorkingSize())  # finer levels, as in the detector
+            entropies.append(projection_entropies(log_chromaticity(small)))
     if len(sizes) < MIN_CAMERA_FRAMES and lens is not None and sizes:
         height, width = sizes[0]
         lens = lens.at(width, height)

@@ -62,11 +62,18 @@ def test_its_own_images_pass_at_any_size_and_others_are_refused(camera: Camera) 
 def test_detectors_take_what_they_can_of_it(camera: Camera) -> None:
     assert set(camera.settings_for(DetectorSettings)) == {"ego"}
     angle = camera.settings_for(IlluminantSettings)["invariant_angle"]
-    assert angle == camera.invariant_angle == pytest.approx(90, abs=90)
+    assert angle == camera.invariant_angle
     assert camera.settings_for(UntrainedFusionSettings)["labeller"]["horizon"] == camera.horizon
     detector = load_detector("fusion:untrained", camera=camera, labeller={"horizon": 0.3})
     assert detector.settings.ego == camera.ego
     assert detector.settings.labeller.horizon == 0.3  # type: ignore[attr-defined]
+
+
+def test_coarse_levels_do_not_move_the_angle(camera: Camera) -> None:
+    large = (resize_maps(frame, (480, 640)).clamp(0, 1) for frame in drive())
+    angle = estimate_camera([(32 * frame).round() / 32 for frame in large]).invariant_angle
+
+    assert angle == pytest.approx(camera.invariant_angle, abs=10)
 
 
 # --- footage that is not of one camera -------------------------------------------------------
@@ -90,22 +97,16 @@ def test_footage_of_several_cameras_or_none_is_refused(frames: list[Tensor], mes
 # --- real cameras ---------------------------------------------------------------------------
 
 
-def read_frames(data_root: Path, prefix: str, most: int = 20) -> list[Tensor]:
+@pytest.mark.data
+@pytest.mark.parametrize("prefix", ["udhwy", "udlane", "driveai_us", "dnit_br", "s2tld", "lund"])
+def test_a_real_bonnet_is_found_and_none_where_there_is_none(prefix: str, data_root: Path) -> None:
     files = sorted((data_root / "unlabelled_free").glob(f"{prefix}_*.jpg"))
-    return [read_image(path) for path in files[:most]]
+    count, seed_row = (20, 0.95) if prefix == "udhwy" else (12, 1.0)
 
+    camera = estimate_camera([read_image(path) for path in files[:count]])
 
-@pytest.mark.data
-def test_a_real_bonnet_is_found_where_it_was_seen(data_root: Path) -> None:
-    camera = estimate_camera(read_frames(data_root, "udhwy"))
-
-    assert camera.seed_row == pytest.approx(0.95, abs=0.025)
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("prefix", ["udlane", "driveai_us", "dnit_br", "s2tld", "lund"])
-def test_real_cameras_without_one_get_none(prefix: str, data_root: Path) -> None:
-    assert estimate_camera(read_frames(data_root, prefix, 12)).ego.outline == ()
+    assert camera.seed_row == pytest.approx(seed_row, abs=0.025)
+    assert bool(camera.ego.outline) == (prefix == "udhwy")
 
 
 # --- the horizon of an image -----------------------------------------------------------
@@ -121,9 +122,8 @@ def test_a_true_layout_gives_the_horizon(seed: int) -> None:
 
     horizon = estimate_horizon(scene.image, potentials(scene.layout))
 
-    assert horizon.row == pytest.approx(
-        sample_street(np.random.default_rng(seed)).horizon, abs=0.04
-    )
+    true = sample_street(np.random.default_rng(seed)).horizon
+    assert horizon.row == pytest.approx(true, abs=0.04)
     assert horizon.deviation >= 0.025
 
 
