@@ -29,7 +29,7 @@ where a record with "?" does not exist), and the record by which rows are sorted
 
 Every other number that was measured (with a fraction, in percent, or of a unit) has to be of a
 study: of a paragraph that names the commit and the date, "F rose by .031 (at 3f5c3f1, 2026-10-30)",
-or of a section or a page whose first paragraph says "Measured at 3f5c3f1, 2026-10-30".
+or of a page or section for which docs/studies.json does, by its heading.
 """
 
 import argparse
@@ -279,7 +279,7 @@ def restate(figure: str, value: float | str) -> str:
 # --- numbers ------------------------------------------------------------------------------
 
 STUDY = re.compile(r"\bat (?P<commit>[0-9a-f]{7}), (?P<date>\d{4}-\d\d-\d\d)\b")
-SECTION_STUDY = re.compile(rf"^Measured {STUDY.pattern}", re.M)
+STUDIES = json.loads((ROOT / "docs" / "studies.json").read_text(encoding="utf-8"))
 
 HIDDEN = (
     TABLE.pattern,
@@ -309,19 +309,19 @@ MEASURED = re.compile(
 HEADING = re.compile(r"^#{1,6} .*$", re.M)
 
 
-def unbound_numbers(page: str) -> list[str]:
-    """List the numbers of a page (Markdown) that neither a record nor a study stands behind."""
+def unbound_numbers(page: str, studies: Sequence[str] = ()) -> list[str]:
+    """List the numbers of a page that no record and no study (a heading of it) stands behind."""
+    headings = re.findall(HEADING.pattern, re.sub(HIDDEN[1], "", page, flags=re.M | re.S), re.M)
+    if headings and headings[0].lstrip("# ") in studies:
+        return []
+    for heading in headings:
+        if heading.lstrip("# ") in studies:
+            page = re.sub(rf"^{re.escape(heading)}$.*?(?=^#|\Z)", "", page, flags=re.M | re.S)
     for pattern in HIDDEN:
         page = re.sub(pattern, " ", page, flags=re.M | re.S)
-    top, *sections = re.split(rf"(?={HEADING.pattern})", page.lstrip(), flags=re.M)
-    sections = [top, *sections] if top else sections
-    if sections and SECTION_STUDY.search(sections[0]):
-        return []
     return [
         number[0]
-        for section in sections
-        if not SECTION_STUDY.search(section)
-        for paragraph in re.split(r"\n\s*\n|^\s*[-*] ", section, flags=re.M)
+        for paragraph in re.split(r"\n\s*\n|^\s*[-*] ", page, flags=re.M)
         if not STUDY.search(paragraph)
         for number in MEASURED.finditer(paragraph)
     ]
@@ -379,7 +379,7 @@ def main(words: Sequence[str] | None = None) -> int:
             print(line)
         if options.task != "check" and new != old:
             path.write_text(new, encoding="utf-8")
-        if numbers := unbound_numbers(new):
+        if numbers := unbound_numbers(new, STUDIES.get(path.relative_to(ROOT).as_posix(), ())):
             print(f"{path}: of no record and no study: {', '.join(numbers)}")
         errors += bool(numbers) + (new != old)
     return 1 if options.task == "check" and errors else 0
