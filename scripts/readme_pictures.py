@@ -1,13 +1,16 @@
 """Make the images of README: what `fusion` makes of free images and of a free drive.
 
-    python scripts/readme_pictures.py DATA    # docs/pictures: four images and made.json
+    python scripts/readme_pictures.py DATA    # docs/pictures: its images and made.json
 
-DATA holds unlabelled_free/ and clips/. docs/pictures/sources.csv says where they are from, and
-made.json has the hashes of the weights and settings that made them, to which a test holds them.
+DATA holds unlabelled_free/ and clips/. docs/pictures/sources.csv and, for the gallery,
+train/street_images.csv say where they are from; made.json has the hashes of the weights and
+settings that made them, to which a test holds them.
 """
 
 import argparse
+import csv
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -20,6 +23,7 @@ from roadtorch import detect_stream, load_detector, read_image
 from roadtorch.base.atomic import file_digest
 from roadtorch.base.image import to_pixels
 from roadtorch.evaluation.report.montage import TILE_WIDTH, apply_colormap, caption_tile, cue_tiles
+from roadtorch.inputs.item import evenly_spaced
 from roadtorch.layout.image_network import count_upper_rows, resize_rows
 from roadtorch.layout.weights import (
     DEFAULT_WEIGHTS,
@@ -34,8 +38,11 @@ CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg
 STEPWISE = "comma10k_0008.jpg"
 """A road with a bonnet in view."""
 
-FAILED = ("walkrobot_jp_005.jpg", "offroad_fr_13.jpg", "vineyard_it_013.jpg", "pothole8_004.jpg")
+FAILED = ("walkrobot_jp_005", "offroad_fr_13", "vineyard_it_013", "pothole8_004")
 """A pavement, a verge, a vineyard without road, a road half in shadow."""
+
+READ = ("rseg_0103", "sc_0123", "aura_0002", "walkrobot_jp_009", "pothole8_004", "mcnight_0007")
+"""A country road, a track; a plaza, a pavement; a road half in shadow, a tunnel at night."""
 
 DRIVE, DRIVE_SECONDS, DRIVE_WIDTH = "california_tree_shadows.mp4", (3.0, 6.0), 320
 
@@ -43,6 +50,7 @@ EVERY, DURATION, COLOURS = 2, 133, 64  # of 15 frames a second; milliseconds; of
 
 QUALITY = 85  # of JPEG
 OUT = Path(__file__).resolve().parents[1] / "docs/pictures"
+STREET_IMAGES = OUT.parents[1] / "train/street_images.csv"
 
 
 def write_jpeg(path: Path, sheet: np.ndarray) -> None:
@@ -93,19 +101,29 @@ def write_fusion(folder: Path, path: Path) -> None:
     write_jpeg(path, sheet)
 
 
-def write_failures(folder: Path, path: Path) -> None:
-    """Write images with a wrong mask side by side, inputs above."""
-    detector, columns = load_detector("fusion"), []
-    for name in FAILED:
-        image = read_image(next(folder.rglob(name)))
-        detection = detector.detect(image)
-        overlay = replace(detection, trust=None).overlay()
-        tiles = {"input": to_pixels(image), f"mask, {detection.caption}": overlay}
-        height = round(TILE_WIDTH * 3 / 5)
-        columns.append(
-            np.vstack([caption_tile(tile, text, height) for text, tile in tiles.items()])
-        )
+def mask_tiles(path: Path) -> list[np.ndarray]:
+    """Return the tiles of an image and of its mask, captioned."""
+    image, height = read_image(path), round(TILE_WIDTH * 3 / 5)
+    detection = load_detector("fusion").detect(image)
+    overlay = replace(detection, trust=None).overlay()
+    tiles = {"input": to_pixels(image), f"mask, {detection.caption}": overlay}
+    return [caption_tile(tile, text, height) for text, tile in tiles.items()]
+
+
+def write_masks(folder: Path, names: Sequence[str], path: Path) -> None:
+    """Write images side by side, inputs above their masks."""
+    columns = [np.vstack(mask_tiles(folder / f"{name}.jpg")) for name in names]
     sheet = cv2.resize(np.hstack(columns), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+    write_jpeg(path, sheet)
+
+
+def write_gallery(folder: Path, path: Path) -> None:
+    """Write the masks of 24 images evenly spaced in the list that new networks learn from."""
+    with STREET_IMAGES.open(encoding="utf-8", newline="") as file:
+        names = evenly_spaced([row["file"] for row in csv.DictReader(file)], 24)
+    masks = [mask_tiles(folder / name)[1] for name in names]
+    rows = [np.hstack(masks[start : start + 6]) for start in range(0, len(masks), 6)]
+    sheet = cv2.resize(np.vstack(rows), None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
     write_jpeg(path, sheet)
 
 
@@ -140,6 +158,8 @@ if __name__ == "__main__":
     data = parser.parse_args().data
     write_steps(data / "unlabelled_free", OUT / "steps.jpg")
     write_fusion(data / "unlabelled_free", OUT / "fusion.jpg")
-    write_failures(data / "unlabelled_free", OUT / "failures.jpg")
+    write_masks(data / "unlabelled_free", FAILED, OUT / "failures.jpg")
+    write_masks(data / "unlabelled_free", READ, OUT / "reading.jpg")
+    write_gallery(data / "unlabelled_free", OUT / "gallery.jpg")
     write_drive(data / "clips" / DRIVE, OUT / "drive.gif")
     (OUT / "made.json").write_text(f"{json.dumps(made_with(), indent=0)}\n", encoding="utf-8")

@@ -87,7 +87,7 @@ def test_there_are_no_more_pages_and_words_than_anybody_reads() -> None:
     cards = ROOT.glob("roadtorch/weights/*.md")
     texts = (*PAGES, ROOT / "CHANGELOG.md", ROOT / "train/README.md", *cards)
 
-    assert len(PAGES) <= 41
+    assert len(PAGES) <= 42
     assert sum(len(path.read_text(encoding="utf-8").split()) for path in texts) <= 31_000
 
 
