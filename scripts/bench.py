@@ -20,7 +20,6 @@ many processors instead of jobs, and ``detect`` (read an image, detect, write no
 processes; in the same rounds as ``infer``. ``--suite`` hands the words behind it to pytest.
 """
 
-import argparse
 import importlib
 import json
 import os
@@ -30,6 +29,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from argparse import REMAINDER, ArgumentParser, RawDescriptionHelpFormatter
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -54,7 +54,7 @@ from roadtorch.imaging.slic import slic
 from roadtorch.layout.runtimes import REFERENCE, RUNTIMES, ExportGraph, open_onnxruntime, trace_onnx
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.testing.scenes import render_scene
-from scripts.readme_figures import FIGURES, keep_records
+from scripts.readme_figures import FIGURES, flatten, keep_records
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python scripts/bench.py --write"
@@ -356,54 +356,45 @@ def rates(
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("detectors", nargs="*", help="or commands; by default nearly all")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--write", action="store_true", help="into docs/figures")
     parser.add_argument("--against", type=Path, help="another checkout")
     parser.add_argument("--runtimes", action="store_true", help="torch, ONNX Runtime")
-    parser.add_argument(
-        "--commands", type=Path, metavar="DATA", help="folder of camvid/ and clips/"
-    )
-    parser.add_argument("--suite", nargs=argparse.REMAINDER, help="the tests, with pytest's words")
+    parser.add_argument("--commands", type=Path, metavar="DATA", help="has camvid/ and clips/")
+    parser.add_argument("--suite", nargs=REMAINDER, help="the tests, with pytest's words")
     options = parser.parse_args(words)
     if options.suite is not None:
         print(suite(options.suite))
         return
+    width, height = options.size
+    image = render_scene(0, height, width).image.contiguous()
     if options.commands:
         checkouts = [ROOT, options.against] if options.against else [ROOT]
         names = options.detectors or [name for name in COMMANDS if name != "detect"]
+        run, command = "commands", COMMANDS_COMMAND
         records = json.loads((FIGURES / "commands.json").read_text(encoding="utf-8"))["values"]
         for row in rates(options.commands, checkouts, options.rounds, names, records):
             print(row, flush=True)
-        if options.write:
-            keep_records("commands", COMMANDS_COMMAND, records)
-        return
-    names = options.detectors or [name for name in list_detectors() if "<" not in name]
-    width, height = options.size
-    image = render_scene(0, height, width).image.contiguous()
-    if options.runtimes:
+    elif options.runtimes:
+        run, command = "runtimes", f"{COMMAND} --runtimes --against BEFORE"
         results = time_runtimes(image, options.against, options.rounds)
+        records = dict(flatten(results, "runtimes."))
         print(runtime_table(results))
-        if options.write:
-            figures = {
-                f"runtimes.{key}.{name}": value
-                for key, row in results.items()
-                for name, value in row.items()
-            }
-            keep_records("runtimes", f"{COMMAND} --runtimes --against BEFORE", figures)
-        return
-    calls = contestants(names, image, options.against)
-    times = interleaved(calls, options.rounds)
-    print(table(times))
+    else:
+        names = options.detectors or [name for name in list_detectors() if "<" not in name]
+        run, command = "bench", COMMAND
+        times = interleaved(contestants(names, image, options.against), options.rounds)
+        print(table(times))
+        results = {
+            PEERS.get(name, name): {"ms": median(ms), "of_lraspp": ratio(ms, times[LRASPP])}
+            for name, ms in times.items()
+        }
+        records = dict(flatten(results, "bench."))
     if options.write:
-        values = {f"bench.{PEERS.get(name, name)}.ms": median(times[name]) for name in times}
-        for name, milliseconds in times.items():
-            values[f"bench.{PEERS.get(name, name)}.of_lraspp"] = ratio(milliseconds, times[LRASPP])
-        keep_records("bench", COMMAND, values)
+        keep_records(run, command, records)
 
 
 if __name__ == "__main__":

@@ -6,10 +6,10 @@ PAGE: the folder of ``roadtorch export fusion --format web``. It needs Playwrigh
 (apt: chromium).
 """
 
-import argparse
 import shutil
 import threading
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -40,11 +40,11 @@ def served(folder: Path) -> Iterator[str]:
         def log_message(self, format: str, *args: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://localhost:{server.server_port}/"
-    server.shutdown()
-    server.server_close()
+    handler = partial(Handler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://localhost:{server.server_port}/"
+        server.shutdown()
 
 
 def wait_for_status(page: "Page", begins: str) -> None:
@@ -67,9 +67,7 @@ def main() -> None:
     """Print the differences of masks and trust, and the time for an image."""
     from playwright.sync_api import sync_playwright
 
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("page", type=Path)
     parser.add_argument("images", type=Path, nargs="+")
     options = parser.parse_args()
@@ -91,9 +89,8 @@ def main() -> None:
             elapsed = 1000 * (time.perf_counter() - start)
             state = read_state(page, path)
             differ = float((state["mask"] != detection.mask.numpy()).mean())
-            rows.append(
-                (differ, abs(state["trust"] - (detection.trust or 0)), state["ms"], elapsed)
-            )
+            trust = abs(state["trust"] - (detection.trust or 0))
+            rows.append((differ, trust, state["ms"], elapsed))
         browser.close()
     size = sum(path.stat().st_size for path in options.page.iterdir()) / 1e6
     differ, trust, browser_ms, python_ms = zip(*rows, strict=True)

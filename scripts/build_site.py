@@ -8,10 +8,10 @@ Warnings are errors. Afterwards every link inside the site must lead to a file, 
 it; and nothing may be loaded from elsewhere. Links to other sites are not followed.
 """
 
-import argparse
 import shutil
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Mapping
 from html.parser import HTMLParser
 from pathlib import Path
@@ -96,17 +96,18 @@ def wrong_with(tag: str, address: str, path: Path, pages: Mapping[Path, PagePars
 
 def main() -> int:
     """Build and check; return 1 where links are broken."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "site")
     parser.add_argument("--page", type=Path, help="the page for browsers, to be part of the site")
     options = parser.parse_args()
-    out = options.out
-    build(out)
-    add_page(out, options.page)
-    broken = list(broken_links(out))
-    print(*broken, f"{len(list(out.rglob('*.html')))} pages, {len(broken)} broken links", sep="\n")
+    build(options.out)
+    add_page(options.out, options.page)
+    broken = list(broken_links(options.out))
+    print(
+        *broken,
+        f"{len(list(options.out.rglob('*.html')))} pages, {len(broken)} broken links",
+        sep="\n",
+    )
     return 1 if broken else 0
 
 

@@ -23,7 +23,6 @@ Runs are forked behind the imports, so that trouble meets the work. What is wron
 exit status is then 1. ``clock``, ``locks`` and ``fault`` need Linux and a C compiler (chaos.c).
 """
 
-import argparse
 import ctypes
 import errno
 import importlib
@@ -41,6 +40,7 @@ import tempfile
 import threading
 import time
 import traceback
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -389,7 +389,7 @@ NOT_TRIED = {
 }
 
 
-def disturb(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
+def disturb(name: str, options: Namespace, folder: Path) -> list[str]:
     """Try a class of trouble on a command; print the number of attempts and return the problems."""
     kind = options.trouble
     jobs = f"--jobs {2 if kind == 'worker' else options.jobs}"
@@ -444,9 +444,7 @@ def run_preloaded() -> int:
 
 def run() -> int | str:
     """Try a class of trouble on commands; return the problems."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("trouble", choices=[*TROUBLE, "fault"])
     parser.add_argument("commands", nargs="*", choices=[*COMMANDS, []], default=[])
     parser.add_argument("--times", type=int, default=10)
@@ -462,8 +460,7 @@ def run() -> int | str:
     for name in options.commands or COMMANDS:
         if (options.trouble, name) not in NOT_TRIED:
             with tempfile.TemporaryDirectory() as temporary:
-                folder = Path(temporary)
-                wrong += disturb(name, options, folder)
+                wrong += disturb(name, options, Path(temporary))
     return "\n".join(wrong)
 
 

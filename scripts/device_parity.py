@@ -7,10 +7,10 @@ and the median time of an image on either device; then in how many masks that `i
 footage, with every other file it has, pixels differ.
 """
 
-import argparse
 import subprocess
 import sys
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
@@ -46,9 +46,8 @@ def compare(name: str, device: str, images: Sequence[Path]) -> str:
     differing = sum(int((cpu.mask != gpu.mask.cpu()).sum()) for cpu, gpu in pairs)
     largest = max(float((c.likelihood - g.likelihood.cpu()).abs().max()) for c, g in pairs)
     masks = f"masks differ in {differing} of {pixels} pixels"
-    return (
-        f"{name}: {masks}, likelihoods by {largest:.3g}; cpu {slow:.1f} ms, {device} {fast:.1f} ms"
-    )
+    times = f"cpu {slow:.1f} ms, {device} {fast:.1f} ms"
+    return f"{name}: {masks}, likelihoods by {largest:.3g}; {times}"
 
 
 def infer(source: Path, device: str, out: Path) -> dict[str, np.ndarray]:
@@ -69,9 +68,7 @@ def compare_footage(source: Path, device: str) -> str:
 
 def main() -> None:
     """Compare every detector of ``DETECTORS``, and the footage."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("images", nargs="+", type=Path)
     parser.add_argument("--footage", nargs="+", type=Path, default=[])
     parser.add_argument("--device", default="cuda")

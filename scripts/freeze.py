@@ -12,7 +12,6 @@ machine: record both sides on one. What may differ from run to run is taken out 
 holds camvid/, clips/, idd_lite/, kitti_road/, many/ and unlabelled_free/.
 """
 
-import argparse
 import csv
 import difflib
 import hashlib
@@ -22,6 +21,7 @@ import re
 import shutil
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby, product
 from pathlib import Path
@@ -281,9 +281,7 @@ def thumbnails(names: Iterable[str]) -> dict[str, list[list[int]]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("record", "compare", "thumbnails"))
     parser.add_argument("paths", nargs="+", type=Path)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
@@ -294,10 +292,8 @@ def main() -> int:
         maps = thumbnails(detectors())
         rows = [f"{json.dumps(name)}: {json.dumps(means)}" for name, means in maps.items()]
         options.paths[0].write_text("{\n" + ",\n".join(rows) + "\n}\n")
-    lines = []
-    if options.command == "compare":
-        lines = list(differences(*options.paths))
-        print("\n".join(lines))
+    lines = list(differences(*options.paths)) if options.command == "compare" else []
+    print(*lines, sep="\n", end="\n" * bool(lines))
     return int(len(lines) > 1)
 
 

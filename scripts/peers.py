@@ -9,12 +9,12 @@ FOLDER holds a file NAME.py a network, with ``road_probability(rgb uint8 (H, W, 
 RGB, (levels of 0 to 255 - mean) / scale, by default 0 to 1; its first output is a class map or
 scores (1, C, h, w). Every image is shown to all of them in turn, on one thread: F of the mask at .5
 and MaxF by camera, and the median milliseconds. They measure; nothing here ever learns from what
-they say. Of an ONNX file nothing is recorded.
+they say. Records of networks that FOLDER lacks stay; of an ONNX file nothing is recorded.
 """
 
-import argparse
 import importlib
 import sys
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,7 @@ from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.detector import Detector
 from roadtorch.evaluation.metrics import RoadCounts, confusion_at, count_levels, f_measure, max_f
-from scripts.readme_figures import keep_records
+from scripts.readme_figures import keep_records, records
 
 DETECTORS = ("fusion", "fusion:large")
 
@@ -65,7 +65,7 @@ def load_networks(folder: Path) -> dict[str, Predict]:
     return networks
 
 
-def load_onnx(path: Path, options: argparse.Namespace) -> Predict:
+def load_onnx(path: Path, options: Namespace) -> Predict:
     """Load a network; ConfigError without onnxruntime, WeightsError for files of another kind."""
     try:
         import onnxruntime
@@ -115,35 +115,31 @@ def score(networks: Mapping[str, Predict], dataset: Dataset) -> dict[str, float]
     """Return records ``peers.NAME.f_mask@CAMERA``, ``maxf``, their means and worst, ``ms``."""
     counts: dict[str, dict[str, RoadCounts]] = {name: {} for name in networks}
     times: dict[str, list[float]] = {name: [] for name in networks}
-    for item in dataset.items:
-        if item.group in dataset.left_out:
-            continue
+    for item in (item for item in dataset.items if item.group not in dataset.left_out):
         image, truth = dataset.read(item)
         for name, predict in networks.items():
             start = perf_counter()
             likelihood = predict(image).clamp(0, 1)
             times[name].append(1000 * (perf_counter() - start))
             levels = count_levels(likelihood, truth.road, truth.valid)
-            camera = str(item.group or "all")
-            previous = counts[name].get(camera)
-            counts[name][camera] = levels if previous is None else previous + levels
+            camera, cameras = str(item.group or "all"), counts[name]
+            cameras[camera] = cameras[camera] + levels if camera in cameras else levels
     values: dict[str, float] = {}
     for name, cameras in counts.items():
-        values[f"peers.{name}.ms"] = median(times[name])
+        prefix = f"peers.{name}"
+        values[f"{prefix}.ms"] = median(times[name])
         f_mask = {camera: float(f_measure(confusion_at(c, 0.5))) for camera, c in cameras.items()}
         maxf = {camera: float(max_f(c)[0]) for camera, c in cameras.items()}
         for key, f_of in {"f_mask": f_mask, "maxf": maxf}.items():
-            values[f"peers.{name}.{key}"] = fmean(f_of.values())
-            values[f"peers.{name}.{key}.worst"] = min(f_of.values())
-            values |= {f"peers.{name}.{key}@{camera}": f for camera, f in f_of.items()}
+            values |= {f"{prefix}.{key}": fmean(f_of.values())}
+            values |= {f"{prefix}.{key}.worst": min(f_of.values())}
+            values |= {f"{prefix}.{key}@{camera}": f for camera, f in f_of.items()}
     return values
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Score the networks of a folder, or one of an ONNX file, beside our detectors."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("many", type=Path)
     parser.add_argument("--leave-out", nargs="*", default=[], metavar="CAMERA")
@@ -172,11 +168,11 @@ def main(words: Sequence[str] | None = None) -> None:
     if options.folder:
         left_out = ["--leave-out", *options.leave_out] if options.leave_out else []
         command = " ".join(["python scripts/peers.py PEERS DATA/many", *left_out])
-        keep_records("peers", command, values)
+        earlier = {key: f for key, f in records().items() if key.startswith("peers.")}
+        keep_records("peers", command, earlier | values)
     for name in networks:
-        figures = (
-            values[f"peers.{name}.{key}"] for key in ("f_mask", "f_mask.worst", "maxf", "ms")
-        )
+        keys = ("f_mask", "f_mask.worst", "maxf", "ms")
+        figures = (values[f"peers.{name}.{key}"] for key in keys)
         print("{:28} F {:.3f} worst {:.3f} MaxF {:.3f} {:.0f} ms".format(name, *figures))
 
 

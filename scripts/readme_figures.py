@@ -32,7 +32,6 @@ study: of a paragraph that names the commit and the date, "F rose by .031 (at 3f
 or of a page or section for which docs/studies.json does, by its heading.
 """
 
-import argparse
 import difflib
 import importlib
 import json
@@ -40,6 +39,7 @@ import re
 import shlex
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from operator import attrgetter
@@ -69,12 +69,8 @@ def evaluate(data: Path, out: Path, runs: Sequence[str], jobs: int) -> None:
             words = shlex.split(line.replace("DATA", str(data)).replace("OUT", str(out)))
             program = ["-m", "roadtorch"] if words[0] == "roadtorch" else []
             words += ["--jobs", str(jobs)] * (words[1] == "evaluate")
-            subprocess.run(
-                [sys.executable, *program, *words[1:]],
-                check=True,
-                cwd=ROOT,
-                stdout=subprocess.DEVNULL,
-            )
+            process = [sys.executable, *program, *words[1:]]
+            subprocess.run(process, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
         if (metrics := out / run / "metrics.json").is_file():  # others keep theirs
             scores = json.loads(metrics.read_text(encoding="utf-8"))
             keep_records(run, command, records_of(run, scores))
@@ -357,9 +353,7 @@ def used() -> set[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run a task; return 1 if ``check`` finds a stale figure or an unrecorded number."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("task", choices=("evaluate", "write", "check"))
     parser.add_argument("data", type=Path, nargs="?", help="for evaluate")
     parser.add_argument("--out", type=Path, default=Path("out/figures"), help="of the evaluations")

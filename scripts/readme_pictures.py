@@ -7,9 +7,9 @@ train/street_images.csv say where they are from; made.json has the hashes of the
 settings that made them, to which a test holds them.
 """
 
-import argparse
 import csv
 import json
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
@@ -151,9 +151,7 @@ def made_with() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     data = parser.parse_args().data
     write_steps(data / "unlabelled_free", OUT / "steps.jpg")

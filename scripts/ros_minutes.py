@@ -8,7 +8,6 @@ that come and go ("restarts"). Ages are from the publication of an image to the 
 beside the time of `detect` in a process of its own before and after. It needs rclpy (docs/ros.md).
 """
 
-import argparse
 import json
 import os
 import re
@@ -16,6 +15,7 @@ import signal
 import subprocess
 import sys
 import time
+from argparse import ArgumentParser, RawTextHelpFormatter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -129,9 +129,7 @@ def count(image: Path, seconds: float, part: str) -> dict[str, float]:
 
 def main() -> None:
     """Print the counts; keep them for the documents."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawTextHelpFormatter)
     parser.add_argument("image", type=Path)
     parser.add_argument("--minutes", type=float, default=10)
     parser.add_argument("--talkers", type=int, default=50)

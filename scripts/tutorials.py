@@ -14,7 +14,6 @@ to ``configs``.
 Commands of roadtorch run in copies of this process, which has imported everything once.
 """
 
-import argparse
 import contextlib
 import difflib
 import importlib
@@ -27,6 +26,7 @@ import sys
 import tempfile
 import traceback
 import warnings
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 from multiprocessing import get_context
 from pathlib import Path
@@ -249,9 +249,7 @@ def prepare() -> None:
 
 def main() -> int:
     """Check or write the given pages; return 1 if the output of a page differs."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("act", choices=("check", "write"))
     parser.add_argument("pages", nargs="*", type=Path)
     options = parser.parse_args()

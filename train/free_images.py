@@ -14,7 +14,8 @@ import argparse
 import csv
 import shutil
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice, zip_longest
 from pathlib import Path
 
@@ -36,26 +37,26 @@ def recordings(manifest: Path) -> dict[str, list[Mapping[str, str]]]:
 def round_robin(
     rows: Mapping[str, Sequence[Mapping[str, str]]], count: int | None, without: Collection[str]
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield (recording, row) from all recordings in turn; ``count`` of them, or all if None."""
-    hands = [[(name, row) for row in rows[name]] for name in sorted({*rows} - {*without})]
+    """Yield (RECORDING_NUMBER, row) from all recordings in turn; ``count``, or all if None."""
+    names = sorted({*rows} - {*without})
+    hands = [[(f"{name}_{n:04d}", row) for n, row in enumerate(rows[name], 1)] for name in names]
     return islice(filter(None, chain.from_iterable(zip_longest(*hands))), count)
 
 
-def gather(data: Path, out: Path, chosen: Iterator[tuple[str, Mapping[str, str]]]) -> list[str]:
-    """Copy the files from anywhere below a folder; return those that are missing."""
-    paths_by_name: dict[str, list[Path]] = {}
+def gather(data: Path, out: Path, chosen: Iterable[tuple[str, Mapping[str, str]]]) -> list[str]:
+    """Copy files of anywhere below a folder as (new stem, row) say; return those missing."""
+    paths_by_name = defaultdict[str, list[Path]](list)
     for path in data.rglob("*.*"):
-        paths_by_name.setdefault(path.name, []).append(path)
-    missing, numbers = [], dict[str, int]()
-    out.mkdir(parents=True, exist_ok=True)
-    for recording, row in chosen:
-        named = paths_by_name.get(Path(row["file"]).name, [])
+        paths_by_name[path.name].append(path)
+    missing = []
+    for stem, row in chosen:
+        named = paths_by_name[Path(row["file"]).name]
         path = next((path for path in named if file_digest(path) == row["sha256"]), None)
         if path is None:
             missing.append(row["file"])
-            continue
-        number = numbers[recording] = numbers.get(recording, 0) + 1
-        shutil.copyfile(path, out / f"{recording}_{number:04d}{path.suffix}")
+        else:
+            (out / stem).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, out / f"{stem}{path.suffix}")
     return missing
 
 

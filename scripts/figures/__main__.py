@@ -12,9 +12,9 @@ figures.md shows all of them beside what the papers show.
 example because a data set is missing, takes one line, and the next ones are made.
 """
 
-import argparse
 import sys
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # for the package beside
@@ -43,9 +43,7 @@ def make_all(data: Path, out: Path) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=("all", *FIGURES))
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/papers"))

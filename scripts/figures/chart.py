@@ -38,12 +38,7 @@ def chart(path: Path, width: float, height: float, dots: int = DOTS) -> Iterator
 def show_table(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
     """Print a table and write it as CSV, numbers with three decimals."""
     columns = list(rows[0])
-    cells = [
-        {
-            key: f"{value:.3f}" if isinstance(value, float) else str(value)
-            for key, value in row.items()
-        }
-        for row in rows
-    ]
+    styles = {True: "{:.3f}", False: "{}"}
+    cells = [{k: styles[isinstance(v, float)].format(v) for k, v in row.items()} for row in rows]
     print(align_columns([columns, *([row.get(name, "") for name in columns] for row in cells)]))
     write_text(path, csv_text(columns, cells))

@@ -170,6 +170,5 @@ def table3(data: Path, out: Path) -> None:
     show_table(out / "p3-table3.csv", table_rows(run))
     values = percents(run)
     for half, planes in HALVES.items():
-        print(
-            f"Spearman's rank correlation with P3, {half}: {rank_correlation(values, planes):+.2f}"
-        )
+        correlation = rank_correlation(values, planes)
+        print(f"Spearman's rank correlation with P3, {half}: {correlation:+.2f}")
