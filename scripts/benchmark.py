@@ -9,9 +9,9 @@ them from the original data sets: images were reduced, and those of dn_* were, w
 read off small overview pictures. The exit status is 1 if a file is missing.
 """
 
-import argparse
 import csv
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -25,7 +25,7 @@ BENCHMARK = Path(__file__).with_name("benchmark.csv")
 
 def main(words: Sequence[str] | None = None) -> int:
     """Gather the files and print a row for each camera; return the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("sources", type=Path, metavar="SOURCES")
     parser.add_argument("--out", type=Path, required=True, metavar="MANY")
     options = parser.parse_args(words)

@@ -31,14 +31,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(code: str, folder: Path, *words: str, **environment: str) -> list[str]:
     """Run a program in a folder and return the lines that it prints."""
-    done = subprocess.run(
-        [sys.executable, *words, "-c", code],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=1800,
-    )
+    command = [sys.executable, *words, "-c", code]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 

@@ -36,14 +36,9 @@ def test_images_become_maps_and_a_broken_one_a_failed_row_even_in_ascii(tmp_path
     (images / "broken.png").write_bytes(whole[:1000])
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
-    done = subprocess.run(
-        [sys.executable, "-c", LISTING, "infer", "images", "--out", "out", "--jobs", "1"],
-        cwd=tmp_path,
-        env=os.environ | ascii_only,
-        capture_output=True,
-        encoding="utf-8",
-        timeout=600,
-    )
+    words = [sys.executable, "-c", LISTING, "infer", "images", "--out", "out", "--jobs", "1"]
+    options = {"env": os.environ | ascii_only, "encoding": "utf-8", "timeout": 600}
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, **options)
 
     assert done.returncode == 1
     assert done.stdout.startswith("roadtorch: 0 doubtful of 2; least trusted (trust does")

@@ -140,12 +140,8 @@ def test_the_command_that_the_project_was_asked_for_trains(tmp_path: Path) -> No
     words = ["-m", "roadtorch.train", "--config", "configs/cnn7.toml", "--threads", "1"]
     words += ["--images", str(tmp_path / "images"), "--out", str(tmp_path / "out")]
 
-    done = subprocess.run(
-        [sys.executable, *words, "--set", "stopping.epochs=1"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
+    command = [sys.executable, *words, "--set", "stopping.epochs=1"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
 
     assert done.returncode == 0, done.stderr
     assert load_network(tmp_path / "out" / "weights.safetensors")

@@ -222,13 +222,8 @@ def test_a_users_file_is_no_module_of_workers_that_are_started_anew(tmp_path: Pa
     code = "import sys; sys.path.remove(''); from roadtorch.cli import main; main()"
     words = ["infer", ".", *ROWS, "--out", "out", "--jobs=2", "--threads=2", "--quiet"]
 
-    done = subprocess.run(
-        [sys.executable, "-c", code, *words],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
+    command = [sys.executable, "-c", code, *words]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
 
     assert (done.returncode, done.stderr) == (0, "")
     assert len(list((tmp_path / "out").glob("*.mask.png"))) == 2

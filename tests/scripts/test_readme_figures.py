@@ -126,9 +126,8 @@ def test_an_evaluation_becomes_flat_records() -> None:
     fusion |= {"groups": groups, "ci95": {"maxf": [0.88, 0.91], "f_mask": None}}
     paired = {"detectors": {"fusion": {"maxf": {"difference": -0.4, "ci95": [-0.5, -0.3]}}}}
 
-    records = readme_figures.records_of(
-        "run", {"images": 5, "detectors": {"fusion": fusion}, "paired": paired}
-    )
+    metrics = {"images": 5, "detectors": {"fusion": fusion}, "paired": paired}
+    records = readme_figures.records_of("run", metrics)
 
     expected = {"maxf": 0.9, "maxf.low": 0.88, "maxf.high": 0.91, "layout.sky": 0.7}
     expected |= {"f_mask@b": 0.7, "f_mask@night": 0.5, "f_mask.worst": 0.7, "maxf.less": -0.4}
