@@ -6,7 +6,7 @@
 benchmark.csv names each file with its SHA-256, the data set and its address, the terms, and whether
 the file may be passed on. SOURCES is searched for files of those names and bytes. No program makes
 them from the original data sets: images were reduced, and those of dn_* were, with their labels,
-read off small overview pictures. The exit status is 1 if a file is missing.
+read off small overview sheets. The exit status is 1 if a file is missing.
 """
 
 import csv
