@@ -388,11 +388,7 @@ def main(words: Sequence[str] | None = None) -> None:
         run, command = "bench", COMMAND
         times = interleaved(contestants(names, image, options.against), options.rounds)
         print(table(times))
-        results = {
-            PEERS.get(name, name): {"ms": median(ms), "of_lraspp": ratio(ms, times[LRASPP])}
-            for name, ms in times.items()
-        }
-        records = dict(flatten(results, "bench."))
+        records = {f"bench.{PEERS.get(name, name)}.ms": median(ms) for name, ms in times.items()}
     if options.write:
         keep_records(run, command, records)
 

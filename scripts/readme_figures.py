@@ -11,7 +11,8 @@ Names are RUN.DETECTOR.MEASURE, with ``.low`` and ``.high`` its interval, ``@GRO
 drive or condition, ``.worst`` and ``.worst.camera`` the lowest of the groups, ``.less`` the
 difference to ``fusion``, ``.iou`` that of an F. What the
 code itself states is a record, too: ``code:MODULE:NAME``, ``setting:DETECTOR:KEY``,
-``config:NAME:KEY`` of configs/NAME.toml; ``/GiB`` behind it divides.
+``config:NAME:KEY`` of configs/NAME.toml, ``model:DETECTOR:KEY`` as ``describe_networks``; ``/GiB``
+behind it divides.
 
 A figure is bound to a record by a comment right after it, and keeps as many digits as it has::
 
@@ -50,7 +51,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 
 from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.detectors.catalogue import detector_entry, list_detectors, load_detector
-from roadtorch.layout.weights import hash_tensors
+from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.weights import SHIPPED, LayoutNetwork, hash_tensors, load_network
 from roadtorch.oneclass import CLASSIFIERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -175,12 +177,35 @@ def config_value(name: str, key: str) -> Any:
     return value
 
 
+@cache
+def describe_networks(detector: str) -> dict[str, float | str]:
+    """Return weights, parameters, bytes on disk and input (rows × columns) of the networks."""
+    networks = [
+        each for each in load_detector(detector).modules() if isinstance(each, LayoutNetwork)
+    ]
+    files = {hash_tensors(load_network(path).state_dict()): path for path in SHIPPED.glob("*.s*")}
+    paths = [files[hash_tensors(network.state_dict())] for network in networks]
+    sizes = {
+        (each.settings.topology.patch,) * 2
+        if isinstance(each, PatchNetwork)
+        else (each.settings.height, each.settings.width)
+        for each in networks
+    }
+    return {
+        "weights": ", ".join(path.stem for path in paths) or "none",
+        "parameters": sum(part.numel() for each in networks for part in each.parameters()),
+        "bytes": sum(path.stat().st_size for path in paths),
+        "input": ", ".join(f"{rows}×{columns}" for rows, columns in sorted(sizes)) or "none",
+    }
+
+
 STATED = {
+    "model": lambda detector, key: describe_networks(detector)[key],
     "code": lambda module, name: attrgetter(name)(importlib.import_module(module)),
     "setting": setting_of,
     "config": config_value,
 }
-SIZES = {"GiB": 2**30}
+SIZES = {"GiB": 2**30, "MB": 10**6}
 
 
 def records() -> RecordsAndCode:

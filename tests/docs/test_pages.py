@@ -24,12 +24,7 @@ from roadtorch.base.settings import parse_assignments
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
 from roadtorch.detectors.detection import Detection
 from roadtorch.layout.backbone_network import BackboneNetwork
-from roadtorch.layout.weights import (
-    DEFAULT_WEIGHTS,
-    WeightsFile,
-    load_image_network,
-    shipped_weights,
-)
+from roadtorch.layout.weights import DEFAULT_WEIGHTS, load_network, shipped_weights
 from roadtorch.road import trust
 from roadtorch.testing.scenes import render_scene, write_image
 from scripts.figures import FIGURES
@@ -110,7 +105,6 @@ def test_examples_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 # --- claims -----------------------------------------------------------------------------
 
-
 RESEARCH = ROOT / "docs" / "research"
 COMBINATIONS = ["RGB", "nrng", "O1O2", "Lab", "HSV", "HS"]
 
@@ -171,13 +165,9 @@ def test_the_page_has_the_table_that_was_measured() -> None:
 def test_links_lead_to_pages_of_the_site_but_in_code() -> None:
     code = "\n```\n[x](features.md)\n```\n"
     text = "[x](../../train/README.md) [y](features.md#z) [w](../../roadtorch/weights/cnn-7.md)"
+    links = "x (`train/README.md`) [y](/how/features.md#z) [w](/reference/index.md#weights-cnn-7)"
 
-    linked = parts.linked(text + code, parts.DOCS / "how")
-
-    expected = (
-        "x (`train/README.md`) [y](/how/features.md#z) [w](/reference/index.md#weights-cnn-7)"
-    )
-    assert linked == expected + code
+    assert parts.linked(text + code, parts.DOCS / "how") == links + code
 
 
 def test_cards_are_sections_of_the_page_of_weights() -> None:
@@ -214,7 +204,7 @@ Raises:
 
 def test_the_page_on_fusion_states_the_size_of_the_network_and_the_formula_of_trust() -> None:
     page = (ROOT / "docs/how/fusion.md").read_text(encoding="utf-8")
-    network = load_image_network(WeightsFile(), DEFAULT_WEIGHTS)
+    network = load_network(shipped_weights(DEFAULT_WEIGHTS))
     assert isinstance(network, BackboneNetwork)
     parts = network, network.backbone, network.heads
     stated = [f"{sum(weight.numel() for weight in part.parameters()):,}" for part in parts]
@@ -227,7 +217,6 @@ def test_the_page_on_fusion_states_the_size_of_the_network_and_the_formula_of_tr
 
 def test_hashes_of_weights_on_a_page_are_those_that_ship() -> None:
     page = (ROOT / "docs/installation.md").read_text(encoding="utf-8")
-
     stated = re.findall(r"(\S+)\.safetensors +SHA-256 (\w+)…", page)
 
     assert stated

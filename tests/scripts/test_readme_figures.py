@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from roadtorch.layout.weights import list_shipped_weights, shipped_weights
 from scripts import readme_figures
 from scripts.readme_figures import restate, rewrite, unbound_numbers, weights_of
 
@@ -94,6 +95,15 @@ def test_a_number_is_bound_of_a_study_or_alone(page: str, numbers: list[str]) ->
 )
 def test_a_value_is_said_as_the_old_figure_was(figure: str, value: float | str, now: str) -> None:
     assert restate(figure, value) == now
+
+
+def test_the_table_of_models_has_all_weights_described_from_their_files() -> None:
+    large, scores = readme_figures.describe_networks("fusion:large"), ROOT / "docs/results.md"
+    bytes_ = sum(shipped_weights(name).stat().st_size for name in str(large["weights"]).split(", "))
+
+    assert (large["bytes"], large["input"]) == (bytes_, "224×256")
+    table = scores.read_text("utf-8").partition("## Models")[2].partition("<!-- end -->")[0]
+    assert [name for name in list_shipped_weights() if name not in table] == []
 
 
 def test_figures_and_tables_are_written_from_records() -> None:
