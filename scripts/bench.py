@@ -104,11 +104,7 @@ def lraspp(image: Tensor, runtime: str = REFERENCE) -> Callable[[], Any]:
         compiled = open_onnxruntime(program.model_proto.SerializeToString(), 1)
         return partial(compiled, image[None].numpy())
 
-    @torch.inference_mode()
-    def run() -> Any:
-        return network(image[None])
-
-    return run
+    return torch.inference_mode()(partial(network, image[None]))
 
 
 def detects_of(checkout: Path, names: Sequence[str]) -> dict[str, Callable[[Any], Any]]:

@@ -9,10 +9,9 @@ docs/figures/RUN.json is {"command": …, "commit": of the package, "weights": d
 keeps what documents use, in about ten minutes on two quiet cores; --only RUN… does some of it.
 Names are RUN.DETECTOR.MEASURE, with ``.low`` and ``.high`` its interval, ``@GROUP`` one camera,
 drive or condition, ``.worst`` and ``.worst.camera`` the lowest of the groups, ``.less`` the
-difference to ``fusion``, ``.iou`` that of an F. What the
-code itself states is a record, too: ``code:MODULE:NAME``, ``setting:DETECTOR:KEY``,
-``config:NAME:KEY`` of configs/NAME.toml, ``model:DETECTOR:KEY`` as ``describe_networks``; ``/GiB``
-behind it divides.
+difference to ``fusion``, ``.iou`` that of an F. Code and files state records, too:
+``code:MODULE:NAME``, ``setting:DETECTOR:KEY``, ``config:NAME:KEY`` of configs/NAME.toml,
+``model:DETECTOR:KEY`` as ``describe_networks``; ``/GiB`` behind one divides.
 
 A figure is bound to a record by a comment right after it, and keeps as many digits as it has::
 
@@ -51,7 +50,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package 
 
 from roadtorch.base.settings import build_settings, read_settings_file
 from roadtorch.detectors.catalogue import detector_entry, list_detectors, load_detector
-from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import SHIPPED, LayoutNetwork, hash_tensors, load_network
 from roadtorch.oneclass import CLASSIFIERS
 
@@ -180,22 +178,21 @@ def config_value(name: str, key: str) -> Any:
 @cache
 def describe_networks(detector: str) -> dict[str, float | str]:
     """Return weights, parameters, bytes on disk and input (rows × columns) of the networks."""
-    networks = [
-        each for each in load_detector(detector).modules() if isinstance(each, LayoutNetwork)
-    ]
+    parts = [part for part in load_detector(detector).modules() if isinstance(part, LayoutNetwork)]
     files = {hash_tensors(load_network(path).state_dict()): path for path in SHIPPED.glob("*.s*")}
-    paths = [files[hash_tensors(network.state_dict())] for network in networks]
+    paths = [files[hash_tensors(part.state_dict())] for part in parts]
+    shapes = [part.settings.model_dump() for part in parts]
     sizes = {
-        (each.settings.topology.patch,) * 2
-        if isinstance(each, PatchNetwork)
-        else (each.settings.height, each.settings.width)
-        for each in networks
+        "{height}×{width}".format(**shape)
+        if "height" in shape
+        else "{patch}×{patch}".format(**shape["topology"])
+        for shape in shapes
     }
     return {
         "weights": ", ".join(path.stem for path in paths) or "none",
-        "parameters": sum(part.numel() for each in networks for part in each.parameters()),
+        "parameters": sum(weight.numel() for part in parts for weight in part.parameters()),
         "bytes": sum(path.stat().st_size for path in paths),
-        "input": ", ".join(f"{rows}×{columns}" for rows, columns in sorted(sizes)) or "none",
+        "input": " ".join(sorted(sizes)) or "none",
     }
 
 

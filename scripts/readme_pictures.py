@@ -24,13 +24,8 @@ from roadtorch.base.atomic import file_digest
 from roadtorch.base.image import to_pixels
 from roadtorch.evaluation.report.montage import TILE_WIDTH, apply_colormap, caption_tile, cue_tiles
 from roadtorch.inputs.item import evenly_spaced
+from roadtorch.layout import weights
 from roadtorch.layout.image_network import count_upper_rows, resize_rows
-from roadtorch.layout.weights import (
-    DEFAULT_WEIGHTS,
-    WeightsFile,
-    load_image_network,
-    shipped_weights,
-)
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
 """A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
@@ -53,8 +48,9 @@ OUT = Path(__file__).resolve().parents[1] / "docs/pictures"
 STREET_IMAGES = OUT.parents[1] / "train/street_images.csv"
 
 
-def write_jpeg(path: Path, sheet: np.ndarray) -> None:
-    """Write a sheet, uint8 RGB (H, W, 3)."""
+def write_jpeg(path: Path, sheet: np.ndarray, scale: float = 1) -> None:
+    """Write a sheet, uint8 RGB (H, W, 3), at a scale."""
+    sheet = cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
     cv2.imwrite(str(path), np.ascontiguousarray(sheet[..., ::-1]), options)
 
@@ -81,24 +77,23 @@ def write_fusion(folder: Path, path: Path) -> None:
     detector = load_detector("fusion")
     image = read_image(next(folder.rglob(STEPWISE)))
     detection = detector.detect(image)
-    cues, network = detection.cues, load_image_network(WeightsFile(), DEFAULT_WEIGHTS).settings
+    network = weights.load_image_network(weights.WeightsFile(), weights.DEFAULT_WEIGHTS).settings
     rows = count_upper_rows(network.upper_rows, network.height)
     resized = resize_rows(image, (network.height, network.width), rows)
     unrefined = load_detector("fusion", outlines="smooth").detect(image)
     tiles = {
         f"input, {rows} of {network.height} rows above": to_pixels(resized.clamp(0, 1)),
         "layout": cue_tiles(detection)["layout"],
-        "ego car": apply_colormap(cues["ego"].float()),
-        "road of the network": apply_colormap(cues["learned_road"]),
-        "road by appearance": apply_colormap(cues["appearance"]),
+        "ego car": apply_colormap(detection.cues["ego"].float()),
+        "road of the network": apply_colormap(detection.cues["learned_road"]),
+        "road by appearance": apply_colormap(detection.cues["appearance"]),
         "both, without the ego car": apply_colormap(unrefined.likelihood),
         "refined at edges": apply_colormap(detection.likelihood),
         f"mask, {detection.caption}": replace(detection, trust=None).overlay(),
     }
     height = round(image.shape[1] * TILE_WIDTH / image.shape[2])
     captioned = [caption_tile(tile, text, height) for text, tile in tiles.items()]
-    sheet = np.vstack([np.hstack(captioned[start : start + 4]) for start in (0, 4)])
-    write_jpeg(path, sheet)
+    write_jpeg(path, np.vstack([np.hstack(captioned[start : start + 4]) for start in (0, 4)]))
 
 
 def mask_tiles(path: Path) -> list[np.ndarray]:
@@ -113,8 +108,7 @@ def mask_tiles(path: Path) -> list[np.ndarray]:
 def write_masks(folder: Path, names: Sequence[str], path: Path) -> None:
     """Write images side by side, inputs above their masks."""
     columns = [np.vstack(mask_tiles(folder / f"{name}.jpg")) for name in names]
-    sheet = cv2.resize(np.hstack(columns), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
-    write_jpeg(path, sheet)
+    write_jpeg(path, np.hstack(columns), 0.75)
 
 
 def write_gallery(folder: Path, path: Path) -> None:
@@ -123,8 +117,7 @@ def write_gallery(folder: Path, path: Path) -> None:
         names = evenly_spaced([row["file"] for row in csv.DictReader(file)], 24)
     masks = [mask_tiles(folder / name)[1] for name in names]
     rows = [np.hstack(masks[start : start + 6]) for start in range(0, len(masks), 6)]
-    sheet = cv2.resize(np.vstack(rows), None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
-    write_jpeg(path, sheet)
+    write_jpeg(path, np.vstack(rows), 0.6)
 
 
 def write_drive(clip: Path, path: Path) -> None:
@@ -145,7 +138,7 @@ def made_with() -> dict[str, str]:
     """Return hashes of the weights and settings of `fusion`."""
     settings = load_detector("fusion").settings.model_dump_json()
     return {
-        "weights": file_digest(shipped_weights(DEFAULT_WEIGHTS)),
+        "weights": file_digest(weights.shipped_weights(weights.DEFAULT_WEIGHTS)),
         "settings": sha256(settings.encode()).hexdigest(),
     }
 

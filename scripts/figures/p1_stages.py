@@ -273,13 +273,9 @@ def fig4(data: Path, out: Path) -> None:
     for number, step in enumerate(rounds, 1):
         stability = step.choice.stability.clamp_min(0) * step.choice.selected
         road = mask_to_image(dilate(step.road, PROGRAM.road.dilation), side)
-        rows[
-            f"iteration {number}: error (eq. 10); pixels' stability (eq. 6); selected nodes'"
-            " stability (eq. 8); road"
-        ] = [
-            *map(tile, (step.error, step.pixels, paint_nodes(tree, stability))),
-            tile(blend(image, {YELLOW: road})),
-        ]
+        title = f"iteration {number}: error (eq. 10); pixels' stability (eq. 6); selected nodes'"
+        maps = step.error, step.pixels, paint_nodes(tree, stability), blend(image, {YELLOW: road})
+        rows[f"{title} stability (eq. 8); road"] = [*map(tile, maps)]
     write_sheet(out / "p1-fig4b.jpg", rows, WIDE)
 
 
@@ -296,13 +292,9 @@ def fig5(data: Path, out: Path) -> None:
     for name in METHODS:
         detector = load_detector(name)
         masks = [detector.detect(image).mask for image, _ in streets]
-        counts = [
-            count_mask(mask, truth.road, truth.valid)
-            for mask, (_, truth) in zip(masks, streets, strict=True)
-        ]
+        pairs = list(zip(masks, streets, strict=True))
+        counts = [count_mask(mask, truth.road, truth.valid) for mask, (_, truth) in pairs]
         scores = ", ".join(f"{float(f_measure(count)):.2f}" for count in counts)
-        rows[f"{name}: F {scores}"] = [
-            to_pixels(blend_result(image, mask, truth))
-            for mask, (image, truth) in zip(masks, streets, strict=True)
-        ]
+        tinted = (blend_result(image, mask, truth) for mask, (image, truth) in pairs)
+        rows[f"{name}: F {scores}"] = [*map(to_pixels, tinted)]
     write_sheet(out / "p1-fig5.jpg", rows, (150, 112))
