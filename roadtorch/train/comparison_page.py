@@ -45,9 +45,9 @@ class LabelsByImage:
 
     def truth(self, item: LabelledItem) -> Truth:
         """Return the truth; DatasetError where labels, or an image without any, cannot be read."""
-        labels = self.labels.get(item.image.resolve())
-        none = np.zeros(read_image_size(item.image) if labels is None else 0, np.uint8)
-        return labels_to_truth(none if labels is None else labels.labels)
+        if (labels := self.labels.get(item.image.resolve())) is None:
+            return labels_to_truth(np.zeros(read_image_size(item.image), np.uint8))
+        return labels_to_truth(labels.labels)
 
 
 def select_compared(
