@@ -22,7 +22,6 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-import h11
 import pydantic
 import uvicorn
 from pydantic import Field
@@ -36,7 +35,6 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from roadtorch.annotate.session import Session, compute_views
 from roadtorch.base.atomic import atomic_write
@@ -66,7 +64,6 @@ TRAIN_COMMAND = (
 """Command that trains on the corrections, shown once all images are confirmed."""
 
 MAX_DECODING = 2  # images decoded at a time: each takes about ten times its bytes
-CLIENT_TIMEOUT = 20.0  # seconds for a client to send a request or to read a response
 
 RESPONSE_HEADERS = {
     "Content-Security-Policy": (
@@ -134,27 +131,6 @@ class AccessMiddleware:
             return None
         hint = "open the address that roadtorch printed"
         return error_response(403, "token", "is missing or wrong", hint)
-
-
-class SlowClientProtocol(H11Protocol):
-    """An HTTP connection that is closed when its client is too slow to send or to read.
-
-    uvicorn and Starlette have a timeout for idle connections only.
-    """
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
-        """Start the timer of a new connection."""
-        super().connection_made(transport)
-        self.loop.call_later(CLIENT_TIMEOUT, self._check_progress, None)
-
-    def _check_progress(self, request: object) -> None:
-        """Close the connection if it is still at the same request; else check again later."""
-        unread = self.transport.get_write_buffer_size() > 0
-        incomplete = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
-        if self.cycle is request and (unread or incomplete):
-            self.transport.abort()
-        elif unread or not self.transport.is_closing():
-            self.loop.call_later(CLIENT_TIMEOUT, self._check_progress, self.cycle)
 
 
 async def read_body(request: Request) -> bytes | None:
@@ -371,7 +347,6 @@ def make_page_server(session: Session, port: int | None = None) -> PageServer:
     write_address(session.out, address)
     config = uvicorn.Config(
         make_app(session, token),
-        http=SlowClientProtocol,
         log_level="error",
         access_log=False,
         timeout_graceful_shutdown=2,

@@ -4,16 +4,12 @@ import hashlib
 import os
 import threading
 import time
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from roadtorch.annotate.next_images import BATCH_IMAGES, Candidates, select_batch, view_features
 from roadtorch.annotate.views import (
     VIEWS_FOLDER,
     AnnotationSettings,
@@ -27,7 +23,6 @@ from roadtorch.annotate.views import (
 from roadtorch.base.atomic import file_digest, remove_leftovers
 from roadtorch.base.bounded import to_printable
 from roadtorch.base.errors import InputError
-from roadtorch.base.image import read_image
 from roadtorch.data.correction_formats import CORRECTION_FORMATS
 from roadtorch.data.corrections import (
     LOG_SUFFIX,
@@ -122,15 +117,13 @@ def open_log(images: ImageFolder, out: Path, name: str, size: tuple[int, int]) -
 class Session:
     """The state behind the page; views: cache of the detector's views. out: folder of the logs.
 
-    trusts, features: of the images that have a view; a trust is NaN where the detector gives none.
+    trusts: of the images that have a view; NaN where the detector gives none.
     """
 
     images: ImageFolder
     views: ViewStore
     out: Path
     trusts: dict[str, float] = field(default_factory=dict)
-    features: dict[str, Tensor] = field(default_factory=dict, repr=False)
-    _batch: tuple[object, list[str]] = field(default=(None, []), repr=False)
     _logs: dict[str, EventLog] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _summaries: dict[Path, tuple[int, Summary | None]] = field(default_factory=dict, repr=False)
@@ -145,33 +138,23 @@ class Session:
     def listing(self) -> list[dict[str, Any]]:
         """List all images with name, trust, number of events, and whether confirmed.
 
-        Confirmed ones come last; the next batch comes first, then images by trust.
+        The least trusted come first, then those of unknown trust, confirmed ones last.
         """
-        summaries, names = self._summarise_logs(), self.images.names()
+        summaries = self._summarise_logs()
         untouched = {"events": 0, "confirmed": False, "version": 0}
         listing = [
             {"name": name, "trust": self._trust(name), **summaries.get(name, untouched)}
-            for name in names
+            for name in self.images.names()
         ]
-        positions = {name: at for at, name in enumerate(self._next_batch(names, summaries))}
 
-        def order(image: dict[str, Any]) -> tuple[bool, int, float, str]:
-            position, trust = positions.get(image["name"], BATCH_IMAGES), image["trust"]
-            return image["confirmed"], position, 2 if trust is None else trust, image["name"]
+        def order(image: dict[str, Any]) -> tuple[bool, float, str]:
+            return (
+                image["confirmed"],
+                2 if image["trust"] is None else image["trust"],
+                image["name"],
+            )
 
         return sorted(listing, key=order)
-
-    def _next_batch(self, names: Collection[str], corrected: Collection[str]) -> list[str]:
-        """Return the next images to correct, among those with features."""
-        ready = [name for name in names if name in self.features]
-        done = {index for index, name in enumerate(ready) if name in corrected}
-        key = (tuple(ready), frozenset(done))
-        with self._lock:
-            if ready and self._batch[0] != key:
-                trust = torch.tensor([self.trusts[name] for name in ready])
-                candidates = Candidates(trust, torch.stack([self.features[name] for name in ready]))
-                self._batch = key, [ready[index] for index in select_batch(candidates, done)]
-            return self._batch[1]
 
     def _trust(self, name: str) -> float | None:
         trust = self.trusts.get(name)
@@ -274,11 +257,10 @@ def compute_views(session: Session, stop: threading.Event) -> None:
         for name in session.images.names():
             if stop.is_set():
                 return
-            if name in session.features or name in failed:
+            if name in session.trusts or name in failed:
                 continue
             try:
-                image = read_image(session.images.path(name))
-                session.features[name] = view_features(image, session.view(name))
+                session.view(name)
             except (InputError, OSError):
                 failed.add(name)
         stop.wait(2)

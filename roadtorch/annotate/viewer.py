@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from roadtorch.annotate.server import Address, SlowClientProtocol, bind_socket, page_app
+from roadtorch.annotate.server import Address, bind_socket, page_app
 from roadtorch.base.image import jpeg_bytes
 from roadtorch.detectors.detection import Detection
 from roadtorch.inputs.item import Item
@@ -34,7 +34,6 @@ class Viewer:
         routes = [Route("/api/frame", self._frame)]
         config = uvicorn.Config(
             page_app("view.html", routes, token),
-            http=SlowClientProtocol,
             log_level="error",
             timeout_graceful_shutdown=1,
         )

@@ -6,23 +6,18 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
-import uvicorn
 from starlette.applications import Starlette
-from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
-from uvicorn.server import ServerState
 
 from roadtorch.annotate.server import (
     MAX_BODY,
     PAGE_FOLDER,
     AccessMiddleware,
-    SlowClientProtocol,
     make_app,
 )
 from roadtorch.annotate.session import Session
@@ -133,48 +128,6 @@ def test_who_is_cut_off_at_the_end_is_told_to_ask_again() -> None:
             return await request
 
     assert asyncio.run(answered()).status_code == 503
-
-
-@pytest.mark.parametrize(
-    ("sent", "reads", "expected"),
-    [
-        (b"", True, b""),
-        (b"GET / HTTP/1.1\r\nHost:", True, b""),
-        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\nab", True, b""),
-        (b"GET /large HTTP/1.1\r\nHost: x\r\n\r\n", False, b""),
-        (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", True, b"HTTP/1.1 200 OK"),
-    ],
-    ids=["silent", "half a head", "half a body", "does not read", "slow to answer"],
-)
-def test_who_keeps_the_server_waiting_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: bytes, reads: bool, expected: bytes
-) -> None:
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        while (await receive()).get("more_body"):
-            pass
-        await asyncio.sleep(0.3)  # longer than a client may take
-        large = scope["path"] == "/large"
-        await Response(bytes(2**24 if large else 1))(scope, receive, send)
-
-    async def served() -> bytes:
-        loop, state = asyncio.get_running_loop(), ServerState()
-        config = uvicorn.Config(app, lifespan="off", log_level="critical")
-        path = str(tmp_path / "socket")
-        server = await loop.create_unix_server(lambda: SlowClientProtocol(config, state, {}), path)
-        reader, writer = await asyncio.open_unix_connection(path, limit=2**12)
-        writer.write(sent)
-        while not state.connections:
-            await asyncio.sleep(0.01)
-        line = await reader.readline() if reads else b""
-        while not expected and state.connections:
-            await asyncio.sleep(0.01)
-        writer.transport.abort()
-        server.close()
-        await asyncio.sleep(0.05)  # until both ends know
-        return line.strip()
-
-    monkeypatch.setattr("roadtorch.annotate.server.CLIENT_TIMEOUT", 0.1)
-    assert asyncio.run(asyncio.wait_for(served(), 300)) == expected
 
 
 def test_every_answer_has_its_policy(client: Client) -> None:

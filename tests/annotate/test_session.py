@@ -186,6 +186,17 @@ def test_the_report_says_what_the_time_bought(session: Session) -> None:
     assert lines[6].startswith("per ten minutes: 10.0 confirmed images, 10 clicks")
 
 
+def test_the_least_trusted_images_come_first_and_confirmed_ones_last(session: Session) -> None:
+    def names() -> list[str]:
+        return [entry["name"] for entry in session.listing()]
+
+    assert names() == ["street_0.png", "street_1.png", "street_2.png"]
+    session.trusts |= {"street_0.png": 0.9, "street_1.png": 0.2, "street_2.png": 0.1}
+    assert names() == ["street_2.png", "street_1.png", "street_0.png"]
+    session.add("street_2.png", Confirm(kind="confirm", id="a"))
+    assert names() == ["street_1.png", "street_0.png", "street_2.png"]
+
+
 # --- addresses --------------------------------------------------------------------------
 
 
