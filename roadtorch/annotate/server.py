@@ -17,6 +17,7 @@ import shlex
 import socket
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -38,7 +39,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from roadtorch.annotate.session import Session, compute_views
 from roadtorch.base.atomic import atomic_write
-from roadtorch.base.errors import ConfigError, RoadtorchError, UnwritableError
+from roadtorch.base.errors import RoadtorchError, UnwritableError
 from roadtorch.base.image import jpeg_bytes, read_image, to_pixels
 from roadtorch.base.settings import Settings
 from roadtorch.data.events import parse_event
@@ -293,24 +294,12 @@ def write_address(out: Path, address: Address) -> None:
             json.dump(address.model_dump(), file)
 
 
-def bind_socket(port: int | None, last: int | None) -> socket.socket:
-    """Open a listening socket on the loopback interface.
-
-    port: of the option --port; ConfigError where it is taken. None takes the last port,
-    ``FIRST_PORT``, or any free one.
-    """
-    for candidate in [last or FIRST_PORT, FIRST_PORT, 0] if port is None else [port]:
-        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        if os.name == "posix":
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listening.bind((HOST, candidate))
-            listening.listen()
-        except OSError:
-            listening.close()
-        else:
-            return listening
-    raise ConfigError("--port", f"{port} is taken", "give another port, or leave it out")
+def bind_socket(last: int = FIRST_PORT) -> socket.socket:
+    """Open a socket that listens on the loopback, at the last port or any free one."""
+    for port in (last, FIRST_PORT):
+        with suppress(OSError):
+            return socket.create_server((HOST, port))
+    return socket.create_server((HOST, 0))
 
 
 @dataclass(eq=False)
@@ -338,10 +327,10 @@ class PageServer:
         self._server.should_exit = True
 
 
-def make_page_server(session: Session, port: int | None = None) -> PageServer:
-    """Create the server of a session and keep its address; ConfigError for a port that is taken."""
+def make_page_server(session: Session) -> PageServer:
+    """Create the server of a session, at its last address where that is free, and keep it."""
     last = read_address(session.out)
-    listening = bind_socket(port, last.port if last else None)
+    listening = bind_socket(last.port if last else FIRST_PORT)
     token = last.token if last else secrets.token_urlsafe(24)
     address = Address(port=listening.getsockname()[1], token=token)
     write_address(session.out, address)

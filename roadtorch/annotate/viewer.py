@@ -26,7 +26,7 @@ class Viewer:
     """A page that shows each frame as it is written, while the block runs, at ``address``."""
 
     def __init__(self) -> None:
-        self._listening, token = bind_socket(None, None), secrets.token_urlsafe(24)
+        self._listening, token = bind_socket(), secrets.token_urlsafe(24)
         self.address = Address(port=self._listening.getsockname()[1], token=token)
         self._changed, self._number, self._ended = Condition(), 0, False
         self._newest: tuple[Item, Detection] | None = None

@@ -13,7 +13,6 @@ LABEL_FORMAT = click.Choice(("png", "coco"))
 @click.command(cls=SectionedCommand)
 @click.argument("folder", type=PATH)
 @click.option("--out", type=PATH, help="Folder of the corrections. [FOLDER/corrections]")
-@click.option("--port", type=click.IntRange(1, 65535), help="Port of the page. [a free one]")
 @detector_options
 @click.option("--report", "reports", is_flag=True, help="Print a report on corrections and exit.")
 @click.option("--export", "exported", type=LABEL_FORMAT, help="Write the corrections to --to.")
@@ -27,7 +26,6 @@ def annotate_command(
     context: click.Context,
     folder: Path,
     out: Path | None,
-    port: int | None,
     choice: DetectorOptions,
     reports: bool,
     exported: str | None,
@@ -82,7 +80,7 @@ def annotate_command(
         count = len(find_images([folder], out))
         detector, _ = choice.load()
         context.with_resource(lock_folder(out))
-        server = make_page_server(open_session(folder, out, detector), port)
+        server = make_page_server(open_session(folder, out, detector))
         click.echo(f"{count} images; corrections are saved in {out}")
         click.echo(f"Open {server.address.url}  (press Ctrl-C to stop)")
         server.run()

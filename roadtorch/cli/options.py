@@ -187,7 +187,7 @@ QUIET_OPTION = click.option("--quiet", is_flag=True, help="Print only failures, 
 # --- options without effect ---------------------------------------------------------------
 
 MODES = "without --report --export --import"
-PAGE = ("--detector", "--set", "--config", "--runtime", "--port")
+PAGE = ("--detector", "--set", "--config", "--runtime")
 SCORING = "--split --against --bev --conditions --leave-out --mean-from --threshold-from --limit"
 FOOTAGE = ("--smoothing", "--view", *(f"--save {kind}" for kind in FOOTAGE_KINDS))
 
