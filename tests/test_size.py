@@ -15,7 +15,7 @@ from roadtorch.cli.group import COMMANDS, main
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {".py", ".sh", ".c", ".js", ".css", ".html"}
 LINES = {
-    "roadtorch/annotate": 2_345,
+    "roadtorch/annotate": 2_210,
     "roadtorch/base": 2_180,
     "roadtorch/camera": 2_160,
     "roadtorch/cli": 1_990,
@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 4_450,
     "roadtorch/ufl": 1_355,
     "scripts": 4_795,
-    "tests": 28_980,
+    "tests": 28_830,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""
