@@ -3,7 +3,6 @@
 import base64
 import re
 import string
-import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPException, HTTPMessage, HTTPResponse
@@ -80,7 +79,7 @@ def open_url(url: str) -> Iterator[HTTPResponse]:
         error.close()
         problem = f"returned {error.code} {error.reason}"
         raise InputError(origin, problem, "check the address") from None
-    except (OSError, HTTPException, ValueError, zlib.error) as error:
+    except (OSError, HTTPException, ValueError) as error:
         cause = getattr(error, "reason", error)
         text = str(cause) or "no response"
         if isinstance(cause, TimeoutError):
@@ -103,25 +102,12 @@ def read_url(url: str) -> bytes:
 
 
 def read_chunks(response: HTTPResponse, size: int = READ_SIZE) -> Iterator[bytes]:
-    """Yield the body of a response, unpacked if the server packed it unasked (RFC 9110, 8.4).
-
-    Raises ValueError where the body is truncated, or packed in another way than gzip and deflate.
-    """
-    coding = response.headers.get("Content-Encoding", "identity").strip().lower()
-    if coding not in ("", "identity", "gzip", "x-gzip", "deflate"):
+    """Yield the body of a response; ValueError where it is truncated, or packed unasked."""
+    if (coding := response.headers.get("Content-Encoding", "identity")) != "identity":
         raise ValueError(f"it is packed by {coding}, which is not read")
-    is_packed = coding not in ("", "identity")
-    unpack, window = zlib.decompressobj(zlib.MAX_WBITS | 32), zlib.MAX_WBITS | 32  # either header
     received, length = 0, response.headers.get("Content-Length", "")
     while chunk := response.read(size):
         received += len(chunk)
-        if not is_packed:
-            yield chunk
-        while is_packed and chunk:
-            unpack = zlib.decompressobj(window) if unpack.eof else unpack  # another gzip member
-            yield unpack.decompress(chunk, READ_SIZE)
-            chunk = unpack.unused_data or unpack.unconsumed_tail
+        yield chunk
     if length.isdigit() and received < int(length):
         raise ValueError(f"it is truncated after {received:,} of {int(length):,} bytes")
-    if is_packed and not unpack.eof:
-        raise ValueError(f"it is truncated after {received:,} packed bytes")

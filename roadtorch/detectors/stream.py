@@ -149,8 +149,6 @@ def detect_stream(
     selection: Selection = Selection(),  # noqa: B008 - it is frozen
     *,
     smoothing: bool | TemporalFilter = True,
-    progress: Callable[[int, float | None], None] | None = None,
-    failed: Callable[[Item, RoadtorchError], None] | None = None,
 ) -> Generator[Detection]:
     """Detect the road in each frame of a video, camera, stream, bag or folder of images.
 
@@ -162,15 +160,13 @@ def detect_stream(
         selection: frames to process, unless the source is your own.
         smoothing: whether the likelihoods of footage are smoothed over time, as by ``infer``
             does unless it gets ``--no-smoothing``; or a filter for this source alone.
-        progress: called after each frame with the number of frames and the frame's seconds.
-        failed: called with each frame that has no result, which is then skipped; without it the
-            frame's error is raised.
 
     Yields:
         A detection for each frame, in order, on the CPU; ``name`` and ``seconds`` tell which.
 
     Raises:
-        InputError: The source cannot be opened; or it is cut, after its last frame.
+        InputError: The source cannot be opened, a frame cannot be used, or the source is cut, after
+            its last frame.
 
     >>> from roadtorch import detect_stream, load_detector
     >>> for detection in detect_stream("street.jpg", load_detector("prior:rows")):
@@ -186,10 +182,5 @@ def detect_stream(
     if smoothing is True and source.footage:
         temporal_filter = TemporalFilter(TemporalFilterSettings())
     with closing(detect_frames(source, detector, temporal_filter)) as frames:
-        for done, frame in enumerate(frames, 1):
-            if failed is not None and isinstance(frame.outcome, RoadtorchError):
-                failed(frame.item, frame.outcome)
-            else:
-                yield frame.detection()
-            if progress is not None:
-                progress(done, frame.item.seconds)
+        for frame in frames:
+            yield frame.detection()

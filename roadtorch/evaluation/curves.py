@@ -103,18 +103,6 @@ def area(curve: Curve) -> Tensor:
     return torch.trapezoid(curve.y, curve.x)
 
 
-def equal_error_rate(curve: Curve) -> Tensor:
-    """Compute the rate at which FPR equals 1 - TPR, linear between points; float64 (...).
-
-    The ROC curves have to start at (0, 0). NaN where a curve is undefined.
-    """
-    excess = 1 - curve.y - curve.x  # from 1 down to -1
-    after = (excess <= 0).to(torch.uint8).argmax(-1, keepdim=True).clamp(min=1)
-    above, below = excess.gather(-1, after - 1), excess.gather(-1, after)
-    x_before, x_after = curve.x.gather(-1, after - 1), curve.x.gather(-1, after)
-    return (x_before + above / (above - below) * (x_after - x_before))[..., 0]
-
-
 # --- calibration: is a fraction p of the pixels with likelihood p road? --------------------
 
 # Likelihoods are those of the levels, at the default 65,536 less than 1e-5 from the pixels'. Brier,

@@ -121,15 +121,6 @@ ROAD_MEASURES = (
     ),
     IOU,
     Measure(
-        "eer",
-        "EER",
-        "Rate at which the false positive and the false negative rate are equal.",
-        lambda part: curves.equal_error_rate(curves.operating_points(part.road)),
-        better="lower",
-        interval=True,
-        tables=("scores",),
-    ),
-    Measure(
         "brier",
         "Brier",
         "Mean squared difference of likelihood and truth.",

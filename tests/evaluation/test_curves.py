@@ -28,7 +28,6 @@ def test_vertical_average_of_the_worked_example():
     assert average == pytest.approx([0.375, 0.45, 0.8125, 1.0], abs=1e-12)
     assert (curve.x[:2].tolist(), curve.y[:2].tolist()) == ([0, 0], [0, 0.375])
     assert float(curves.area(curve)) == pytest.approx(0.8552, abs=6e-5)
-    assert float(curves.equal_error_rate(curve)) == pytest.approx(0.247664, abs=6e-7)
 
 
 # --- brute force and scikit-learn -----------------------------------------------------------------
@@ -52,9 +51,6 @@ def test_curves_equal_counting_at_every_score_and_scikit_learn(scores, road):
     assert curve.x.tolist() == pytest.approx(false_rates.tolist(), abs=1e-12)
     assert curve.y.tolist() == pytest.approx(true_rates.tolist(), abs=1e-12)
     assert float(curves.area(curve)) == pytest.approx(roc_auc_score(*flat), abs=1e-12)
-    assert float(curves.equal_error_rate(curve)) == pytest.approx(
-        slow.equal_error_rate(slow.roc(scores, road)), abs=1e-12
-    )
 
 
 @pytest.mark.parametrize("steps", [7, 10, 100])
@@ -109,7 +105,6 @@ def test_calibration_equals_scikit_learn(bins):
         lambda counts: metrics.max_f(counts)[0],
         lambda counts: curves.operating_points(counts).x,
         lambda counts: curves.area(curves.operating_points(counts)),
-        lambda counts: curves.equal_error_rate(curves.operating_points(counts)),
         lambda counts: curves.vertical_sample(counts, 10),
     ],
 )
@@ -127,7 +122,6 @@ def test_curves_of_one_class_are_nan(road):
     lacking = count([0.2, 0.6], road, 11)
 
     assert bool(curves.vertical_sample(lacking, 5).isnan().all())
-    assert bool(curves.equal_error_rate(curves.operating_points(lacking)).isnan())
     assert bool(curves.area(curves.roc(lacking)).isnan())
     nothing = RoadCounts(torch.zeros(256, dtype=torch.int64), torch.zeros(256, dtype=torch.int64))
     assert curves.brier_score(nothing).isnan()

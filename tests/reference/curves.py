@@ -1,7 +1,5 @@
 """ROC curves and their averages, slow and simple, from pixels, in NumPy."""
 
-from itertools import pairwise
-
 import numpy as np
 
 Points = list[tuple[float, float]]
@@ -28,12 +26,3 @@ def height(points: Points, x: float) -> float:
         return points[k][1]
     (start, low), (end, high) = points[k], points[k + 1]
     return low + (high - low) * (x - start) / (end - start)
-
-
-def equal_error_rate(points: Points) -> float:
-    """Walk along the curve until FPR is no longer below 1 - TPR; step back to the crossing."""
-    for (f, t), (g, u) in pairwise(points):
-        gap, next_gap = 1 - t - f, 1 - u - g
-        if next_gap <= 0:
-            return f + gap / (gap - next_gap) * (g - f)
-    raise AssertionError("a ROC curve ends at (1,1)")

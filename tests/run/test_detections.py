@@ -115,40 +115,17 @@ def test_a_method_selects_frames_and_swapped_arguments_are_named(tmp_path: Path)
         list(detect_stream(*swapped))
 
 
-def test_leaving_the_loop_and_an_error_in_it_close_the_source() -> None:
+def test_leaving_the_loop_and_a_bad_frame_close_the_source() -> None:
     closed: list[bool] = []
     frames = detect_stream(scene_source(10**6, closed), ROWS)
     for _ in range(3):
         next(frames)
     frames.close()
 
-    def fail(done: int, _: float | None) -> None:
-        if done == 2:
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        list(detect_stream(scene_source(10**6, closed), ROWS, progress=fail))
+    with pytest.raises(InputError, match="frame 1: is broken"):
+        list(detect_stream(scene_source(10**6, closed, bad=1), ROWS))
 
     assert closed == [True, True]
-
-
-def test_progress_is_told_and_a_bad_frame_is_raised_or_told() -> None:
-    progress: list[tuple[int, float | None]] = []
-    missed: list[str] = []
-
-    def note(item: Item, error: RoadtorchError) -> None:
-        missed.append(f"{item.name} {error.problem}")
-
-    source = scene_source(3, bad=1)
-    frames = list(
-        detect_stream(source, ROWS, failed=note, progress=lambda *at: progress.append(at))
-    )
-
-    assert [frame.name for frame in frames] == ["x/0", "x/2"]
-    assert missed == ["x/1 is broken"]
-    assert progress == [(1, 0.0), (2, 0.1), (3, 0.2)]
-    with pytest.raises(InputError, match="frame 1: is broken"):
-        list(detect_stream(source, ROWS))
 
 
 def mapping(workers: Workers) -> Callable[..., Any]:
