@@ -280,11 +280,6 @@ def write_labels(path: str | os.PathLike[str], labels: Tensor) -> None:
     _write_encoded(path, ".png", labels.cpu().numpy().astype(np.uint8))
 
 
-def write_rgb_png(path: str | os.PathLike[str], image: Tensor) -> None:
-    """Write an image in [0, 1], shape (3, H, W), as 8-bit RGB PNG."""
-    _write_encoded(path, ".png", _to_bgr(to_pixels(image)))
-
-
 def overlay_pixels(
     image: Tensor, mask: Tensor, ego: Tensor | None = None, caption: str = ""
 ) -> np.ndarray:
@@ -307,8 +302,8 @@ def overlay_pixels(
     return draw_caption(tint_mask(pixels, mask.cpu().numpy()), caption)
 
 
-def write_jpeg(path: str | os.PathLike[str], image: Tensor) -> None:
-    """Write an image in [0, 1], shape (3, H, W), as JPEG, or as PNG if the name ends so."""
+def write_rgb(path: str | os.PathLike[str], image: Tensor) -> None:
+    """Write an image in [0, 1], shape (3, H, W), as PNG if the name ends so, else as JPEG."""
     write_pixels(path, to_pixels(image))
 
 
@@ -347,24 +342,16 @@ def draw_caption(pixels: np.ndarray, caption: str) -> np.ndarray:
     if not caption:
         return pixels
     size = max(MIN_FONT_SIZE, round(min(pixels.shape[:2]) / 22))
-    rim, letters = render_caption(caption, size)
-    corner = pixels[: rim.shape[0], : rim.shape[1]]
-    for opacity, level in ((rim, 0), (letters, 255)):
-        opacity = opacity[: corner.shape[0], : corner.shape[1]]
-        blend = (255 - opacity) * corner + opacity * level + np.uint16(128)
-        corner[:] = (blend + (blend >> 8)) >> 8  # divided by 255, as Pillow does
+    corner = pixels[: 2 * size, : size * (len(caption) + 1)]
+    image, rim = Image.fromarray(corner), max(1, size // 12)
+    at, font = (size // 2, size // 2), load_font(size)
+    ImageDraw.Draw(image).text(at, caption, "white", font, stroke_width=rim, stroke_fill="black")
+    corner[:] = np.asarray(image)
     return pixels
 
 
-@lru_cache(maxsize=256)
-def render_caption(caption: str, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the opacity, uint16 (h, w, 1), 0 to 255, of a caption's rim and of its letters."""
-    layers, font = [], ImageFont.load_default(size)
-    for rim in (max(1, size // 12), 0):
-        layer = Image.new("L", (size * (len(caption) + 1), 2 * size))
-        ImageDraw.Draw(layer).text((size // 2, size // 2), caption, 255, font, stroke_width=rim)
-        layers.append(np.asarray(layer, np.uint16)[..., None])
-    return layers[0], layers[1]
+load_font = lru_cache(ImageFont.load_default)
+"""Return Pillow's font of a size in pixels."""
 
 
 def to_pixels(image: Tensor) -> np.ndarray:

@@ -33,7 +33,7 @@ def camera_command(
     """
     from roadtorch.base.atomic import claim_results, relative_name
     from roadtorch.base.errors import ConfigError
-    from roadtorch.base.image import write_jpeg
+    from roadtorch.base.image import write_rgb
     from roadtorch.base.progress import Progress
     from roadtorch.camera.calibration import read_camera_info
     from roadtorch.camera.camera import Camera, draw_check_image
@@ -57,7 +57,7 @@ def camera_command(
         camera = camera.model_copy(update={"grid": earlier.grid}) if earlier else camera
         camera.write(out)
         sample = positions[:: max(1, len(positions) // MEAN_FRAMES)]
-        write_jpeg(check_file, draw_check_image(camera, list(read_frames(sample))))
+        write_rgb(check_file, draw_check_image(camera, list(read_frames(sample))))
     ego = "none found"
     if has_ego_car(camera.ego):
         rows = outline_rows(camera.ego.outline, camera.width)

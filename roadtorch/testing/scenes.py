@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.base.image import write_rgb_png
+from roadtorch.base.image import write_rgb
 from roadtorch.layout import classes as layout
 
 SCENE_SKY, BUILDING, ROAD, PAVEMENT, TREE, CAR, VOID = 0, 1, 3, 4, 5, 8, 11
@@ -377,7 +377,7 @@ def render_scene(seed: int, height: int = 240, width: int = 320, **options: floa
 def write_image(path: Path, scene: RenderedScene) -> None:
     """Write the scene's image as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_rgb_png(path, scene.image)
+    write_rgb(path, scene.image)
 
 
 def write_scenes() -> None:

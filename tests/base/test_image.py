@@ -23,7 +23,7 @@ from roadtorch.base.image import (
     write_mask,
     write_npy,
     write_pixels,
-    write_rgb_png,
+    write_rgb,
 )
 from tests.base.test_decoding import tiff
 
@@ -194,7 +194,7 @@ def test_masks_labels_colours_and_arrays_keep_their_values(tmp_path: Path) -> No
 
     write_mask(tmp_path / "mask.png", torch.tensor([[True, False]]))
     write_labels(tmp_path / "labels.png", torch.tensor([[0, 2, 255]]))
-    write_rgb_png(tmp_path / "image.png", image)
+    write_rgb(tmp_path / "image.png", image)
     write_npy(tmp_path / "image.npy", image)
     write_pixels(tmp_path / "overlay.jpg", overlay_pixels(image, torch.ones(5, 7).bool()))
 

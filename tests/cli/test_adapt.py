@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from roadtorch.base.errors import InputError
-from roadtorch.base.image import read_image, write_rgb_png
+from roadtorch.base.image import read_image, write_rgb
 from roadtorch.base.settings import find_config, read_settings_file
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
@@ -106,7 +106,7 @@ def test_a_run_cut_short_before_its_first_checkpoint_goes_on(
 
 def test_static_footage_is_reported_and_not_judged(street: Path, tmp_path: Path) -> None:
     for number in range(10):
-        write_rgb_png(tmp_path / f"{number:02d}.png", read_image(street / "00.png"))
+        write_rgb(tmp_path / f"{number:02d}.png", read_image(street / "00.png"))
 
     done = adapt(tmp_path, "--out", tmp_path / "out", *SHORT)
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 
-from roadtorch.base.image import read_image, write_rgb_png
+from roadtorch.base.image import read_image, write_rgb
 from roadtorch.camera.camera import Camera
 from roadtorch.cli import main
 from roadtorch.inputs.find import locate_frames, read_frames
@@ -151,7 +151,7 @@ def test_infer_leaves_the_car_out(
     call: Call, street: Path, camera_file: Path, tmp_path: Path
 ) -> None:
     foreign = tmp_path / "foreign.png"
-    write_rgb_png(foreign, scene(40, 120, 160).image)
+    write_rgb(foreign, scene(40, 120, 160).image)
     out = tmp_path / "out"
 
     result = call(
@@ -176,9 +176,9 @@ def test_evaluate_takes_it_for_all(
     (root / "masks").mkdir()
     car = ego_car(torch.zeros(3, 120, 160), Camera.read(camera_file).ego)
     for number in range(2):
-        write_rgb_png(root / "images" / f"{number}.png", read_image(street / f"{number:02d}.png"))
+        write_rgb(root / "images" / f"{number}.png", read_image(street / f"{number:02d}.png"))
         road = scene(number, 120, 160, horizon=0.42, dusk=0.0).road & ~car
-        write_rgb_png(root / "masks" / f"{number}.png", road.expand(3, -1, -1).float())
+        write_rgb(root / "masks" / f"{number}.png", road.expand(3, -1, -1).float())
 
     result = call(
         *("evaluate", "folder", root, "--detector", "prior:rows", "--detector", "cpf"),

@@ -10,7 +10,7 @@ import torch
 from scipy.stats import rankdata
 from torch import Tensor
 
-from roadtorch.base.image import write_rgb_png
+from roadtorch.base.image import write_rgb
 from roadtorch.base.settings import merge, read_settings_file
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.imaging.color import REPRESENTATIONS
@@ -90,7 +90,7 @@ def test_the_mask_of_equations_1_to_4_without_isolated_areas() -> None:
 def test_an_epoch_of_training_is_the_text_of_alvarez_et_al(tmp_path: Path) -> None:
     image = real_image("motorway", 64, 48)
     (tmp_path / "images").mkdir()
-    write_rgb_png(tmp_path / "images" / "one_1.png", image.float())
+    write_rgb(tmp_path / "images" / "one_1.png", image.float())
     changes = {"stopping": {"rule": "epochs", "epochs": 1}, "descent": {"batch": 16}}
     paper = read_settings_file(ROOT / "configs/cnn7-paper.toml")
     training = build_training(merge(paper, changes))

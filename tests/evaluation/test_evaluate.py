@@ -10,7 +10,7 @@ import torch
 
 from roadtorch.base.atomic import write_json
 from roadtorch.base.errors import ConfigError, DatasetError, InputError, UnscorableError
-from roadtorch.base.image import read_image, write_rgb_png
+from roadtorch.base.image import read_image, write_rgb
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.dataset import Dataset, leave_out
 from roadtorch.detectors.catalogue import load_detector
@@ -182,7 +182,7 @@ def test_labels_without_any_road_are_an_error(tmp_path):
     for folder in ("images", "masks"):
         (tmp_path / folder).mkdir()
         image = next(iter(SCENES.values())).image
-        write_rgb_png(tmp_path / folder / "a.png", image if folder == "images" else 0 * image)
+        write_rgb(tmp_path / folder / "a.png", image if folder == "images" else 0 * image)
 
     with pytest.raises(UnscorableError, match="no label has any road") as caught:
         evaluate(open_dataset("folder", tmp_path), ["prior:rows"])
@@ -194,7 +194,7 @@ def test_failed_maps_are_named_where_no_other_image_has_road(tmp_path):
         np.save(tmp_path / f"{name}.npy", np.full((16, 16), np.nan if level else 0.0))
         for folder in (tmp_path / "images", tmp_path / "masks"):
             folder.mkdir(exist_ok=True)
-            write_rgb_png(folder / f"{name}.png", torch.full((3, 16, 16), level))
+            write_rgb(folder / f"{name}.png", torch.full((3, 16, 16), level))
 
     with pytest.raises(
         UnscorableError, match=r"no label has any road in the 1 .*b\.npy: holds NaN"

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from roadtorch.annotate.session import open_session
-from roadtorch.base.image import write_mask, write_rgb_png
+from roadtorch.base.image import write_mask, write_rgb
 from roadtorch.camera.camera import Camera, Ego
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
@@ -267,7 +267,7 @@ def test_a_training_with_another_file_is_refused(
     error: str,
 ) -> None:
     for number, frame in enumerate(drive()):
-        write_rgb_png(root / f"drive/{number:02d}.png", frame)
+        write_rgb(root / f"drive/{number:02d}.png", frame)
     words = [*split_command(root, line), "--out", tmp_path / "out"]
     with monkeypatch.context() as cut:
         cut.setattr(TrainingRun, "_train", Mock(side_effect=KeyboardInterrupt))

@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from roadtorch.base.image import read_image, write_jpeg
+from roadtorch.base.image import read_image, write_rgb
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.run.loop import Inference
@@ -204,9 +204,9 @@ def test_a_detector_that_trips_costs_one_row(
 
 def test_the_five_least_trusted_images_are_named_in_order(call: Call, tmp_path: Path) -> None:
     for seed in range(6):
-        write_jpeg(tmp_path / f"street-{seed}.jpg", render_scene(seed, 120, 160).image)
+        write_rgb(tmp_path / f"street-{seed}.jpg", render_scene(seed, 120, 160).image)
     noise = torch.rand(3, 120, 160, generator=torch.Generator().manual_seed(0))
-    write_jpeg(tmp_path / "noise.jpg", noise)
+    write_rgb(tmp_path / "noise.jpg", noise)
 
     result = call("infer", tmp_path, "--out", tmp_path / "out")
 

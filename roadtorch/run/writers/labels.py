@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from roadtorch.base.image import write_jpeg, write_labels
+from roadtorch.base.image import write_labels, write_rgb
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import validate_image
 from roadtorch.inputs.item import Item
@@ -53,5 +53,5 @@ class LabelWriter:
         write_labels(self.folder / f"{item.name}{LABEL_SUFFIXES['labels']}", labels)
         if "overlay" in self.kinds:
             tinted = torch.lerp(image, colour_layout(labels), LAYOUT_OPACITY)
-            write_jpeg(self.folder / f"{item.name}{LABEL_SUFFIXES['overlay']}", tinted)
+            write_rgb(self.folder / f"{item.name}{LABEL_SUFFIXES['overlay']}", tinted)
         return {}

@@ -15,7 +15,7 @@ from roadtorch.base.image import (
     write_mask,
     write_npy,
     write_pixels,
-    write_rgb_png,
+    write_rgb,
 )
 from roadtorch.base.version import __version__
 from roadtorch.data.polygons import coco_annotation
@@ -80,7 +80,7 @@ class MapWriter:
             write_npy(path(MAP_SUFFIXES["npy"]), detection.likelihood)
         for name, cue in detection.cues.items() if kinds & CUE_SUFFIXES.keys() else ():
             if "cues" in kinds:
-                write_rgb_png(path(CUE_SUFFIXES["cues"].format(name)), cue_image(name, cue.cpu()))
+                write_rgb(path(CUE_SUFFIXES["cues"].format(name)), cue_image(name, cue.cpu()))
             if "npy" in kinds:
                 write_npy(path(CUE_SUFFIXES["npy"].format(name)), cue)
         if "polygons" in kinds:

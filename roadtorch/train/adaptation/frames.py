@@ -16,7 +16,7 @@ from torch import Tensor
 from roadtorch.base.atomic import make_folder, write_json
 from roadtorch.base.bounded import read_regular
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.base.image import write_jpeg
+from roadtorch.base.image import write_rgb
 from roadtorch.base.progress import Progress
 from roadtorch.imaging.resize import resize_to_work
 from roadtorch.inputs.find import Inputs, find_inputs
@@ -118,7 +118,7 @@ def _write_frames(inputs: Inputs, folder: Path, limit: int, quiet: bool) -> Samp
         has_times = has_times or seconds is not None
         if number // RUN_LENGTH % step:
             continue
-        write_jpeg(folder / f"{number:08d}.jpg", resize_to_work(image, FRAME_SIZE))
+        write_rgb(folder / f"{number:08d}.jpg", resize_to_work(image, FRAME_SIZE))
         numbers.append(number)
         if len(numbers) >= 2 * limit:
             step *= 2

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roadtorch.base.errors import ConfigError, InputError, RoadtorchError
-from roadtorch.base.image import read_image, write_jpeg
+from roadtorch.base.image import read_image, write_rgb
 from roadtorch.testing.scenes import render_scene, write_image
 from roadtorch.train.adaptation.frames import SampledFrames, sample_frames
 from tests.videos import write_video
@@ -44,7 +44,7 @@ def test_of_too_many_stretches_stay_evenly_spread(tmp_path: Path) -> None:
     drive = tmp_path / "drive"
     drive.mkdir()
     for number in range(60):
-        write_jpeg(drive / f"{number:02d}.jpg", torch.full((3, 32, 48), number / 60))
+        write_rgb(drive / f"{number:02d}.jpg", torch.full((3, 32, 48), number / 60))
 
     sample = sample_of(drive, tmp_path, 20)
 
@@ -80,7 +80,7 @@ def test_frames_of_a_run_that_was_cut_short_are_kept_anew(
             raise KeyboardInterrupt
         path.write_bytes(b"")
 
-    monkeypatch.setattr("roadtorch.train.adaptation.frames.write_jpeg", full)
+    monkeypatch.setattr("roadtorch.train.adaptation.frames.write_rgb", full)
     with pytest.raises(KeyboardInterrupt):
         sample_of(images, tmp_path)
     monkeypatch.undo()

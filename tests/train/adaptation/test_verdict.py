@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from roadtorch import load_detector
-from roadtorch.base.image import write_jpeg
+from roadtorch.base.image import write_rgb
 from roadtorch.base.settings import find_config, merge, read_settings_file
 from roadtorch.evaluation.metrics import ConfusionCounts, f_measure
 from roadtorch.inputs.images import find_images
@@ -47,8 +47,8 @@ def test_views_of_one_place_become_alike_and_others_stay(tmp_path: Path) -> None
     street, generator = render_scene(1, 120, 160).image, seeded_generator(0)
     for number in range(4):
         noise = 0.05 * torch.randn(street.shape, generator=generator)
-        write_jpeg(tmp_path / f"drive/{number}.jpg", (street + noise).clamp(0, 1))
-    write_jpeg(tmp_path / "drive/4.jpg", render_scene(2, 120, 160).image)
+        write_rgb(tmp_path / f"drive/{number}.jpg", (street + noise).clamp(0, 1))
+    write_rgb(tmp_path / "drive/4.jpg", render_scene(2, 120, 160).image)
     frames = sample_frames([str(tmp_path / "drive")], tmp_path / "frames", 10, quiet=True)
     labels, prepared = tmp_path / "labels", tmp_path / "prepared"
     training = training_of(teacher={"views": "one", "detector": "labeller"})
@@ -72,7 +72,7 @@ def streets(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Item], Path]
     folder, teacher = tmp_path_factory.mktemp("streets"), load_detector("fusion")
     (folder / "prepared").mkdir()
     for number in range(2):
-        write_jpeg(folder / f"{number}.jpg", render_scene(number, 96, 128).image)
+        write_rgb(folder / f"{number}.jpg", render_scene(number, 96, 128).image)
     images = find_images([str(folder / "*.jpg")])
     for image in images:
         road = teacher.detect(image.read()).mask.float()[None]
