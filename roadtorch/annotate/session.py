@@ -12,7 +12,6 @@ import numpy as np
 
 from roadtorch.annotate.views import (
     VIEWS_FOLDER,
-    AnnotationSettings,
     ImageView,
     ViewStore,
     corrected_layout,
@@ -226,14 +225,14 @@ class Session:
             chosen = np.isin(view.labels.numpy(), event.segments)
             changes["counts"] = encode_counts(resize_labels(chosen, view.size))
         if isinstance(event, Confirm):
-            odds = corrected_log_odds(view, log.labels, self.views.settings)
+            odds = corrected_log_odds(view, log.labels)
             changes["counts"] = encode_counts(corrected_road(odds, log.labels, view.size))
         return event.model_copy(update=changes)
 
     def _page_state(self, name: str, log: EventLog, view: ImageView) -> dict[str, object]:
-        odds = corrected_log_odds(view, log.labels, self.views.settings)
+        odds = corrected_log_odds(view, log.labels)
         road = corrected_road(odds, log.labels, view.shape)
-        layout = np.minimum(corrected_layout(view, log.labels, self.views.settings), 3)
+        layout = np.minimum(corrected_layout(view, log.labels), 3)
         layers = resize_labels(log.labels, view.shape) | road.astype(np.uint8) << 3 | layout << 4
         return {
             "name": name,
@@ -273,7 +272,7 @@ def open_session(folder: Path, out: Path, detector: Detector) -> Session:
     """
     read_logs(out)
     remove_leftovers(Path(below) for below, _, _ in os.walk(out / VIEWS_FOLDER))
-    views = ViewStore(out / VIEWS_FOLDER, detector, AnnotationSettings())
+    views = ViewStore(out / VIEWS_FOLDER, detector)
     return Session(ImageFolder(folder, out), views, out)
 
 

@@ -8,19 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from pydantic import Field
 from scipy import sparse
 from torch import Tensor
 
 from roadtorch.annotate.propagation import (
-    PropagationSettings,
     SegmentGraph,
     propagate,
     segment_graph,
 )
 from roadtorch.base.image import read_image
 from roadtorch.base.image_cache import image_cache
-from roadtorch.base.settings import Settings
 from roadtorch.data.events import (
     NO_ROAD_LABEL,
     NOT_ROAD,
@@ -50,16 +47,8 @@ EXCLUDED_LOG_ODDS = 0.05
 VIEWS_FOLDER = ".views"  # name of the folder of views in the folder of corrections
 MAX_VIEWS = 12  # in memory; each takes a few megabytes
 
-
-class AnnotationSettings(Settings):
-    """Settings of the page: working size, superpixels and propagation of corrections."""
-
-    working: WorkingSize = WorkingSize(pixels=640 * 480)
-    superpixels: Superpixels = Superpixels(pixels=64)
-    propagation: PropagationSettings = PropagationSettings()
-    min_labelled: float = Field(
-        default=0.5, gt=0, le=1, description="fraction of a superpixel labelled for it to count"
-    )
+PAGE_SIZE, PAGE_SUPERPIXELS = WorkingSize(pixels=640 * 480), Superpixels(pixels=64)
+MIN_LABELLED = 0.5  # fraction of a superpixel labelled for it to count
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +69,14 @@ class ImageView:
         return self.labels.shape[0], self.labels.shape[1]
 
 
-def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings) -> ImageView:
+def compute_view(image: Tensor, detector: Detector) -> ImageView:
     """Detect the road in an image (3, H, W), and compute its superpixels and their graph."""
     size = spatial_size(image)
     with image_cache():
         detection = Inference(detector)(image)
-        small = resize_maps(image, working_size(*size, settings.working)).clamp(0, 1)
+        small = resize_maps(image, working_size(*size, PAGE_SIZE)).clamp(0, 1)
         shape = spatial_size(small)
-        labels = settings.superpixels.cut(small)
+        labels = PAGE_SUPERPIXELS.cut(small)
         segments = measure_segments(small, labels)
     threshold = torch.tensor(detector.settings.threshold)
     odds = log_odds(resize_maps(detection.likelihood, shape)) - log_odds(threshold)
@@ -98,21 +87,19 @@ def compute_view(image: Tensor, detector: Detector, settings: AnnotationSettings
         mean = segment_mean(resize_maps(potentials, shape), labels, segments.pixels)
         layout = log_odds(mean.T)
     mean = segment_mean(odds[None], labels, segments.pixels)[0]
-    graph = segment_graph(segments, settings.propagation)
+    graph = segment_graph(segments)
     return ImageView(size, odds, labels, mean, graph, layout, detection.trust)
 
 
-def corrected_log_odds(view: ImageView, labels: np.ndarray, settings: AnnotationSettings) -> Tensor:
+def corrected_log_odds(view: ImageView, labels: np.ndarray) -> Tensor:
     """Return the log odds of road (h, w), with labels (H, W) propagated."""
     road = road_layer(resize_labels(labels, view.shape))
-    evidence = _segment_votes(road == ROAD_LABEL, road == NOT_ROAD, view, settings)
-    shift = propagate(view.segment_odds, evidence, view.graph, settings.propagation)
+    evidence = _segment_votes(road == ROAD_LABEL, road == NOT_ROAD, view)
+    shift = propagate(view.segment_odds, evidence, view.graph)
     return view.odds + shift[view.labels]
 
 
-def corrected_layout(
-    view: ImageView, labels: np.ndarray, settings: AnnotationSettings
-) -> np.ndarray:
+def corrected_layout(view: ImageView, labels: np.ndarray) -> np.ndarray:
     """Return the layout, uint8 (h, w), with labels (H, W) propagated; 255 without a layout."""
     if not view.layout.shape[1]:
         return np.full(view.labels.shape, UNLABELLED, np.uint8)
@@ -120,19 +107,17 @@ def corrected_layout(
     odds = []
     for number, prior in enumerate(view.layout.unbind(1)):
         is_other = (layer != number) & (layer != UNLABELLED)
-        evidence = _segment_votes(layer == number, is_other, view, settings)
-        odds.append(prior + propagate(prior, evidence, view.graph, settings.propagation))
+        evidence = _segment_votes(layer == number, is_other, view)
+        odds.append(prior + propagate(prior, evidence, view.graph))
     return torch.stack(odds).argmax(0)[view.labels].numpy().astype(np.uint8)
 
 
-def _segment_votes(
-    yes: np.ndarray, no: np.ndarray, view: ImageView, settings: AnnotationSettings
-) -> Tensor:
+def _segment_votes(yes: np.ndarray, no: np.ndarray, view: ImageView) -> Tensor:
     """Return 1 or -1, (n,), by majority of masks (h, w), 0 where too few pixels are labelled."""
     index, count = view.labels.reshape(-1).numpy(), len(view.segment_odds)
     size = np.bincount(index, minlength=count)
     votes, against = (np.bincount(index[mask.reshape(-1)], minlength=count) for mask in (yes, no))
-    is_labelled = votes + against >= settings.min_labelled * size
+    is_labelled = votes + against >= MIN_LABELLED * size
     return torch.from_numpy(np.where(is_labelled, np.where(votes >= against, 1.0, -1.0), 0.0))
 
 
@@ -155,25 +140,24 @@ def corrected_road(odds: Tensor, labels: np.ndarray, size: tuple[int, int]) -> n
 
 @dataclass(eq=False)
 class ViewStore:
-    """A cache of views in memory and in ``folder``, valid while image and settings are the same."""
+    """A cache of views in memory and in ``folder``, valid while image and detector are the same."""
 
     folder: Path
     detector: Detector
-    settings: AnnotationSettings
     _views: OrderedDict[str, tuple[str, ImageView]] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
     _computing: threading.RLock = field(default_factory=threading.RLock, repr=False)
 
     def view(self, name: str, image: Path) -> ImageView:
         """Return the view of an image, computed if necessary; InputError for an unreadable one."""
-        key = cache_key(self._detector_key, self.settings, image)
+        key = cache_key(self._detector_key, image)
         with self._lock:
             entry = self._views.get(name)
         if entry is None or entry[0] != key:
             with self._computing:  # one image at a time: a detector uses all cores
                 view = read_view(path := view_path(self.folder, name), key)
                 if view is None:
-                    view = compute_view(read_image(image), self.detector, self.settings)
+                    view = compute_view(read_image(image), self.detector)
                     write_view(path, view, key)
                 entry = key, view
         with self._lock:

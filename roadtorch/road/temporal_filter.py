@@ -17,10 +17,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import torch
-from pydantic import Field
 from torch import Tensor
 
-from roadtorch.base.settings import Settings
 from roadtorch.imaging.motion import FAST_FLOW, dense_flow, flow_image, forward_backward_error, warp
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.road.bayes import log_odds
@@ -28,30 +26,16 @@ from roadtorch.road.bayes import log_odds
 BLUR_SIDE = 5  # pixels at the flow's size over which differences of the image are averaged
 
 
-class TemporalFilterSettings(Settings):
+class TemporalFilterSettings(NamedTuple):
     """Settings of temporal smoothing."""
 
-    memory: float = Field(
-        default=8.0, ge=0, le=1000, description="largest weight of the past, in frames"
-    )
-    width: int = Field(
-        default=320, ge=32, le=4096, description="width in pixels at which optical flow is computed"
-    )
-    flow_error: float = Field(
-        default=4.0, gt=0, le=100, description="tolerated forward-backward flow error, pixels"
-    )
-    relative_flow_error: float = Field(
-        default=0.2, ge=0, le=10, description="further tolerated error, as a fraction of the motion"
-    )
-    contrast: float = Field(
-        default=0.2, gt=0, le=10, description="tolerated change of brightness, 1 being white"
-    )
-    min_confidence: float = Field(
-        default=0.25, ge=0, le=1, description="mean flow confidence below which a cut is assumed"
-    )
-    ego_frames: float = Field(
-        default=30.0, ge=1, le=10_000, description="frames over which the ego car is averaged"
-    )
+    memory: float = 8.0  # largest weight of the past, in frames
+    width: int = 320  # width in pixels at which optical flow is computed
+    flow_error: float = 4.0  # tolerated forward-backward flow error, pixels
+    relative_flow_error: float = 0.2  # further tolerated error, as a fraction of the motion
+    contrast: float = 0.2  # tolerated change of brightness, 1 being white
+    min_confidence: float = 0.25  # mean flow confidence below which a cut is assumed
+    ego_frames: float = 30.0  # frames over which the ego car is averaged
 
 
 class Motion(NamedTuple):

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from roadtorch.annotate.propagation import PropagationSettings, propagate, segment_graph
+from roadtorch.annotate.propagation import ANCHOR, CONFIDENCE, CORRECTED, propagate, segment_graph
 from roadtorch.annotate.views import (
-    AnnotationSettings,
     ImageView,
     compute_view,
     corrected_layout,
@@ -19,8 +18,6 @@ from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.segments import Segments, measure_segments
 from roadtorch.imaging.slic import Superpixels
 from tests.streets import scene
-
-SETTINGS = PropagationSettings()
 
 
 def three_strips() -> Segments:
@@ -37,7 +34,7 @@ def test_one_click_mends_the_pavement_and_leaves_the_rest() -> None:
     odds = torch.where(strip == 2, -2.0, 2.0)  # the machine takes the pavement for road
     evidence = torch.zeros(len(odds))
     evidence[(strip == 1).nonzero()[0, 0]] = -1
-    after = odds + propagate(odds, evidence, segment_graph(segments, SETTINGS), SETTINGS)
+    after = odds + propagate(odds, evidence, segment_graph(segments))
     assert (after[strip == 1] < 0).all()
     assert (after[strip == 0] > 0).all()
     assert (after[strip == 2] < 0).all()
@@ -46,18 +43,16 @@ def test_one_click_mends_the_pavement_and_leaves_the_rest() -> None:
 def test_what_was_said_is_held_and_nothing_said_changes_nothing() -> None:
     segments = three_strips()
     odds = torch.linspace(-6, 6, len(segments.size))
-    graph = segment_graph(segments, SETTINGS)
+    graph = segment_graph(segments)
     evidence = torch.zeros(len(odds))
-    assert (propagate(odds, evidence, graph, SETTINGS) == 0).all()
+    assert (propagate(odds, evidence, graph) == 0).all()
     evidence[0], evidence[1], evidence[-1] = 1, -1, 1
-    after = odds + propagate(odds, evidence, graph, SETTINGS)
-    assert after[0] == pytest.approx(SETTINGS.corrected)
-    assert after[1] == pytest.approx(
-        float(min(odds[1], torch.tensor(-SETTINGS.corrected))), abs=1e-5
-    )
+    after = odds + propagate(odds, evidence, graph)
+    assert after[0] == pytest.approx(CORRECTED)
+    assert after[1] == pytest.approx(float(min(odds[1], torch.tensor(-CORRECTED))), abs=1e-5)
     assert after[-1] == pytest.approx(6)
-    shift = propagate(odds * 0, torch.ones_like(odds), graph, SETTINGS)  # nothing is left
-    assert torch.allclose(shift, torch.full_like(odds, SETTINGS.corrected))
+    shift = propagate(odds * 0, torch.ones_like(odds), graph)  # nothing is left
+    assert torch.allclose(shift, torch.full_like(odds, CORRECTED))
 
 
 def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
@@ -66,9 +61,9 @@ def test_the_field_is_the_minimum_of_what_it_is_said_to_minimise() -> None:
     odds = torch.randn(len(segments.size), generator=generator)
     evidence = torch.zeros(len(odds))
     evidence[3], evidence[40] = 1, -1
-    graph = segment_graph(segments, SETTINGS)
-    shift = propagate(odds, evidence, graph, SETTINGS).double().numpy()
-    pull = SETTINGS.anchor + SETTINGS.confidence * odds.abs().double().numpy()
+    graph = segment_graph(segments)
+    shift = propagate(odds, evidence, graph).double().numpy()
+    pull = ANCHOR + CONFIDENCE * odds.abs().double().numpy()
 
     def energy(field: np.ndarray) -> float:
         return float(field @ (graph @ field) + (pull * field**2).sum())
@@ -89,7 +84,7 @@ def detector() -> Detector:
 
 @pytest.fixture(scope="module")
 def view(detector: Detector) -> ImageView:
-    return compute_view(scene(0, 48, 64).image, detector, AnnotationSettings())
+    return compute_view(scene(0, 48, 64).image, detector)
 
 
 def labels_of(**rows: slice) -> np.ndarray:
@@ -106,7 +101,7 @@ def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
     view: ImageView, detector: Detector, rows: dict[str, slice]
 ) -> None:
     labels = labels_of(**rows)
-    odds = corrected_log_odds(view, labels, AnnotationSettings(propagation=SETTINGS))
+    odds = corrected_log_odds(view, labels)
     road = corrected_road(odds, labels, (48, 64))
     if not rows:
         assert torch.equal(odds, view.odds)
@@ -117,9 +112,8 @@ def test_the_machines_mask_is_shown_and_corrections_as_they_were_said(
 
 
 def test_the_layout_is_inferred_too(view: ImageView) -> None:
-    settings = AnnotationSettings()
-    assert set(np.unique(corrected_layout(view, labels_of(), settings))) <= {0, 1, 2}
-    assert (corrected_layout(view, labels_of(sky=slice(None)), settings) == 0).all()
+    assert set(np.unique(corrected_layout(view, labels_of()))) <= {0, 1, 2}
+    assert (corrected_layout(view, labels_of(sky=slice(None))) == 0).all()
     image = scene(0, 48, 64).image
-    without = compute_view(image, load_detector("prior:rows"), settings)
-    assert (corrected_layout(without, labels_of(), settings) == 255).all()
+    without = compute_view(image, load_detector("prior:rows"))
+    assert (corrected_layout(without, labels_of()) == 255).all()

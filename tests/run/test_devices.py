@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from roadtorch import detect_stream, load_detector
-from roadtorch.annotate.views import AnnotationSettings, compute_view
+from roadtorch.annotate.views import compute_view
 from roadtorch.base.image import from_pixels, write_mask
 from roadtorch.camera.ground_grid import GridSettings
 from roadtorch.detectors.detector import Detector
@@ -124,7 +124,7 @@ def test_a_detection_on_a_device_is_shown_saved_and_converted(
 
 def test_annotation_takes_a_detector_on_another_device(device: Enter) -> None:
     with device():
-        view = compute_view(from_pixels(PIXELS[0]), load_detector("fusion"), AnnotationSettings())
+        view = compute_view(from_pixels(PIXELS[0]), load_detector("fusion"))
 
     assert not isinstance(view.odds, Pretended)
 
