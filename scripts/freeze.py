@@ -85,7 +85,6 @@ OUTPUTS = {
     "commands/detectors": "detectors",
     "commands/explained": "detectors cpf",
     "commands/misspelt": "detectors fuson",
-    "commands/planes": "detectors planes",
     "commands/no-key": "infer images --set texture.bin=32",
     "commands/wrong-value": "infer images --set texture.bins=1",
     "commands/nothing": "infer nowhere --out ../commands/nothing",

@@ -23,8 +23,7 @@ COLUMN_GAP = "  "
 def detectors_command(name: str | None) -> None:
     """List the detectors, or the settings of the detector NAME.
 
-    A NAME with wildcards lists the detectors that match: 'oneclass:*:HS'. The NAME planes lists
-    the colour planes with their ranges, and the colour representations that combine them.
+    A NAME with wildcards lists the detectors that match: 'oneclass:*:HS'.
     """
     from roadtorch.detectors.catalogue import (
         detector_entry,
@@ -35,9 +34,6 @@ def detectors_command(name: str | None) -> None:
 
     if name is None:
         rows = [row for group in detector_groups().items() for row in detector_rows(*group)]
-    elif name == "planes":
-        click.echo(plane_tables())
-        return
     elif is_pattern(name):
         rows = [(match, detector_entry(match).summary) for match in list_detectors(name)]
     else:
@@ -48,20 +44,6 @@ def detectors_command(name: str | None) -> None:
         schema = entry.settings.model_json_schema()
         rows = [header, *setting_rows(schema, defaults=defaults)]
     click.echo("\n".join(wrap_columns(rows)))
-
-
-def plane_tables() -> str:
-    """Return tables of the colour planes and of the colour representations."""
-    from roadtorch.imaging.color import PLANES, REPRESENTATIONS
-
-    rows = [("plane", "low", "high", "meaning")]
-    rows += [
-        (name, f"{plane.low:g}", f"{plane.high:g}", plane.summary + "; circular" * plane.circular)
-        for name, plane in PLANES.items()
-    ]
-    combined = [("representation", "planes")]
-    combined += [(name, " ".join(parts)) for name, parts in REPRESENTATIONS.items()]
-    return "\n".join([*wrap_columns(rows), "", *wrap_columns(combined)])
 
 
 def detector_rows(name: str, entries: Sequence["Entry"]) -> Iterator[tuple[str, str]]:

@@ -35,7 +35,6 @@ from roadtorch.layout.weights import (
 from roadtorch.road.appearance import fuse_appearance
 from roadtorch.road.bayes import (
     PRIORS,
-    ROAD_RULES,
     fused_log_odds,
     likelihood_product,
     log_odds,
@@ -340,7 +339,7 @@ def seed_likelihoods(
     labels, settings = segments.labels, TextureSettings(ridge=SCRATCH_RIDGE)
     fused, uniformity, clipped = unsaturated_uniformity(image, labels, seed, settings, Saturation())
     texture = uniformity_likelihood(uniformity, settings.midpoint)
-    distance = distance_likelihood(seed_distance(segments, sources), ROAD_RULES.half_distance)
+    distance = distance_likelihood(seed_distance(segments, sources))
     cues = {
         "texture": paint_segments(texture, labels),
         "uniformity": paint_segments(uniformity, labels),

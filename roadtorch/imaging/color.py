@@ -134,37 +134,35 @@ def _grey(channels: Channels) -> Tensor:
 class Plane:
     """A colour plane.
 
-    low, high: bounds of its values. circular: whether high equals low, as for hue. summary: one
-    line for lists. formula: computes the plane from the channels of an image.
+    low, high: bounds of its values. circular: whether high equals low, as for hue. formula:
+    computes the plane from the channels of an image.
     """
 
     low: float
     high: float
     circular: bool
-    summary: str
     formula: Callable[[Channels], Tensor] = field(repr=False)
 
 
 _ROOT_2, _ROOT_3, _ROOT_6 = math.sqrt(2), math.sqrt(3), math.sqrt(6)
 
 PLANES: dict[str, Plane] = {
-    "R": Plane(0, 1, False, "red", lambda c: c.red),
-    "G": Plane(0, 1, False, "green", lambda c: c.green),
-    "B": Plane(0, 1, False, "blue", lambda c: c.blue),
-    "nr": Plane(0, 1, False, "R/(R+G+B), 1/3 at black", lambda c: _over_total(c, c.red)),
-    "ng": Plane(0, 1, False, "G/(R+G+B), 1/3 at black", lambda c: _over_total(c, c.green)),
-    "O1": Plane(
-        -1 / _ROOT_2, 1 / _ROOT_2, False, "(R-G)/√2", lambda c: (c.red - c.green) / _ROOT_2
-    ),
-    "O2": Plane(-2 / _ROOT_6, 2 / _ROOT_6, False, "(R+G-2B)/√6", lambda c: c.red_green / _ROOT_6),
-    "O3": Plane(0, _ROOT_3, False, "(R+G+B)/√3", lambda c: c.total / _ROOT_3),
-    "L": Plane(0, 1, False, "CIE L*/100, sRGB, D65", lambda c: 1.16 * c.lab_roots[1] - 0.16),
-    "a": Plane(-0.862, 0.983, False, "CIE a*/100", lambda c: 5 * (c.lab_roots[0] - c.lab_roots[1])),
-    "b": Plane(-1.079, 0.945, False, "CIE b*/100", lambda c: 2 * (c.lab_roots[1] - c.lab_roots[2])),
-    "H": Plane(0, 1, True, "hue of the HSV hexcone in turns, 0 for grey", _hue),
-    "S": Plane(0, 1, False, "(max-min)/max of R, G, B; 0 at black", _saturation),
-    "V": Plane(0, 1, False, "max(R, G, B)", lambda c: c.highest),
-    "grey": Plane(0, 1, False, "luma of Rec. 601", _grey),
+    "R": Plane(0, 1, False, lambda c: c.red),
+    "G": Plane(0, 1, False, lambda c: c.green),
+    "B": Plane(0, 1, False, lambda c: c.blue),
+    "nr": Plane(0, 1, False, lambda c: _over_total(c, c.red)),  # R/(R+G+B), 1/3 at black
+    "ng": Plane(0, 1, False, lambda c: _over_total(c, c.green)),
+    "O1": Plane(-1 / _ROOT_2, 1 / _ROOT_2, False, lambda c: (c.red - c.green) / _ROOT_2),
+    "O2": Plane(-2 / _ROOT_6, 2 / _ROOT_6, False, lambda c: c.red_green / _ROOT_6),
+    "O3": Plane(0, _ROOT_3, False, lambda c: c.total / _ROOT_3),
+    # CIE L*, a*, b* over 100, D65
+    "L": Plane(0, 1, False, lambda c: 1.16 * c.lab_roots[1] - 0.16),
+    "a": Plane(-0.862, 0.983, False, lambda c: 5 * (c.lab_roots[0] - c.lab_roots[1])),
+    "b": Plane(-1.079, 0.945, False, lambda c: 2 * (c.lab_roots[1] - c.lab_roots[2])),
+    "H": Plane(0, 1, True, _hue),  # of the HSV hexcone in turns, 0 for grey
+    "S": Plane(0, 1, False, _saturation),  # (max-min)/max of R, G, B; 0 at black
+    "V": Plane(0, 1, False, lambda c: c.highest),
+    "grey": Plane(0, 1, False, _grey),  # luma of Rec. 601
 }
 """All planes by name. O3 and grey are not among the representations of P3."""
 

@@ -8,7 +8,6 @@ Over segments one more cue is learned from the others: the appearance of the roa
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,53 +23,18 @@ MAX_APPEARANCE = 3.0
 the rest of the road."""
 
 
-class RoadPosition(NamedTuple):
-    """Prior of the road's position: a triangle with soft sides.
+# The road's position: a triangle with soft sides, in fractions of the image's height and width.
+APEX, NARROW = 0.69, 0.07  # row at which the half width is ``NARROW``
+SPREAD, SOFTNESS = 1.1, 0.11  # half width gained per height below it; width over which road fades
 
-    Lengths are fractions of the image's height (rows) and width (columns).
-    weight: exponent of the prior; 0 is uniform. apex: row at which the half width is ``narrow``.
-    spread: half width gained per height below it. softness: width over which the road fades.
-    """
+# Exponents of the odds L / (1 - L); ours. Halving or doubling one moves MaxF by less than .005.
+POSITION_WEIGHT, LAYOUT_WEIGHT = 0.4, 0.44  # of the road's position, and of the layout's ground
+DISTANCE_WEIGHT, TEXTURE_WEIGHT = 1.0, 2.0  # from the seed area; uniformity of the fused plane
+APPEARANCE_WEIGHT, NEIGHBOUR_WEIGHT = 2.0, 6.0  # learned in this image; adjacent segments
 
-    weight: float = 0.4
-    apex: float = 0.69
-    narrow: float = 0.07
-    spread: float = 1.1
-    softness: float = 0.11
-
-
-class Exponents(NamedTuple):
-    """Weights of the cues: exponents of the odds L / (1 - L); ours (see the module).
-
-    layout: ground of the scene layout. distance: from the seed area. texture: uniformity of the
-    fused plane. appearance: learned in this image. neighbours: adjacent segments.
-    """
-
-    layout: float = 0.44
-    distance: float = 1.0
-    texture: float = 2.0
-    appearance: float = 2.0
-    neighbours: float = 6.0
-
-
-class RoadRules(NamedTuple):
-    """Constants by which the cues of an image's segments become p(road).
-
-    half_distance: number of faint borders from the seed area at which the likelihood is 0.5.
-    bias: log odds of road before any cue. temperature: divisor of the final ones. rounds: of
-    learning the appearance. Halving or doubling a weight moves MaxF by less than .005.
-    """
-
-    position: RoadPosition = RoadPosition()
-    exponents: Exponents = Exponents()
-    half_distance: float = 1.7
-    bandwidths: Bandwidths = Bandwidths(0.085, 0.01, 0.07, 0.9, 0.1, 3.0)
-    bias: float = -1.8
-    temperature: float = 6.0
-    rounds: int = 4
-
-
-ROAD_RULES = RoadRules()
+BANDWIDTHS = Bandwidths(0.085, 0.01, 0.07, 0.9, 0.1, 3.0)
+BIAS, TEMPERATURE = -1.8, 6.0  # log odds of road before any cue; divisor of the final ones
+ROUNDS = 4  # of learning the appearance
 
 
 def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
@@ -105,20 +69,16 @@ def fused_log_odds(likelihoods: Sequence[Tensor], weights: Sequence[float]) -> T
     return total
 
 
-def road_position_prior(
-    row: Tensor, column: Tensor, position: RoadPosition = ROAD_RULES.position
-) -> Tensor:
+def road_position_prior(row: Tensor, column: Tensor) -> Tensor:
     """Return the prior p(road) at rows and columns in [0, 1]: a soft triangle ahead (ours)."""
-    half = position.narrow + position.spread * (row - position.apex).clamp_min(0)
-    return ((half - (column - 0.5).abs()) / position.softness).sigmoid()
+    half = NARROW + SPREAD * (row - APEX).clamp_min(0)
+    return ((half - (column - 0.5).abs()) / SOFTNESS).sigmoid()
 
 
 def seed_log_odds(segments: Segments, ground: Tensor) -> Tensor:
     """Return the log odds (n,) of road of segments, by position and layout's ground (n,) alone."""
     prior = road_position_prior(segments.row, segments.column)
-    return fused_log_odds(
-        [ground, prior], [ROAD_RULES.exponents.layout, ROAD_RULES.position.weight]
-    )
+    return fused_log_odds([ground, prior], [LAYOUT_WEIGHT, POSITION_WEIGHT])
 
 
 def segment_road(
@@ -127,7 +87,6 @@ def segment_road(
     distance: Tensor,
     texture: Tensor,
     further: Tensor | float = 0.0,
-    rules: RoadRules = ROAD_RULES,
 ) -> Tensor:
     """Compute p(road) of each segment (n,) from its likelihoods (n,) by several cues.
 
@@ -137,27 +96,20 @@ def segment_road(
     layout: of ground. distance: from the seed area. texture: of uniformity. further: log odds (n,)
     of further cues, added unweighted.
     """
-    exponents = rules.exponents
-    position = road_position_prior(segments.row, segments.column, rules.position)
-    fixed = (
-        rules.bias
-        + further
-        + fused_log_odds(
-            [position, layout, distance, texture],
-            [rules.position.weight, exponents.layout, exponents.distance, exponents.texture],
-        )
-    )
-    neighbours = exponents.neighbours * neighbour_mean(segments)
-    similarity = segment_affinity(segments, rules.bandwidths)
+    position = road_position_prior(segments.row, segments.column)
+    exponents = [POSITION_WEIGHT, LAYOUT_WEIGHT, DISTANCE_WEIGHT, TEXTURE_WEIGHT]
+    fixed = BIAS + further + fused_log_odds([position, layout, distance, texture], exponents)
+    neighbours = NEIGHBOUR_WEIGHT * neighbour_mean(segments)
+    similarity = segment_affinity(segments, BANDWIDTHS)
     score = fixed
-    for _ in range(rules.rounds):
+    for _ in range(ROUNDS):
         belief = score.sigmoid()
         weights = torch.stack([belief, 1 - belief], 1)
         density = class_log_density(similarity, weights, segments.size)
         appearance = (density[:, 0] - density[:, 1]).clamp(-MAX_APPEARANCE, MAX_APPEARANCE)
         score = torch.addmv(fixed, neighbours, 2 * belief - 1)
-        score.add_(appearance, alpha=exponents.appearance)
-    return (score / rules.temperature).sigmoid()
+        score.add_(appearance, alpha=APPEARANCE_WEIGHT)
+    return (score / TEMPERATURE).sigmoid()
 
 
 def neighbour_mean(segments: Segments) -> Tensor:

@@ -152,6 +152,9 @@ def segments_inside(labels: Tensor, seed: Tensor) -> Tensor:
 MIN_CONTRAST = 0.0034
 """Added to the contrast (Lab/100) of a faint border, which is nearly 0 in clean images."""
 
+HALF_DISTANCE = 1.7
+"""Number of faint borders from the seed area at which the likelihood of road is 0.5."""
+
 
 def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
     """Compute the geodesic distance (n,) of each segment from the source segments (k,).
@@ -166,9 +169,9 @@ def seed_distance(segments: Segments, sources: Tensor) -> Tensor:
     return shortest_paths(segments.pairs, steps, sources, len(segments.size))
 
 
-def distance_likelihood(distance: Tensor, half_distance: float) -> Tensor:
+def distance_likelihood(distance: Tensor) -> Tensor:
     """Return the road likelihood by distance from the seed area: 0.73 at 0, 0.5 at the half."""
-    return (1 - distance / half_distance).sigmoid()
+    return (1 - distance / HALF_DISTANCE).sigmoid()
 
 
 def shortest_paths(pairs: Tensor, steps: Tensor, sources: Tensor, count: int) -> Tensor:

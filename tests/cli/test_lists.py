@@ -8,7 +8,7 @@ from roadtorch.detectors.catalogue import detector_groups, list_detectors
 from roadtorch.detectors.detector import Detector
 from roadtorch.export import export, folders
 from roadtorch.export.export import ExportResult, Parity
-from roadtorch.imaging.color import PLANES, REPRESENTATIONS
+from roadtorch.imaging.color import REPRESENTATIONS
 from roadtorch.oneclass import CLASSIFIERS
 from tests.command import Call
 
@@ -62,16 +62,6 @@ def test_detectors_name_explains_its_settings_in_a_hundred_columns(call: Call) -
     assert "≥ 0, ≤ 1" in cells["threshold"]
     assert "drop | keep" in cells["isolated"]
     assert "320ths" in cells["seed_area.width"]
-
-
-def test_planes_lists_planes_and_representations(call: Call) -> None:
-    result = call("detectors", "planes")
-
-    planes, representations = result.stdout.strip().split("\n\n")
-    assert [line.split()[0] for line in planes.splitlines()[1:]] == list(PLANES)
-    listed = [line.split() for line in representations.splitlines()[1:]]
-    assert {name: tuple(parts) for name, *parts in listed} == dict(REPRESENTATIONS)
-    assert [line.split()[0] for line in planes.splitlines() if "circular" in line] == ["H"]
 
 
 # --- export -----------------------------------------------------------------------------

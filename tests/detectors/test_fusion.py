@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from roadtorch.base.errors import WeightsError
-from roadtorch.detectors import fusion
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.fusion import RoadCalibration, calibrated_likelihood
 from roadtorch.layout.backbone_network import BackboneNetwork
@@ -16,8 +15,9 @@ from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.image_network import compute_cues
 from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.weights import DEFAULT_WEIGHTS, load_network, shipped_weights
+from roadtorch.road import bayes
 from roadtorch.road.appearance import fuse_appearance
-from roadtorch.road.bayes import ROAD_RULES, Exponents, log_odds, prior_rows, segment_road
+from roadtorch.road.bayes import log_odds, prior_rows
 from tests.streets import saturated_street
 
 CUES = {
@@ -45,19 +45,14 @@ def test_saturated_segments_have_no_texture_the_seed_area_is_nearest_and_the_sky
 
 
 def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.MonkeyPatch) -> None:
-    exponents = Exponents(layout=0.9, distance=1.3, texture=0.6)
-    place = ROAD_RULES.position._replace(weight=0.3)
-    rules = ROAD_RULES._replace(
-        rounds=0, bias=0.5, temperature=2.0, position=place, exponents=exponents
-    )
-    monkeypatch.setattr(fusion, "segment_road", partial(segment_road, rules=rules))
+    monkeypatch.setattr(bayes, "ROUNDS", 0)
 
     detection = load_detector("fusion:untrained").detect(street())
 
     cues = detection.cues
-    odds = 0.5 + 0.3 * log_odds(cues["position"]) + 0.9 * log_odds(cues["layout"][HORIZONTAL])
-    odds = odds + 1.3 * log_odds(cues["distance"]) + 0.6 * log_odds(cues["texture"])
-    np.testing.assert_allclose(detection.likelihood, (odds / 2).sigmoid(), atol=1e-4, rtol=0.0)
+    odds = 0.4 * log_odds(cues["position"]) + 0.44 * log_odds(cues["layout"][HORIZONTAL])
+    odds = odds + log_odds(cues["distance"]) + 2 * log_odds(cues["texture"]) - 1.8
+    np.testing.assert_allclose(detection.likelihood, (odds / 6).sigmoid(), atol=1e-4, rtol=0.0)
 
 
 def test_what_the_network_has_learned_about_the_road_counts_pixel_by_pixel() -> None:

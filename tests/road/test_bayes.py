@@ -9,12 +9,10 @@ from roadtorch.detectors.catalogue import load_detector
 from roadtorch.evaluation.metrics import count_levels, count_mask, f_measure, max_f
 from roadtorch.imaging.segments import measure_segments, segment_affinity
 from roadtorch.imaging.slic import slic
+from roadtorch.road import bayes
 from roadtorch.road.bayes import (
     MAX_APPEARANCE,
     PRIORS,
-    Exponents,
-    RoadPosition,
-    RoadRules,
     fused_log_odds,
     likelihood_product,
     prior_rows,
@@ -75,7 +73,7 @@ def test_extreme_cues_stay_finite_and_can_be_outvoted(dtype: torch.dtype, extrem
 def test_the_place_of_the_road_is_a_triangle_that_widens_downwards() -> None:
     row, column = torch.linspace(0, 1, 21)[:, None], torch.linspace(0, 1, 41)
 
-    prior = road_position_prior(row, column, RoadPosition())
+    prior = road_position_prior(row, column)
 
     assert torch.allclose(prior, prior.flip(1), atol=1e-5)
     assert (prior[:, 20:].diff(dim=1) <= 0).all()
@@ -83,8 +81,8 @@ def test_the_place_of_the_road_is_a_triangle_that_widens_downwards() -> None:
     assert prior[-1, 20] > 0.9
     assert prior[0, 0] < 0.05
     # It is even at the half width.
-    place = RoadPosition(apex=0.5, narrow=0.1, spread=0.4, softness=0.03)
-    even = road_position_prior(torch.tensor([0.3, 0.5, 1.0]), torch.tensor([0.6, 0.4, 0.8]), place)
+    columns = 0.5 + bayes.NARROW + bayes.SPREAD * torch.tensor([0.0, 0.0, 1 - bayes.APEX])
+    even = road_position_prior(torch.tensor([0.3, bayes.APEX, 1.0]), columns)
     assert even.tolist() == pytest.approx([0.5] * 3, abs=1e-5)
 
 
@@ -108,35 +106,36 @@ def test_the_distance_adds_up_along_the_way_even_to_what_looks_the_same() -> Non
 
 
 @pytest.mark.parametrize("rounds", [0, 1, 3])
-def test_the_road_of_segments_is_that_of_a_loop(rounds: int) -> None:
+def test_the_road_of_segments_is_that_of_a_loop(
+    monkeypatch: pytest.MonkeyPatch, rounds: int
+) -> None:
     image = random(3, 48, 64, dtype=torch.float32) * 0.6
     segments = measure_segments(image, slic(image, 25))
-    trusted = Exponents(appearance=0.7, neighbours=1.3)
-    chosen = RoadRules(rounds=rounds, exponents=trusted, temperature=2.0)
+    monkeypatch.setattr(bayes, "ROUNDS", rounds)
+    monkeypatch.setattr(bayes, "APPEARANCE_WEIGHT", 0.7)
+    monkeypatch.setattr(bayes, "NEIGHBOUR_WEIGHT", 1.3)
+    monkeypatch.setattr(bayes, "TEMPERATURE", 2.0)
     layout, distance, texture = random(3, len(segments.size), seed=1, dtype=torch.float32)
 
-    road = segment_road(segments, layout, distance, texture, rules=chosen)
+    road = segment_road(segments, layout, distance, texture)
 
-    fixed = torch.full((len(road),), chosen.bias, dtype=torch.float64)  # before it learns
+    fixed = torch.full((len(road),), bayes.BIAS, dtype=torch.float64)  # before it learns
     for weight, cue in (
-        (
-            chosen.position.weight,
-            road_position_prior(segments.row, segments.column, chosen.position),
-        ),
-        (trusted.layout, layout),
-        (trusted.distance, distance),
-        (trusted.texture, texture),
+        (bayes.POSITION_WEIGHT, road_position_prior(segments.row, segments.column)),
+        (bayes.LAYOUT_WEIGHT, layout),
+        (bayes.DISTANCE_WEIGHT, distance),
+        (bayes.TEXTURE_WEIGHT, texture),
     ):
         fixed += weight * torch.tensor([reference.log_odds(value) for value in cue.tolist()])
     scores = reference.learned_scores(
         fixed.tolist(),
-        segment_affinity(segments, chosen.bandwidths).tolist(),
+        segment_affinity(segments, bayes.BANDWIDTHS).tolist(),
         segments.size.tolist(),
         reference.neighbours(
             [(first, second) for first, second in segments.pairs.T.tolist()], len(road)
         ),
-        (trusted.appearance, MAX_APPEARANCE),
-        trusted.neighbours,
+        (0.7, MAX_APPEARANCE),
+        1.3,
         rounds,
     )
     expected = (torch.tensor(scores) / 2).sigmoid()
