@@ -34,7 +34,7 @@ APPEARANCE_WEIGHT, NEIGHBOUR_WEIGHT = 2.0, 6.0  # learned in this image; adjacen
 
 BANDWIDTHS = Bandwidths(0.085, 0.01, 0.07, 0.9, 0.1, 3.0)
 BIAS, TEMPERATURE = -1.8, 6.0  # log odds of road before any cue; divisor of the final ones
-ROUNDS = 4  # of learning the appearance
+LEARNING_ROUNDS = 4  # of learning the appearance
 
 
 def likelihood_product(prior: Tensor, likelihoods: Sequence[Tensor]) -> Tensor:
@@ -102,7 +102,7 @@ def segment_road(
     neighbours = NEIGHBOUR_WEIGHT * neighbour_mean(segments)
     similarity = segment_affinity(segments, BANDWIDTHS)
     score = fixed
-    for _ in range(ROUNDS):
+    for _ in range(LEARNING_ROUNDS):
         belief = score.sigmoid()
         weights = torch.stack([belief, 1 - belief], 1)
         density = class_log_density(similarity, weights, segments.size)

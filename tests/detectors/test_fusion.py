@@ -45,7 +45,7 @@ def test_saturated_segments_have_no_texture_the_seed_area_is_nearest_and_the_sky
 
 
 def test_without_learning_it_is_the_product_of_its_cues(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bayes, "ROUNDS", 0)
+    monkeypatch.setattr(bayes, "LEARNING_ROUNDS", 0)
 
     detection = load_detector("fusion:untrained").detect(street())
 

@@ -111,7 +111,7 @@ def test_the_road_of_segments_is_that_of_a_loop(
 ) -> None:
     image = random(3, 48, 64, dtype=torch.float32) * 0.6
     segments = measure_segments(image, slic(image, 25))
-    monkeypatch.setattr(bayes, "ROUNDS", rounds)
+    monkeypatch.setattr(bayes, "LEARNING_ROUNDS", rounds)
     monkeypatch.setattr(bayes, "APPEARANCE_WEIGHT", 0.7)
     monkeypatch.setattr(bayes, "NEIGHBOUR_WEIGHT", 1.3)
     monkeypatch.setattr(bayes, "TEMPERATURE", 2.0)
