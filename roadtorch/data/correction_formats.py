@@ -151,8 +151,7 @@ class _Counts(ForeignDocument):
 _Polygons = tuple[Annotated[tuple[Coordinate, ...], Field(min_length=6)], ...]
 
 
-class _CocoRegion(ForeignDocument):
-    id: int | str | None = None
+class _CocoRegion(ForeignDocument):  # without its id: datumaro gives one to several
     image_id: int
     category_id: int
     segmentation: Annotated[
@@ -226,14 +225,14 @@ def read_coco(
     """Read the regions of the images of ``sizes`` that a COCO file lists, by their name.
 
     Returns also the category of each value, and the first image with it. Raises DatasetError for a
-    file that is no COCO, one without an image of ``sizes``, two entries for one image or id, an
-    image of another size, and a region on an image or of a category that is not listed.
+    file that is no COCO, one without an image of ``sizes``, two entries for one image or id of an
+    image or category, an image of another size, and a region on an image or of a category that is
+    not listed.
     """
     with read_document(path, HINT) as data:
         document = _CocoFile.model_validate_json(data)
         _require_unique_ids("images", [image.id for image in document.images])
         _require_unique_ids("categories", [category.id for category in document.categories])
-        _require_unique_ids("annotations", [region.id for region in document.annotations])
         listed, names = {image.id for image in document.images}, dict[int, str]()
         for image in document.images:
             if (name := match_image_name(image.file_name, sizes)) is None:
@@ -265,8 +264,8 @@ def read_coco(
     return regions, list(used.items())
 
 
-def _require_unique_ids(part: str, ids: Iterable[int | str | None]) -> None:
-    counts = Counter(number for number in ids if number is not None)
+def _require_unique_ids(part: str, ids: Iterable[int]) -> None:
+    counts = Counter(ids)
     if twice := [number for number, count in counts.items() if count > 1]:
         raise ValueError(f"{part} have the id {twice[0]} {counts[twice[0]]} times")
 

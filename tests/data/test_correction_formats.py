@@ -91,10 +91,10 @@ def test_a_set_of_ones_own_reads_the_files_and_untouched_is_void(tmp_path: Path)
 
 
 def coco(folder: Path, *segmentations: object) -> np.ndarray:
-    """Return the labels (2, 4) of a COCO file with regions of road, sky, road, … in this order."""
+    """Return the labels (2, 4) of a COCO file with regions of road, sky, road, … of one id."""
     path = folder / "instances_default.json"
     regions = [
-        {"image_id": 5, "category_id": 1 + number % 2, "segmentation": segmentation, "iscrowd": 0}
+        {"id": 3, "image_id": 5, "category_id": 1 + number % 2, "segmentation": segmentation}
         for number, segmentation in enumerate(segmentations)
     ]
     images = [{"id": 5, "file_name": "images/1f2e3d4c-a.jpg", "width": 4, "height": 2}]

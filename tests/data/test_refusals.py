@@ -151,7 +151,6 @@ COCO: Rows = [
         (coco(images=[image("a.jpg"), image("b.jpg")]), "images have the id 7 2 times"),
         (coco(categories=[{"id": 1, "name": name} for name in ("road", "sky")]),
          "categories have the id 1 2 times"),
-        (coco(annotations=[region(id=3), region(id=3)]), "annotations have the id 3 2 times"),
         (coco({"image_id": 2}), "a region is on image 2, which is not listed"),
         (coco({"segmentation": {"counts": [0, 2], "size": [2, 1]}}),
          "a region has 1 by 2 pixels, not 2 by 1"),
