@@ -1,24 +1,8 @@
 """4-connected superpixels: the largest region of each label is kept, others are merged."""
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
-
-
-class Runs(NamedTuple):
-    """Horizontal runs of equal label in images (B, H, W), in reading order.
-
-    start: index of a run's first pixel among all pixels. length: pixels. region: number of the
-    4-connected region that the run belongs to, from 0 in order of appearance.
-    """
-
-    start: np.ndarray
-    length: np.ndarray
-    region: np.ndarray
 
 
 def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
@@ -27,43 +11,26 @@ def connect(labels: Tensor, smallest: float = 1.0) -> Tensor:
     Of each label the largest region is kept if it has at least ``smallest`` pixels. The pixels of
     all other regions join an adjacent segment, from the region's border inwards.
     """
+    from skimage.measure import label  # slow to import
+
     images = labels.cpu().numpy().astype(np.int32)
     stride = int(images.max()) + 1
     images += np.arange(len(images), dtype=np.int32)[:, None, None] * stride
-    start, length, region = _runs(images)
-    size = np.bincount(region, length).astype(np.int64)
-    label = np.empty(len(size), dtype=np.int32)
-    label[region] = images.reshape(-1)[start]
-    image = label // stride
-    settled = _is_largest(label, size) & (size >= smallest) | _is_largest(image, size)
+    # Images below one another have no label in common. Regions are numbered as they appear.
+    rows = images.reshape(-1, images.shape[2])
+    region = np.asarray(label(rows, background=-1, connectivity=1)).reshape(images.shape) - 1
+    size = np.bincount(region.reshape(-1))
+    segment = np.empty(len(size), dtype=np.int32)
+    segment[region] = images
+    image = segment // stride
+    settled = _is_largest(segment, size) & (size >= smallest) | _is_largest(image, size)
     # Settled regions are numbered 0…n-1 in each image in order of appearance; others get -1.
     survivors = np.nonzero(settled)[0]
     survivors = survivors[np.argsort(image[survivors], kind="stable")]
     numbers = np.full(len(image), -1, dtype=np.int64)
     owners = image[survivors]
     numbers[survivors] = np.arange(len(survivors)) - np.searchsorted(owners, owners)
-    number = numbers[region]
-    grown = _grow(number.repeat(length).reshape(images.shape))
-    return torch.from_numpy(grown).to(labels.device)
-
-
-def _runs(images: np.ndarray) -> Runs:
-    """Find the runs of images (B, H, W) that have no label in common."""
-    begins = np.ones(images.shape, dtype=bool)
-    np.not_equal(images[..., 1:], images[..., :-1], out=begins[..., 1:])
-    start = np.flatnonzero(begins)
-    length = np.diff(start, append=begins.size)
-    run = np.arange(len(start), dtype=np.int32).repeat(length)
-    # Pairs of vertically adjacent runs, once each: pixels where either of the two begins. The
-    # first row of an image shares no label with the last row of the image before it.
-    rows, begins = images.reshape(-1, images.shape[2]), begins.reshape(-1, images.shape[2])
-    above = np.flatnonzero((rows[1:] == rows[:-1]) & (begins[1:] | begins[:-1]))
-    upper, lower = run[above], run[above + images.shape[2]]
-    first = np.zeros(len(start) + 1, dtype=np.int32)
-    np.cumsum(np.bincount(upper, minlength=len(start)), out=first[1:])
-    touch = np.ones(len(upper), dtype=np.int8)
-    touching = csr_array((touch, lower, first), shape=(len(start),) * 2)
-    return Runs(start, length, connected_components(touching, directed=False)[1])
+    return torch.from_numpy(_grow(numbers[region])).to(labels.device)
 
 
 def _is_largest(group: np.ndarray, size: np.ndarray) -> np.ndarray:
