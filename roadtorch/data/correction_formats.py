@@ -18,7 +18,7 @@ from roadtorch.base.documents import Coordinate, ForeignDocument, Side, read_doc
 from roadtorch.base.errors import DatasetError
 from roadtorch.base.image import write_labels
 from roadtorch.data.corrections import Correction
-from roadtorch.data.events import LABEL_NAMES
+from roadtorch.data.events import LABEL_NAMES, layout_layer, road_layer
 from roadtorch.data.label_images import LabelPixels, read_labels
 from roadtorch.data.polygons import coco_annotation, decode_counts, fill_area, unpack_counts
 
@@ -61,8 +61,8 @@ def write_png(corrections: Sequence[Correction], folder: Path) -> None:
     """
     _require_unique_stems(correction.name for correction in corrections)
     for correction in corrections:
-        road = np.where(correction.road > 1, 255, correction.road)
-        layers = (correction.labels, road, correction.layout)
+        road, layout = road_layer(correction.labels), layout_layer(correction.labels)
+        layers = (correction.labels, np.where(road > 1, 255, road), layout)
         for layer, values in zip(PNG_LAYERS, layers, strict=True):
             path = (folder / layer / correction.name).with_suffix(".png")
             make_folder(path.parent)

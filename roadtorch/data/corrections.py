@@ -239,16 +239,6 @@ class Correction:
     clicks: int
     log: Path
 
-    @property
-    def road(self) -> np.ndarray:
-        """1 road, 0 not road, 254 void, 255 untouched: uint8, shape (H, W)."""
-        return road_layer(self.labels)
-
-    @property
-    def layout(self) -> np.ndarray:
-        """0 sky, 1 vertical, 2 horizontal, 255 untouched: uint8, shape (H, W)."""
-        return layout_layer(self.labels)
-
 
 def read_corrections(folder: Path, images: Path | None = None) -> list[Correction]:
     """Read the corrections of each image, sorted by name, without those that were undone entirely.

@@ -104,7 +104,6 @@ class AppearanceSettings(Settings):
 class FusionSettings(WorkingSettings):
     """Settings of a network's road, fused with its appearance and refined at edges."""
 
-    threshold: Threshold = 0.5
     working: WorkingSize = WorkingSize(pixels=352 * 264)
     outlines: Outlines = "guided"
     weights: WeightsFile = WeightsFile()
@@ -154,6 +153,11 @@ class ScratchFusionSettings(UntrainedFusionSettings):
     trust: TrustSettings = TrustSettings()
 
 
+LocationPrior = Annotated[
+    Literal["uniform", "rows", "triangle"], Field(description="location prior of the road (eq. 4)")
+]
+
+
 class PaperFusionSettings(WorkingSettings):
     """Settings of P2 as published: CNN-7, colour plane fusion over superpixels, a uniform prior.
 
@@ -169,25 +173,18 @@ class PaperFusionSettings(WorkingSettings):
         default="cpf", description="colour plane fusion with, or without (v2), saturated pixels"
     )
     saturation: Saturation = Saturation()
-    prior: Literal["uniform", "rows", "triangle"] = Field(
-        default="uniform", description="location prior of the road (eq. 4)"
-    )
+    prior: LocationPrior = "uniform"
 
 
 class BayesFusionSettings(PaperFusionSettings):
     """Settings of P2's equation 4 with the network of ``fusion`` in CNN-7's place."""
 
     threshold: Threshold = Field(default=0.177, description=TUNED_THRESHOLD)
-    prior: Literal["uniform", "rows", "triangle"] = Field(
-        default="rows", description="location prior of the road (eq. 4)"
-    )
+    prior: LocationPrior = "rows"
 
 
-SCRATCH_WEIGHTS = "layout-free"
-"""Shipped weights of a network trained from random ones."""
-
-SCRATCH_RIDGE = 3e-3
-"""Ridge of the texture in ``fusion:scratch`` and ``fusion:untrained``, chosen on CamVid. Ours."""
+SCRATCH_WEIGHTS = "layout-free"  # of a network trained from random weights
+SCRATCH_RIDGE = 3e-3  # of the texture, without a network or with that one; chosen on CamVid. Ours
 
 
 @use_inference_mode
@@ -363,10 +360,8 @@ class PaperFusion(nn.Module):
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""
         layout = self.network.potentials(image)
-        cues = texture_cues(image, self.settings)
-        prior = PRIORS[self.settings.prior](*layout.shape[1:]).to(image)
-        likelihood = likelihood_product(prior, [layout[HORIZONTAL], cues["uniformity"]])
-        return {"likelihood": likelihood, "layout": layout, **cues}
+        product = texture_product(image, self.settings, layout[HORIZONTAL], "uniformity")
+        return {"layout": layout, **product}
 
 
 class BayesFusion(nn.Module):
@@ -385,19 +380,17 @@ class BayesFusion(nn.Module):
     def forward(self, image: Tensor) -> dict[str, Tensor]:
         """Compute the cues of an image (3, H, W) in [0, 1]."""
         maps = compute_cues(self.network, image)
-        cues = texture_cues(image, self.settings)
-        prior = PRIORS[self.settings.prior](*image.shape[1:]).to(image)
-        likelihood = likelihood_product(prior, [maps["road"], cues["texture"]])
-        return {
-            "likelihood": likelihood,
-            "layout": maps["layout"],
-            "learned_road": maps["road"],
-            **cues,
-        }
+        product = texture_product(image, self.settings, maps["road"], "texture")
+        return {"layout": maps["layout"], "learned_road": maps["road"], **product}
 
 
-def texture_cues(image: Tensor, settings: PaperFusionSettings) -> dict[str, Tensor]:
-    """Compute the uniformity of an image's superpixels, P2 section 4, and the cues to it."""
+def texture_product(
+    image: Tensor, settings: PaperFusionSettings, learned: Tensor, cue: str
+) -> dict[str, Tensor]:
+    """Compute P2 eq. 4: prior times a network's likelihood (H, W) times a cue of the texture.
+
+    Returns the product as ``likelihood``, and the cues of the texture (P2 section 4).
+    """
     texture, labels = settings.texture, settings.superpixels.cut(image)
     seed = seed_rectangle(labels.shape, settings.seed_area).to(image.device)
     if settings.descriptor == "cpf":
@@ -405,12 +398,14 @@ def texture_cues(image: Tensor, settings: PaperFusionSettings) -> dict[str, Tens
     else:
         fused, values, _ = unsaturated_uniformity(image, labels, seed, texture, settings.saturation)
     uniformity = paint_segments(values, labels)
-    return {
+    cues = {
         "texture": uniformity_likelihood(uniformity, texture.midpoint),
         "uniformity": uniformity,
         "fused_plane": fused,
         "segments": labels,
     }
+    prior = PRIORS[settings.prior](*labels.shape).to(image)
+    return {"likelihood": likelihood_product(prior, [learned, cues[cue]]), **cues}
 
 
 ENTRIES = (
@@ -425,10 +420,7 @@ ENTRIES = (
         "two networks, each also run on an enlarged lower crop: more accurate, slower",
         FusionSettings,
         Fusion,
-        defaults={
-            "crops": (0.3,),
-            "second": {"file": "rendered-free"},
-        },
+        defaults={"crops": (0.3,), "second": {"file": "rendered-free"}},
     ),
     Entry(
         "fusion:scratch",

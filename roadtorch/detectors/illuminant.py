@@ -8,7 +8,6 @@ from torch import Tensor
 from roadtorch.detectors.entry import (
     Analysis,
     Entry,
-    Threshold,
     WorkingSettings,
     use_inference_mode,
 )
@@ -25,7 +24,6 @@ from roadtorch.road.seed_area import seed_rectangle
 class IlluminantSettings(WorkingSettings):
     """Settings of the road's histogram in the illuminant-invariant plane."""
 
-    threshold: Threshold = 0.5
     invariant_angle: float | None = Field(
         default=None,
         ge=0,

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-FASTEST_FLOW = cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST
 FAST_FLOW = cv2.DISOPTICAL_FLOW_PRESET_FAST
 
 MIN_FLOW_SIDE = 32
@@ -31,7 +30,7 @@ def flow_image(image: Tensor, width: int) -> Tensor:
     return torch.from_numpy(np.round(grey * 255).astype(np.uint8))
 
 
-def dense_flow(source: Tensor, target: Tensor, preset: int = FASTEST_FLOW) -> Tensor:
+def dense_flow(source: Tensor, target: Tensor, preset: int = FAST_FLOW) -> Tensor:
     """Compute the flow from ``source`` to ``target``: float32 (h, w, 2), pixels right and down.
 
     source, target: uint8 (h, w). Raises ValueError for a side below ``MIN_FLOW_SIDE``.

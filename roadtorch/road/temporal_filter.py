@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from roadtorch.imaging.motion import FAST_FLOW, dense_flow, flow_image, forward_backward_error, warp
+from roadtorch.imaging.motion import dense_flow, flow_image, forward_backward_error, warp
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.road.bayes import log_odds
 
@@ -187,7 +187,7 @@ def _filter_states(
 
 def estimate_motion(previous: Tensor, grey: Tensor, settings: TemporalFilterSettings) -> Motion:
     """Estimate the motion from a frame to the previous one, both uint8 (h, w), with confidence."""
-    flow = dense_flow(grey, previous, FAST_FLOW)
+    flow = dense_flow(grey, previous)
     return Motion(previous, grey, flow, flow_confidence(previous, grey, flow, settings))
 
 
@@ -202,7 +202,7 @@ def flow_confidence(
     """
     motion = torch.hypot(flow[..., 0], flow[..., 1])
     tolerance = settings.flow_error + settings.relative_flow_error * motion
-    error = forward_backward_error(flow, dense_flow(previous, grey, FAST_FLOW)) / tolerance
+    error = forward_backward_error(flow, dense_flow(previous, grey)) / tolerance
     change = grey.to(torch.float32) - warp(previous.to(torch.float32), flow)
     change = np.abs((change - change.median()).numpy()) / 255
     blurred = torch.from_numpy(cv2.blur(change, (BLUR_SIDE, BLUR_SIDE))) / settings.contrast

@@ -12,6 +12,7 @@ import pytest
 from roadtorch.annotate.server import make_page_server
 from roadtorch.annotate.session import open_session
 from roadtorch.data.corrections import Correction, read_corrections
+from roadtorch.data.events import layout_layer, road_layer
 from roadtorch.detectors.catalogue import load_detector
 
 if TYPE_CHECKING:
@@ -146,8 +147,8 @@ def test_drag_undo_redo_reload(page: "Page", server: Server) -> None:
     page.mouse.up()
     at_version(page, 1)
     (dragged,) = server.corrections()
-    assert 100 < (dragged.road == 0).sum() < dragged.road.size / 2
-    assert not (dragged.road == 1).any()
+    assert 100 < (road_layer(dragged.labels) == 0).sum() < road_layer(dragged.labels).size / 2
+    assert not (road_layer(dragged.labels) == 1).any()
     press(page, "z")
     at_version(page, 2)
     assert server.corrections() == []
@@ -180,8 +181,8 @@ def test_the_keyboard_alone_is_enough(page: "Page", server: Server) -> None:
     press_and_leave(page, "m", "ArrowDown")
     assert press_and_leave(page, "k") == following
     (corrected,) = server.corrections()
-    assert (corrected.road == 254).any()
-    assert (corrected.layout == 1).any()
+    assert (road_layer(corrected.labels) == 254).any()
+    assert (layout_layer(corrected.labels) == 1).any()
     for count in (1, 2):
         press_and_leave(page, "Enter")
         wait_for_text(page, "progress", f"{count} of 3 confirmed")
@@ -209,7 +210,7 @@ def test_a_narrow_window_has_a_thousand_images_in_reach(visit: Open, server: Ser
     assert 0 < sum("/api/thumbnail" in request for request in requests) < 150
     assert not page.locator("#side").is_visible()
     assert not page.locator("#hint").is_visible()
-    assert (server.corrections()[0].road == 0).any()
+    assert (road_layer(server.corrections()[0].labels) == 0).any()
 
 
 @pytest.mark.slow
@@ -221,8 +222,8 @@ def test_two_windows_lose_nothing(visit: Open, page: "Page", server: Server) -> 
     click(second, 0.5, 0.2, version=2)
     at_version(page, 2)
     (corrected,) = server.corrections()
-    assert (corrected.road == 1).any()
-    assert (corrected.road == 0).any()
+    assert (road_layer(corrected.labels) == 1).any()
+    assert (road_layer(corrected.labels) == 0).any()
 
 
 @pytest.mark.slow
@@ -243,6 +244,6 @@ def test_strokes_wait_through_a_reload_and_a_restart(page: "Page", server: Serve
     at_version(page, 3)
     page.wait_for_selector("#notice", state="hidden")
     (corrected,) = restarted.corrections()
-    assert (corrected.road == 1).any()
-    assert (corrected.road == 0).any()
+    assert (road_layer(corrected.labels) == 1).any()
+    assert (road_layer(corrected.labels) == 0).any()
     restarted.stop()

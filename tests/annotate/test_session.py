@@ -13,7 +13,7 @@ from roadtorch.annotate.server import Address, bind_socket, read_address, write_
 from roadtorch.annotate.session import Session, compute_views, open_session
 from roadtorch.base.errors import DatasetError, InputError
 from roadtorch.data.corrections import read_corrections
-from roadtorch.data.events import Confirm, Redo, SuperpixelStroke, Undo
+from roadtorch.data.events import Confirm, Redo, SuperpixelStroke, Undo, road_layer
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.testing.scenes import write_image
 from tests.streets import scene
@@ -38,7 +38,7 @@ def test_a_stroke_is_on_disk_and_a_restart_finds_it(session: Session) -> None:
     assert again["version"] == 1
     (correction,) = read_corrections(session.out)
     view = session.view(NAME)
-    assert (correction.road == 1).sum() == int((view.labels < 2).sum())
+    assert (road_layer(correction.labels) == 1).sum() == int((view.labels < 2).sum())
 
 
 def test_undo_and_redo_are_told(session: Session) -> None:
@@ -61,9 +61,9 @@ def test_right_as_it_is_keeps_what_was_shown(session: Session) -> None:
     assert state["confirmed"]
     (correction,) = read_corrections(session.out)
     assert correction.confirmed
-    assert set(np.unique(correction.road)) <= {0, 1}
+    assert set(np.unique(road_layer(correction.labels))) <= {0, 1}
     road = np.frombuffer(layers, np.uint8).reshape(48, 64) >> 3 & 1
-    assert (correction.road == road).all()
+    assert (road_layer(correction.labels) == road).all()
 
 
 OTHER_SPELLINGS = ("nosuch/../{}", "./{}", "../streets/{}", "/{}", "{}/", "a\0{}")

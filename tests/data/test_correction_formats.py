@@ -14,7 +14,7 @@ from roadtorch.base.errors import DatasetError
 from roadtorch.data.catalogue import open_dataset
 from roadtorch.data.correction_formats import CORRECTION_FORMATS, match_image_name, unpack_counts
 from roadtorch.data.corrections import Correction
-from roadtorch.data.events import LABEL_NAMES
+from roadtorch.data.events import LABEL_NAMES, layout_layer
 from tests.data.conftest import write
 
 SIZE = (19, 27)
@@ -84,7 +84,7 @@ def test_a_set_of_ones_own_reads_the_files_and_untouched_is_void(tmp_path: Path)
     assert (truth.valid.numpy() == ~np.isin(labels, silent)).all()
     assert (truth.road.numpy() == (labels == LABEL_NAMES.index("road"))).all()
     assert truth.layout is not None
-    assert (truth.layout.numpy() == correction(labels).layout).all()
+    assert (truth.layout.numpy() == layout_layer(labels)).all()
 
 
 # --- COCO -------------------------------------------------------------------------------

@@ -164,9 +164,10 @@ def test_corrections_have_what_training_needs(tmp_path: Path) -> None:
     (correction,) = read_corrections(tmp_path / "corrections")
     assert (correction.name, correction.image) == ("sub/a.jpg", tmp_path / "sub/a.jpg")
     assert (correction.seconds, correction.clicks, correction.confirmed) == (4.0, 2, False)
-    assert correction.road.dtype == correction.layout.dtype == np.uint8
-    assert correction.road[[15, 2, 7], 0].tolist() == [1, 0, 255]
-    assert correction.layout[[15, 2, 7], 0].tolist() == [2, 0, 255]
+    road, layout = road_layer(correction.labels), layout_layer(correction.labels)
+    assert road.dtype == layout.dtype == np.uint8
+    assert road[[15, 2, 7], 0].tolist() == [1, 0, 255]
+    assert layout[[15, 2, 7], 0].tolist() == [2, 0, 255]
     (moved,) = read_corrections(tmp_path / "corrections", tmp_path / "elsewhere")
     assert moved.image == tmp_path / "elsewhere/sub/a.jpg"
 
