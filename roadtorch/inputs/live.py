@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Generator
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from queue import Empty, Queue
@@ -32,46 +31,28 @@ STREAMS = ("http", "https", "rtsp", "rtsps", "rtmp", "rtmps", "rtp", "srt", "tcp
 GRACE_PERIOD = 5.0  # seconds beyond a timeout, as FFmpeg does not interrupt DNS lookups
 
 
-@dataclass(frozen=True)
-class RetryPolicy:
-    """Timeout and reconnection of a stream."""
-
-    timeout: float = 10  # seconds to wait for an answer or a frame
-    retries: int = 5  # reconnections in a row
-    backoff: float = 0.5  # seconds before the first reconnection, then doubled
-
-    @property
-    def total_timeout(self) -> float:
-        """Seconds until the last reconnection has failed."""
-        pauses = self.backoff * (2**self.retries - 1)
-        return (self.retries + 1) * self.timeout + pauses + GRACE_PERIOD
+TIMEOUT = 10.0  # seconds to wait for an answer or a frame
+RETRIES, BACKOFF = 5, 0.5  # reconnections in a row; seconds before the first, then doubled
 
 
-def camera_source(number: int, selection: Selection, policy: RetryPolicy = RetryPolicy()) -> Source:
+def camera_source(number: int, selection: Selection) -> Source:
     """Make a live source of OpenCV's camera of a number."""
     connect = partial(_read_camera, number)
-    return live_source(connect, f"camera-{number}", f"camera:{number}", selection, policy)
+    return live_source(connect, f"camera-{number}", f"camera:{number}", selection)
 
 
-def stream_source(
-    url: str, name: str, selection: Selection, policy: RetryPolicy = RetryPolicy()
-) -> Source:
+def stream_source(url: str, name: str, selection: Selection) -> Source:
     """Make a live source of a stream's URL (RTSP, HTTP, RTMP, UDP, SRT)."""
-    connect = partial(_read_stream, url, policy)
-    return live_source(connect, name, strip_password(url), selection, policy)
+    return live_source(partial(_read_stream, url), name, strip_password(url), selection)
 
 
-def live_source(
-    connect: Connection, name: str, origin: str, selection: Selection, policy: RetryPolicy
-) -> Source:
+def live_source(connect: Connection, name: str, origin: str, selection: Selection) -> Source:
     """Make a live source of a connection, which is reopened when it breaks."""
-    newest = partial(newest_frames, connect, name, origin, policy)
+    newest = partial(newest_frames, connect, name, origin)
     return Source(name, origin, items=lambda: selection.select(newest()), live=True)
 
 
-def newest_frames(
-    connect: Connection, name: str, origin: str, policy: RetryPolicy
-) -> Generator[Item]:
+def newest_frames(connect: Connection, name: str, origin: str) -> Generator[Item]:
     """Yield the newest frame on each request; frames between are numbered and dropped.
 
     A thread reads and keeps one frame. ``seconds`` counts from the first frame, ``stamp`` is the
@@ -80,12 +61,14 @@ def newest_frames(
     """
     newest: Queue[NewestFrame | InputError] = Queue()
     stop = Event()
-    reader = Thread(target=_fill_queue, args=(newest, stop, connect, policy), daemon=True)
+    reader = Thread(target=_fill_queue, args=(newest, stop, connect), daemon=True)
     reader.start()
     first: float | None = None
+    # Until the last reconnection has failed.
+    longest = (RETRIES + 1) * TIMEOUT + BACKOFF * (2**RETRIES - 1) + GRACE_PERIOD
     try:
         while True:
-            limit = policy.timeout * 2 + GRACE_PERIOD if first is None else policy.total_timeout
+            limit = TIMEOUT * 2 + GRACE_PERIOD if first is None else longest
             try:
                 frame = newest.get(timeout=limit)
             except Empty:
@@ -103,7 +86,7 @@ def newest_frames(
 
 
 def _fill_queue(
-    newest: "Queue[NewestFrame | InputError]", stop: Event, connect: Connection, policy: RetryPolicy
+    newest: "Queue[NewestFrame | InputError]", stop: Event, connect: Connection
 ) -> None:
     """Keep only the newest frame in the queue and reconnect; end with the error that stopped it."""
     failures, count, last = 0, 0, InputError("stream", "ended", "run it again when it is back")
@@ -122,23 +105,23 @@ def _fill_queue(
         except Exception as error:  # an error in a thread would go unnoticed
             last = InputError("stream", f"{type(error).__name__}: {error}", "report it")
         failures += 1
-        if not count or failures > policy.retries:
+        if not count or failures > RETRIES:
             if count:
                 problem = f"{last.problem}; reconnecting failed {failures - 1} times"
                 last = InputError(last.where, problem, "run it again when the stream is back")
             return newest.put(last)
-        stop.wait(policy.backoff * 2 ** (failures - 1))
+        stop.wait(BACKOFF * 2 ** (failures - 1))
 
 
 # --- connections ------------------------------------------------------------------------
 
 
-def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor]]:
+def _read_stream(url: str) -> Generator[Callable[[], Tensor]]:
     """Yield the frames of one connection to a stream."""
     av, origin = import_av(), strip_password(url)
     options = {"rtsp_transport": "tcp", "fflags": "nobuffer"}
     try:
-        with av.open(encode_url(url), options=options, timeout=policy.timeout) as container:
+        with av.open(encode_url(url), options=options, timeout=TIMEOUT) as container:
             stream = main_video_stream(url, container)
             decode = frame_decoder(stream)
             for frame in container.decode(stream):
@@ -146,7 +129,7 @@ def _read_stream(url: str, policy: RetryPolicy) -> Generator[Callable[[], Tensor
     except (av.FFmpegError, UnicodeError) as error:
         problem = f"cannot be read: {ffmpeg_reason(error)}"
         if isinstance(error, av.error.ExitError | TimeoutError):
-            problem = f"gives no answer within {policy.timeout:g} seconds"
+            problem = f"gives no answer within {TIMEOUT:g} seconds"
         raise InputError(origin, problem, "check the address and the stream") from None
     raise InputError(origin, "has ended", "check the stream")
 

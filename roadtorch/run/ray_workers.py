@@ -6,7 +6,7 @@ import pickle
 import re
 import socket
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from tempfile import TemporaryDirectory
@@ -15,7 +15,7 @@ from typing import Any
 from roadtorch.base.compute import Threads
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import block_sigint_in_children
-from roadtorch.run.workers import WorkerCrashError, Workers, pickle_value
+from roadtorch.run.workers import TaskFunction, WorkerCrashError, Workers, pickle_value
 
 CONNECT_TIMEOUT = 10.0  # seconds to wait for a cluster; ours
 OBJECT_STORE_BYTES = 100 * 2**20  # of a local cluster; rows and weights are small
@@ -32,7 +32,7 @@ class Actor:
 
     def __init__(self, task: bytes, threads: Threads) -> None:
         threads.set()
-        self._task: Callable[[Any], Any] = pickle.loads(task)
+        self._task: TaskFunction = pickle.loads(task)
 
     def work(self, item: bytes) -> bytes:
         """Apply the task to a pickled item and return the pickled result."""
@@ -42,7 +42,7 @@ class Actor:
 class RayWorker:
     """An actor with one CPU, and one GPU where the device is CUDA."""
 
-    def __init__(self, device: str, is_cluster: bool, task: Callable[[Any], Any]) -> None:
+    def __init__(self, device: str, is_cluster: bool, task: TaskFunction) -> None:
         import ray
 
         self._ray: Any = ray
@@ -56,7 +56,7 @@ class RayWorker:
         data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
         self._actor: Any = self._ray.remote(**options)(Actor).remote(data, threads)
 
-    def run(self, item: Any) -> Any:
+    def run(self, item: object) -> Any:
         """Return the result of an item; WorkerCrashError if the actor died."""
         from ray.exceptions import OutOfMemoryError, RayActorError
 

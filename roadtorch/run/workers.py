@@ -13,15 +13,16 @@ import pickle
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from mmap import mmap
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from multiprocessing.util import Finalize
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -53,16 +54,31 @@ class WorkerCrashError(Exception):
     """A worker died during its item."""
 
 
+class Worker(Protocol):
+    """A worker of one task, for one item at a time."""
+
+    def run(self, item: object) -> Any:
+        """Return the result of an item; WorkerCrashError where the worker died."""
+        ...
+
+    def stop(self) -> None:
+        """End the worker at once."""
+        ...
+
+
+TaskFunction = Callable[[Any], Any]
+"""A function of an item; it is pickled for other processes."""
+
+
 @dataclass(frozen=True)
 class Workers:
     """Workers: ``jobs`` processes (one: this process itself), or what ``start`` makes for a task.
 
-    A worker has at most one item, so that its death costs only that: ``run`` returns its result,
-    and raises WorkerCrashError where the worker died; ``stop`` ends the worker at once.
+    A worker has at most one item, so that its death costs only that.
     """
 
     jobs: int = 1
-    start: Callable[[Callable[[Any], Any]], Any] | None = None
+    start: Callable[[TaskFunction], Worker] | None = None
 
     def map(
         self,
@@ -81,25 +97,9 @@ class Workers:
         if self.start is None and self.jobs == 1:
             yield from map(task, items)
             return
-        start = self.start or partial(_Process, Threads.current())
-        workers: list[Any] = []
-        idle: list[Any] = []
+        pool = _Pool(partial(self.start or partial(_Process, Threads.current()), task), self.jobs)
         pending: deque[tuple[_Item, Future[_Result]]] = deque()
         errors: list[Exception] = []
-
-        def start_worker() -> Any:
-            workers.append(start(task))
-            return workers[-1]
-
-        def run(worker: Any, item: _Item) -> _Result:
-            try:
-                return worker.run(item)
-            except WorkerCrashError:
-                worker.stop()
-                workers.remove(worker)
-                raise
-            finally:
-                idle.extend({worker}.intersection(workers))
 
         def read() -> Iterator[_Item]:
             try:
@@ -117,15 +117,10 @@ class Workers:
             except WorkerCrashError:
                 return on_crash(item)
 
-        threads = ThreadPoolExecutor(self.jobs)
         try:
-            # Before the first item is read: no process inherits, say, a decoder's threads.
-            with _report_start():
-                idle += [start_worker() for _ in range(self.jobs)]
+            pool.fill()  # before the first item is read: no process inherits a decoder's threads
             for item in read():
-                with _report_start():  # a worker that died is replaced
-                    worker = idle.pop() if idle else start_worker()
-                    pending.append((item, threads.submit(run, worker, item)))
+                pending.append((item, pool.submit(item)))
                 while (live and pending and pending[0][1].done()) or (
                     len(running()) == self.jobs or len(pending) == MAX_AHEAD * self.jobs
                 ):
@@ -141,9 +136,46 @@ class Workers:
             try:
                 wait(running(), SHUTDOWN_TIMEOUT)
             finally:  # also after a second signal
-                for worker in [*workers]:
-                    worker.stop()
-                threads.shutdown(wait=False)
+                pool.stop()
+
+
+class _Pool:
+    """The workers of a task, with a thread each that waits for its result."""
+
+    def __init__(self, start: Callable[[], Worker], jobs: int) -> None:
+        self._start, self._jobs, self._threads = start, jobs, ThreadPoolExecutor(jobs)
+        self._workers, self._idle = list[Worker](), list[Worker]()
+
+    def fill(self) -> None:
+        """Start all workers."""
+        with _report_start():
+            self._idle += [self._add() for _ in range(self._jobs)]
+
+    def submit(self, item: object) -> Future[Any]:
+        """Give an item to an idle worker, or to a new one in place of one that died."""
+        with _report_start():
+            worker = self._idle.pop() if self._idle else self._add()
+            return self._threads.submit(self._run, worker, item)
+
+    def stop(self) -> None:
+        """End all workers at once."""
+        for worker in [*self._workers]:
+            worker.stop()
+        self._threads.shutdown(wait=False)
+
+    def _add(self) -> Worker:
+        self._workers.append(self._start())
+        return self._workers[-1]
+
+    def _run(self, worker: Worker, item: object) -> Any:
+        try:
+            return worker.run(item)
+        except WorkerCrashError:
+            worker.stop()
+            self._workers.remove(worker)
+            raise
+        finally:
+            self._idle.extend({worker}.intersection(self._workers))
 
 
 @contextmanager
@@ -221,9 +253,9 @@ class _Process:
     for an item and for its result: arrays pass through it in a fifth of a pipe's time.
     """
 
-    def __init__(self, threads: Threads, task: Callable[[Any], Any]) -> None:
+    def __init__(self, threads: Threads, task: TaskFunction) -> None:
         forks = sys.platform == "linux" and threads.torch == 1 and not torch.cuda.is_initialized()
-        context: Any = get_context("fork" if forks else "spawn")
+        context = get_context("fork") if forks else get_context("spawn")
         self._memories = [mmap(-1, SHARED_BYTES) if forks else bytearray() for _ in range(2)]
         self._unsent_task, inherited_task = (None, task) if forks else (task, None)
         self._pipe, end = context.Pipe()
@@ -233,7 +265,7 @@ class _Process:
             self._process.start()
         Finalize(self, self._process.kill, exitpriority=0)  # or Python waits for it at its own end
 
-    def run(self, item: Any) -> Any:
+    def run(self, item: object) -> Any:
         """Return the result of an item: copies, as the memory is soon used again.
 
         A process that dies before it has its task raises InputError: all others would die as well.
@@ -277,7 +309,10 @@ def _safe_path() -> Iterator[None]:
 
 
 def _work(
-    pipe: Any, threads: Threads, task: Callable[[Any], Any] | None, memories: list[Any]
+    pipe: Connection,
+    threads: Threads,
+    task: TaskFunction | None,
+    memories: Sequence[mmap | bytearray],
 ) -> None:
     """Run a task, inherited or sent first, on the items from a pipe.
 

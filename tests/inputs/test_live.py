@@ -13,11 +13,15 @@ import pytest
 from roadtorch.base.errors import InputError
 from roadtorch.inputs import live
 from roadtorch.inputs.item import Item, Selection
-from roadtorch.inputs.live import RetryPolicy, camera_source, newest_frames, stream_source
+from roadtorch.inputs.live import camera_source, newest_frames, stream_source
 from tests.servers import send, serving
 from tests.videos import write_video
 
-QUICK = RetryPolicy(timeout=60.0, retries=2, backoff=0.05)
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"TIMEOUT": 60.0, "RETRIES": 2, "BACKOFF": 0.05}.items():
+        monkeypatch.setattr(live, name, value)
 
 
 @pytest.fixture
@@ -48,7 +52,7 @@ def test_a_stream_that_breaks_off_is_connected_to_anew(stream: bytes) -> None:
     with serving(answer) as host:  # FFmpeg's sockets are not those that tests are kept from
         url = f"http://{host}/live"
         with pytest.raises(InputError, match="reconnecting failed 2 times") as caught:
-            look(stream_source(url, "live", Selection(), QUICK).items())
+            look(stream_source(url, "live", Selection()).items())
 
     assert len(connections) == 5  # three good ones, and two tries after the last
     assert caught.value.where == url
@@ -60,19 +64,20 @@ def test_a_stream_that_breaks_off_is_connected_to_anew(stream: bytes) -> None:
 
 def test_a_limit_closes_the_connection(stream: bytes) -> None:
     with serving(send(stream, "video/mp2t", 0)) as host:
-        frames = stream_source(f"http://{host}/live", "live", Selection(limit=2), QUICK).items()
+        frames = stream_source(f"http://{host}/live", "live", Selection(limit=2)).items()
 
         assert [frame.name[:5] for frame in frames] == ["live/", "live/"]
 
 
-def test_a_stream_that_never_answers_is_given_up_in_time() -> None:
+def test_a_stream_that_never_answers_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "TIMEOUT", 0.5)
+    monkeypatch.setattr(live, "BACKOFF", 60)
     with closing(socket.create_server(("127.0.0.1", 0))) as silent:
         url = f"http://127.0.0.1:{silent.getsockname()[1]}/live"
         start = time.monotonic()
-        policy = RetryPolicy(timeout=0.5, backoff=60)
 
         with pytest.raises(InputError, match=r"gives no answer within 0.5 seconds"):
-            next(stream_source(url, "live", Selection(), policy).items())
+            next(stream_source(url, "live", Selection()).items())
 
     assert time.monotonic() - start < 60  # no reconnection was tried
 
@@ -83,20 +88,21 @@ def test_nobody_there_is_told_at_once() -> None:
     url = f"rtsp://user:secret@127.0.0.1:{port}/live"
 
     with pytest.raises(InputError, match="cannot be read: Connection refused") as caught:
-        next(stream_source(url, "live", Selection(), QUICK).items())
+        next(stream_source(url, "live", Selection()).items())
 
     assert "secret" not in str(caught.value)
 
 
 def test_no_such_camera(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="camera:63: no such camera"):
-        next(camera_source(63, Selection(), QUICK).items())
+        next(camera_source(63, Selection()).items())
 
     assert capfd.readouterr().err == ""
 
 
 def test_only_the_newest_frame_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "GRACE_PERIOD", 0.5)
+    for name, value in {"GRACE_PERIOD": 0.5, "TIMEOUT": 0.5, "RETRIES": 0, "BACKOFF": 0}.items():
+        monkeypatch.setattr(live, name, value)
     looked, sent, end = Event(), Event(), Event()
 
     def connect() -> Iterator[None]:
@@ -107,7 +113,7 @@ def test_only_the_newest_frame_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
         end.wait(60)
         raise InputError("x", "has ended", "check the stream")
 
-    frames = newest_frames(connect, "x", "x", RetryPolicy(timeout=0.5, retries=0, backoff=0))  # pyright: ignore
+    frames = newest_frames(connect, "x", "x")  # pyright: ignore
 
     assert next(frames).number == 0
     looked.set()
@@ -124,4 +130,4 @@ def test_an_unforeseen_error_in_the_thread_is_raised() -> None:
         yield
 
     with pytest.raises(InputError, match=r"ZeroDivisionError: oh \(report it\)"):
-        next(newest_frames(connect, "x", "x", QUICK))  # pyright: ignore[reportArgumentType]
+        next(newest_frames(connect, "x", "x"))  # pyright: ignore[reportArgumentType]
