@@ -65,7 +65,7 @@ OUTPUTS = {
     "grid/video": f"infer clip.mp4 {GRID},grid-image --set grid.fov=60 --limit 8",
     "grid/ros2": f"infer drive {GRID},bag",
     "grid/ros1": f"infer drive.bag {GRID},bag --set grid.pitch=3",
-    "label/margin": "label images --overlay",
+    "label/margin": "label images",
     "label/maximum": "label images --set support=maximum",
     "label/submit": "evaluate kitti-road kitti --submit",
     "evaluate/camvid": "evaluate camvid ../data/camvid --limit 12 {all}",

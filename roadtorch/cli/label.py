@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 @INPUTS_ARGUMENT
 @click.option("--out", type=PATH, required=True, help="Folder for the labels.")
 @SETTING_OPTION
-@click.option("--overlay", is_flag=True, help="Also write NAME.overlay.jpg.")
 @run_options
 @click.pass_context
 def label_command(
@@ -23,7 +22,6 @@ def label_command(
     inputs: tuple[str, ...],
     out: Path,
     assignments: tuple[str, ...],
-    overlay: bool,
     options: "RunOptions",
 ) -> None:
     """Label every pixel as sky (0), vertical (1), horizontal (2) or unlabelled (255).
@@ -43,9 +41,9 @@ def label_command(
 
     configure_threads(threads=1)
     settings = build_settings(LabellerSettings, parse_assignments(assignments))
-    labels = LabelWriter(out, ["labels", *["overlay"] * overlay])
+    labels = LabelWriter(out)
     todo = plan_run(Inputs(find_images(inputs, out), []), out, labels.suffixes)
     effective = to_toml("labeller", settings)
     run = context.with_resource(open_run(out, effective, todo, options))
-    task = Task(Labelling(settings), labels, cache_key(settings), tuple(labels.kinds))
+    task = Task(Labelling(settings), labels, cache_key(settings), ("labels",))
     context.exit(run.process_images(todo.images, task))

@@ -19,7 +19,6 @@ from types import MappingProxyType
 
 from roadtorch.base.atomic import (
     OUT_HINT,
-    atomic_write,
     claim_results,
     csv_text,
     lock_folder,
@@ -107,14 +106,13 @@ def _whole_pixels(row: IndexRow) -> IndexRow:
 
 def write_index(path: Path, rows: Iterable[IndexRow]) -> None:
     """Write rows, sorted by file, as index.csv."""
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(index_bytes(rows))
+    write_text(path, index_text(rows))
 
 
-def index_bytes(rows: Iterable[IndexRow]) -> bytes:
-    """Return the bytes of an index.csv with rows, sorted by file."""
+def index_text(rows: Iterable[IndexRow]) -> str:
+    """Return the text of an index.csv with rows, sorted by file."""
     ordered = sorted(rows, key=lambda row: row.file)
-    return to_printable(csv_text(INDEX_COLUMNS, map(asdict, ordered))).encode()
+    return to_printable(csv_text(INDEX_COLUMNS, map(asdict, ordered)))
 
 
 def has_result(folder: Path, name: str) -> bool:

@@ -19,7 +19,7 @@ from roadtorch.base.signals import SigtermInterrupt
 from roadtorch.base.version import __version__
 from roadtorch.detectors.detector import Detector
 from roadtorch.layout.weights import count_corrected_images, hash_tensors
-from roadtorch.run.ledger import RUN_FILE, Ledger, index_bytes
+from roadtorch.run.ledger import RUN_FILE, Ledger, index_text
 
 
 @contextmanager
@@ -46,6 +46,7 @@ def record_run(
         done = sorted((row for row in tried if not row.failed), key=lambda row: row.file)
         inputs = "".join(f"{row.sha256}  {row.file}\n" for row in done)
         settings = detector.settings.model_dump(mode="json")
+        index = index_text(ledger.rows.values())
         document = {
             "versions": {  # results may depend on these
                 "roadtorch": __version__,
@@ -68,7 +69,7 @@ def record_run(
                 for name, value in options.items()
             },
             "inputs_sha256": hashlib.sha256(inputs.encode()).hexdigest(),
-            "index_sha256": hashlib.sha256(index_bytes(ledger.rows.values())).hexdigest(),
+            "index_sha256": hashlib.sha256(index.encode()).hexdigest(),
             "started": started,
             "ended": _now(),
             "images": {

@@ -31,6 +31,7 @@ from roadtorch.base.compute import Threads, check_device, keep_freed_memory
 from roadtorch.base.errors import InputError
 from roadtorch.base.signals import STOP_SIGNALS, block_sigint_in_children, end_with_parent
 
+_Memory = mmap | bytearray
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
@@ -54,16 +55,12 @@ class WorkerCrashError(Exception):
     """A worker died during its item."""
 
 
-class Worker(Protocol):
-    """A worker of one task, for one item at a time."""
+class _Worker(Protocol):
+    """A worker of one task; ``run`` raises WorkerCrashError where it died, ``stop`` ends it."""
 
-    def run(self, item: object) -> Any:
-        """Return the result of an item; WorkerCrashError where the worker died."""
-        ...
+    def run(self, item: object) -> Any: ...
 
-    def stop(self) -> None:
-        """End the worker at once."""
-        ...
+    def stop(self) -> None: ...
 
 
 TaskFunction = Callable[[Any], Any]
@@ -78,7 +75,7 @@ class Workers:
     """
 
     jobs: int = 1
-    start: Callable[[TaskFunction], Worker] | None = None
+    start: Callable[[TaskFunction], _Worker] | None = None
 
     def map(
         self,
@@ -142,32 +139,29 @@ class Workers:
 class _Pool:
     """The workers of a task, with a thread each that waits for its result."""
 
-    def __init__(self, start: Callable[[], Worker], jobs: int) -> None:
+    def __init__(self, start: Callable[[], _Worker], jobs: int) -> None:
         self._start, self._jobs, self._threads = start, jobs, ThreadPoolExecutor(jobs)
-        self._workers, self._idle = list[Worker](), list[Worker]()
+        self._workers, self._idle = list[_Worker](), list[_Worker]()
 
     def fill(self) -> None:
-        """Start all workers."""
         with _report_start():
             self._idle += [self._add() for _ in range(self._jobs)]
 
     def submit(self, item: object) -> Future[Any]:
-        """Give an item to an idle worker, or to a new one in place of one that died."""
         with _report_start():
             worker = self._idle.pop() if self._idle else self._add()
             return self._threads.submit(self._run, worker, item)
 
     def stop(self) -> None:
-        """End all workers at once."""
         for worker in [*self._workers]:
             worker.stop()
         self._threads.shutdown(wait=False)
 
-    def _add(self) -> Worker:
+    def _add(self) -> _Worker:
         self._workers.append(self._start())
         return self._workers[-1]
 
-    def _run(self, worker: Worker, item: object) -> Any:
+    def _run(self, worker: _Worker, item: object) -> Any:
         try:
             return worker.run(item)
         except WorkerCrashError:
@@ -309,10 +303,7 @@ def _safe_path() -> Iterator[None]:
 
 
 def _work(
-    pipe: Connection,
-    threads: Threads,
-    task: TaskFunction | None,
-    memories: Sequence[mmap | bytearray],
+    pipe: Connection, threads: Threads, task: TaskFunction | None, memories: Sequence[_Memory]
 ) -> None:
     """Run a task, inherited or sent first, on the items from a pipe.
 

@@ -60,13 +60,9 @@ def write_grid(stem: str | os.PathLike[str], grid: Grid, comment: str = "") -> N
         head = f"P5\n{grey.shape[1]} {grey.shape[0]}\n255\n"
         temporary.write_bytes(head.encode() + grey.tobytes())
     write_npy(stem.with_name(stem.name + ".grid.npy"), grid.cells)
-    # YAML does not join the two halves of a letter beyond 16 bits, which JSON escapes apart.
-    name = "".join(
-        letter if ord(letter) > 0xFFFF else json.dumps(letter)[1:-1] for letter in image.name
-    )
     lines = [f"# {comment}"] if comment else []
     lines += [
-        f'image: "{name}"',
+        f"image: {json.dumps(image.name, ensure_ascii=False)}",
         "mode: trinary",
         f"resolution: {grid.resolution:g}",
         f"origin: [{grid.origin[0]:g}, {grid.origin[1]:g}, 0]",

@@ -50,11 +50,7 @@ class BirdsEyeWriter:
 
     folder: Path
     calib: Path
-
-    @property
-    def suffixes(self) -> Sequence[str]:
-        """Suffixes of its files."""
-        return [MAP_SUFFIX]
+    suffixes: Sequence[str] = (MAP_SUFFIX,)
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
         """Warp the likelihood of an image to bird's-eye view and write it."""

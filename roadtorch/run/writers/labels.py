@@ -7,15 +7,13 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from roadtorch.base.image import write_labels, write_rgb
+from roadtorch.base.image import write_labels
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import validate_image
 from roadtorch.inputs.item import Item
-from roadtorch.layout.classes import HORIZONTAL, colour_layout
+from roadtorch.layout.classes import HORIZONTAL
 from roadtorch.layout.labeller import LabellerSettings, label_layout
 
-LABEL_SUFFIXES = {"labels": ".png", "overlay": ".overlay.jpg"}
-LAYOUT_OPACITY = 0.5  # of class colours in the overlay
 LABELS_CUE = "layout_labels"
 
 
@@ -31,27 +29,17 @@ class Labelling:
         image = validate_image(image)
         labels = label_layout(image, self.settings).labels
         mask = labels == HORIZONTAL
-        return Detection(mask.to(image.dtype), mask, {LABELS_CUE: labels}, image=image)
+        return Detection(mask.to(image.dtype), mask, {LABELS_CUE: labels})
 
 
 @dataclass(frozen=True)
 class LabelWriter:
-    """A writer of label images and overlays; kinds: see ``LABEL_SUFFIXES``."""
+    """A writer of label images, NAME.png."""
 
     folder: Path
-    kinds: Sequence[str]
-
-    @property
-    def suffixes(self) -> Sequence[str]:
-        """Suffixes of its files."""
-        return [LABEL_SUFFIXES[kind] for kind in self.kinds]
+    suffixes: Sequence[str] = (".png",)
 
     def write(self, item: Item, detection: Detection) -> Mapping[str, str]:
-        """Write the labels, and the image tinted by class, with unlabelled pixels darkened."""
-        labels, image = detection.cues[LABELS_CUE], detection.image
-        assert image is not None
-        write_labels(self.folder / f"{item.name}{LABEL_SUFFIXES['labels']}", labels)
-        if "overlay" in self.kinds:
-            tinted = torch.lerp(image, colour_layout(labels), LAYOUT_OPACITY)
-            write_rgb(self.folder / f"{item.name}{LABEL_SUFFIXES['overlay']}", tinted)
+        """Write the labels."""
+        write_labels(self.folder / f"{item.name}.png", detection.cues[LABELS_CUE])
         return {}

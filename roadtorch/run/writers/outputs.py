@@ -22,11 +22,8 @@ from roadtorch.run.writers.grid import GridWriter
 from roadtorch.run.writers.maps import CUE_SUFFIXES, MapWriter
 from roadtorch.run.writers.video import VideoWriter
 
-DEFAULT_IMAGE_KINDS, DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = (
-    ("likelihood", "mask", "overlay"),
-    ("overlay",),
-    ("overlay", "bag"),
-)
+DEFAULT_IMAGE_KINDS = ("likelihood", "mask", "overlay")
+DEFAULT_FOOTAGE_KINDS, DEFAULT_BAG_KINDS = ("overlay",), ("overlay", "bag")
 """Kinds of results without ``--save``, for images, footage and bags."""
 
 CAMERA_FRAME = "camera"  # frame_id in bags written from footage, which has none
