@@ -13,7 +13,6 @@ holds camvid/, clips/, idd_lite/, kitti_road/, many/ and unlabelled_free/.
 """
 
 import csv
-import difflib
 import hashlib
 import json
 import os
@@ -27,7 +26,6 @@ from itertools import groupby, product
 from pathlib import Path
 
 import av
-import numpy as np
 import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
@@ -246,24 +244,7 @@ def differences(old_out: Path, new_out: Path) -> Iterator[str]:
         for key in differing[:12]:
             state = "gone" if key not in new else "other bytes" if key in old else "new"
             yield f"  {'/'.join(key)}: {state}"
-            if state == "other bytes":
-                lines = changes(old_out.joinpath(*key), new_out.joinpath(*key))
-                yield from (f"    {line[:200]}" for line in lines[:8])
     yield f"equal: {len(keys) - len(unequal)} of {len(keys)} in {', '.join(sorted(parts))}"
-
-
-def changes(old_file: Path, new_file: Path) -> list[str]:
-    """Return the differing lines of a text; of an array the number of differing values."""
-    if old_file.suffix == ".npy":
-        old, new = np.load(old_file).astype(float), np.load(new_file).astype(float)
-        if old.shape != new.shape:
-            return [f"{old.shape} and {new.shape}"]
-        apart = np.abs(old - new)
-        return [f"{np.count_nonzero(apart)} of {apart.size} numbers, by {apart.max():.2g} at most"]
-    if old_file.suffix not in TEXT:
-        return []
-    old, new = (settled(file).decode().split("\n") for file in (old_file, new_file))
-    return list(difflib.unified_diff(old, new, n=0, lineterm=""))[2:]
 
 
 def thumbnails(names: Iterable[str]) -> dict[str, list[list[int]]]:

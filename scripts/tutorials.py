@@ -9,7 +9,8 @@ A block ``console`` holds commands after ``$ `` with what they print, both strea
 ``python`` is executed, in one namespace for the page; what it prints stands in a block ``text``
 right behind it. A line or an end of a line ``…`` stands for anything. Times may differ by anything,
 the last decimal of a number by one, and more on pages that train a network. The folder has a link
-to ``configs``.
+to ``configs``. docs/start.md is docs/quickstart.ipynb, too; there a block ``python`` shows the
+overlay of a ``detection`` with which its last line begins.
 
 Commands of roadtorch run in copies of this process, which has imported everything once.
 """
@@ -32,14 +33,17 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for the package beside
 
+from docs._extensions.notebooks import as_notebook, same_notebook
+
+ROOT = Path(__file__).resolve().parents[1]
 ANYTHING = "…"
 BLOCK = re.compile(r"^```(console|python|text)\n(.*?)^```$", re.M | re.S)
 SPLIT = re.compile(r"([+\-\u2212]?(?:\d+(?:,\d{3})*(?:\.\d+)?|\.\d+))")
 TIMES = re.compile(r"^ ?(ms|s|seconds|minutes|MB|kB)\b")
 TRAINING = re.compile(r"^\$ roadtorch (train|adapt) ", re.M)
+NOTEBOOKS = {ROOT / "docs/start.md": ROOT / "docs/quickstart.ipynb"}
 TRAINED_TOLERANCE = 0.03
 """Fraction by which numbers may differ where a network was trained: machines round differently."""
 
@@ -145,16 +149,18 @@ def run(command: str) -> int:
 
 
 def execute_all(pipe: Any) -> None:
-    """Execute each block of Python that comes through a pipe, and send back what it prints."""
-    names: dict[str, object] = {"__name__": "tutorial"}
+    """Execute each block of Python of a pipe; send back what it prints, and its picture, if any."""
+    names: dict[str, Any] = {"__name__": "tutorial"}
     while True:
-        code, output = pipe.recv(), io.StringIO()
+        code, output, picture = pipe.recv(), io.StringIO(), b""
         with contextlib.redirect_stdout(output):
             try:
                 exec(compile(code, "tutorial", "exec"), names)
+                if code.splitlines()[-1].startswith("detection "):
+                    picture = names["detection"]._repr_png_()
             except Exception:
                 traceback.print_exc(file=output)
-        pipe.send(output.getvalue().rstrip("\n").splitlines())
+        pipe.send((output.getvalue().rstrip("\n").splitlines(), picture))
 
 
 def console_as_run(text: str, tolerance: float) -> str:
@@ -186,8 +192,11 @@ def shortened(expected: Sequence[str], actual: Sequence[str]) -> list[str]:
     return output
 
 
-def run_page(page: str) -> str:
-    """Return a page with the output that it has now, executed in an empty folder."""
+def run_page(page: str, pictures: list[bytes]) -> str:
+    """Return a page with the output that it has now, executed in an empty folder.
+
+    pictures: gets what each block of Python shows, as PNG; empty for nothing.
+    """
     cwd, context, printed = Path.cwd(), get_context("fork"), list[str]()
     tolerance = TRAINED_TOLERANCE if TRAINING.search(page) else 0.0
     # Not in this process: libraries that have worked have threads, which its copies lack.
@@ -201,7 +210,8 @@ def run_page(page: str) -> str:
             raise ValueError(f"this is printed, and no block `text` has it: {printed}")
         if kind == "python":
             python.send(text)
-            printed = python.recv()
+            printed, picture = python.recv()
+            pictures.append(picture)
         elif kind == "text":
             text, printed = output_as_shown(text.splitlines(), printed, tolerance), []
         else:
@@ -257,7 +267,7 @@ def main() -> int:
     wrong = 0
     for path in options.pages or executed_pages():
         old, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
-        new = run_page(old)
+        new = run_page(old, pictures := [])
         took = sum(os.times()[:4]) - begin  # of the processor, children's too
         print(f"{path.name}: {'as written' if old == new else 'differs'}, {took:.1f} s")
         if old != new:
@@ -266,6 +276,14 @@ def main() -> int:
             print("\n".join(difflib.unified_diff(*lines, lineterm="")))
             if options.act == "write":
                 path.write_text(new, encoding="utf-8")
+        if (notebook := NOTEBOOKS.get(path.resolve())) is None:
+            continue
+        text = as_notebook(new, BLOCK, pictures)
+        if not notebook.exists() or not same_notebook(notebook.read_text(encoding="utf-8"), text):
+            wrong += 1
+            print(f"{notebook.name}: differs")
+            if options.act == "write":
+                notebook.write_text(text, encoding="utf-8")
     return 1 if wrong and options.act == "check" else 0
 
 

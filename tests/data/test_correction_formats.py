@@ -102,9 +102,8 @@ def coco(folder: Path, *segmentations: object) -> np.ndarray:
     categories = [{"id": 1, "name": "road"}, {"id": 2, "name": "sky"}]
     document = {"images": images, "categories": categories, "annotations": regions}
     path.write_text(json.dumps(document | {"licenses": [], "info": {}}))
-    return CORRECTION_FORMATS["coco"].read(path, {"sub/a.jpg": (2, 4), "b.jpg": (9, 9)})[
-        "sub/a.jpg"
-    ]
+    labels = CORRECTION_FORMATS["coco"].read(path, {"sub/a.jpg": (2, 4), "b.jpg": (9, 9)})
+    return labels["sub/a.jpg"]
 
 
 @pytest.mark.parametrize(

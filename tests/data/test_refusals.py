@@ -118,17 +118,14 @@ def read_format(name: str, folder: Path) -> object:
     return CORRECTION_FORMATS[name].read(folder, {"a.jpg": (1, 2)})
 
 
-def region(**more: object) -> dict[str, object]:
-    return {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]} | more
-
-
 def coco(changes: Mapping[str, object] | None = None, **more: object) -> str:
     """Return a COCO file for the image a.jpg of two pixels, with or without a region."""
     image = {"id": 1, "file_name": "a.jpg", "height": 1, "width": 2}
+    region = {"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 1, 0, 1, 1]]}
     parts = {
         "images": [image],
         "categories": [{"id": 1, "name": "road"}, {"id": 2, "name": "cat"}],
-        "annotations": [] if changes is None else [region(**changes)],
+        "annotations": [] if changes is None else [region | {**changes}],
     }
     return json.dumps(parts | more)
 

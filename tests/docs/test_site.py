@@ -6,12 +6,14 @@ import re
 import subprocess
 import sys
 import zlib
+from base64 import b64encode
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
 
 import roadtorch
+from docs._extensions.notebooks import PICTURE, same_notebook
 from roadtorch.cli.group import COMMANDS
 from roadtorch.detectors.catalogue import ENTRIES
 from roadtorch.oneclass import CLASSIFIERS
@@ -154,4 +156,13 @@ print(x)
     right = page.replace("4 roads", "3 roads").replace("0.9", "0.4").replace("text\n2", "text\n1")
     right = right.replace("\na\n…\nd\n```", "\na\nb\nc\n```")
 
-    assert run_page(page) == right
+    assert run_page(page, []) == right
+
+
+def test_the_notebook_is_small_and_another_text_or_picture_in_it_is_noticed() -> None:
+    notebook = (ROOT / "docs/quickstart.ipynb").read_text(encoding="utf-8")
+    picture = b64encode((ROOT / "docs/figures/p2-fig3.png").read_bytes()).decode()
+
+    assert len(notebook) < 300 * 1024
+    for other in (notebook.replace("fusion", "cpf"), PICTURE.sub(picture, notebook)):
+        assert not same_notebook(notebook, other)
