@@ -149,18 +149,18 @@ def run(command: str) -> int:
 
 
 def execute_all(pipe: Any) -> None:
-    """Execute each block of Python of a pipe; send back what it prints, and its picture, if any."""
+    """Execute each block of Python of a pipe; send back what it prints, and its image, if any."""
     names: dict[str, Any] = {"__name__": "tutorial"}
     while True:
-        code, output, picture = pipe.recv(), io.StringIO(), b""
+        code, output, image = pipe.recv(), io.StringIO(), b""
         with contextlib.redirect_stdout(output):
             try:
                 exec(compile(code, "tutorial", "exec"), names)
                 if code.splitlines()[-1].startswith("detection "):
-                    picture = names["detection"]._repr_png_()
+                    image = names["detection"]._repr_png_()
             except Exception:
                 traceback.print_exc(file=output)
-        pipe.send((output.getvalue().rstrip("\n").splitlines(), picture))
+        pipe.send((output.getvalue().rstrip("\n").splitlines(), image))
 
 
 def console_as_run(text: str, tolerance: float) -> str:
@@ -192,10 +192,10 @@ def shortened(expected: Sequence[str], actual: Sequence[str]) -> list[str]:
     return output
 
 
-def run_page(page: str, pictures: list[bytes]) -> str:
+def run_page(page: str, images: list[bytes]) -> str:
     """Return a page with the output that it has now, executed in an empty folder.
 
-    pictures: gets what each block of Python shows, as PNG; empty for nothing.
+    images: gets what each block of Python shows, as PNG; empty for nothing.
     """
     cwd, context, printed = Path.cwd(), get_context("fork"), list[str]()
     tolerance = TRAINED_TOLERANCE if TRAINING.search(page) else 0.0
@@ -210,8 +210,8 @@ def run_page(page: str, pictures: list[bytes]) -> str:
             raise ValueError(f"this is printed, and no block `text` has it: {printed}")
         if kind == "python":
             python.send(text)
-            printed, picture = python.recv()
-            pictures.append(picture)
+            printed, image = python.recv()
+            images.append(image)
         elif kind == "text":
             text, printed = output_as_shown(text.splitlines(), printed, tolerance), []
         else:
@@ -267,7 +267,7 @@ def main() -> int:
     wrong = 0
     for path in options.pages or executed_pages():
         old, begin = path.read_text(encoding="utf-8"), sum(os.times()[:4])
-        new = run_page(old, pictures := [])
+        new = run_page(old, images := [])
         took = sum(os.times()[:4]) - begin  # of the processor, children's too
         print(f"{path.name}: {'as written' if old == new else 'differs'}, {took:.1f} s")
         if old != new:
@@ -278,7 +278,7 @@ def main() -> int:
                 path.write_text(new, encoding="utf-8")
         if (notebook := NOTEBOOKS.get(path.resolve())) is None:
             continue
-        text = as_notebook(new, BLOCK, pictures)
+        text = as_notebook(new, BLOCK, images)
         if not notebook.exists() or not same_notebook(notebook.read_text(encoding="utf-8"), text):
             wrong += 1
             print(f"{notebook.name}: differs")

@@ -1,32 +1,32 @@
 """A page with executed blocks as a notebook, which ``scripts/tutorials.py write`` writes."""
 
 import json
+import re
 from base64 import b64decode, b64encode
 from collections.abc import Sequence
-from re import Pattern, compile
 from typing import Any
 
 import cv2
 import numpy as np
 
-PICTURE = compile('(?<="image/png": ")[^"]+')
+PNG = re.compile('(?<="image/png": ")[^"]+')
 LEVELS = 1
-"""Mean difference of two pictures' levels up to which they are the same: roundings."""
+"""Mean difference of two images' levels up to which they are the same: roundings."""
 
 
 def same_notebook(expected: str, actual: str) -> bool:
-    """Return whether two notebooks have the same text, and pictures up to roundings."""
+    """Return whether two notebooks have the same text, and images up to roundings."""
     images = [
-        [cv2.imdecode(np.frombuffer(b64decode(png), np.uint8), 1) for png in PICTURE.findall(text)]
+        [cv2.imdecode(np.frombuffer(b64decode(png), np.uint8), 1) for png in PNG.findall(text)]
         for text in (expected, actual)
     ]
-    return PICTURE.sub("", expected) == PICTURE.sub("", actual) and all(
+    return PNG.sub("", expected) == PNG.sub("", actual) and all(
         a.shape == b.shape and cv2.absdiff(a, b).mean() < LEVELS
         for a, b in zip(*images, strict=True)
     )
 
 
-def as_notebook(page: str, block: Pattern[str], pictures: Sequence[bytes]) -> str:
+def as_notebook(page: str, block: re.Pattern[str], images: Sequence[bytes]) -> str:
     """Return a page as a notebook.
 
     Commands become those of the kernel's Python, whatever PATH has.
@@ -34,11 +34,11 @@ def as_notebook(page: str, block: Pattern[str], pictures: Sequence[bytes]) -> st
     Args:
         page: Markdown with what its blocks print.
         block: pattern of a block, its kind (``console``, ``python`` or ``text``) and its text.
-        pictures: PNG that each block ``python`` shows; empty where it shows none.
+        images: PNG that each block ``python`` shows; empty where it shows none.
     """
     first, *pieces = block.split(page.partition("```{toctree}")[0])
     cells: list[dict[str, Any]] = [{"cell_type": "markdown", "metadata": {}, "source": first}]
-    left = iter(pictures)
+    left = iter(images)
     for kind, text, after in zip(pieces[::3], pieces[1::3], pieces[2::3], strict=True):
         printed, cell = text, {"cell_type": "code", "metadata": {}, "execution_count": None}
         if kind == "console":
