@@ -25,10 +25,8 @@ VIOLATION = 1e-7  # fraction of the kernel's range by which the smallest ball ma
 class SvddSettings(ClassifierSettings):
     """Support vector data description."""
 
-    sigma: Width | Literal["median"] = Field(
-        default=5.0,
-        description="σ of the kernel exp(-|x-y|²/σ²) in units of the planes, or the median "
-        "distance between samples",
+    sigma: Width = Field(
+        default=5.0, description="σ of the kernel exp(-|x-y|²/σ²) in units of the planes"
     )
     threshold: Literal["radius", "quantile"] = Field(
         default="radius", description="threshold: the ball's radius, or the rejected fraction"
@@ -81,17 +79,6 @@ def ball_radius(squared: np.ndarray, weights: np.ndarray, caps: np.ndarray) -> f
     return float((inside.max() + outside.min()) / 2) if len(inside) else float(outside.min())
 
 
-def _median_distance(points: Tensor, counts: Tensor) -> float:
-    """Return the median distance of all pairs of samples, or their mean where that is 0."""
-    distances = squared_distances(points.T, points).sqrt()
-    pairs = counts[:, None] * counts
-    pairs.diagonal().sub_(counts)
-    flat, order = distances.flatten().sort()
-    below = pairs.flatten()[order].cumsum(0)
-    median = flat[torch.searchsorted(below, (below[-1] + 1) // 2)]
-    return float(median) or float((distances * pairs).sum() / below[-1].clamp(min=1)) or 1.0
-
-
 def fit_svdd(road: RoadSamples, settings: SvddSettings) -> DistanceModel:
     """Fit P3's distance to the centre of the smallest soft ball, in the kernel's space.
 
@@ -103,7 +90,7 @@ def fit_svdd(road: RoadSamples, settings: SvddSettings) -> DistanceModel:
     results, where SVDD, dLP and MPM agree within 0.2 in every combination.
     """
     samples, counts = distinct_samples("svdd", road.samples)
-    width = settings.sigma if settings.sigma != "median" else _median_distance(samples, counts)
+    width = settings.sigma
     gram = torch.expm1(-squared_distances(samples.T, samples) / width**2).numpy()
     # A cap above 1 binds no weight; a single sample is then on the sphere.
     caps = np.minimum(counts.numpy() / max(settings.rejected * len(road.samples), 1e-9), 2.0)

@@ -25,11 +25,6 @@ class GaussianSettings(ClassifierSettings):
     ridge: float = Field(
         default=1e-3, ge=0, le=1, description="weight of the mean variance in the covariance"
     )
-    threshold: Literal["quantile", "chi2"] = Field(
-        default="quantile",
-        description="threshold: beyond the rejected fraction of the samples, or of a Gaussian (of "
-        "the samples if the fraction is 0)",
-    )
 
 
 @cache
@@ -93,16 +88,13 @@ def column_norms(planes: Tensor) -> Tensor:
     return total.sqrt_()
 
 
-def gaussian(mean: Tensor, covariance: Tensor, settings: GaussianSettings) -> DistanceModel:
+def gaussian(mean: Tensor, covariance: Tensor) -> DistanceModel:
     """Return the Mahalanobis distance |W(x-mean)| as a model, of a mean (d,) and covariance (d, d).
 
     P3 announces the density G(x, μ, σ) and states (x-μ)ᵀΣ⁻¹(x-μ); both rank alike.
     """
     exact = whitening_matrix(covariance)
     root, offset = exact.float().contiguous(), (-exact @ mean)[:, None].float().contiguous()
-    threshold = None
-    if settings.threshold == "chi2" and settings.rejected > 0:
-        threshold = chi_quantile(1 - settings.rejected, len(mean))
 
     def distance(pixels: Tensor) -> Tensor:
         if len(pixels) == 1:
@@ -110,14 +102,13 @@ def gaussian(mean: Tensor, covariance: Tensor, settings: GaussianSettings) -> Di
             return torch.add(offset[0], pixels[0], alpha=slope).abs_()
         return column_norms(torch.addmm(offset, root, pixels))
 
-    return DistanceModel(distance, len(mean) + 1, threshold=threshold)
+    return DistanceModel(distance, len(mean) + 1)
 
 
 def fit_gaussian(road: RoadSamples, settings: GaussianSettings) -> DistanceModel:
     """Fit mean and covariance to the samples."""
     mean, covariance = moments(road.samples)
-    covariance = regularise(covariance, settings.ridge, variance_floor(road.axes))
-    return gaussian(mean, covariance, settings)
+    return gaussian(mean, regularise(covariance, settings.ridge, variance_floor(road.axes)))
 
 
 class RobustSettings(GaussianSettings):
@@ -162,7 +153,7 @@ def reweighted_moments(
 def fit_robust(road: RoadSamples, settings: RobustSettings) -> DistanceModel:
     """Fit mean and covariance to the reweighted samples."""
     power = 1.5 if settings.method == "reweighted" else 1.0
-    return gaussian(*reweighted_moments(road.samples, road.axes, settings, power), settings)
+    return gaussian(*reweighted_moments(road.samples, road.axes, settings, power))
 
 
 GAUSSIANS = (

@@ -46,9 +46,6 @@ class NoisyHistogramSettings(HistogramSettings):
         description="standard deviation of the noise on the copy of the samples, in ranges of the "
         "plane; 0: no copy",
     )
-    edge: Literal["drop", "clip"] = Field(
-        default="drop", description="noisy samples beyond the plane's range: drop or clip"
-    )
 
 
 class FineHistogramSettings(HistogramSettings):
@@ -64,16 +61,12 @@ class FineNoisyHistogramSettings(NoisyHistogramSettings):
 
 
 def add_noisy_copy(
-    samples: Tensor,
-    axes: Axes,
-    deviation: float,
-    edge: Literal["drop", "clip"],
-    generator: torch.Generator,
+    samples: Tensor, axes: Axes, deviation: float, generator: torch.Generator
 ) -> Tensor:
     """Add a copy with Gaussian noise to samples (m, d) (P3, "S&N"): (m', d), m ≤ m' ≤ 2m.
 
     ``deviation`` is in spans of each axis. Noisy samples wrap on circular axes; beyond the range of
-    other axes they are dropped or clipped.
+    other axes they are dropped.
     """
     low = torch.tensor(axes.low, dtype=samples.dtype)
     span = axes.span.to(samples.dtype)
@@ -81,9 +74,7 @@ def add_noisy_copy(
     noisy = samples + noise * (deviation * span)
     wraps = torch.tensor(axes.circular)
     noisy = torch.where(wraps, (noisy - low).remainder(span) + low, noisy)
-    if edge == "drop":
-        noisy = noisy[((noisy >= low) & (noisy <= low + span)).all(1)]
-    return torch.cat([samples, noisy])
+    return torch.cat([samples, noisy[((noisy >= low) & (noisy <= low + span)).all(1)]])
 
 
 def bin_indices(planes: Tensor, low: Tensor, scale: Tensor, bins: int) -> Tensor:
@@ -103,7 +94,7 @@ def fit_histogram(road: RoadSamples, settings: HistogramSettings) -> DistanceMod
     samples, axes, bins = road.samples, road.axes, settings.bins
     dimensions, joint = len(axes), settings.planes == "joint"
     if isinstance(settings, NoisyHistogramSettings) and settings.noise > 0:
-        samples = add_noisy_copy(samples, axes, settings.noise, settings.edge, road.generator)
+        samples = add_noisy_copy(samples, axes, settings.noise, road.generator)
     if joint and bins**dimensions > MAX_BINS:
         problem = f"{bins} bins in {dimensions} dimensions are too many"
         raise ConfigError("bins", problem, 'use fewer, or planes="product"')

@@ -28,10 +28,10 @@ class ComponentSettings(ClassifierSettings):
         le=1,
         description="fraction of the variance in the components; paper: 0.95",
     )
-    full: Literal["cap", "strict", "mean"] = Field(
+    full: Literal["cap", "strict"] = Field(
         default="cap",
-        description="if that fraction needs all components: use one less (cap), all (strict: all "
-        "distances are 0), or none (mean: distance to the mean)",
+        description="if that fraction needs all components: use one less (cap), or all (strict: "
+        "all distances are 0)",
     )
 
 
@@ -55,8 +55,8 @@ def fit_components(road: RoadSamples, settings: ComponentSettings) -> DistanceMo
     variances = torch.where(variances > 1e-6 * variance_floor(road.axes).min(), variances, 0)
     order = variances.argsort(descending=True, stable=True)
     count = count_components(variances[order], settings.variance)
-    if count == len(mean):
-        count = {"cap": count - 1, "strict": count, "mean": 0}[settings.full]
+    if count == len(mean) and settings.full == "cap":
+        count -= 1
     # The residual is in the remaining directions.
     centre, basis = mean.float(), directions[:, order[count:]].T.float().contiguous()
 

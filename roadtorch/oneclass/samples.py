@@ -21,7 +21,6 @@ from roadtorch.oneclass.axes import circular_mean, unroll_hue
 from roadtorch.road.seed_area import REFERENCE_SIZE, SeedArea, seed_area
 
 MIN_SEED_SIDE = 8  # least side of the seed area in pixels, where the image is large enough
-GRID_SHAPE = 15 / 6  # columns over rows of the grid that replaces superpixels: 6×15 for 90
 LEVEL_TOLERANCE = 1e-3  # distance to a whole level of 255 below which values count as 8-bit
 
 
@@ -54,10 +53,8 @@ def sample_area(shape: Sequence[int], seed: SeedArea = P3_SEED_AREA) -> tuple[sl
 
 
 Reduction = Annotated[
-    Literal["superpixels", "grid", "none"],
-    Field(
-        description="samples of the seed area: one per superpixel, per cell of a grid, or per pixel"
-    ),
+    Literal["superpixels", "none"],
+    Field(description="samples of the seed area: one per superpixel, or per pixel"),
 ]
 
 
@@ -69,7 +66,7 @@ class SampleSettings(Settings):
         default=90,
         ge=1,
         le=10**5,
-        description="approximate number of superpixels or cells; the paper: about 90",
+        description="approximate number of superpixels; the paper: about 90",
     )
 
 
@@ -127,16 +124,9 @@ def representation(image: Tensor, names: tuple[str, ...]) -> Palette:
 
 @cached_per_image
 def area_segments(image: Tensor, settings: SampleSettings, seed: SeedArea) -> Tensor:
-    """Return labels int64 (h, w) of the seed area: superpixels, or cells of a grid."""
+    """Return the superpixels of the seed area, labels int64 (h, w)."""
     rows, columns = sample_area(image.shape, seed)
-    area = image[:, rows, columns]
-    if settings.reduction == "superpixels":
-        return slic(area, settings.segments)
-    height, width = area.shape[-2:]
-    down = min(height, max(1, round((settings.segments / GRID_SHAPE) ** 0.5)))
-    across = min(width, max(1, round(settings.segments / down)))
-    row, column = (torch.arange(n) * cells // n for n, cells in ((height, down), (width, across)))
-    return row[:, None] * across + column
+    return slic(image[:, rows, columns], settings.segments)
 
 
 @cached_per_image

@@ -4,8 +4,6 @@ Patches are the rows of matrices (n, d): one for each position, in row-major ord
 side·side·3 values in the order of ``torch.nn.functional.unfold`` (channel, row, column).
 """
 
-from typing import Literal
-
 import torch
 from pydantic import Field
 from torch import Tensor
@@ -31,9 +29,6 @@ class DictionarySettings(Settings):
     )
     bases: int = Field(default=200, ge=1, le=1024, description="K, the number of bases")
     rounds: int = Field(default=10, ge=0, le=1000, description="rounds of K-means")
-    init: Literal["noise", "patches"] = Field(
-        default="noise", description="initial bases: small noise, or random patches"
-    )
     random_seed: int = Field(default=0, ge=0, le=2**31, description="seed of the initial bases")
 
 
@@ -79,9 +74,6 @@ def whiten_patches(image: Tensor, settings: DictionarySettings) -> Tensor:
 def initial_dictionary(patches: Tensor, settings: DictionarySettings) -> Tensor:
     """Return initial bases (K, d) for K-means; equal seeds give equal bases."""
     generator = torch.Generator().manual_seed(settings.random_seed)
-    if settings.init == "patches":
-        rows = torch.randint(len(patches), (settings.bases,), generator=generator)
-        return patches[rows.to(patches.device)]
     shape = (settings.bases, patches.shape[1])
     noise = torch.randn(shape, generator=generator, dtype=torch.float64)
     return (INITIAL_NOISE * noise).to(patches)

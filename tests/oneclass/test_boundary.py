@@ -66,19 +66,6 @@ def test_svdd_is_the_distance_to_the_centre_in_the_kernels_space(dimensions, sig
     np.testing.assert_allclose(away[on_sphere], radius, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("values", "median"),  # of the pairs, the lower one in the middle
-    [([0.1, 0.2, 0.5, 0.9], 0.4), ([0.1, 0.1, 0.2, 0.5], 0.1), ([0.5, 0.5, 0.5], 1.0)],
-)
-def test_median_width_is_the_median_distance_of_pairs(values, median):
-    samples, pixels = torch.tensor(values)[:, None], some(50, 1)
-    by_median, by_number = (
-        fitted(SVDD, samples, SvddSettings(sigma=sigma)).distance(pixels)
-        for sigma in ("median", median)
-    )
-    np.testing.assert_allclose(by_median, by_number, rtol=1e-4, atol=1e-6)
-
-
 # --- MPM --------------------------------------------------------------------------------
 
 

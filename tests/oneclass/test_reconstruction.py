@@ -19,7 +19,7 @@ COMPONENTS, MEANS = (CLASSIFIERS[name] for name in ("pca", "kmeans"))
 # --- principal components ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("full", "distance"), [("cap", 0.4), ("mean", 0.5), ("strict", 0)])
+@pytest.mark.parametrize(("full", "distance"), [("cap", 0.4), ("strict", 0)])
 def test_where_all_components_are_needed(full: str, distance: float) -> None:
     samples = torch.tensor([[0.6, 0.5], [0.4, 0.5], [0.5, 0.55], [0.5, 0.45]])
     settings = ComponentSettings.model_validate({"full": full})

@@ -19,8 +19,6 @@ from roadtorch.oneclass.samples import (
 from tests.draws import random, seeded_generator
 from tests.streets import scene
 
-GRID = SampleSettings(reduction="grid")
-
 
 def eight_bit(levels: int = 12) -> Tensor:
     """Return an 8-bit image of few colours, as read_image does."""
@@ -86,13 +84,12 @@ def test_a_sample_is_the_median_of_one_of_about_ninety_superpixels() -> None:
     np.testing.assert_allclose(samples, expected.T, atol=1e-6)
 
 
-@pytest.mark.parametrize("settings", [SampleSettings(), GRID], ids=["superpixels", "grid"])
-def test_medians_of_hue_follow_the_circle(settings: SampleSettings) -> None:
+def test_medians_of_hue_follow_the_circle() -> None:
     image = eight_bit() * 0
     image[0], image[1:] = 0.8, 0.4
     image[1, :, ::2] += 0.01  # hue just above and just below red
     image[2, :, 1::2] += 0.01
 
-    hue = road_samples(image, ("H",), settings)[:, 0]
+    hue = road_samples(image, ("H",), SampleSettings())[:, 0]
 
     assert torch.minimum(hue, 1 - hue).max() < 0.01
