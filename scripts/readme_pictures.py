@@ -28,7 +28,7 @@ from roadtorch.layout import weights
 from roadtorch.layout.image_network import count_upper_rows, resize_rows
 
 CHOSEN = ("udadv_test5.jpg", "mcubes_h07.jpg", "comma10k_0008.jpg", "cat_v11.jpg")
-"""A motorway under trees, a street, a bonnet in view, a track: one of each recording."""
+"""A motorway beside trees, a street, a bonnet in view, a track: one of each recording."""
 
 STEPWISE = "comma10k_0008.jpg"
 """A road with a bonnet in view."""
