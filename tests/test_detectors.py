@@ -157,6 +157,18 @@ misused: Any = catalogue_module  # calls that a type checker refuses
             "other: returns no likelihood ",
         ),
         (
+            lambda: registered(
+                "other", Simple, lambda _: Silent({"likelihood": torch.ones(3, 9, 9)})
+            ),
+            r"other: returns a likelihood of the shape \(3, 9, 9\)",
+        ),
+        (
+            lambda: registered(
+                "other", Simple, lambda _: Silent({"likelihood": 3 * torch.eye(16)})
+            ),
+            "other: returns likelihoods from 0 to 3",
+        ),
+        (
             lambda: misused.register_detector(Brightness),
             "name: is Brightness .write @register_detector",
         ),

@@ -31,7 +31,10 @@ COMMANDS = {
     "infer": ("roadtorch.cli.infer:infer_command", "Find the road in images and footage."),
     "label": ("roadtorch.cli.label:label_command", "Label sky, vertical and horizontal."),
     "ros": ("roadtorch.cli.ros:ros_command", "Run a ROS 2 node that finds the road."),
-    "train": ("roadtorch.cli.train:train_command", "Train a layout network on unlabelled images."),
+    "train": (
+        "roadtorch.cli.train:train_command",
+        "Train a network on unlabelled images, masks or corrections.",
+    ),
 }
 
 INTERRUPT_MESSAGES = {

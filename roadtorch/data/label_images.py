@@ -24,6 +24,7 @@ from roadtorch.base.decoding import (
 from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.base.image import IMAGE_SUFFIXES, UNREAD_SUFFIXES, warn_of_unread
 from roadtorch.data.dataset import LabelledItem, Truth
+from roadtorch.inputs.images import is_image_name
 from roadtorch.layout.classes import UNLABELLED
 
 MAX_LISTED_VALUES = 5  # values, colours or images in a message
@@ -121,12 +122,16 @@ def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tup
 
 
 def list_images(folder: Path) -> list[Path]:
-    """Return the image files of a folder, sorted; DatasetError without one, a warning of unread."""
+    """Return the images of a folder, sorted, without results of roadtorch; warn of unread ones.
+
+    Raises:
+        DatasetError: without an image.
+    """
     if not folder.is_dir():
         raise DatasetError(folder, "does not exist", "check the folder's layout")
     files = sorted(folder.iterdir())
     warn_of_unread(folder, [path.name for path in files if path.suffix.lower() in UNREAD_SUFFIXES])
-    if not (images := [path for path in files if is_image_file(path)]):
+    if not (images := [path for path in files if is_image_name(path.name)]):
         raise DatasetError(folder, "holds no images", f"known endings: {' '.join(IMAGE_SUFFIXES)}")
     return images
 

@@ -4,6 +4,7 @@
 full size, batches and footage.
 """
 
+import math
 import os
 import reprlib
 from collections.abc import Generator, Iterable, Iterator, Mapping
@@ -39,6 +40,7 @@ from roadtorch.road.ego import (
 from roadtorch.road.outlines import refine
 from roadtorch.road.temporal_filter import TemporalFilter
 
+ROUNDING = 1e-5  # by which a likelihood may leave [0, 1]
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
 
 
@@ -248,14 +250,25 @@ class Detector(nn.Module):
             problem = f"returns no likelihood from {type(self.analysis).__name__}.forward"
             raise ConfigError(self.name, problem, "return a mapping with likelihood (H, W)")
         likelihood = outputs["likelihood"]
-        if not likelihood.sum().isfinite():  # a single NaN or inf shows in the sum
-            problem = f"gives {self.name} a likelihood that is not finite"
-            raise InputError("image", problem, "check the weights and the settings; else report it")
+        self._check_likelihood(likelihood, None if settings else spatial_size(image))
         if settings:
             if settings.outlines == "guided":
                 likelihood = refine(outputs, small, image, settings.working, settings.threshold)
             likelihood = resize_to_image(likelihood, spatial_size(image))
         return outputs, likelihood
+
+    def _check_likelihood(self, likelihood: Tensor, size: tuple[int, int] | None) -> None:
+        """Raise ConfigError for a likelihood of a wrong shape or range, InputError for NaN."""
+        shape, hint = tuple(likelihood.shape), "return (height, width) of the image it was given"
+        if len(shape) != 2 or shape != (size or shape):
+            raise ConfigError(self.name, f"returns a likelihood of the shape {shape}", hint)
+        low, high = (float(bound) for bound in likelihood.aminmax())
+        if not math.isfinite(high - low):
+            problem = f"gives {self.name} a likelihood that is not finite"
+            raise InputError("image", problem, "check the weights and the settings; else report it")
+        if low < -ROUNDING or high > 1 + ROUNDING:
+            problem = f"returns likelihoods from {low:g} to {high:g}"
+            raise ConfigError(self.name, problem, "scale them to [0, 1]")
 
     @one_torch_thread()
     @torch.no_grad()

@@ -82,7 +82,7 @@ def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.M
     )
 
     assert result.exit_code == 0, result.stderr
-    assert result.stderr == ""
+    assert result.stderr.startswith("roadtorch: exporting prior:rows ")
     assert result.stdout.splitlines() == [
         f"{out}: 0.02 MB",
         "prior:rows: the whole of prior:rows",

@@ -68,6 +68,7 @@ def test_what_the_colours_mean(tmp_path):
 def test_pairs_in_the_order_of_their_names(tmp_path):
     for name in ("images/b.jpg", "images/a.png", "labels/a_L.png", "labels/b_L.png"):
         saved(tmp_path / name, GREY)
+    saved(tmp_path / "images/b.mask.png", GREY)  # a result of roadtorch
     for name in ("images/._a.png", "images/notes.txt"):
         (tmp_path / name).write_bytes(b"")
 
