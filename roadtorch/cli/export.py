@@ -60,5 +60,4 @@ def export_command(
     if target == "web":  # its page has the steps that the network's file lacks
         click.echo(f"try it: python -m http.server --directory {shlex.quote(str(out))}")
     else:
-        lacks = exported.metadata["lacks"]
-        click.echo(f"Not included: {lacks}. See docs/export.md for the cost.")
+        click.echo(f"Not included: {exported.metadata['lacks']}. See docs/export.md for the cost.")
