@@ -122,11 +122,7 @@ def pair_files(images: Path, labels: Path, ending: str = ".png") -> Iterator[tup
 
 
 def list_images(folder: Path) -> list[Path]:
-    """Return the images of a folder, sorted, without results of roadtorch; warn of unread ones.
-
-    Raises:
-        DatasetError: without an image.
-    """
+    """Return the images of a folder but for results of ``infer``, sorted; DatasetError for none."""
     if not folder.is_dir():
         raise DatasetError(folder, "does not exist", "check the folder's layout")
     files = sorted(folder.iterdir())
