@@ -152,10 +152,7 @@ misused: Any = catalogue_module  # calls that a type checker refuses
         (lambda: registered("bright", Simple, Brightness), "bright: is already the name of a d"),
         (lambda: registered("other", Settings, Brightness), "other: has settings .Settings. that"),
         (lambda: registered("other", Simple, lambda _: street), "other: builds function .build an"),
-        (
-            lambda: registered("other", Simple, lambda _: Silent(1)),
-            "other: returns no likelihood ",
-        ),
+        (lambda: registered("other", Simple, lambda _: Silent(1)), "other: returns no likelihood "),
         (
             lambda: registered(
                 "other", Simple, lambda _: Silent({"likelihood": torch.ones(3, 9, 9)})

@@ -23,20 +23,10 @@ from roadtorch.detectors.detection import Cues, Detection
 from roadtorch.detectors.entry import DetectorSettings, Entry, Judge, WorkingSettings
 from roadtorch.detectors.mask import Evidence, decide_mask
 from roadtorch.detectors.stream import detect_stream
-from roadtorch.imaging.resize import (
-    resize_to_image,
-    resize_to_work,
-    spatial_size,
-)
+from roadtorch.imaging.resize import resize_to_image, resize_to_work, spatial_size
 from roadtorch.inputs.item import Selection
 from roadtorch.layout.runtimes import REFERENCE, use_runtime
-from roadtorch.road.ego import (
-    any_pixel,
-    ego_car,
-    extrapolate_over_ego,
-    has_ego_car,
-    read_ego_mask,
-)
+from roadtorch.road.ego import any_pixel, ego_car, extrapolate_over_ego, has_ego_car, read_ego_mask
 from roadtorch.road.outlines import refine
 from roadtorch.road.temporal_filter import TemporalFilter
 

@@ -77,9 +77,7 @@ def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(export, "export_detector", written)
     out = tmp_path / "road.onnx"
 
-    result = call(
-        *("export", "prior:rows", "--out", out, "--set", "threshold=0.4"),
-    )
+    result = call(*("export", "prior:rows", "--out", out, "--set", "threshold=0.4"))
 
     assert result.exit_code == 0, result.stderr
     assert result.stderr.startswith("roadtorch: exporting prior:rows ")
