@@ -5,12 +5,7 @@ from functools import partial
 from pydantic import Field
 from torch import Tensor
 
-from roadtorch.detectors.entry import (
-    Analysis,
-    Entry,
-    WorkingSettings,
-    use_inference_mode,
-)
+from roadtorch.detectors.entry import Analysis, Entry, WorkingSettings, use_inference_mode
 from roadtorch.road.illuminant import (
     histogram_likelihood,
     invariant_angle,

@@ -14,12 +14,7 @@ import pytest
 from starlette.applications import Starlette
 from starlette.types import Receive, Scope, Send
 
-from roadtorch.annotate.server import (
-    MAX_BODY,
-    PAGE_FOLDER,
-    AccessMiddleware,
-    make_app,
-)
+from roadtorch.annotate.server import MAX_BODY, PAGE_FOLDER, AccessMiddleware, make_app
 from roadtorch.annotate.session import Session
 from roadtorch.data.corrections import log_path, read_log
 

@@ -11,12 +11,7 @@ from roadtorch.base.errors import ConfigError
 from roadtorch.imaging.color import PLANES as COLOR_PLANES
 from roadtorch.imaging.color import color_planes
 from roadtorch.oneclass import CLASSIFIERS, fit, make_axes
-from roadtorch.oneclass.density import (
-    RobustSettings,
-    chi_quantile,
-    moments,
-    reweighted_moments,
-)
+from roadtorch.oneclass.density import RobustSettings, chi_quantile, moments, reweighted_moments
 from roadtorch.oneclass.histogram import HistogramSettings, add_noisy_copy, bin_indices
 from roadtorch.oneclass.mixture import (
     Mixtures,
