@@ -30,7 +30,7 @@ from roadtorch.road.ego import any_pixel, ego_car, extrapolate_over_ego, has_ego
 from roadtorch.road.outlines import refine
 from roadtorch.road.temporal_filter import TemporalFilter
 
-LIKELIHOOD_TOLERANCE = 1e-5  # by which a likelihood may leave [0, 1]
+RANGE_TOLERANCE = 1e-5  # by which a likelihood may leave [0, 1]
 MIN_IMAGE_SIDE = 16  # pixels; superpixels and the seed area make no sense in smaller images
 
 
@@ -256,7 +256,7 @@ class Detector(nn.Module):
         if not math.isfinite(high - low):
             problem = f"gives {self.name} a likelihood that is not finite"
             raise InputError("image", problem, "check the weights and the settings; else report it")
-        if low < -LIKELIHOOD_TOLERANCE or high > 1 + LIKELIHOOD_TOLERANCE:
+        if low < -RANGE_TOLERANCE or high > 1 + RANGE_TOLERANCE:
             problem = f"returns likelihoods from {low:g} to {high:g}"
             raise ConfigError(self.name, problem, "scale them to [0, 1]")
 
