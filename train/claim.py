@@ -1,138 +1,254 @@
-"""Does the student beat its teacher? P2's claim, tested with five seeds and an untuned teacher.
+"""Does the student beat its teacher? P2's claim, with teachers that have seen no street.
 
-    python -m train.claim learn DATA --out RUNS                 # 30 trainings, on one core
-    python -m train.claim learn DATA --out RUNS --minutes 8     # the same on a GPU, in minutes
-    python -m train.claim list                                  # what is trained, in this order
+    python -m train.claim learn DATA --source WORLDS --out RUNS     # resumable, on one core
+    python -m train.claim list                                      # what is trained, in this order
 
-DATA is the folder that holds unlabelled_free/, camvid/, idd_lite/ and many/. Every image directly
-in the first is trained on, those of also_in_many/ are not; to the letter, with 7 times as many
-patches an image, every fifth. A run is RUNS/TEACHER-CONFIG-SEED; finished ones are kept. Labels of
-an image are made once for each teacher and config.
+DATA is the folder that holds unlabelled_free/, camvid/, idd_lite/ and many/. A run is RUNS/NAME;
+finished ones are kept. ``train.claim_scores`` scores them. Images that teach are never scored:
+of CamVid's train part each drive is scored by students of the two others, of IDD Lite every second
+image; CamVid's test part, which P2's table uses, is not touched.
 """
 
 import argparse
-import subprocess
-import sys
-import time
-from itertools import product
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from roadtorch.base.settings import find_config, merge, parse_assignments, read_settings_file
+from roadtorch.data.catalogue import open_dataset
+from roadtorch.data.dataset import Dataset, LabelledItem
+from roadtorch.imaging.resize import resize_to_image, resize_to_work, spatial_size
+from roadtorch.inputs.images import find_images
+from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
+from roadtorch.layout.labeller import LabellerSettings, decide_layout, label_at_image_size
+from roadtorch.run.memo import write_cached
 from roadtorch.train.config import PatchTraining, build_training
-from train.patches_gpu import make_student, prepare_files, train_side_by_side
+from roadtorch.train.patches import PatchRecipe, label_centres
+from roadtorch.train.prepared import image_file_name
+from roadtorch.train.run import TrainingRequest, train
+from roadtorch.train.run_folder import WEIGHTS
+from roadtorch.train.training_loop import make_generator
+from train.superpixels import SuperpixelTeacher, learn_trees
 
-TEACHERS = {"untuned": ("labeller.constants=untuned",), "tuned": ()}
-DECAYED = ("descent.schedule=cosine", "stopping.rule=epochs", "stopping.epochs=4")
+DRIVES = ("0006R0", "0016E5", "0001TP")
+DOMAINS = (*DRIVES, "idd")
+"""What a student of images of the domain is scored on; none of its own images is among them."""
 
+FRAMES = 24
+"""Images of the domain that teach; an image gives some 1,400 patches."""
 
-class Config(NamedTuple):
-    """A shipped config, settings in place of its own, and the step between its images."""
+TREE_IMAGES = 400
+"""Source images that teach the trees of superpixels."""
 
-    file: str
-    assignments: tuple[str, ...] = ()
-    every: int = 1
-
-
-CONFIGS = {
-    "cnn7": Config("cnn7"),
-    "cnn7-paper": Config("cnn7-paper", every=5),
-    "cnn7-paper-decayed": Config("cnn7-paper", DECAYED, every=5),
+EPOCHS = ("stopping.rule=epochs", "descent.schedule=cosine")
+LETTER = ("stopping.epochs=6", "passes=8", "shuffle_images=10000")
+RECIPES = {
+    "cnn7": ("cnn7", ("stopping.epochs=6", *EPOCHS)),
+    "free": ("cnn7", ("stopping.epochs=1", "centres.extra=0", *EPOCHS)),
+    "letter": ("cnn7-paper", LETTER),
 }
-"""What is trained. Ours: the decayed step beside the letter; written before any was trained."""
+"""Config and settings in its place: ours; of many images one patch a superpixel, once, so that
+about as many patches teach; and P2's, with the patches of all images mixed and six epochs at most.
+Written before any was trained."""
 
-SEEDS = range(5)
-RUNS = tuple((teacher, config, seed) for config, seed, teacher in product(CONFIGS, SEEDS, TEACHERS))
-"""Teacher, config and seed of every training, in the order in which they run."""
+TEACHERS = ("untuned", "superpixels", "truth", "tuned")
+SEEDS, NOISE_SEEDS = range(5), range(3)
+RATES = (0.1, 0.2, 0.3, 0.4, 0.5)
+"""Fraction of superpixels whose true label is replaced by another, each as likely."""
 
-
-def run_name(teacher: str, config: str, seed: int) -> str:
-    """Return the name of a training's folder."""
-    return f"{teacher}-{config}-{seed}"
-
-
-def run_assignments(teacher: str, config: str, seed: int) -> tuple[str, ...]:
-    """Return the settings that a training has in place of its config's."""
-    return (f"random_seed={seed}", *TEACHERS[teacher], *CONFIGS[config].assignments)
+SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Fraction of the superpixels where ``labeller:untuned`` errs that keep its label."""
 
 
-def prepared_folder(out: Path, teacher: str, config: str) -> Path:
-    """Return the folder of the labels that a teacher gives a config."""
-    return out / f"prepared-{teacher}-{CONFIGS[config].file}"
+class Run(NamedTuple):
+    """A training. images: a domain, or free; recipe: of ``RECIPES``; first: of free images before.
+
+    noise: ``independent`` or ``confused`` and a rate, for the teacher truth.
+    """
+
+    teacher: str
+    images: str
+    recipe: str
+    seed: int
+    first: bool = False
+    noise: str = ""
+    rate: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the run's folder."""
+        images = f"free+{self.images}" if self.first else self.images
+        noise = f"-{self.noise}-{self.rate}" if self.noise else ""
+        return f"{self.teacher}{noise}-{images}-{self.recipe}-{self.seed}"
+
+    @property
+    def preparation(self) -> str:
+        """Name of the folder of prepared images; noise differs from seed to seed."""
+        config = RECIPES[self.recipe][0] + ("-free" if self.recipe == "free" else "")
+        seed = f"-{self.noise}-{self.rate}-{self.seed}" if self.noise else ""
+        return f"prepared/{self.teacher}-{self.images}-{config}{seed}"
+
+    @property
+    def training(self) -> PatchTraining:
+        """Settings of the training, without initial weights."""
+        config, assignments = RECIPES[self.recipe]
+        values = read_settings_file(find_config(config))
+        values = merge(values, parse_assignments([*assignments, f"random_seed={self.seed}"]))
+        training = build_training(values)
+        assert isinstance(training, PatchTraining)
+        return training
 
 
-def link_images(data: Path, out: Path, every: int) -> str:
-    """Link every so many images into a folder, and return it."""
-    folder = out / f"images-{every}"
+def plan_runs() -> Iterator[Run]:
+    """Yield all trainings, those that decide most first."""
+    for seed in SEEDS:
+        for domain in DOMAINS:
+            yield from (Run(teacher, domain, "cnn7", seed) for teacher in TEACHERS)
+    for seed in SEEDS:
+        for teacher in ("untuned", "superpixels"):
+            yield Run(teacher, "free", "free", seed)
+            yield from (Run(teacher, domain, "cnn7", seed, first=True) for domain in DOMAINS)
+    for seed in NOISE_SEEDS:
+        for noise, rates in (("independent", RATES), ("confused", SHARES)):
+            yield from (Run("truth", DRIVES[0], "cnn7", seed, False, noise, r) for r in rates)
+    for seed in SEEDS:
+        yield Run("tuned", "free", "free", seed)
+        yield Run("untuned", DRIVES[0], "letter", seed)
+
+
+# --- images and labels -------------------------------------------------------------------------
+
+
+def drive_of(item: LabelledItem) -> str:
+    """Return the drive of an image of CamVid."""
+    return item.name.split("_")[0].split("/")[-1]
+
+
+def split_domain(data: Path, domain: str) -> tuple[Dataset, list[LabelledItem], list[LabelledItem]]:
+    """Return the set of a domain, the images that teach and those that are scored."""
+    if domain == "idd":
+        dataset = open_dataset("idd-lite", data / "idd_lite")
+        teaching, scored = dataset.items[::2], dataset.items[1::2]
+        return dataset, list(teaching[:: len(teaching) // FRAMES][:FRAMES]), list(scored)
+    dataset = open_dataset("camvid", data / "camvid", "train")
+    teaching = list[LabelledItem]()
+    for drive in DRIVES:
+        frames = [item for item in dataset.items if drive_of(item) == drive]
+        if drive != domain:
+            teaching += frames[:: len(frames) // (FRAMES // 2)][: FRAMES // 2]
+    return dataset, teaching, [item for item in dataset.items if drive_of(item) == domain][::2]
+
+
+def link_images(data: Path, run: Run, out: Path) -> tuple[Path, dict[str, Tensor]]:
+    """Link the images that teach a run into a folder; return it, and their truth by name."""
+    folder, truths = out / "images" / run.images, dict[str, Tensor]()
     folder.mkdir(parents=True, exist_ok=True)
-    for image in sorted((data / "unlabelled_free").resolve().glob("*.jpg"))[::every]:
-        link = folder / image.name
-        if not link.exists():
-            link.symlink_to(image)
-    return str(folder)
+    if run.images == "free":
+        images = sorted((data / "unlabelled_free").resolve().glob("*.jpg"))
+    else:
+        dataset, items, _ = split_domain(data, run.images)
+        images = [item.image.resolve() for item in items]
+        for item in items if run.teacher == "truth" else ():
+            layout = dataset.truth(item).layout
+            assert layout is not None
+            truths[item.image.stem] = layout
+    for image in images:
+        if not (folder / image.name).exists():
+            (folder / image.name).symlink_to(image)
+    return folder, truths
 
 
-def learn(data: Path, out: Path) -> None:
-    """Train every network of ``RUNS`` that is not finished, on one core."""
-    for teacher, config, seed in RUNS:
-        folder = out / run_name(teacher, config, seed)
+def prepare_labels(data: Path, run: Run, out: Path, trees: Path) -> Path:
+    """Write the labels of a run's teacher where ``roadtorch train`` finds them; return the images.
+
+    The labeller's own are made by the training itself.
+    """
+    folder, truths = link_images(data, run, out)
+    if run.teacher in ("untuned", "tuned"):
+        return folder
+    training, prepared = run.training, out / run.preparation
+    recipe = PatchRecipe(training)
+    teacher = None if truths else SuperpixelTeacher(trees, training.superpixels)
+    for item in find_images([folder]):
+        file = prepared / f"{image_file_name(item)}.npz"
+        if file.exists():
+            continue
+        small = resize_to_work(item.read(), training.network.working)
+        if teacher:
+            potentials = teacher.potentials(small).permute(1, 2, 0)
+            labels = decide_layout(potentials, training.labeller.min_margin)
+        else:
+            labels = resize_to_image(truths[item.name], spatial_size(small)).long()
+        if run.noise:
+            labels = disturb(labels, small, run)
+        write_cached(file, recipe.key(item), label_centres(small, labels, training))
+    return folder
+
+
+def disturb(labels: Tensor, image: Tensor, run: Run) -> Tensor:
+    """Return true labels (h, w) with the noise of a run, superpixel by superpixel."""
+    superpixels = run.training.superpixels
+    segments = superpixels.cut(image)
+    generator = make_generator(run.seed, *image.shape, int(1000 * image.double().mean()))
+    chosen = (torch.rand(int(segments.max()) + 1, generator=generator) < run.rate)[segments]
+    if run.noise == "independent":
+        turn = torch.randint(1, NUM_CLASSES, (int(segments.max()) + 1,), generator=generator)
+        other = (labels + turn[segments]) % NUM_CLASSES
+    else:
+        untuned = LabellerSettings(constants="untuned", margin=0.0)
+        other = label_at_image_size(image, untuned, superpixels, untuned.margin).labels
+    return torch.where(chosen & (labels != UNLABELLED), other, labels)
+
+
+# --- trainings -------------------------------------------------------------------------------
+
+
+def learn(data: Path, source: list[Path], out: Path) -> None:
+    """Train every network of the plan that is not finished, on one core."""
+    torch.set_num_threads(1)
+    out.mkdir(parents=True, exist_ok=True)
+    trees = out / "superpixels.pickle"
+    if not trees.exists():
+        learn_trees(source, trees, TREE_IMAGES, PatchTraining().superpixels)
+    for run in plan_runs():
+        folder = out / run.name
         if (folder / "done").exists():
             continue
-        images = link_images(data, out, CONFIGS[config].every)
-        words = ["--config", CONFIGS[config].file, "--images", images, "--out", str(folder)]
-        words += ["--prepared", str(prepared_folder(out, teacher, config)), "--quiet"]
-        for assignment in run_assignments(teacher, config, seed):
-            words += ["--set", assignment]
-        command = [sys.executable, "-m", "roadtorch", "train", *words, "--threads", "1"]
-        subprocess.run(command, check=True)
+        values = run.training.model_dump()
+        if run.teacher in ("untuned", "tuned"):
+            values["labeller"]["constants"] = run.teacher
+        if run.first:
+            first = Run(run.teacher, "free", "free", run.seed)
+            values["initial_weights"] = str(out / first.name / WEIGHTS)
+        images = prepare_labels(data, run, out, trees)
+        prepared = out / run.preparation
+        outcome = train(
+            PatchTraining.model_validate(values),
+            TrainingRequest(str(images), folder, prepared, quiet=True),
+        )
+        if outcome.interrupted:
+            return
         (folder / "done").touch()
-        print(f"{folder.name} is trained", flush=True)
-
-
-def learn_side_by_side(data: Path, out: Path, minutes: float, device: torch.device) -> None:
-    """Train every network of ``RUNS`` that is not finished, side by side, within a time."""
-    deadline = time.monotonic() + 60 * minutes
-    torch.backends.cudnn.benchmark = True
-    torch.backends.cudnn.allow_tf32 = False
-    files = dict[Path, list[Path]]()
-    for name, config in CONFIGS.items():
-        images, students = link_images(data, out, config.every), []
-        for teacher, trained, seed in RUNS:
-            folder = out / run_name(teacher, name, seed)
-            if trained == name and not (folder / "done").exists():
-                values = read_settings_file(find_config(config.file))
-                assignments = parse_assignments(run_assignments(teacher, name, seed))
-                training = build_training(merge(values, assignments))
-                assert isinstance(training, PatchTraining)
-                prepared = prepared_folder(out, teacher, name)
-                if prepared not in files:
-                    files[prepared] = prepare_files(training, images, prepared)
-                students.append(make_student(folder, training, files[prepared]))
-        print(f"{len(students)} networks of {name}", flush=True)
-        if students:
-            train_side_by_side(students, device, deadline)
+        print(f"{run.name} is trained", flush=True)
 
 
 def main() -> None:
     """Run a command of this script."""
-    parser = argparse.ArgumentParser(description="Train students of both teachers.")
+    parser = argparse.ArgumentParser(description="Train students of several teachers.")
     commands = parser.add_subparsers(dest="command", required=True)
     training = commands.add_parser("learn")
     training.add_argument("data", type=Path)
+    training.add_argument("--source", type=Path, action="append", required=True)
     training.add_argument("--out", type=Path, required=True)
-    training.add_argument("--minutes", type=float, help="train side by side within this time")
     commands.add_parser("list")
     options = parser.parse_args()
     if options.command == "list":
-        print("\n".join(run_name(*run) for run in RUNS))
-        return
-    if options.minutes is None:
-        learn(options.data, options.out)
+        print("\n".join(run.name for run in plan_runs()))
     else:
-        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        learn_side_by_side(options.data, options.out, options.minutes, device)
+        learn(options.data, options.source, options.out)
 
 
 if __name__ == "__main__":

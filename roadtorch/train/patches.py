@@ -59,6 +59,22 @@ def find_centres(segments: Tensor, settings: PatchCentres) -> Tensor:
     return centres.clamp_min(0).minimum(torch.tensor([height - 1, width - 1]))
 
 
+def label_centres(image: Tensor, labels: Tensor, training: PatchTraining) -> Arrays:
+    """Return an image (3, h, w) at working size with the centres of its patches and their labels.
+
+    labels: int64 (h, w), 255 where there is none; centres there are left out. Returns image: uint8
+    (3, h, w); centres: row and column, int16 (n, 2); classes: uint8 (n,).
+    """
+    centres = find_centres(training.superpixels.cut(image), training.centres)
+    classes = labels[centres[:, 0], centres[:, 1]]
+    is_labelled = classes != UNLABELLED
+    return {
+        "image": to_uint8(image),
+        "centres": centres[is_labelled].to(torch.int16),
+        "classes": classes[is_labelled].to(torch.uint8),
+    }
+
+
 def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
     """Return class weights (3,): all 1, or inversely proportional to the classes' patches.
 
@@ -336,21 +352,11 @@ class PatchRecipe(Recipe):
         """Do nothing: patches depend on single images."""
 
     def prepare(self, image: Tensor, name: str) -> Arrays:
-        """Resize an image (3, H, W) and label the centres of its patches, without uncertain ones.
-
-        Returns image: uint8 (3, h, w); centres: row and column, int16 (n, 2); classes: uint8 (n,).
-        """
+        """Resize an image (3, H, W) and label its patches: see ``label_centres``."""
         training, working = self._training, self._training.network.working
         small = resize_to_work(image, working)
-        labels = label_layout(small, training.labeller, working, training.superpixels).labels
-        centres = find_centres(training.superpixels.cut(small), training.centres)
-        classes = labels[centres[:, 0], centres[:, 1]]
-        is_labelled = classes != UNLABELLED
-        return {
-            "image": to_uint8(small),
-            "centres": centres[is_labelled].to(torch.int16),
-            "classes": classes[is_labelled].to(torch.uint8),
-        }
+        layout = label_layout(small, training.labeller, working, training.superpixels)
+        return label_centres(small, layout.labels, training)
 
     def encode_correction(self, correction: HumanLabels) -> Arrays:
         """Return a correction at working size: ``layout`` and ``known``, uint8 (h, w).
