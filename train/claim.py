@@ -37,22 +37,21 @@ DRIVES = ("0006R0", "0016E5", "0001TP")
 DOMAINS = (*DRIVES, "idd")
 """What a student of images of the domain is scored on; none of its own images is among them."""
 
-FRAMES = 24
-"""Images of the domain that teach; an image gives some 1,400 patches."""
-
 TREE_IMAGES = 400
 """Source images that teach the trees of superpixels."""
 
-EPOCHS = ("stopping.rule=epochs", "descent.schedule=cosine")
-LETTER = ("stopping.epochs=6", "passes=8", "shuffle_images=10000")
+PATCHES, SUPERPIXELS = 220_000, 300
+"""Patches that teach a student, in whole epochs, and superpixels of an image, both about."""
+
 RECIPES = {
-    "cnn7": ("cnn7", ("stopping.epochs=6", *EPOCHS)),
-    "free": ("cnn7", ("stopping.epochs=1", "centres.extra=0", *EPOCHS)),
-    "letter": ("cnn7-paper", LETTER),
+    "cnn7": ("cnn7", ("centres.extra=0", "stopping.rule=epochs", "descent.schedule=cosine")),
+    "letter": ("cnn7-paper", ("stopping.epochs=6", "passes=8", "shuffle_images=10000")),
 }
-"""Config and settings in its place: ours; of many images one patch a superpixel, once, so that
-about as many patches teach; and P2's, with the patches of all images mixed and six epochs at most.
-Written before any was trained."""
+"""Config and settings in its place. Ours, with one patch a superpixel, so that many images teach in
+little time; and P2's, with the patches of all images mixed (``shuffle_images``), 230,000 an epoch,
+six epochs at most. Written before any was trained."""
+
+LETTER_IMAGES = 24
 
 TEACHERS = ("untuned", "superpixels", "truth", "tuned")
 SEEDS, NOISE_SEEDS = range(5), range(3)
@@ -87,9 +86,8 @@ class Run(NamedTuple):
     @property
     def preparation(self) -> str:
         """Name of the folder of prepared images; noise differs from seed to seed."""
-        config = RECIPES[self.recipe][0] + ("-free" if self.recipe == "free" else "")
         seed = f"-{self.noise}-{self.rate}-{self.seed}" if self.noise else ""
-        return f"prepared/{self.teacher}-{self.images}-{config}{seed}"
+        return f"prepared/{self.teacher}-{self.images}-{self.recipe}{seed}"
 
     @property
     def training(self) -> PatchTraining:
@@ -109,13 +107,13 @@ def plan_runs() -> Iterator[Run]:
             yield from (Run(teacher, domain, "cnn7", seed) for teacher in TEACHERS)
     for seed in SEEDS:
         for teacher in ("untuned", "superpixels"):
-            yield Run(teacher, "free", "free", seed)
+            yield Run(teacher, "free", "cnn7", seed)
             yield from (Run(teacher, domain, "cnn7", seed, first=True) for domain in DOMAINS)
     for seed in NOISE_SEEDS:
         for noise, rates in (("independent", RATES), ("confused", SHARES)):
             yield from (Run("truth", DRIVES[0], "cnn7", seed, False, noise, r) for r in rates)
     for seed in SEEDS:
-        yield Run("tuned", "free", "free", seed)
+        yield Run("tuned", "free", "cnn7", seed)
         yield Run("untuned", DRIVES[0], "letter", seed)
 
 
@@ -131,25 +129,21 @@ def split_domain(data: Path, domain: str) -> tuple[Dataset, list[LabelledItem], 
     """Return the set of a domain, the images that teach and those that are scored."""
     if domain == "idd":
         dataset = open_dataset("idd-lite", data / "idd_lite")
-        teaching, scored = dataset.items[::2], dataset.items[1::2]
-        return dataset, list(teaching[:: len(teaching) // FRAMES][:FRAMES]), list(scored)
+        return dataset, list(dataset.items[::2]), list(dataset.items[1::2])
     dataset = open_dataset("camvid", data / "camvid", "train")
-    teaching = list[LabelledItem]()
-    for drive in DRIVES:
-        frames = [item for item in dataset.items if drive_of(item) == drive]
-        if drive != domain:
-            teaching += frames[:: len(frames) // (FRAMES // 2)][: FRAMES // 2]
+    teaching = [item for item in dataset.items if drive_of(item) != domain]
     return dataset, teaching, [item for item in dataset.items if drive_of(item) == domain][::2]
 
 
 def link_images(data: Path, run: Run, out: Path) -> tuple[Path, dict[str, Tensor]]:
     """Link the images that teach a run into a folder; return it, and their truth by name."""
-    folder, truths = out / "images" / run.images, dict[str, Tensor]()
+    folder, truths = out / "images" / f"{run.images}-{run.recipe}", dict[str, Tensor]()
     folder.mkdir(parents=True, exist_ok=True)
     if run.images == "free":
         images = sorted((data / "unlabelled_free").resolve().glob("*.jpg"))
     else:
         dataset, items, _ = split_domain(data, run.images)
+        items = items[:: len(items) // LETTER_IMAGES if run.recipe == "letter" else 1]
         images = [item.image.resolve() for item in items]
         for item in items if run.teacher == "truth" else ():
             layout = dataset.truth(item).layout
@@ -217,13 +211,16 @@ def learn(data: Path, source: list[Path], out: Path) -> None:
         folder = out / run.name
         if (folder / "done").exists():
             continue
+        images = prepare_labels(data, run, out, trees)
         values = run.training.model_dump()
+        if run.recipe == "cnn7":
+            patches = SUPERPIXELS * len(list(images.iterdir()))
+            values["stopping"]["epochs"] = max(1, round(PATCHES / patches))
         if run.teacher in ("untuned", "tuned"):
             values["labeller"]["constants"] = run.teacher
         if run.first:
-            first = Run(run.teacher, "free", "free", run.seed)
+            first = Run(run.teacher, "free", "cnn7", run.seed)
             values["initial_weights"] = str(out / first.name / WEIGHTS)
-        images = prepare_labels(data, run, out, trees)
         prepared = out / run.preparation
         outcome = train(
             PatchTraining.model_validate(values),

@@ -1,258 +1,356 @@
-"""Score the students of ``train/claim.py`` and their teachers.
+"""Score the students of ``train.claim`` and their teachers.
 
-    python -m train.claim_scores score DATA --out RUNS       # resumable; an hour on one core
+    python -m train.claim_scores score DATA --out RUNS       # resumable
     python -m train.claim_scores tables --out RUNS --write DOCS/research
 
-DATA is the folder that holds camvid/, idd_lite/ and many/. Layout is scored by the mean class
-recall of the strongest potentials, void ignored, where a set has sky and vertical labels; road by
-the area under the ROC curve of the ground's potential. Groups (the drives of CamVid, the cameras of
-many) count the same. The intervals are of 95 % over images, drawn within their group, and seeds.
+Measures are of the layout (recalls of its strongest class) and of the ground's potential, at every
+second pixel of every second row. The area under the ROC curve and the average precision use 4,096
+levels of a quarter of the log odds, so that potentials near 1 keep their order. Intervals of 95 %
+are over images, drawn within their camera, and over seeds, by Student's t.
 """
 
 import argparse
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import reduce
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from roadtorch.data.catalogue import open_dataset
-from roadtorch.data.dataset import Dataset
+from roadtorch.data.dataset import Dataset, LabelledItem
 from roadtorch.evaluation import metrics
-from roadtorch.evaluation.evaluate import tally_images
-from roadtorch.evaluation.methods import Contender, contender_from_name
+from roadtorch.evaluation.curves import brier_score, expected_calibration_error
 from roadtorch.evaluation.metrics import RoadCounts
-from roadtorch.evaluation.tally import Tally, pool
 from roadtorch.evaluation.uncertainty import (
     BOOTSTRAP_SEED,
-    REPLICATES,
     percentile_interval,
     sample_weights,
     student_weights,
 )
-from scripts.figures.p2_layout import PRINTED_ORDER
-from train.calibrate import EXCLUDED
-from train.claim import CONFIGS, RUNS, SEEDS, TEACHERS, run_name
+from roadtorch.imaging.resize import resize_to_image, resize_to_work, spatial_size
+from roadtorch.imaging.slic import Superpixels
+from roadtorch.layout.classes import HORIZONTAL, SKY, UNLABELLED, VERTICAL
+from roadtorch.layout.labeller import LabellerSettings, label_at_image_size
+from roadtorch.layout.patch_network import PatchNetwork
+from roadtorch.layout.weights import load_network
+from roadtorch.train.config import PatchTraining
+from roadtorch.train.run_folder import WEIGHTS
+from train.claim import DOMAINS, DRIVES, RATES, SHARES, Run, plan_runs, split_domain
+from train.superpixels import SuperpixelTeacher
 
-SETS = {"idd": "IDD", "camvid": "CamVid", "many": "many"}
-TEACHER_DETECTORS = {"untuned": "labeller:untuned", "tuned": "labeller"}
-TEXTURE, ROWS = "cpf", "prior:rows"
+SETS = (*DOMAINS, "many")
+TITLES = {"idd": "IDD", "many": "eight cameras", **{drive: drive for drive in DRIVES}}
+HONEST = ("untuned", "superpixels", "tuned")
+"""Teachers without labels of the images that they teach; the last one's constants chose labels."""
 
-
-def open_sets(data: Path) -> dict[str, Dataset]:
-    """Open the sets that students are scored on."""
-    return {
-        "idd": open_dataset("idd-lite", data / "idd_lite"),
-        "camvid": open_dataset("camvid", data / "camvid"),
-        "many": open_dataset("folder", data / "many"),
-    }
-
+RANKS, LEVELS, STRETCH = 4096, 1024, 4.0
 
 # --- scores of images ---------------------------------------------------------------------
 
-
-def contenders(out: Path) -> dict[str, Contender]:
-    """Return teachers, students, and their products with the texture, by name."""
-    entries = {name: contender_from_name(name, {}) for name in TEACHER_DETECTORS.values()}
-    entries |= {name: contender_from_name(name, {}) for name in (TEXTURE, ROWS)}
-    for run in RUNS:
-        weights = out / run_name(*run) / "weights.safetensors"
-        if weights.exists():
-            settings = {"weights": {"file": str(weights)}}
-            entries[run_name(*run)] = contender_from_name("layout:cnn-7", settings)
-            entries[product_name(*run)] = contender_from_name("fusion:paper", settings)
-    return {name: replace(entry, name=name) for name, entry in entries.items()}
+Labeller = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Potentials (3, h, w) and log odds of the ground (h, w) of an image at working size."""
 
 
-def product_name(teacher: str, config: str, seed: int) -> str:
-    """Return the name of a student's product with the texture."""
-    return f"{run_name(teacher, config, seed)} × {TEXTURE}"
+def as_teacher(potentials: Tensor) -> tuple[Tensor, Tensor]:
+    """Return potentials that sum to 1, and the ground's log odds, from what the others have."""
+    others = potentials[SKY] + potentials[VERTICAL]
+    return potentials, potentials[HORIZONTAL].log() - others.log()
+
+
+def make_labeller(name: str, out: Path) -> Labeller:
+    """Return a teacher, or the student of a run's folder."""
+    superpixels = Superpixels()
+    if name == "superpixels":
+        trees = SuperpixelTeacher(out / "superpixels.pickle", superpixels)
+        return lambda image: as_teacher(trees.potentials(image).double())
+    if name in HONEST:
+        settings = LabellerSettings.model_validate({"constants": name, "margin": 0.0})
+        return lambda image: as_teacher(
+            label_at_image_size(image, settings, superpixels, 0.0).potentials.double()
+        )
+    network = load_network(out / name / WEIGHTS)
+    assert isinstance(network, PatchNetwork)
+
+    def student(image: Tensor) -> tuple[Tensor, Tensor]:
+        potentials = network.potentials(image).double()
+        return potentials, potentials[HORIZONTAL].logit(1e-12)
+
+    return student
+
+
+class Counts(NamedTuple):
+    """Counts of n images: the ground by rank and by likelihood (n, levels), layout (n, 4, 4)."""
+
+    ranks: RoadCounts
+    likelihoods: RoadCounts
+    layout: Tensor
+    groups: list[str]
+
+
+def open_set(data: Path, name: str) -> tuple[Dataset, list[LabelledItem]]:
+    """Open a set and the images that are scored: of many those whose layout is labelled."""
+    if name != "many":
+        dataset, _, scored = split_domain(data, name)
+        return dataset, scored
+    dataset = open_dataset("folder", data / "many")
+    return dataset, [item for item in dataset.items if dataset.truth(item).layout is not None]
+
+
+@torch.inference_mode()
+def count_images(dataset: Dataset, items: Sequence[LabelledItem], labeller: Labeller) -> Counts:
+    """Count what a labeller says of images."""
+    parts = list[tuple[Tensor, ...]]()
+    for item in items:
+        image, truth = dataset.read(item)
+        assert truth.layout is not None
+        layout = truth.layout[::2, ::2]
+        found = labeller(resize_to_work(image, PatchTraining().network.working))
+        potentials, odds = (
+            resize_to_image(part, spatial_size(image))[..., ::2, ::2]
+            for part in (found[0], found[1][None])
+        )
+        ground, valid = layout == HORIZONTAL, layout != UNLABELLED
+        ranks = metrics.count_levels((odds[0] / STRETCH).sigmoid(), ground, valid, RANKS)
+        chances = metrics.count_levels(odds[0].sigmoid(), ground, valid, LEVELS)
+        decided = metrics.count_layout(potentials.argmax(0), layout)
+        parts.append((ranks.road, ranks.background, chances.road, chances.background, decided))
+    road, background, sure, unsure, decided = map(torch.stack, zip(*parts, strict=True))
+    groups = [item.group or "" for item in items]
+    return Counts(RoadCounts(road, background), RoadCounts(sure, unsure), decided, groups)
+
+
+def names_of(name: str, out: Path) -> list[str]:
+    """Return teachers and finished students that are scored on a set."""
+    runs = [run.name for run in plan_runs() if run.images in ("free", name)]
+    return [*HONEST, *(run for run in runs if (out / run / "done").exists())]
 
 
 def score(data: Path, out: Path) -> None:
-    """Score every contender that has no file of scores yet."""
-    folder = out / "scores"
-    folder.mkdir(exist_ok=True)
-    for name, dataset in open_sets(data).items():
-        entries = [
-            entry
-            for key, entry in contenders(out).items()
-            if not (folder / f"{name} {key}").exists()
-        ]
-        if not entries:
-            continue
-        print(f"{name}: {len(entries)} contenders, {len(dataset.items)} images", flush=True)
-        tallies, failures = tally_images(dataset, entries, 1, quiet=False)
-        for failure in failures:
-            raise RuntimeError(f"{failure.image}: {failure.reason}")
-        for entry in entries:
-            torch.save(tallies[entry.name], folder / f"{name} {entry.name}")
+    """Score every teacher and student on every set, unless its file is there."""
+    torch.set_num_threads(1)
+    for name in SETS:
+        folder = out / "scores" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        left = [key for key in names_of(name, out) if not (folder / key).exists()]
+        dataset, items = open_set(data, name)
+        for key in left:
+            torch.save(count_images(dataset, items, make_labeller(key, out)), folder / key)
+        print(f"{TITLES[name]}: {len(items)} images, {len(left)} scored", flush=True)
 
 
 # --- measures -----------------------------------------------------------------------------
 
+MEASURES: dict[str, Callable[[RoadCounts, RoadCounts, Tensor], Tensor]] = {
+    "mean recall": lambda ranks, chances, layout: metrics.mean_class_recall(layout),
+    **{
+        f"recall {title}": lambda ranks, chances, layout, c=c: metrics.class_recalls(layout)[..., c]
+        for c, title in ((SKY, "sky"), (VERTICAL, "vertical"), (HORIZONTAL, "ground"))
+    },
+    "AP": lambda ranks, chances, layout: metrics.average_precision(ranks),
+    "AUC": lambda ranks, chances, layout: metrics.auc(ranks),
+    "F": lambda ranks, chances, layout: metrics.f_measure(metrics.confusion_at(chances, 0.5)),
+    "Brier": lambda ranks, chances, layout: brier_score(chances),
+    "ECE": lambda ranks, chances, layout: expected_calibration_error(chances),
+}
+"""Measures of counts: ground by rank, ground by likelihood, layout."""
 
-class Scores(NamedTuple):
-    """Measures of replicates, float64 (replicates + 1,) each; the first is of the images as are."""
 
-    recall: Tensor
-    auc: Tensor
-    pooled_auc: Tensor
-
-
-def measure(tally: Tally) -> Scores:
-    """Compute the measures of a contender for every replicate; all contenders have the same."""
+def measure(counts: Counts) -> dict[str, Tensor]:
+    """Compute the measures, float64 (replicates + 1,), the first of all images; mean of groups."""
     generator = torch.Generator().manual_seed(BOOTSTRAP_SEED)
-    recalls, roads = [], []
-    for group in sorted(tally.road.keys() - set(EXCLUDED)):
-        table = tally.table([group])
-        weights = sample_weights(table.groups, generator)
-        part = pool(table, {}, weights)
-        roads.append(part.road)
-        if part.layout is not None and bool(part.layout[0, 0].any()):
-            recalls.append(metrics.mean_class_recall(part.layout))
-    undefined = torch.full((REPLICATES + 1,), torch.nan, dtype=torch.float64)
-    areas = torch.stack([metrics.auc(road) for road in roads])
-    pooled = reduce(RoadCounts.__add__, roads)
-    recall = torch.stack(recalls or [undefined]).mean(0)
-    return Scores(recall, areas.mean(0), metrics.auc(pooled))
+    values: dict[str, list[Tensor]] = {key: [] for key in MEASURES}
+    for group in sorted(set(counts.groups)):
+        members = torch.tensor([name == group for name in counts.groups])
+        weights = sample_weights([group] * int(members.sum()), generator)
+
+        def pool(part: Tensor, members: Tensor = members, weights: Tensor = weights) -> Tensor:
+            chosen = part[members].to(torch.float64)
+            return (weights @ chosen.flatten(1)).reshape(-1, *chosen.shape[1:])
+
+        ranks, chances = (
+            RoadCounts(pool(part.road), pool(part.background))
+            for part in (counts.ranks, counts.likelihoods)
+        )
+        layout = pool(counts.layout)
+        for key, formula in MEASURES.items():
+            values[key].append(formula(ranks, chances, layout))
+    return {key: torch.stack(parts).nanmean(0) for key, parts in values.items()}
+
+
+Scores = Mapping[str, Mapping[str, Tensor]]
+"""Measures by contender."""
 
 
 def mean_of_seeds(values: Sequence[Tensor]) -> Tensor:
-    """Return the mean of the seeds' scores (replicates + 1,), their replicates of Student's t."""
+    """Return the mean of seeds' scores (replicates + 1,), their replicates of Student's t."""
     weights = student_weights(len(values), torch.Generator().manual_seed(BOOTSTRAP_SEED + 1))
     weights = torch.cat([torch.ones_like(weights[:1]), weights])
     return (weights * torch.stack(list(values), 1)).mean(1)
-
-
-def difference_columns(title: str, values: Tensor) -> dict[str, str]:
-    """Format a difference (replicates + 1,) and its 95 % interval."""
-    low, high = percentile_interval(values[1:])
-    return {title: f"{values[0]:+.3f}", f"{title}, 95 %": f"{low:+.3f} to {high:+.3f}"}
 
 
 # --- tables -------------------------------------------------------------------------------
 
 
 def write_tables(out: Path, folder: Path) -> None:
-    """Write claim.csv, claim_fusion.csv (products with the texture) and claim_confusion.csv."""
-    tallies: dict[str, dict[str, Tally]] = {name: {} for name in SETS}
-    for file in sorted((out / "scores").iterdir()):
-        name, _, contender = file.name.partition(" ")
-        tallies[name][contender] = torch.load(file, weights_only=False)
-    scores = {
-        name: {contender: measure(tally) for contender, tally in part.items()}
-        for name, part in tallies.items()
-    }
-    studies = [(teacher, config) for config in CONFIGS for teacher in TEACHERS]
-    studies = [s for s in studies if run_name(*s, SEEDS[-1]) in scores["many"]]
-    write_csv(folder / "claim.csv", [row for s in studies for row in claim_rows(out, scores, *s)])
-    rows = [row for s in studies for row in fusion_rows(scores, *s)]
-    write_csv(folder / "claim_fusion.csv", rows)
-    rows = [row for s in studies for row in confusion_rows(tallies["camvid"], *s)]
-    write_csv(folder / "claim_confusion.csv", rows)
+    """Write the scores of studies and of seeds, the losses, and the table and figure of noise."""
+    scores: dict[str, Scores] = {}
+    for name in SETS:
+        keys = [key for key in names_of(name, out) if (out / "scores" / name / key).exists()]
+        files = {key: out / "scores" / name / key for key in keys}
+        scores[name] = {
+            key: measure(torch.load(file, weights_only=False)) for key, file in files.items()
+        }
+    write_csv(folder / "claim.csv", list(study_rows(scores)))
+    write_csv(folder / "claim_seeds.csv", list(seed_rows(scores)))
+    write_csv(folder / "claim_losses.csv", list(loss_rows(out)))
+    noise = list(noise_rows(scores[DRIVES[0]]))
+    write_csv(folder / "claim_noise.csv", noise)
+    if noise:
+        draw_noise(noise, folder / "claim_noise.svg")
 
 
-def claim_rows(
-    out: Path, scores: Mapping[str, Mapping[str, Scores]], teacher: str, config: str
-) -> Iterator[dict[str, str]]:
-    """Yield the scores of a teacher and its students, by set and measure."""
-    runs = [run_name(teacher, config, seed) for seed in SEEDS]
-    epochs = [len((out / run / "log.csv").read_text().splitlines()) - 1 for run in runs]
-    for name, title in SETS.items():
-        for key in ("recall", "auc"):
-            students = [getattr(scores[name][run], key) for run in runs]
-            first = torch.stack([values[0] for values in students])
-            reference = getattr(scores[name][TEACHER_DETECTORS[teacher]], key)
-            yield {
-                "teacher": teacher,
-                "training": config,
-                "set": title,
-                "measure": key,
-                "of the teacher": f"{reference[0]:.3f}",
-                "mean of 5 students": f"{first.mean():.3f}",
-                "sd": f"{first.std():.3f}",
-                **difference_columns("difference", mean_of_seeds(students) - reference),
-                "epochs": " ".join(map(str, epochs)),
-            }
+def studies(scores: Scores, name: str) -> dict[Run, list[str]]:
+    """Return the students of a set by study: a run without its seed."""
+    groups: dict[Run, list[str]] = {}
+    for run in plan_runs():
+        if run.images in ("free", name) and run.name in scores:
+            groups.setdefault(run._replace(seed=0), []).append(run.name)
+    return {run: names for run, names in groups.items() if len(names) > 1}
 
 
-def fusion_rows(
-    scores: Mapping[str, Mapping[str, Scores]], teacher: str, config: str
-) -> Iterator[dict[str, str]]:
-    """Yield the AUC of texture, layout and their product, and what layout adds, by set."""
-    for name, title in SETS.items():
-        for key, average in (("auc", "by groups"), ("pooled_auc", "pooled")):
-            areas = {contender: getattr(part, key) for contender, part in scores[name].items()}
-            layout = mean_of_seeds([areas[run_name(teacher, config, seed)] for seed in SEEDS])
-            products = [areas[product_name(teacher, config, seed)] for seed in SEEDS]
-            product = mean_of_seeds(products)
-            yield {
-                "teacher": teacher,
-                "training": config,
-                "set": title,
-                "average": average,
-                "texture": f"{areas[TEXTURE][0]:.3f}",
-                "layout": f"{layout[0]:.3f}",
-                "product": f"{product[0]:.3f}",
-                "sd": f"{torch.stack(products)[:, 0].std():.3f}",
-                **difference_columns("product - texture", product - areas[TEXTURE]),
-                **difference_columns("product - layout", product - layout),
-                ROWS: f"{areas[ROWS][0]:.3f}",
-            }
+def study_rows(scores: Mapping[str, Scores]) -> Iterator[dict[str, str]]:
+    """Yield teacher, students and their difference, by set, study and measure."""
+    for name, contenders in scores.items():
+        for run, students in studies(contenders, name).items():
+            if run.noise:
+                continue
+            for key in MEASURES:
+                values = [contenders[student][key] for student in students]
+                first = torch.stack([value[0] for value in values])
+                row = {
+                    "set": TITLES[name],
+                    "teacher": run.teacher,
+                    "images": images_of(run),
+                    "recipe": run.recipe,
+                    "measure": key,
+                    "seeds": str(len(students)),
+                    "of the teacher": "",
+                    "mean of the students": f"{first.mean():.3f}",
+                    "sd": f"{first.std():.3f}",
+                    "difference": "",
+                    "difference, 95 %": "",
+                }
+                if run.teacher in contenders:
+                    reference = contenders[run.teacher][key]
+                    change = mean_of_seeds(values) - reference
+                    low, high = percentile_interval(change[1:])
+                    row["of the teacher"] = f"{reference[0]:.3f}"
+                    row["difference"] = f"{change[0]:+.3f}"
+                    row["difference, 95 %"] = f"{low:+.3f} to {high:+.3f}"
+                yield row
 
 
-def confusion_rows(
-    tallies: Mapping[str, Tally], teacher: str, config: str
-) -> Iterator[dict[str, str]]:
-    """Yield P2's Figs. 4b and 4c on CamVid, its drives pooled: void counts as vertical.
+def images_of(run: Run) -> str:
+    """Return what taught the students of a run: free, domain or both."""
+    return "both" if run.first else "free" if run.images == "free" else "domain"
 
-    Ratios of the students are means of the seeds.
+
+def seed_rows(scores: Mapping[str, Scores]) -> Iterator[dict[str, str]]:
+    """Yield the scores of every teacher and student on every set."""
+    for name, contenders in scores.items():
+        for key, values in contenders.items():
+            numbers = {title: f"{float(value[0]):.4f}" for title, value in values.items()}
+            yield {"set": TITLES[name], "of": key, **numbers}
+
+
+def loss_rows(out: Path) -> Iterator[dict[str, str]]:
+    """Yield the mean loss of every epoch of every student."""
+    for run in plan_runs():
+        if (out / run.name / "done").exists():
+            for row in read_csv(out / run.name / "log.csv"):
+                loss = f"{float(row['loss']):.4f}"
+                yield {"of": run.name, **{k: row[k] for k in ("epoch", "samples")}, "loss": loss}
+
+
+# --- noise ----------------------------------------------------------------------------------
+
+
+def noise_rows(scores: Scores) -> Iterator[dict[str, str]]:
+    """Yield the mean recall of noisy labels and of the students that they taught.
+
+    A class keeps 1 - rate of its labels under independent noise; of the labeller's errors a share.
     """
-    students = [run_name(teacher, config, seed) for seed in SEEDS]
-    for title, names in (("students", students), ("teacher", [TEACHER_DETECTORS[teacher]])):
-        confusions = [tallies[name].table().layout for name in names]
-        counts = [metrics.void_as_vertical(part.sum(0)) for part in confusions if part is not None]
-        ratios = torch.stack([metrics.normalised_confusion(part) for part in counts]).mean(0)
-        recalls = ratios.diagonal()
-        for truth, row in PRINTED_ORDER.items():
-            decisions = {key: f"{ratios[row, column]:.3f}" for key, column in PRINTED_ORDER.items()}
-            accuracy = {"global average accuracy": f"{recalls.mean():.3f}"}
-            origin = {"teacher": teacher, "training": config, "of": title, "truth": truth}
-            yield {**origin, **decisions, **accuracy}
+    errors = torch.stack(
+        [1 - scores["untuned"][f"recall {c}"][0] for c in ("sky", "vertical", "ground")]
+    )
+    clean = [
+        scores[key]["mean recall"][0]
+        for key in scores
+        if re.fullmatch(r"truth-0006R0-cnn7-\d", key)
+    ]
+    for noise, rates in (("independent", (0.0, *RATES)), ("confused", (0.0, *SHARES))):
+        for rate in rates:
+            pattern = rf"truth-{noise}-{rate}-.*" if rate else r"truth-0006R0-cnn7-\d"
+            values = [scores[key]["mean recall"][0] for key in scores if re.fullmatch(pattern, key)]
+            if not values or not clean:
+                continue
+            students = torch.stack(values)
+            labels = 1 - rate * (1.0 if noise == "independent" else float(errors.mean()))
+            yield {
+                "noise": noise,
+                "rate": str(rate),
+                "seeds": str(len(students)),
+                "mean recall of the labels": f"{labels:.3f}",
+                "mean recall of the students": f"{students.mean():.3f}",
+                "sd": f"{students.std():.3f}",
+            }
+
+
+def draw_noise(rows: Sequence[Mapping[str, str]], file: Path) -> None:
+    """Draw the students' mean recall over that of the labels which taught them."""
+    figure = Figure(figsize=(5, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for noise, title in (("independent", "independent noise"), ("confused", "labeller's errors")):
+        part = [row for row in rows if row["noise"] == noise]
+        x, y, sd = (
+            [float(row[key]) for row in part]
+            for key in ("mean recall of the labels", "mean recall of the students", "sd")
+        )
+        axes.errorbar(x, y, sd, marker="o", capsize=3, label=title)
+    axes.axline((0.8, 0.8), slope=1, color="grey", linestyle=":", label="as good as the labels")
+    axes.set(xlabel="mean recall of the labels", ylabel="mean recall of the students")
+    axes.legend()
+    figure.savefig(file, metadata={"Date": None})
 
 
 # --- the page -----------------------------------------------------------------------------
 
 
 def page_rows(folder: Path) -> Iterator[str]:
-    """Yield the rows of the page's two tables from the files of ``write_tables``."""
-    claims, products = read_csv(folder / "claim.csv"), read_csv(folder / "claim_fusion.csv")
-    for teacher in TEACHERS:
-        rows = [r for r in claims if (r["teacher"], r["measure"]) == (teacher, "recall")]
-        scores = {row["set"]: row["of the teacher"] for row in rows}
-        yield format_row(f"**{teacher} teacher**", *scores.values())
-        for config in dict.fromkeys(row["training"] for row in rows):
-            cells = [
-                f"{row['mean of 5 students']} ± {row['sd']}: {row['difference']} "
-                f"({row['difference, 95 %']})"
-                for row in rows
-                if row["training"] == config
-            ]
-            yield format_row(f"`{config}`", *cells)
-    for row in products:
-        if (row["training"], row["average"]) == ("cnn7-paper", "by groups"):
-            cells = [
-                f"{row[kind]} ({row[f'{kind}, 95 %']})"
-                for kind in ("product - texture", "product - layout")
-            ]
-            areas = [row["texture"], row["layout"], row["product"]]
-            yield format_row(f"{row['set']}, {row['teacher']}", *areas, *cells, row[ROWS])
+    """Yield the rows of the page's tables from the files of ``write_tables``."""
+    rows = read_csv(folder / "claim.csv")
+    for measured in ("mean recall", "AP"):
+        part = [row for row in rows if row["measure"] == measured]
+        for study in dict.fromkeys((r["teacher"], r["images"], r["recipe"]) for r in part):
+            cells = list[str]()
+            for title in TITLES.values() if study[1] == "free" else [TITLES[d] for d in DOMAINS]:
+                found = [
+                    r
+                    for r in part
+                    if (r["teacher"], r["images"], r["recipe"]) == study and r["set"] == title
+                ]
+                cells.append(format_cell(found[0]) if found else "")
+            yield format_row(measured, *study, *cells)
+
+
+def format_cell(row: Mapping[str, str]) -> str:
+    """Format the students' mean and deviation, and the difference from their teacher."""
+    text = f"{row['mean of the students']} ± {row['sd']}"
+    return f"{text}: {row['difference']} ({row['difference, 95 %']})" if row["difference"] else text
 
 
 def format_row(*cells: str) -> str:
@@ -270,7 +368,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 def write_csv(path: Path, rows: Sequence[Mapping[str, str]]) -> None:
     """Write rows with a header."""
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
 

@@ -54,14 +54,15 @@ def describe_pixels(image: Tensor) -> Tensor:
 def straight_lines(lightness: np.ndarray) -> list[Tensor]:
     """Return where straight lines are, and their |cos| and |sin|, of a plane (H, W): three maps."""
     grey = cv2.normalize(lightness, np.zeros(()), 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    maps = np.zeros((3, *grey.shape), np.float32)
+    maps = [np.zeros(grey.shape, np.float32) for _ in range(3)]
     length = max(4, round(MIN_LINE * grey.shape[1]))
     lines = cv2.HoughLinesP(cv2.Canny(grey, 60, 120), 1, np.pi / 180, length, None, length, 3)
-    for left, top, right, bottom in [] if lines is None else lines.reshape(-1, 4).tolist():
+    for ends in [] if lines is None else lines.reshape(-1, 4):
+        left, top, right, bottom = map(int, ends)
         angle = np.arctan2(bottom - top, right - left)
         for plane, value in zip(maps, (1.0, abs(np.cos(angle)), abs(np.sin(angle))), strict=True):
             cv2.line(plane, (left, top), (right, bottom), float(value), 3)
-    return list(torch.from_numpy(maps))
+    return [torch.from_numpy(plane) for plane in maps]
 
 
 def positions(image: Tensor) -> list[Tensor]:
