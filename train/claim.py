@@ -54,17 +54,16 @@ six epochs at most. Written before any was trained."""
 LETTER_IMAGES = 24
 
 SEEDS, NOISE_SEEDS = range(5), range(2)
-RATES = (0.1, 0.2, 0.3, 0.4, 0.5)
-"""Fraction of superpixels whose true label is replaced by another, each as likely."""
-
-SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
-"""Fraction of the superpixels where ``labeller:untuned`` errs that keep its label."""
+INDEPENDENT, CONFUSED = "independent", "confused"
+NOISE = {INDEPENDENT: (0.1, 0.2, 0.3, 0.4, 0.5), CONFUSED: (0.2, 0.4, 0.6, 0.8, 1.0)}
+"""Rates: fraction of superpixels whose true label becomes another, each as likely; or of those
+where ``labeller:untuned`` errs that keep its label."""
 
 
 class Run(NamedTuple):
     """A training. images: a domain, or free; recipe: of ``RECIPES``; first: of free images before.
 
-    noise: ``independent`` or ``confused`` and a rate, for the teacher truth.
+    noise, rate: of ``NOISE``, for the teacher truth.
     """
 
     teacher: str
@@ -107,7 +106,7 @@ def plan_runs() -> Iterator[Run]:
             yield from (Run(teacher, domain, "cnn7", seed) for teacher in (*honest, "truth"))
         yield from (Run(teacher, "free", "cnn7", seed) for teacher in honest)
         if seed in NOISE_SEEDS:
-            for noise, rates in (("independent", RATES), ("confused", SHARES)):
+            for noise, rates in NOISE.items():
                 yield from (Run("truth", DRIVES[0], "cnn7", seed, False, noise, r) for r in rates)
     for seed in SEEDS:
         for domain in DOMAINS:
@@ -188,7 +187,7 @@ def disturb(labels: Tensor, image: Tensor, run: Run) -> Tensor:
     segments = superpixels.cut(image)
     generator = make_generator(run.seed, *image.shape, int(1000 * image.double().mean()))
     chosen = (torch.rand(int(segments.max()) + 1, generator=generator) < run.rate)[segments]
-    if run.noise == "independent":
+    if run.noise == INDEPENDENT:
         turn = torch.randint(1, NUM_CLASSES, (int(segments.max()) + 1,), generator=generator)
         other = (labels + turn[segments]) % NUM_CLASSES
     else:

@@ -39,7 +39,7 @@ from roadtorch.layout.patch_network import PatchNetwork
 from roadtorch.layout.weights import load_network
 from roadtorch.train.config import PatchTraining
 from roadtorch.train.run_folder import WEIGHTS
-from train.claim import DOMAINS, DRIVES, RATES, SHARES, Run, plan_runs, split_domain
+from train.claim import CONFUSED, DOMAINS, DRIVES, INDEPENDENT, Run, plan_runs, split_domain
 from train.superpixels import SuperpixelTeacher
 
 SETS = (*DOMAINS, "many")
@@ -209,8 +209,7 @@ def write_tables(out: Path, folder: Path) -> None:
     write_csv(folder / "claim_losses.csv", list(loss_rows(out)))
     noise = list(noise_rows(scores[DRIVES[0]]))
     write_csv(folder / "claim_noise.csv", noise)
-    if noise:
-        draw_noise(noise, folder / "claim_noise.svg")
+    draw_noise(noise, folder / "claim_noise.svg")
 
 
 def studies(scores: Scores, name: str) -> dict[Run, list[str]]:
@@ -282,31 +281,21 @@ def loss_rows(out: Path) -> Iterator[dict[str, str]]:
 def noise_rows(scores: Scores) -> Iterator[dict[str, str]]:
     """Yield the mean recall of noisy labels and of the students that they taught.
 
-    A class keeps 1 - rate of its labels under independent noise; of the labeller's errors a share.
+    A class keeps 1 - rate of its labels under independent noise, or all but a share of the
+    labeller's errors.
     """
-    errors = torch.stack(
-        [1 - scores["untuned"][f"recall {c}"][0] for c in ("sky", "vertical", "ground")]
-    )
-    clean = [
-        scores[key]["mean recall"][0]
-        for key in scores
-        if re.fullmatch(r"truth-0006R0-cnn7-\d", key)
-    ]
-    for noise, rates in (("independent", (0.0, *RATES)), ("confused", (0.0, *SHARES))):
-        for rate in rates:
-            pattern = rf"truth-{noise}-{rate}-.*" if rate else r"truth-0006R0-cnn7-\d"
-            values = [scores[key]["mean recall"][0] for key in scores if re.fullmatch(pattern, key)]
-            if not values or not clean:
-                continue
-            students = torch.stack(values)
-            labels = 1 - rate * (1.0 if noise == "independent" else float(errors.mean()))
+    errors = 1 - float(scores["untuned"]["mean recall"][0])
+    for run, students in studies(scores, DRIVES[0]).items():
+        if run.teacher == "truth":
+            recalls = torch.stack([scores[name]["mean recall"][0] for name in students])
+            labels = 1 - run.rate * (errors if run.noise == CONFUSED else 1)
             yield {
-                "noise": noise,
-                "rate": str(rate),
+                "noise": run.noise,
+                "rate": str(run.rate),
                 "seeds": str(len(students)),
                 "mean recall of the labels": f"{labels:.3f}",
-                "mean recall of the students": f"{students.mean():.3f}",
-                "sd": f"{students.std():.3f}",
+                "mean recall of the students": f"{recalls.mean():.3f}",
+                "sd": f"{recalls.std():.3f}",
             }
 
 
@@ -314,8 +303,8 @@ def draw_noise(rows: Sequence[Mapping[str, str]], file: Path) -> None:
     """Draw the students' mean recall over that of the labels which taught them."""
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     axes = figure.subplots()
-    for noise, title in (("independent", "independent noise"), ("confused", "labeller's errors")):
-        part = [row for row in rows if row["noise"] == noise]
+    for noise, title in ((INDEPENDENT, "independent noise"), (CONFUSED, "the labeller's errors")):
+        part = [row for row in rows if row["noise"] in ("", noise)]
         x, y, sd = (
             [float(row[key]) for row in part]
             for key in ("mean recall of the labels", "mean recall of the students", "sd")
