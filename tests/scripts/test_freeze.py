@@ -15,4 +15,4 @@ def test_the_commands_that_it_records_are_right(output: str) -> None:
         return
     out = [] if output.startswith("commands/") else ["--out", "out"]
 
-    command.make_context(name, [*words, *out])
+    assert command.make_context(name, [*words, *out]).info_name == name
