@@ -321,25 +321,26 @@ def draw_noise(rows: Sequence[Mapping[str, str]], file: Path) -> None:
 
 def page_rows(folder: Path) -> Iterator[str]:
     """Yield the rows of the page's tables from the files of ``write_tables``."""
-    rows = read_csv(folder / "claim.csv")
+    rows = [row for row in read_csv(folder / "claim.csv") if row["recipe"] == "cnn7"]
     for measured in ("mean recall", "AP"):
         part = [row for row in rows if row["measure"] == measured]
-        for study in dict.fromkeys((r["teacher"], r["images"], r["recipe"]) for r in part):
-            cells = list[str]()
-            for title in TITLES.values() if study[1] == "free" else [TITLES[d] for d in DOMAINS]:
-                found = [
-                    r
-                    for r in part
-                    if (r["teacher"], r["images"], r["recipe"]) == study and r["set"] == title
-                ]
-                cells.append(format_cell(found[0]) if found else "")
-            yield format_row(measured, *study, *cells)
+        for study in dict.fromkeys(map(study_of, part)):
+            found = {r["set"]: format_cell(r) for r in part if study_of(r) == study}
+            cells = [found.get(TITLES[name], "") for name in SETS]
+            yield format_row(", ".join(study), *cells)
+
+
+def study_of(row: Mapping[str, str]) -> tuple[str, str]:
+    """Return teacher and images of a row of claim.csv."""
+    return row["teacher"], row["images"]
 
 
 def format_cell(row: Mapping[str, str]) -> str:
-    """Format the students' mean and deviation, and the difference from their teacher."""
+    """Format teacher → students' mean ± deviation, and the difference with its interval."""
     text = f"{row['mean of the students']} ± {row['sd']}"
-    return f"{text}: {row['difference']} ({row['difference, 95 %']})" if row["difference"] else text
+    if not row["difference"]:
+        return text
+    return f"{row['of the teacher']} → {text}: {row['difference']} ({row['difference, 95 %']})"
 
 
 def format_row(*cells: str) -> str:
