@@ -34,7 +34,7 @@ LINES = {
     "roadtorch/train": 4_450,
     "roadtorch/ufl": 1_345,
     "scripts": 4_795,
-    "tests": 28_730,
+    "tests": 28_755,
     "train": 4_450,
 }
 """The lines of source code that each folder may have."""

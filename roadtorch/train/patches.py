@@ -23,7 +23,7 @@ from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.patch_network import NormalisedImage, PatchNetwork, normalise
+from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import uniform
@@ -296,17 +296,13 @@ class PatchSamples:
         if len(self._buffer) < len(chunk.image):
             self._buffer = torch.empty(len(chunk.image), 3, patch, patch)
         for number, member in enumerate(chunk.members):
-            pixels, gain = self.read_pixels(member)
+            image = from_uint8(self._read(self._files[member], "image")["image"])
+            pixels, gain = normalise(image, self._training.network.normalisation)
             for index in (chunk.image == number).nonzero()[:, 0].split(EXTRACTION_BLOCK):
                 if len(index):
                     part = chunk.params.select(index)
                     target = self._buffer[index[0] : index[-1] + 1]
                     add_noise(sample_patches(pixels, part, patch), part, chunk.noise, gain, target)
-
-    def read_pixels(self, member: int) -> NormalisedImage:
-        """Read and normalise the image of a prepared file."""
-        image = from_uint8(self._read(self._files[member], "image")["image"])
-        return normalise(image, self._training.network.normalisation)
 
     def _read_centres(self, member: int, epoch: int, visit: int) -> LabelledCentres:
         """Return the patches of an image at one visit in an epoch."""

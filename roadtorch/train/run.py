@@ -28,13 +28,7 @@ from roadtorch.layout.weights import (
     save_network,
     weights_path,
 )
-from roadtorch.train.config import (
-    ImageTraining,
-    PatchTraining,
-    SelfTraining,
-    Training,
-    as_values,
-)
+from roadtorch.train.config import ImageTraining, PatchTraining, SelfTraining, Training, as_values
 from roadtorch.train.corrections import (
     corrections_by_image,
     corrections_summary,

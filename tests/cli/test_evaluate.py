@@ -190,8 +190,7 @@ def test_a_broken_image_is_listed_and_the_rest_is_scored(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words",
-    [("--tune",), ("--submit",), ("--submit", "--out", "out"), ("--detector", "fusoin")],
+    "words", [("--tune",), ("--submit",), ("--submit", "--out", "out"), ("--detector", "fusoin")]
 )
 def test_conflicting_options_are_refused(call: Call, camvid: Path, words: tuple[str]):
     done = call("evaluate", "camvid", camvid, *words)

@@ -89,8 +89,5 @@ def read_bag(path: Path) -> bool:
     return is_plausible(bag_source(str(path)), lambda pixels: pixels.shape == shape)
 
 
-FOOTAGE = {
-    "videos": (make_video, read_video),
-    "bags": (make_bag, read_bag),
-}
+FOOTAGE = {"videos": (make_video, read_video), "bags": (make_bag, read_bag)}
 """Kinds whose file names vary: a writer and a reader each."""

@@ -376,9 +376,7 @@ def read_thresholds(path: Path) -> bool:
 
 KINDS: Mapping[str, Kind] = {
     "images": Kind(
-        "image.bin",
-        lambda draw, _: mutate(draw, encode_scene(draw), IMAGE_MUTATIONS),
-        reads_image,
+        "image.bin", lambda draw, _: mutate(draw, encode_scene(draw), IMAGE_MUTATIONS), reads_image
     ),
     "weights": Kind("net.safetensors", make_network, read_network),
     "arrays": Kind(

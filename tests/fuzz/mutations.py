@@ -28,10 +28,7 @@ SHORT = (
     *(b"\\ud800", b"\xed\xa0\x80", b"&lol;", b"<!DOCTYPE a [<!ENTITY b 'c'>]>", b"<![CDATA[", b"#"),
     "ß\N{RIGHT-TO-LEFT OVERRIDE}".encode(),
 )
-LONG = (
-    *(b"9" * 5_000, b"[" * 3_000, b'{"a":' * 3_000, b"<a>" * 3_000),
-    b"x" * 200_000,
-)
+LONG = (*(b"9" * 5_000, b"[" * 3_000, b'{"a":' * 3_000, b"<a>" * 3_000), b"x" * 200_000)
 PIECES = st.integers(0, 9).flatmap(lambda at: st.sampled_from(SHORT if at else LONG))
 """Pieces of text that have tripped parsers, ours or others'."""
 

@@ -160,11 +160,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
     folder = tmp_path_factory.mktemp("inputs")
     image = save_image(folder / "folder" / "street.png")
     write_drives(folder)
-    return {
-        "IMAGE": str(image),
-        "FOLDER": str(image.parent),
-        "CAMVID": str(folder / "camvid"),
-    }
+    return {"IMAGE": str(image), "FOLDER": str(image.parent), "CAMVID": str(folder / "camvid")}
 
 
 @pytest.mark.parametrize("line", COMMANDS)

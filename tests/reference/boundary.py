@@ -34,9 +34,4 @@ def count(mask: np.ndarray, road: np.ndarray, valid: np.ndarray, share: float) -
     """Count decided pixels matched, decided, true ones matched, true."""
     decided, true = border(mask, valid), border(road, valid)
     reach = share * math.hypot(*mask.shape)
-    return [
-        matched(decided, true, reach),
-        len(decided),
-        matched(true, decided, reach),
-        len(true),
-    ]
+    return [matched(decided, true, reach), len(decided), matched(true, decided, reach), len(true)]

@@ -38,11 +38,7 @@ Start = Callable[..., "subprocess.Popen[str]"]
 def environment() -> dict[str, str]:
     """Return an environment with a ROS domain for this test only."""
     domain = str(1 + (os.getpid() + time.monotonic_ns() // 1000) % 100)
-    return {
-        **os.environ,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": domain,
-    }
+    return {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain}
 
 
 @pytest.fixture

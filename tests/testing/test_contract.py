@@ -21,7 +21,7 @@ ANSWERS: dict[str, Callable[[Tensor], dict[str, Tensor]]] = {
     },
     "is not deterministic: two results": lambda image: {"likelihood": torch.rand(image.shape[1:])},
     "modifies its input image": lambda image: {
-        "likelihood": image[0, 0, 0].fill_(0.123).expand(image.shape[1:]),
+        "likelihood": image[0, 0, 0].fill_(0.123).expand(image.shape[1:])
     },
 }
 """By what is wrong with it: what a detector answers."""

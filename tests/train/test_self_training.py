@@ -187,11 +187,7 @@ def test_half_of_a_batch_is_target_and_a_first_round_has_none(
     ("number", "frozen", "learning"), [(1, 0, set()), (2, 0, {"stem", "blocks"}), (2, 15, set())]
 )
 def test_a_frozen_backbone_and_frozen_blocks_do_not_learn(
-    number: int,
-    frozen: int,
-    learning: set[str],
-    request_of_run: TrainingRequest,
-    tmp_path: Path,
+    number: int, frozen: int, learning: set[str], request_of_run: TrainingRequest, tmp_path: Path
 ) -> None:
     rounds = Round(request_of_run, tmp_path, f"frozen_blocks={frozen}")
     groups = rounds.recipe.parameter_groups(rounds.network, number)
