@@ -189,11 +189,11 @@ def disturb(labels: Tensor, image: Tensor, run: Run) -> Tensor:
     chosen = (torch.rand(int(segments.max()) + 1, generator=generator) < run.rate)[segments]
     if run.noise == INDEPENDENT:
         turn = torch.randint(1, NUM_CLASSES, (int(segments.max()) + 1,), generator=generator)
-        other = (labels + turn[segments]) % NUM_CLASSES
+        noisy = (labels + turn[segments]) % NUM_CLASSES
     else:
         untuned = LabellerSettings(constants="untuned", margin=0.0)
-        other = label_at_image_size(image, untuned, superpixels, untuned.margin).labels
-    return torch.where(chosen & (labels != UNLABELLED), other, labels)
+        noisy = label_at_image_size(image, untuned, superpixels, untuned.margin).labels
+    return torch.where(chosen & (labels != UNLABELLED), noisy, labels)
 
 
 # --- trainings -------------------------------------------------------------------------------

@@ -108,10 +108,10 @@ def count_images(dataset: Dataset, items: Sequence[LabelledItem], labeller: Labe
         image, truth = dataset.read(item)
         assert truth.layout is not None
         layout = truth.layout[::2, ::2]
-        found = labeller(resize_to_work(image, PatchTraining().network.working))
+        output = labeller(resize_to_work(image, PatchTraining().network.working))
         potentials, odds = (
             resize_to_image(part, spatial_size(image))[..., ::2, ::2]
-            for part in (found[0], found[1][None])
+            for part in (output[0], output[1][None])
         )
         ground, valid = layout == HORIZONTAL, layout != UNLABELLED
         ranks = metrics.count_levels((odds[0] / STRETCH).sigmoid(), ground, valid, RANKS)
@@ -325,8 +325,8 @@ def page_rows(folder: Path) -> Iterator[str]:
     for measured in ("mean recall", "AP"):
         part = [row for row in rows if row["measure"] == measured]
         for study in dict.fromkeys(map(study_of, part)):
-            found = {r["set"]: format_cell(r) for r in part if study_of(r) == study}
-            cells = [found.get(TITLES[name], "") for name in SETS]
+            by_set = {r["set"]: format_cell(r) for r in part if study_of(r) == study}
+            cells = [by_set.get(TITLES[name], "") for name in SETS]
             yield format_row(", ".join(study), *cells)
 
 
