@@ -56,9 +56,9 @@ Labeller = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 def as_teacher(potentials: Tensor) -> tuple[Tensor, Tensor]:
-    """Return potentials that sum to 1, and the ground's log odds, from what the others have."""
-    others = potentials[SKY] + potentials[VERTICAL]
-    return potentials, potentials[HORIZONTAL].log() - others.log()
+    """Return potentials that sum to 1, and the ground's log odds, from what the not_ground have."""
+    not_ground = potentials[SKY] + potentials[VERTICAL]
+    return potentials, potentials[HORIZONTAL].log() - not_ground.log()
 
 
 def make_labeller(name: str, out: Path) -> Labeller:
