@@ -56,7 +56,7 @@ Labeller = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 def as_teacher(potentials: Tensor) -> tuple[Tensor, Tensor]:
-    """Return potentials that sum to 1, and the ground's log odds, from what the not_ground have."""
+    """Return potentials that sum to 1, and the ground's log odds, from what the other two have."""
     not_ground = potentials[SKY] + potentials[VERTICAL]
     return potentials, potentials[HORIZONTAL].log() - not_ground.log()
 
@@ -320,27 +320,23 @@ def draw_noise(rows: Sequence[Mapping[str, str]], file: Path) -> None:
 
 
 def page_rows(folder: Path) -> Iterator[str]:
-    """Yield the rows of the page's tables from the files of ``write_tables``."""
+    """Yield the rows of the page's table: mean recall of teachers, of students, differences."""
     rows = [row for row in read_csv(folder / "claim.csv") if row["recipe"] == "cnn7"]
-    for measured in ("mean recall", "AP"):
-        part = [row for row in rows if row["measure"] == measured]
-        for study in dict.fromkeys(map(study_of, part)):
-            by_set = {r["set"]: format_cell(r) for r in part if study_of(r) == study}
-            cells = [by_set.get(TITLES[name], "") for name in SETS]
-            yield format_row(", ".join(study), *cells)
-
-
-def study_of(row: Mapping[str, str]) -> tuple[str, str]:
-    """Return teacher and images of a row of claim.csv."""
-    return row["teacher"], row["images"]
+    rows = [row for row in rows if row["measure"] == "mean recall"]
+    for teacher in dict.fromkeys(row["teacher"] for row in rows):
+        scores = {row["set"]: row["of the teacher"] for row in rows if row["teacher"] == teacher}
+        yield format_row(f"**{teacher}**", *(scores.get(TITLES[name], "") for name in SETS))
+        for images in ("domain", "free", "both"):
+            part = [r for r in rows if (r["teacher"], r["images"]) == (teacher, images)]
+            cells = {row["set"]: format_cell(row) for row in part}
+            if cells:
+                yield format_row(images, *(cells.get(TITLES[name], "") for name in SETS))
 
 
 def format_cell(row: Mapping[str, str]) -> str:
-    """Format teacher → students' mean ± deviation, and the difference with its interval."""
-    text = f"{row['mean of the students']} ± {row['sd']}"
-    if not row["difference"]:
-        return text
-    return f"{row['of the teacher']} → {text}: {row['difference']} ({row['difference, 95 %']})"
+    """Format the students' mean, and the difference from their teacher with its interval."""
+    mean, low_high = row["mean of the students"], row["difference, 95 %"].replace(" to ", "…")
+    return f"{mean}, {row['difference']} ({low_high})" if row["difference"] else mean
 
 
 def format_row(*cells: str) -> str:
