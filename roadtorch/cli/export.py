@@ -37,7 +37,6 @@ def export_command(
     from roadtorch.layout.runtimes import MAX_DIFFERENCE
 
     detector = load_detector(name, **parse_assignments(assignments))
-    click.echo(f"roadtorch: exporting {name} and comparing it with Python, …", err=True)
     folder, files = (out, WEB_FILES) if target == "web" else (out.parent, (out.name,))
     with lock_folder(folder), claim_results(folder, dict.fromkeys(files, name)):
         exported = (

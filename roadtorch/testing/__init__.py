@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from roadtorch.base.errors import InputError
+from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.detectors.catalogue import build_detector
 from roadtorch.detectors.detection import Detection
 from roadtorch.detectors.detector import Detector
@@ -55,7 +55,12 @@ def contract_violations(entry: Entry, **settings: object) -> list[str]:
     """Return violations of the contract, the first of each check; empty for a valid detector."""
     checked = entry.make_settings(settings)
     detector, again = (build_detector(entry, checked) for _ in range(2))
-    violations = [next(check(detector, again), None) for check in CONTRACT_CHECKS]
+    violations = list[str | None]()
+    for check in CONTRACT_CHECKS:
+        try:
+            violations.append(next(check(detector, again), None))
+        except ConfigError as error:  # what ``detect`` itself refuses
+            violations.append(error.problem)
     return [f"{entry.name} {text}" for text in violations if text is not None]
 
 
@@ -206,8 +211,6 @@ def detection_violations(detection: Detection, size: tuple[int, int], image: str
         yield f"gives {likelihood.dtype} and {mask.dtype} for {image}"
     if not likelihood.shape == mask.shape == size:
         yield f"gives {tuple(likelihood.shape)} for {image}"
-    if not ((likelihood >= 0) & (likelihood <= 1)).all():
-        yield f"gives a likelihood beyond [0, 1] for {image}"
     for name, cue in cues.items():
         layers = (3,) if name == "layout" else cue.shape[:-2]
         if cue.shape != (*layers, *size) or len(layers) > 1:

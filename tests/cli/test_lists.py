@@ -80,7 +80,7 @@ def test_export_names_its_file(call: Call, tmp_path: Path, monkeypatch: pytest.M
     result = call(*("export", "prior:rows", "--out", out, "--set", "threshold=0.4"))
 
     assert result.exit_code == 0, result.stderr
-    assert result.stderr.startswith("roadtorch: exporting prior:rows ")
+    assert result.stderr == ""
     assert result.stdout.splitlines() == [
         f"{out}: 0.02 MB",
         "prior:rows: the whole of prior:rows",

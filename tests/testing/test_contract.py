@@ -13,8 +13,8 @@ from roadtorch.testing.scenes import ROAD, SCENE_SKY, VOID, render_scene
 
 ANSWERS: dict[str, Callable[[Tensor], dict[str, Tensor]]] = {
     "": lambda image: {"likelihood": image.mean(0)},
-    r"gives \(15, 16\) for 16×16 pixels": lambda image: {"likelihood": image.mean(0)[:-1]},
-    r"gives a likelihood beyond \[0, 1\]": lambda image: {"likelihood": image.sum(0)},
+    r"of the shape \(15, 16\)": lambda image: {"likelihood": image.mean(0)[:-1]},
+    "returns likelihoods from ": lambda image: {"likelihood": image.sum(0)},
     "gives a cue odds that is not finite for a black image": lambda image: {
         "likelihood": image.mean(0),
         "odds": image.mean(0).logit(),
