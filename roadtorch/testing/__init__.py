@@ -202,10 +202,7 @@ CONTRACT_CHECKS: tuple[Callable[[Detector, Detector], Violations], ...] = (
 
 
 def detection_violations(detection: Detection, size: tuple[int, int], image: str) -> Violations:
-    """Yield errors in types, shapes and ranges of a detection.
-
-    size: height and width of the image. image: its description for messages.
-    """
+    """Yield errors of a detection; size: (height, width) of the image, which messages describe."""
     likelihood, mask, cues = detection.likelihood, detection.mask, detection.cues
     if (likelihood.dtype, mask.dtype) != (torch.float32, torch.bool):
         yield f"gives {likelihood.dtype} and {mask.dtype} for {image}"
