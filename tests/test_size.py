@@ -35,7 +35,7 @@ LINES = {
     "roadtorch/ufl": 1_345,
     "scripts": 4_795,
     "tests": 28_755,
-    "train": 4_445,
+    "train": 4_440,
 }
 """The lines of source code that each folder may have."""
 

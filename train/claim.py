@@ -119,19 +119,14 @@ def plan_runs() -> Iterator[Run]:
 # --- images and labels -------------------------------------------------------------------------
 
 
-def drive_of(item: LabelledItem) -> str:
-    """Return the drive of an image of CamVid."""
-    return item.name.split("_")[0].split("/")[-1]
-
-
 def split_domain(data: Path, domain: str) -> tuple[Dataset, list[LabelledItem], list[LabelledItem]]:
     """Return the set of a domain, the images that teach and those that are scored."""
     if domain == "idd":
         dataset = open_dataset("idd-lite", data / "idd_lite")
         return dataset, list(dataset.items[::2]), list(dataset.items[1::2])
     dataset = open_dataset("camvid", data / "camvid", "train")
-    teaching = [item for item in dataset.items if drive_of(item) != domain]
-    return dataset, teaching, [item for item in dataset.items if drive_of(item) == domain][::2]
+    teaching = [item for item in dataset.items if item.group != domain]
+    return dataset, teaching, [item for item in dataset.items if item.group == domain][::2]
 
 
 def link_images(data: Path, run: Run, out: Path) -> tuple[Path, dict[str, Tensor]]:

@@ -81,11 +81,11 @@ def describe_superpixels(image: Tensor, superpixels: Superpixels) -> tuple[Tenso
     planes, parts = describe_pixels(image), list[Tensor]()
     coarse = superpixels.model_copy(update={"pixels": COARSE * superpixels.pixels})
     fine = superpixels.cut(image)
+    pixels = segment_size(fine, int(fine.max()) + 1)
     for labels in (fine, coarse.cut(image)):
         size = segment_size(labels, int(labels.max()) + 1)
         means = torch.cat([segment_mean(planes, labels, size), size[None] / labels.numel()])
-        painted = paint_segments(means, labels)
-        parts.append(segment_mean(painted, fine, segment_size(fine, int(fine.max()) + 1)))
+        parts.append(segment_mean(paint_segments(means, labels), fine, pixels))
     return fine, torch.cat(parts).T.numpy()
 
 

@@ -54,8 +54,8 @@ def test_no_image_that_teaches_is_scored(data_root: Path) -> None:
         _, teaching, scored = claim.split_domain(data_root, domain)
         assert not {item.image for item in teaching} & {item.image for item in scored}
         if domain != "idd":
-            assert {claim.drive_of(item) for item in scored} == {domain}
-            assert domain not in {claim.drive_of(item) for item in teaching}
+            assert {item.group for item in scored} == {domain}
+            assert domain not in {item.group for item in teaching}
 
 
 @pytest.mark.parametrize("rate", [0.2, 0.5])
