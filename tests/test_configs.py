@@ -32,7 +32,7 @@ def test_the_papers_config_is_to_the_letter_where_the_paper_says() -> None:
     assert paper.labeller.support == "maximum"
     descent = paper.descent
     assert (descent.method, descent.momentum, descent.weight_decay) == ("sgd", 0, 0)
-    assert (paper.centres.extra, paper.balance) == (4, "none")
+    assert paper.centres.extra == 4
     assert (paper.stopping.rule, paper.stopping.min_delta) == ("plateau", 0.001)
     assert 320 * 240 / paper.superpixels.pixels == 4.8e6 / 500 / 5
 

@@ -42,12 +42,6 @@ road and of the appearance alone (B, 2, h, w)."""
 
 NUM_OUTPUTS = NUM_CLASSES + 2
 
-NetworkScale = Annotated[float, Field(ge=0.25, le=4)]
-"""Factor on a network's working size."""
-
-SIZE_STEP = 32
-"""Divisor of a network's scaled height and width: five halvings."""
-
 UPPER = 0.3
 """Fraction of an image's height that is its upper part: sky, trees and roofs, hardly road."""
 
@@ -195,14 +189,6 @@ def resize_parts(
     top, ground = (maps.index_select(-2, part) for part in (numbers[:upper], numbers[upper:]))
     parts = resize(top, (rows, size[1])), resize(ground, (size[0] - rows, size[1]))
     return torch.cat(parts, -2)
-
-
-def scale_size(height: int, width: int, scale: float) -> tuple[int, int]:
-    """Scale a working size to multiples of ``SIZE_STEP``; at scale 1 it is unchanged."""
-    if scale == 1:
-        return height, width
-    rows, columns = (max(1, round(scale * side / SIZE_STEP)) for side in (height, width))
-    return rows * SIZE_STEP, columns * SIZE_STEP
 
 
 class ConvBlock(nn.Sequential):

@@ -11,11 +11,12 @@ from roadtorch.base.settings import Settings, build_settings
 from roadtorch.imaging.resize import WorkingSize
 from roadtorch.imaging.slic import Superpixels
 from roadtorch.layout.backbone_network import BackboneNetworkSettings
-from roadtorch.layout.image_network import ImageNetworkSettings, NetworkScale, UpperRows
+from roadtorch.layout.image_network import ImageNetworkSettings, UpperRows
 from roadtorch.layout.labeller import LabellerSettings
 from roadtorch.layout.patch_network import PatchNetworkSettings
 from roadtorch.layout.pretrained import IMAGENET
-from roadtorch.train.augmentation import Augmentation, Fraction, GreyLevels
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
 
 InputSide = Annotated[int, Field(ge=32, le=1024, multiple_of=32)]
 InputSize = Annotated[tuple[InputSide, InputSide], Field(strict=False)]
@@ -83,20 +84,6 @@ class Stopping(Settings):
         return (self.rule == "plateau" and fall <= self.min_delta) or len(losses) >= self.epochs
 
 
-class PatchAugmentation(Settings):
-    """Augmentation of patches. P2, section 6.1.
-
-    P2 gives no unit for its noise. Here it is grey levels of 0…255: "noisy acquisition" is the
-    noise of a sensor, about one level; 0.3 to 1.2 standard deviations of the image would drown it.
-    """
-
-    min_scale: float = Field(default=0.6, gt=0, le=10, description="least magnification")
-    max_scale: float = Field(default=1.4, gt=0, le=10, description="largest magnification")
-    rotation: float = Field(default=17.0, ge=0, le=180, description="largest rotation, degrees")
-    min_noise: GreyLevels = Field(default=0.3, description="least noise deviation, of 255 levels")
-    max_noise: GreyLevels = Field(default=1.2, description="largest noise deviation, of 255 levels")
-
-
 class PatchCentres(Settings):
     """Centres of patches: at and around the centroids of superpixels. P2, section 3.1."""
 
@@ -151,10 +138,6 @@ class PatchTraining(CommonTraining):
     superpixels: Superpixels = Superpixels()
     labeller: LabellerSettings = LabellerSettings()
     centres: PatchCentres = PatchCentres()
-    augmentation: PatchAugmentation = PatchAugmentation()
-    balance: Literal["none", "classes"] = Field(
-        default="none", description="equal weight of all patches (Álvarez 2012), or of all classes"
-    )
     shuffle_images: int = Field(
         default=16, ge=1, le=10**4, description="images whose patches are shuffled together"
     )
@@ -177,9 +160,6 @@ class Teacher(Settings):
     weights: str = Field(
         default="", description="weights of the teacher's network; empty for the shipped ones"
     )
-    runtime: str = Field(
-        default="torch", description="library for its network: torch or onnxruntime"
-    )
     views: Literal["one", "mirrored"] = Field(
         default="one", description="the image alone, or averaged with its mirror (mirrored)"
     )
@@ -201,9 +181,6 @@ class Teacher(Settings):
     )
     road_threshold: float = Field(
         default=0.39, gt=0, lt=1, description="teacher's likelihood that becomes 0.5 in the target"
-    )
-    road_margin: float = Field(
-        default=0.0, ge=0, lt=1, description="least |2p - 1| for a pixel's road target p to count"
     )
     targets: Literal["hard", "soft"] = Field(
         default="hard",
@@ -241,6 +218,43 @@ class HeadWeights(Settings):
         description="weight of the road's Dice loss (Milletari et al. 2016) beside its "
         "cross-entropy",
     )
+
+
+class GeometryAugmentation(Settings):
+    """Random geometry of whole images."""
+
+    mirror: Fraction = Field(default=0.5, description="fraction of the images that are mirrored")
+    scale: float = Field(default=0.25, ge=0, le=2, description="zoom from e^-scale to e^scale")
+    stretch: float = Field(
+        default=0.1, ge=0, le=2, description="stretch of the width from e^-stretch to e^stretch"
+    )
+    rotation: float = Field(default=4.0, ge=0, le=90, description="largest rotation, degrees")
+    translation: Fraction = Field(default=0.1, description="largest shift, fraction of the size")
+    crop_probability: Fraction = Field(
+        default=0.0, description="fraction of images cropped at the top: the horizon is higher"
+    )
+
+
+class Augmentation(Settings):
+    """Augmentation of whole images: geometry, and the fractions of images that get an effect."""
+
+    geometry: GeometryAugmentation = GeometryAugmentation()
+    surface: Fraction = Field(
+        default=0.0, description="random colour and grain, for road and other ground separately"
+    )
+    shadow: Fraction = Field(default=0.0, description="a hard shadow with straight edges")
+    ego_car: Fraction = Field(
+        default=0.0, description="an ego car, cut out of footage and pasted over the lower edge"
+    )
+    ego_growth: float = Field(
+        default=0.7, ge=0, le=3, description="an ego car's height is scaled by up to e^ego_growth"
+    )
+    weather: Fraction = Field(
+        default=0.0, description="fog, snow beside the road, a wet road or rain, equally likely"
+    )
+    night: Fraction = Field(default=0.0, description="night, lit by headlights and a few lamps")
+    underexposed: Fraction = Field(default=0.0, description="darkened to a mean of 0.05 to 0.2")
+    blurred: Fraction = Field(default=0.0, description="blurred over 3×3 pixels")
 
 
 class TrainingRound(Settings):
@@ -288,10 +302,6 @@ class TargetImages(Settings):
     road_margin: float = Field(
         default=0.1, ge=0, lt=1, description="least |2p - 1| for a pixel's road label p to count"
     )
-    confidence: float = Field(
-        default=0.0, ge=0, le=10, description="weight of a pixel's road label p: |2p - 1| to this"
-    )
-    masked: Fraction = Field(default=0.0, description="fraction of patches that are greyed out")
 
 
 class SelfTraining(CommonTraining):
@@ -346,13 +356,6 @@ class ImageTraining(CommonTraining):
     samples_per_epoch: int = Field(
         default=0, ge=0, le=10**7, description="images of an epoch; 0 for all"
     )
-    scales: tuple[NetworkScale, ...] = Field(
-        strict=False,
-        default=(1.0,),
-        min_length=1,
-        max_length=16,
-        description="factors on the network's size, one sampled for each batch",
-    )
     descent: Descent = Descent(method="adam", learning_rate=0.003, schedule="cosine", batch=16)
     stopping: Stopping = Stopping(epochs=15, rule="epochs")
 
@@ -382,24 +385,18 @@ def build_training(values: dict[str, Any]) -> Training:
             isolated = create_model("ImageTraining", __base__=Settings, network=(chosen, chosen()))
             build_settings(isolated, {"network": network})
         raise
-    if isinstance(settings, PatchTraining):
-        for name in ("scale", "noise"):
-            low, high = (getattr(settings.augmentation, f"{end}_{name}") for end in ("min", "max"))
-            if low > high:
-                message = f"is {low:g}, more than augmentation.max_{name}, {high:g}"
-                key = f"augmentation.min_{name}"
-                raise ConfigError(key, message, "give the lower bound first")
-    elif isinstance(settings, SelfTraining):
+    if isinstance(settings, SelfTraining):
         check_self_training(settings)
+    elif isinstance(settings, PatchTraining):
+        pass
     elif isinstance(settings.network, BackboneNetworkSettings) and not settings.initial_weights:
         message = "is empty, but a backbone needs initial weights"
         hint = "give weights of such a network, such as backbone-free"
         raise ConfigError("initial_weights", message, hint)
-    elif settings.augmentation.ego_car.probability and not settings.recordings.separator:
-        probability = settings.augmentation.ego_car.probability
+    elif (probability := settings.augmentation.ego_car) and not settings.recordings.separator:
         message = f"is {probability:g}, but ego cars are only found in recordings"
         hint = 'set recordings.separator, such as "_"'
-        raise ConfigError("augmentation.ego_car.probability", message, hint)
+        raise ConfigError("augmentation.ego_car", message, hint)
     return settings
 
 

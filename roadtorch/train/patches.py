@@ -26,8 +26,8 @@ from roadtorch.layout.labeller import label_layout
 from roadtorch.layout.patch_network import PatchNetwork, normalise
 from roadtorch.layout.weights import LayoutNetwork
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
-from roadtorch.train.augmentation import uniform
-from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining
+from roadtorch.train.config import PatchCentres, PatchTraining
+from roadtorch.train.effects import uniform
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.training_loop import (
     CENTRES,
@@ -73,24 +73,6 @@ def label_centres(image: Tensor, labels: Tensor, training: PatchTraining) -> Arr
         "centres": centres[is_labelled].to(torch.int16),
         "classes": classes[is_labelled].to(torch.uint8),
     }
-
-
-def class_weights(files: Sequence[Path], training: PatchTraining) -> Tensor:
-    """Return class weights (3,): all 1, or inversely proportional to the classes' patches.
-
-    Raises InputError if no image has a labelled patch.
-    """
-    counts = torch.zeros(NUM_CLASSES)
-    for file in files:
-        classes = read_arrays(file, "classes")["classes"]
-        counts += torch.bincount(classes.long(), minlength=NUM_CLASSES)
-    if not counts.sum():
-        message = "have no superpixel with a certain label"
-        hint = "lower labeller.margin, or give street images"
-        raise InputError("the images", message, hint)
-    if training.balance == "none":
-        return torch.ones(NUM_CLASSES)
-    return counts.sum() / (NUM_CLASSES * counts.clamp_min(1))
 
 
 # --- corrections ------------------------------------------------------------------------
@@ -140,6 +122,12 @@ def oversample(files: Sequence[Path], corrected: Container[Path], fraction: floa
 # --- extraction -------------------------------------------------------------------------
 
 
+SCALE, MAX_TURN, NOISE_LEVELS = (0.6, 1.4), math.radians(17), (0.3, 1.2)
+"""Magnification, largest rotation and standard deviation of noise. P2, section 6.1.
+
+P2 gives no unit for its noise. Here it is grey levels of 0…255: "noisy acquisition" is the noise of
+a sensor, about one level; 0.3 to 1.2 standard deviations of the image would drown it."""
+
 NOISE_PATCHES = 256
 """Noise patches sampled for a chunk; each patch uses one, scaled by its own deviation."""
 
@@ -157,22 +145,15 @@ class Variation(NamedTuple):
     noise: Tensor
     noise_patch: Tensor
 
-    def select(self, index: Tensor) -> "Variation":
-        """Select some of the patches."""
-        return Variation(*(values[index] for values in self))
 
-
-def sample_variation(
-    centre: Tensor, settings: PatchAugmentation, generator: torch.Generator
-) -> Variation:
+def sample_variation(centre: Tensor, generator: torch.Generator) -> Variation:
     """Sample scales, angles and noise of patches at centres (n, 2)."""
     count = len(centre)
-    angle = math.radians(settings.rotation)
     return Variation(
         centre.to(torch.float32),
-        uniform(generator, count, settings.min_scale, settings.max_scale),
-        uniform(generator, count, -angle, angle),
-        uniform(generator, count, settings.min_noise, settings.max_noise),
+        uniform(generator, count, *SCALE),
+        uniform(generator, count, -MAX_TURN, MAX_TURN),
+        uniform(generator, count, *NOISE_LEVELS),
         torch.randint(NOISE_PATCHES, (count,), generator=generator),
     )
 
@@ -219,14 +200,14 @@ EXTRACTION_BLOCK = 128
 
 
 class PatchChunk(NamedTuple):
-    """The patches of a chunk, before they are extracted, in the order of their images."""
+    """The patches of a chunk, before they are extracted, image by image."""
 
     members: list[int]  # indices of the prepared files
-    image: Tensor  # index into ``members``, (n,), ascending
+    counts: list[int]  # patches of each of them
     params: Variation
     noise: Tensor  # of ``sample_noise``
     classes: Tensor  # (n,)
-    counts: Tensor  # of each patch in the loss, (n,)
+    weights: Tensor  # of each patch in the loss, (n,)
     steps: tuple[Tensor, ...]  # the patches of each step
 
 
@@ -246,7 +227,10 @@ class PatchSamples:
         self._files, self._corrected = files, corrected
         self._training = training
         self._read = make_cached_reader()
-        self._weights = class_weights(files, training)
+        if not any(len(read_arrays(file, "classes")["classes"]) for file in files):
+            message = "have no superpixel with a certain label"
+            hint = "lower labeller.margin, or give street images"
+            raise InputError("the images", message, hint)
         self._groups = -(-len(files) // training.shuffle_images)
         patch = training.network.topology.patch
         self._buffer = torch.empty(0, 3, patch, patch)  # fresh memory is as slow as extraction
@@ -265,44 +249,36 @@ class PatchSamples:
         labelled = [self._read_centres(member, epoch, visit) for member in members]
         generator = make_generator(training.random_seed, PATCH_VARIATION, epoch, chunk)
         centres, classes, weights = (torch.cat(parts) for parts in zip(*labelled, strict=True))
-        params = sample_variation(centres, training.augmentation, generator)
+        params = sample_variation(centres, generator)
         noise = sample_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
-        image = torch.arange(len(members)).repeat_interleave(
-            torch.tensor([len(part.classes) for part in labelled])
-        )
-        by_image = image[shuffled].argsort(stable=True)
-        extraction = shuffled[by_image]
-        rows = by_image.argsort()
-        steps = rows.tensor_split(max(1, round(len(classes) / training.descent.batch)))
-        classes = classes[extraction].long()
-        counts = self._weights[classes] * weights[extraction]
-        return PatchChunk(
-            members, image[extraction], params.select(extraction), noise, classes, counts, steps
-        )
+        steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
+        counts = [len(part.classes) for part in labelled]
+        return PatchChunk(members, counts, params, noise, classes.long(), weights, steps)
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """Yield the patches of a chunk in batches of nearly the same size."""
         sampled = self.sample_chunk(epoch, chunk)
         self._fill_buffer(sampled)
-        for rows in sampled.steps:
-            if len(rows):
-                patches = self._buffer.index_select(0, rows)
-                yield Batch(patches, sampled.classes[rows], sampled.counts[rows])
+        for step in sampled.steps:
+            if len(step):
+                patches = self._buffer.index_select(0, step)
+                yield Batch(patches, sampled.classes[step], sampled.weights[step])
 
     def _fill_buffer(self, chunk: PatchChunk) -> None:
-        """Fill the buffer with the patches of a chunk, in the order of their images."""
-        patch = self._training.network.topology.patch
-        if len(self._buffer) < len(chunk.image):
-            self._buffer = torch.empty(len(chunk.image), 3, patch, patch)
-        for number, member in enumerate(chunk.members):
+        """Fill the buffer with the patches of a chunk."""
+        patch, start = self._training.network.topology.patch, 0
+        if len(self._buffer) < len(chunk.classes):
+            self._buffer = torch.empty(len(chunk.classes), 3, patch, patch)
+        for member, count in zip(chunk.members, chunk.counts, strict=True):
             image = from_uint8(self._read(self._files[member], "image")["image"])
             pixels, gain = normalise(image, self._training.network.normalisation)
-            for index in (chunk.image == number).nonzero()[:, 0].split(EXTRACTION_BLOCK):
-                if len(index):
-                    part = chunk.params.select(index)
-                    target = self._buffer[index[0] : index[-1] + 1]
-                    add_noise(sample_patches(pixels, part, patch), part, chunk.noise, gain, target)
+            for first in range(start, start + count, EXTRACTION_BLOCK):
+                block = slice(first, min(first + EXTRACTION_BLOCK, start + count))
+                part = Variation(*(values[block] for values in chunk.params))
+                patches = sample_patches(pixels, part, patch)
+                add_noise(patches, part, chunk.noise, gain, self._buffer[block])
+            start += count
 
     def _read_centres(self, member: int, epoch: int, visit: int) -> LabelledCentres:
         """Return the patches of an image at one visit in an epoch."""

@@ -41,13 +41,12 @@ from roadtorch.layout.pretrained import (
 from roadtorch.layout.weights import LayoutNetwork, resize_network, save_network, weights_path
 from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
-from roadtorch.train.augmentation import sample_ego_cars
-from roadtorch.train.batches import augment_batch, split_targets
+from roadtorch.train.augmentation import augment_batch
 from roadtorch.train.config import Descent, SelfTraining, Stopping
 from roadtorch.train.prepared import Preparation, from_uint8, image_file_name, prepare, to_uint8
 from roadtorch.train.run_folder import ROUND_WEIGHTS, SHEET
 from roadtorch.train.source import find_source_images, prepare_source, truth_targets
-from roadtorch.train.teachers import Targets
+from roadtorch.train.targets import Targets, split_targets
 from roadtorch.train.training_loop import (
     IMAGE_ORDER,
     IMAGE_VARIATION,
@@ -77,9 +76,6 @@ CROPS = (0.3,)
 
 MIN_EGO = 0.7
 """Mean of detected ego car and its potential from which a target's pixel is ego car."""
-
-MASKED_PATCH = 32
-"""Side of a masked patch, pixels of the network's input, whose sides are multiples of it."""
 
 LEVEL_BATCHES = 30
 """Batches over which the statistics of a new head's features are measured."""
@@ -131,8 +127,7 @@ def label_targets(maps: Tensor, training: SelfTraining) -> Targets:
     layout, road, street = maps.split([NUM_CLASSES, 1, 1], 1)
     settings, best = training.target, layout.topk(2, 1).values
     is_clear = (best[:, :1] - best[:, 1:] >= settings.margin) & (street > 0.5)
-    certainty = (2 * road - 1).abs()
-    weight = (certainty >= settings.road_margin) * certainty**settings.confidence
+    weight = ((2 * road - 1).abs() >= settings.road_margin).to(road)
     none = torch.zeros_like(road)
     return Targets(layout, is_clear.to(road), road, weight, none, none)
 
@@ -176,15 +171,14 @@ class DomainSamples:
         size = choice.choice(training.sizes)
         rows = count_upper_rows(choice.choice(training.upper_rows), size[0])
         resize = partial(resize_rows, size=size, rows=rows)
-        cars = partial(sample_ego_cars, self.ego_cars) if self.ego_cars else None
         samples = self._read_samples(members)
-        images, planes = augment_batch(*samples, training.augmentation, resize, cars, generator)
+        images, planes = augment_batch(
+            *samples, training.augmentation, resize, self.ego_cars, generator
+        )
         planes = F.avg_pool2d(planes, STRIDE)
         is_exact = torch.tensor([member < len(self.source) for member in members])
         if training.source.border:
             planes = weigh_borders(planes, is_exact.to(planes.device), training.source.border)
-        if training.target.masked:
-            images = mask_patches(images, ~is_exact, training.target.masked, generator)
         images = images.contiguous(memory_format=torch.channels_last)
         yield Batch(images, planes, torch.ones(len(images)))
 
@@ -221,19 +215,6 @@ def weigh_borders(planes: Tensor, is_exact: Tensor, border: float) -> Tensor:
         weight * gain for weight in (targets.layout_weight, targets.road_weight)
     )
     return torch.cat(targets._replace(layout_weight=layout_weight, road_weight=road_weight), 1)
-
-
-def mask_patches(
-    images: Tensor, chosen: Tensor, fraction: float, generator: torch.Generator
-) -> Tensor:
-    """Grey out a fraction of square patches in the chosen images, bool (n,), of (n, 3, H, W).
-
-    What a patch shows has to be told from its surroundings: MIC, Hoyer et al., CVPR 2023.
-    """
-    size = len(images), 1, *(side // MASKED_PATCH for side in spatial_size(images))
-    is_masked = (torch.rand(size, generator=generator) < fraction) & chosen[:, None, None, None]
-    pixels = is_masked.repeat_interleave(MASKED_PATCH, -1).repeat_interleave(MASKED_PATCH, -2)
-    return images.masked_fill(pixels.to(images.device), 0.5)
 
 
 # --- recipe -----------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import HORIZONTAL, NUM_CLASSES, SKY, VERTICAL
 from roadtorch.run.memo import Arrays
 from roadtorch.train.prepared import to_uint8
-from roadtorch.train.teachers import EGO_KNOWN, Targets
+from roadtorch.train.targets import EGO_KNOWN, Targets
 
 ROAD_CODE, EGO_CODE, NOT_ROAD_CODE = range(NUM_CLASSES, NUM_CLASSES + 3)
 VOID_CODE = 255

@@ -22,22 +22,18 @@ from roadtorch.layout.image_network import (
     ROAD_OUTPUT,
     ImageNetwork,
     ImageNetworkSettings,
-    scale_size,
 )
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
 from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
-from roadtorch.train.augmentation import sample_ego_cars
-from roadtorch.train.batches import augment_batch, split_targets
+from roadtorch.train.augmentation import augment_batch
 from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
+from roadtorch.train.targets import Targets, best_class, make_targets, split_targets
 from roadtorch.train.teachers import (
-    Targets,
-    best_class,
     label_with_network,
     load_teacher,
-    make_targets,
     network_maps,
     prepare_image,
     resize_as_prepared,
@@ -95,12 +91,13 @@ class ImageSamples:
         order = sample_members(self.sampling_weights, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
         generator = make_generator(seed, IMAGE_VARIATION, 0, epoch, chunk)
-        scale = training.scales[int(torch.randint(len(training.scales), (), generator=generator))]
-        size = scale_size(training.network.height, training.network.width, scale)
+        torch.randint(1, (), generator=generator)  # so that a seed gives the weights that it gave
+        size = training.network.height, training.network.width
         resize = partial(resize_maps, size=size)
-        cars = partial(sample_ego_cars, self.ego_cars) if self.ego_cars else None
         samples = self._read_samples(members)
-        images, planes = augment_batch(*samples, training.augmentation, resize, cars, generator)
+        images, planes = augment_batch(
+            *samples, training.augmentation, resize, self.ego_cars, generator
+        )
         pixels = [normalise(image, training.network.normalisation).pixels for image in images]
         yield Batch(torch.stack(pixels), planes, torch.ones(len(images)))
 
@@ -271,7 +268,7 @@ def target_loss(scores: Tensor, targets: Targets, weights: HeadWeights) -> Tenso
 # --- recipe -----------------------------------------------------------------------------
 
 
-TEACHER_KEYS = {"detector", "weights", "runtime", "views", "working"}
+TEACHER_KEYS = {"detector", "weights", "views", "working"}
 """Settings of a teacher on which its maps depend."""
 
 

@@ -20,7 +20,6 @@ from roadtorch.layout.image_network import (
     count_upper_rows,
     resize_rows,
     restore_rows,
-    scale_size,
     scores_to_potentials,
 )
 from roadtorch.layout.patch_network import PatchNetwork, PatchNetworkSettings, Topology
@@ -143,21 +142,6 @@ def test_the_card_of_the_backbone_names_imagenet() -> None:
     assert isinstance(load_network(path), BackboneNetwork)
     assert "ImageNet" in path.with_suffix(".md").read_text()
     assert path.stat().st_size < 6_000_000
-
-
-@pytest.mark.parametrize(
-    ("size", "scale", "expected"),
-    [
-        ((192, 256), 1.0, (192, 256)),
-        ((192, 256), 4 / 3, (256, 352)),  # multiples of 32
-        ((120, 160), 1.0, (120, 160)),  # its own, which is none
-        ((32, 32), 0.5, (32, 32)),  # never nothing
-    ],
-)
-def test_multiples_of_32_pixels(
-    size: tuple[int, int], scale: float, expected: tuple[int, int]
-) -> None:
-    assert scale_size(*size, scale) == expected
 
 
 # --- weight files -----------------------------------------------------------------------

@@ -60,8 +60,8 @@ working = { pixels = 4800 }
 separator = "_"
 min_frames = 5
 
-[augmentation.ego_car]
-probability = 0.5
+[augmentation]
+ego_car = 0.5
 
 [descent]
 batch = 2
@@ -88,8 +88,8 @@ wide = 8
 narrow = 8
 backbone = "none"
 
-[augmentation.ego_car]
-probability = 0.5
+[augmentation]
+ego_car = 0.5
 
 [[rounds]]
 epochs = 1

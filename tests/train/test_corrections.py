@@ -16,7 +16,7 @@ from roadtorch.layout.weights import count_corrected_images, load_network, read_
 from roadtorch.train.config import PatchTraining, Training, build_training
 from roadtorch.train.patches import LabelledCentres, PatchRecipe, merge_corrections, oversample
 from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
-from roadtorch.train.teachers import Targets
+from roadtorch.train.targets import Targets
 from roadtorch.train.whole_images import corrected_targets, reweight
 from tests.command import invoke_command
 from tests.train.conftest import Trained

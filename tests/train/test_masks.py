@@ -26,7 +26,7 @@ from roadtorch.train.comparison_page import describe_gain
 from roadtorch.train.config import HeadWeights
 from roadtorch.train.recordings import select_held_out
 from roadtorch.train.run import Outcome
-from roadtorch.train.teachers import Targets
+from roadtorch.train.targets import Targets
 from roadtorch.train.whole_images import target_loss
 from tests.command import invoke_command
 from tests.streets import scene

@@ -12,13 +12,12 @@ from torch import Tensor, nn
 
 from roadtorch.layout.classes import HORIZONTAL, SKY, VERTICAL
 from roadtorch.run.memo import write_arrays
-from roadtorch.train.config import PatchAugmentation, PatchCentres, PatchTraining, build_training
+from roadtorch.train.config import PatchCentres, PatchTraining, build_training
 from roadtorch.train.patches import (
     PatchRecipe,
     PatchSamples,
     Variation,
     add_noise,
-    class_weights,
     find_centres,
     sample_noise,
     sample_patches,
@@ -91,8 +90,7 @@ def test_varied_patches_are_slow_ones(scale: float, degrees: float, row: int, co
 
 def test_noise_is_in_grey_levels_of_255_whatever_the_gain() -> None:
     generator = seeded_generator(5)
-    settings = PatchAugmentation(min_noise=0.8, max_noise=0.8)
-    draw = sample_variation(torch.zeros(300, 2), settings, generator)
+    draw = sample_variation(torch.zeros(300, 2), generator)._replace(noise=torch.full((300,), 0.8))
 
     noise = add_noise(torch.zeros(300, 3, 32, 32), draw, sample_noise(32, generator), gain=4.0)
 
@@ -130,16 +128,6 @@ def test_an_epoch_has_every_patch_once(files: list[Path]) -> None:
     assert all(len(batch.inputs) == len(batch.targets) for batch in batches)
     assert max(len(batch.inputs) for batch in batches) <= 12
     assert {tuple(batch.inputs.shape[1:]) for batch in batches} == {(3, 32, 32)}
-
-
-def test_classes_weigh_the_same_where_asked(files: list[Path]) -> None:
-    batches = all_batches(files, training_of(balance="classes"))
-
-    targets = torch.cat([batch.targets for batch in batches])
-    weights = torch.cat([batch.weights for batch in batches])
-    sums = torch.bincount(targets, weights=weights, minlength=3)
-    torch.testing.assert_close(sums, torch.full((3,), 47 / 3))
-    assert class_weights(files, training_of()).tolist() == [1, 1, 1]
 
 
 def test_the_loss_is_the_weighted_sum_of_squares_to_one_hot() -> None:

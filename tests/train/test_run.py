@@ -18,7 +18,7 @@ from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
 from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
 from roadtorch.train.run_folder import RunFolder
-from roadtorch.train.teachers import TARGET_PLANES
+from roadtorch.train.targets import TARGET_PLANES
 from roadtorch.train.training_loop import Batch, Loop, Recipe, TrainingProgress
 from roadtorch.train.whole_images import image_loss
 from tests.command import Call
@@ -110,7 +110,7 @@ def test_the_ego_car_of_footage_is_in_prepared_images(trained: Trained, tmp_path
     """Files that killed runs left half-written are removed from all folders of a run as well."""
     footage, prepared = write_bonnets(tmp_path / "footage", 8), tmp_path / "kept"
     changes = (
-        "augmentation.ego_car.probability=1.0",
+        "augmentation.ego_car=1.0",
         "recordings.min_frames=8",
         "stopping.epochs=1",
     )

@@ -20,7 +20,7 @@ from roadtorch.train.source import (
     reduce_truth,
     truth_targets,
 )
-from roadtorch.train.teachers import Targets
+from roadtorch.train.targets import Targets
 from tests.train.runs import write_worlds
 
 SIZE = (36, 48)

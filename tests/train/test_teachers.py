@@ -17,11 +17,9 @@ from roadtorch.layout.image_network import NUM_OUTPUTS, ImageNetwork, ImageNetwo
 from roadtorch.road.bayes import log_odds
 from roadtorch.run.memo import read_arrays, write_arrays
 from roadtorch.train.config import ImageTraining, Teacher, build_training
+from roadtorch.train.targets import Targets, centre_likelihood, make_targets
 from roadtorch.train.teachers import (
-    Targets,
-    centre_likelihood,
     label_with_network,
-    make_targets,
     network_maps,
     prepare_image,
     shows_ego_car,
@@ -87,11 +85,10 @@ def weights(targets: Targets) -> tuple[list[float], list[float]]:
 
 def test_only_certain_pixels_count() -> None:
     teacher = maps_of((0.9, 0.1, 0.0, 0.9), (0.5, 0.4, 0.1, 0.52), (0.2, 0.0, 0.8, 0.1))
-    settings = Teacher(margin=0.5, road_margin=0.5, road_threshold=0.5)
 
-    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), None, settings)
+    targets = make_targets(teacher, ego_of(0.5, 0.5, 0.5), None, EVEN)
 
-    assert weights(targets) == ([1, 0, 1], [1, 0, 1])
+    assert weights(targets) == ([1, 0, 1], [1, 1, 1])
     torch.testing.assert_close(targets.layout, teacher[:, :NUM_CLASSES])
 
 

@@ -30,7 +30,8 @@ from roadtorch.run.memo import read_arrays
 from roadtorch.train.adaptation.frames import RUN_LENGTH
 from roadtorch.train.config import ImageTraining
 from roadtorch.train.prepared import from_uint8, image_file_name
-from roadtorch.train.teachers import make_targets, resize_as_prepared
+from roadtorch.train.targets import make_targets
+from roadtorch.train.teachers import resize_as_prepared
 
 MAX_JUDGED = 150
 """Frames of each half that are judged, evenly spaced."""
