@@ -245,7 +245,7 @@ def _open_labels(
             image = open_image(data)
             form, (height, width) = image.format, upright_size(image)
             if size not in (None, (height, width)):
-                hint = f"its image has {size[1]} by {size[0]}"
+                hint = f"scale it to its image, {size[1]} by {size[0]}"
                 raise DatasetError(path, f"has {width} by {height} pixels", hint)
             if form == "PNG" and data[PNG_DEPTH] == 16 and image.mode in ("RGB", "RGBA", "LA"):
                 raise DatasetError(path, "has 16 bits a channel", "give 8, or one channel")

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from roadtorch.base.atomic import atomic_write, file_digest, make_folder
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import from_pixels, to_pixels
+from roadtorch.base.progress import Progress
 from roadtorch.base.twins import use_twins
 from roadtorch.base.version import __version__
 from roadtorch.detectors.catalogue import detector_entry
@@ -299,11 +300,14 @@ def export_detector(
         part = mask_part(part, detector.settings.threshold)
     make_folder(out.parent)
     metadata = describe_export(detector, part)
-    with TemporaryDirectory(prefix="roadtorch.") as folder:
+    bar = Progress(total=2, unit="step", desc=f"export of {detector.name}")
+    with TemporaryDirectory(prefix="roadtorch.") as folder, bar:
         path = Path(folder) / out.name
         write_onnx(detector.analysis, part, metadata, path)
+        bar.update()
         run = open_onnxruntime(path, torch.get_num_threads())
         parity = measure_parity(run, part.compute, render_batches())
+        bar.update()
         if not parity.max_difference <= MAX_DIFFERENCE:
             difference = f"{parity.max_difference:.2g} in {parity.location}"
             problem = f"would differ by {difference}, more than {MAX_DIFFERENCE:g}"

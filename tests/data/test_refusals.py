@@ -87,7 +87,7 @@ SETS: Rows = [
     (partial(first_truth, "folder"),
      {"images/a.png": np.zeros((1, 2), np.uint8), "road/a.png": grey(0, 1),
       "layout/a.png": grey(0, 1, 2)},
-     "layout/a.png", r"has 3 by 1 pixels \(its image has 2 by 1"),
+     "layout/a.png", r"has 3 by 1 pixels \(scale it to its image, 2 by 1"),
     (partial(open_dataset, "cityscapes"), {"leftImg8bit/val/x": "", "gtFine/val/x": ""},
      "leftImg8bit/val", r"holds no images CITY/\*_leftImg8bit\.png"),
     (partial(open_dataset, "kitti-road"), {**KITTI, "image_2/thumb.png": BLACK},
@@ -181,7 +181,7 @@ LOGS: Rows = [
     (partial(read_format, "png"), {"labels/a.png": grey(8, 7)}, "labels/a.png",
      r"has other values than 0 to 7 \(0 is untouched, 1 road"),
     (partial(read_format, "png"), {"labels/a.png": grey(0, 0, 0)}, "labels/a.png",
-     r"has 3 by 1 pixels \(its image has 2 by 1"),
+     r"has 3 by 1 pixels \(scale it to its image, 2 by 1"),
     (partial(read_format, "png"), {}, "", "has no file for any of the images"),
 ]  # fmt: skip
 
