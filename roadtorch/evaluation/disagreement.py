@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from roadtorch.base.errors import InputError, RoadtorchError
 from roadtorch.base.image_cache import image_cache
@@ -82,18 +81,6 @@ def _crash_failure(item: LabelledItem) -> Failure:
 
 
 # --- effect of further training: first is before, second is after -------------------------
-
-
-class Agreement(NamedTuple):
-    """Fractions of the pixels of a confident teacher on which a network agrees with it."""
-
-    layout: float  # on the class
-    road: float  # on road or not
-    images: int  # number of images compared
-
-
-Agreements = tuple[str, Agreement, Agreement]
-"""Name of the teacher, and the network's agreement with it before and after training."""
 
 
 def select_changed(ranked: Sequence[Disagreement], count: int) -> list[Disagreement]:

@@ -23,16 +23,6 @@ from roadtorch.layout.image_network import NUM_OUTPUTS, UpperRows, coordinate_pl
 from roadtorch.layout.patch_network import Normalisation
 
 
-class Block(NamedTuple):
-    """Shape of an inverted bottleneck (MBConv): channels, expansion ratio, kernel, stride."""
-
-    inputs: int
-    expansion: int
-    outputs: int
-    kernel: int
-    stride: int
-
-
 class Stage(NamedTuple):
     """Consecutive blocks of one width: the first has the stride."""
 
@@ -72,16 +62,6 @@ BACKBONES: dict[BackboneName, tuple[Stage, ...]] = {"lite0": LITE0, "lite2": LIT
 
 FEATURE_STAGES = (1, 2, 4, 5)
 """Stages whose outputs go to the heads: at 1/4, 1/8, 1/16, 1/32 of the size."""
-
-
-def make_blocks(stages: Sequence[Stage]) -> list[Block]:
-    """Return the blocks of stages, in their order."""
-    blocks, inputs = list[Block](), STEM
-    for expansion, outputs, kernel, stride, count in stages:
-        for number in range(count):
-            blocks.append(Block(inputs, expansion, outputs, kernel, 1 if number else stride))
-            inputs = outputs
-    return blocks
 
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -150,13 +130,13 @@ class Bottleneck(nn.Module):
     The input is added to the output where their shapes are equal.
     """
 
-    def __init__(self, block: Block) -> None:
+    def __init__(self, inputs: int, stage: Stage, stride: int) -> None:
         super().__init__()
-        middle = block.inputs * block.expansion
-        self.expand = Conv2dSame(block.inputs, middle, 1, 1) if block.expansion > 1 else None
-        self.depthwise = Conv2dSame(middle, middle, block.kernel, block.stride, middle)
-        self.project = Conv2dSame(middle, block.outputs, 1, 1)
-        self.has_shortcut = block.stride == 1 and block.inputs == block.outputs
+        middle = inputs * stage.expansion
+        self.expand = Conv2dSame(inputs, middle, 1, 1) if stage.expansion > 1 else None
+        self.depthwise = Conv2dSame(middle, middle, stage.kernel, stride, middle)
+        self.project = Conv2dSame(middle, stage.outputs, 1, 1)
+        self.has_shortcut = stride == 1 and inputs == stage.outputs
 
     def forward(self, maps: Tensor) -> Tensor:
         """Return maps (B, outputs, H/stride, W/stride) for maps (B, inputs, H, W)."""
@@ -174,7 +154,11 @@ class Backbone(nn.Module):
         ends = list(accumulate(stage.blocks for stage in stages))
         self.feature_blocks = [ends[number] - 1 for number in FEATURE_STAGES]
         self.stem = Conv2dSame(3, STEM, 3, 2)
-        self.blocks = nn.ModuleList(Bottleneck(block) for block in make_blocks(stages))
+        self.blocks, inputs = nn.ModuleList(), STEM
+        for stage in stages:
+            for number in range(stage.blocks):
+                self.blocks.append(Bottleneck(inputs, stage, 1 if number else stage.stride))
+                inputs = stage.outputs
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """Return features of images (B, 3, H, W) in [0, 1] at 1/4, 1/8, 1/16, 1/32 size."""

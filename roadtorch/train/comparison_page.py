@@ -12,20 +12,18 @@ from roadtorch.base.errors import DatasetError
 from roadtorch.data.corrections import HumanLabels, labels_to_truth, read_image_size
 from roadtorch.data.dataset import Dataset, LabelledItem, Truth, subsample_dataset
 from roadtorch.detectors.fusion import DEFAULT_WEIGHTS
-from roadtorch.evaluation.disagreement import Agreements, compare_masks, select_changed
+from roadtorch.evaluation.disagreement import compare_masks, select_changed
 from roadtorch.evaluation.evaluate import evaluate
 from roadtorch.evaluation.measures import F_MASK, IOU_MASK, MAXF
 from roadtorch.evaluation.methods import parse_reference
 from roadtorch.evaluation.report.adaptation import write_adaptation
 from roadtorch.evaluation.result import Evaluation
 from roadtorch.inputs.images import find_images
-from roadtorch.inputs.item import Item, evenly_spaced
-from roadtorch.layout.weights import WholeImageNetwork, load_network, weights_path
-from roadtorch.train.config import ImageTraining, Training
-from roadtorch.train.prepared import image_file_name
+from roadtorch.inputs.item import Item
+from roadtorch.layout.weights import weights_path
+from roadtorch.train.config import Training
 from roadtorch.train.run import Outcome, TrainingRequest
-from roadtorch.train.run_folder import ADAPTATION_PAGE, PREPARED, RunFolder
-from roadtorch.train.teachers import teacher_agreement
+from roadtorch.train.run_folder import ADAPTATION_PAGE, RunFolder
 
 MIN_INTERVAL, SCORES = 5, (F_MASK, IOU_MASK, MAXF)
 """Held-out images from which an interval is given, and their scores on the page."""
@@ -78,19 +76,6 @@ def describe_gain(evaluation: Evaluation) -> str:
     )
 
 
-def measure_agreement(
-    training: ImageTraining, weights: Sequence[Path], files: Sequence[Path]
-) -> Agreements:
-    """Compare two networks with the teacher on some of the prepared images that exist."""
-    files = evenly_spaced([file for file in files if file.exists()], MAX_COMPARED)
-    first, second = (
-        teacher_agreement(network.eval(), files, training)
-        for network in map(load_network, weights)
-        if isinstance(network, WholeImageNetwork)
-    )
-    return training.teacher.detector, first, second
-
-
 def write_page(
     training: Training,
     request: TrainingRequest,
@@ -114,7 +99,7 @@ def write_page(
     comparison = compare_masks(dataset, methods, quiet=request.quiet, desc="before and after")
     if not comparison.images:
         return None
-    evidence, evaluation, agreement = "Without labels", None, None
+    evidence, evaluation = "Without labels", None
     if held_out:
         evidence = "Held-out images"
         try:
@@ -125,17 +110,12 @@ def write_page(
     elif request.corrections:
         evidence = "Images that trained"
         verdict = "undecided: no image was held out, so nothing shows what the labels bring"
-    if isinstance(training, ImageTraining) and not held_out:
-        folder = request.prepared or request.out / PREPARED
-        files = [folder / f"{image_file_name(image)}.npz" for image in images]
-        agreement = measure_agreement(training, (start, weights), files)
     with claim_results(request.out, {ADAPTATION_PAGE: ""}):
         write_adaptation(
             request.out / ADAPTATION_PAGE,
             comparison,
             (start, weights),
             select_changed(comparison.images, MAX_SHOWN),
-            agreement,
             RunFolder(request.out).read_log(),
             evaluation,
             evidence,

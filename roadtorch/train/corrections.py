@@ -13,8 +13,8 @@ from roadtorch.data.corrections import HumanLabels, read_image_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import read_correction_runs, weights_path
-from roadtorch.run.memo import Arrays, write_arrays
-from roadtorch.train.config import Descent, ImageTraining, Training
+from roadtorch.run.memo import Arrays, read_arrays, write_arrays
+from roadtorch.train.config import Descent, ImageTraining, PatchTraining, Training
 from roadtorch.train.prepared import image_file_name
 
 # --- corrections of a run ---------------------------------------------------------------
@@ -66,26 +66,34 @@ def corrections_summary(corrections: Mapping[str, HumanLabels]) -> dict[str, obj
     return {"images": len(corrections), "pixels": pixels, "sha256": digest.hexdigest()}
 
 
-def scale_learning_rate(descent: Descent, half_rate_images: float, images: int) -> Descent:
+def scale_learning_rate(training: PatchTraining | ImageTraining, corrected: int) -> Descent:
     """Scale the learning rate by n / (n + half_rate_images) for n corrected images, if any. Ours.
 
     A few unrepresentative images then do less harm.
     """
-    if not images:
+    descent = training.descent
+    if not corrected:
         return descent
-    rate = descent.learning_rate * images / (images + half_rate_images)
+    rate = descent.learning_rate * corrected / (corrected + training.corrections.half_rate_images)
     return descent.model_copy(update={"learning_rate": rate})
 
 
 def write_corrections(
-    folder: Path, files: Mapping[Path, HumanLabels], encode: Callable[[HumanLabels], Arrays]
+    folder: Path,
+    files: Mapping[Path, str],
+    corrections: Mapping[str, HumanLabels],
+    correct: Callable[[Arrays, HumanLabels], Arrays],
 ) -> dict[Path, Path]:
-    """Write the encoded corrections of prepared images; return the written file by prepared one."""
-    make_folder(folder)
-    written = {file: folder / f"{number:06d}.npz" for number, file in enumerate(sorted(files))}
-    for file, path in written.items():
-        write_arrays(path, encode(files[file]))
-    return written
+    """Write copies of prepared images with their corrections; return the copy by prepared file.
+
+    files: names of the images by prepared file. correct: returns a prepared image with a correction.
+    """
+    corrected = sorted(file for file, name in files.items() if name in corrections)
+    copies = {file: folder / f"{number:06d}.npz" for number, file in enumerate(corrected)}
+    for file, path in copies.items():
+        make_folder(folder)
+        write_arrays(path, correct(read_arrays(file), corrections[files[file]]))
+    return copies
 
 
 # --- record in the weights --------------------------------------------------------------

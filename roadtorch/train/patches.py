@@ -5,9 +5,8 @@ certain; at a random scale and angle, with Gaussian noise; squared error; no har
 """
 
 import math
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import torch
@@ -18,15 +17,15 @@ from roadtorch.base.errors import InputError
 from roadtorch.base.signals import StopRequest
 from roadtorch.data.corrections import HumanLabels
 from roadtorch.data.events import VOID_LABEL, layout_layer, road_layer
-from roadtorch.imaging.resize import resize_to_image, resize_to_work, working_size
+from roadtorch.imaging.resize import resize_to_image, resize_to_work, spatial_size
 from roadtorch.imaging.segments import segment_mean, segment_size
 from roadtorch.inputs.item import Item
 from roadtorch.layout.classes import NUM_CLASSES, UNLABELLED
 from roadtorch.layout.labeller import label_layout
-from roadtorch.layout.patch_network import PatchNetwork, normalise
-from roadtorch.layout.weights import LayoutNetwork
+from roadtorch.layout.patch_network import normalise
 from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
 from roadtorch.train.config import PatchCentres, PatchTraining
+from roadtorch.train.corrections import scale_learning_rate
 from roadtorch.train.effects import uniform
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.training_loop import (
@@ -37,7 +36,6 @@ from roadtorch.train.training_loop import (
     Recipe,
     TrainingInputs,
     make_generator,
-    seed_torch,
 )
 
 # --- centres ----------------------------------------------------------------------------
@@ -82,31 +80,30 @@ CORRECTION_SPACING = 8
 """Pixels at working size between patches in corrected areas, about the distance of superpixels."""
 
 
-class LabelledCentres(NamedTuple):
-    """Patch centres int16 (n, 2), their classes uint8 (n,) and weights float32 (n,)."""
+def correct_centres(prepared: Arrays, correction: HumanLabels, weight: float) -> Arrays:
+    """Replace the centres in corrected areas by a grid of centres with the corrected classes.
 
-    centres: Tensor
-    classes: Tensor
-    weights: Tensor
-
-
-def merge_corrections(
-    labelled: LabelledCentres, correction: Arrays, weight: float
-) -> LabelledCentres:
-    """Replace centres in corrected areas by a grid of centres labelled by ``encode_correction``."""
-    layout, is_corrected = correction["layout"], correction["known"].bool()
-    rows, columns = labelled.centres.long().unbind(1)
-    is_machine = ~is_corrected[rows, columns]
-    positions = torch.zeros_like(is_corrected)
+    Machine labels are dropped at corrected layouts and void. prepared: of ``label_centres``. weight:
+    of a corrected patch in the loss; returned are ``weights``, float32 (n,), of all.
+    """
+    size = spatial_size(prepared["image"])
+    layout = resize_to_image(torch.from_numpy(layout_layer(correction.labels)), size)
+    void = resize_to_image(torch.from_numpy(road_layer(correction.labels) == VOID_LABEL), size)
+    centres, classes = prepared["centres"], prepared["classes"]
+    rows, columns = centres.long().unbind(1)
+    is_machine = ~((layout != UNLABELLED) | void)[rows, columns]
+    positions = torch.zeros_like(void)
     grid = slice(CORRECTION_SPACING // 2, None, CORRECTION_SPACING)
     positions[grid, grid] = True
     added = (positions & (layout != UNLABELLED)).nonzero()
-    classes = layout[added[:, 0], added[:, 1]].to(labelled.classes.dtype)
-    return LabelledCentres(
-        torch.cat([labelled.centres[is_machine], added.to(labelled.centres.dtype)]),
-        torch.cat([labelled.classes[is_machine], classes]),
-        torch.cat([labelled.weights[is_machine], torch.full((len(added),), weight)]),
-    )
+    added_classes = layout[added[:, 0], added[:, 1]].to(classes.dtype)
+    weights = torch.ones(int(is_machine.sum())), torch.full((len(added),), weight)
+    return {
+        "image": prepared["image"],
+        "centres": torch.cat([centres[is_machine], added.to(centres.dtype)]),
+        "classes": torch.cat([classes[is_machine], added_classes]),
+        "weights": torch.cat(weights),
+    }
 
 
 def oversample(files: Sequence[Path], corrected: Container[Path], fraction: float) -> list[Path]:
@@ -218,14 +215,8 @@ class PatchSamples:
     number of images.
     """
 
-    def __init__(
-        self,
-        files: Sequence[Path],
-        training: PatchTraining,
-        corrected: Mapping[Path, Path] = MappingProxyType({}),
-    ) -> None:
-        self._files, self._corrected = files, corrected
-        self._training = training
+    def __init__(self, files: Sequence[Path], training: PatchTraining) -> None:
+        self._files, self._training = files, training
         self._read = make_cached_reader()
         if not any(len(read_arrays(file, "classes")["classes"]) for file in files):
             message = "have no superpixel with a certain label"
@@ -253,7 +244,7 @@ class PatchSamples:
         noise = sample_noise(training.network.topology.patch, generator)
         shuffled = torch.randperm(len(classes), generator=generator)
         steps = shuffled.tensor_split(max(1, round(len(classes) / training.descent.batch)))
-        counts = [len(part.classes) for part in labelled]
+        counts = [len(part) for part, _, _ in labelled]
         return PatchChunk(members, counts, params, noise, classes.long(), weights, steps)
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
@@ -280,17 +271,13 @@ class PatchSamples:
                 add_noise(patches, part, chunk.noise, gain, self._buffer[block])
             start += count
 
-    def _read_centres(self, member: int, epoch: int, visit: int) -> LabelledCentres:
-        """Return the patches of an image at one visit in an epoch."""
-        arrays = self._read(self._files[member], "centres", "classes")
-        classes = arrays["classes"]
-        labelled = LabelledCentres(arrays["centres"], classes, torch.ones(len(classes)))
-        if (correction := self._corrected.get(self._files[member])) is not None:
-            planes = read_arrays(correction, "layout", "known")
-            labelled = merge_corrections(labelled, planes, self._training.corrections.weight)
-        order = self._permute(len(labelled.classes), CENTRES, epoch, member)
-        order = order[visit :: self._training.passes]
-        return LabelledCentres(*(values[order] for values in labelled))
+    def _read_centres(self, member: int, epoch: int, visit: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return centres, classes and weights of an image's patches at one visit in an epoch."""
+        arrays = self._read(self._files[member])
+        count = len(arrays["classes"])
+        order = self._permute(count, CENTRES, epoch, member)[visit :: self._training.passes]
+        weights = arrays.get("weights", torch.ones(count))
+        return arrays["centres"][order], arrays["classes"][order], weights[order]
 
     def _permute(self, count: int, *key: int) -> Tensor:
         return torch.randperm(count, generator=make_generator(self._training.random_seed, *key))
@@ -310,8 +297,8 @@ class PatchRecipe(Recipe):
 
     loss = staticmethod(squared_error)
 
-    def __init__(self, training: PatchTraining) -> None:
-        super().__init__(training.descent, training.stopping)
+    def __init__(self, training: PatchTraining, corrected: int = 0) -> None:
+        super().__init__(scale_learning_rate(training, corrected), training.stopping)
         self._training = training
         parts = training.model_dump(include={"superpixels", "labeller", "centres"})
         self.preparation = {**parts, "working": training.network.working.model_dump()}
@@ -320,9 +307,6 @@ class PatchRecipe(Recipe):
         """Return the cache key of a prepared image."""
         return cache_key(self.preparation, image.path, None)  # without an ego car
 
-    def survey(self, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool) -> None:
-        """Do nothing: patches depend on single images."""
-
     def prepare(self, image: Tensor, name: str) -> Arrays:
         """Resize an image (3, H, W) and label its patches: see ``label_centres``."""
         training, working = self._training, self._training.network.working
@@ -330,28 +314,12 @@ class PatchRecipe(Recipe):
         layout = label_layout(small, training.labeller, working, training.superpixels)
         return label_centres(small, layout.labels, training)
 
-    def encode_correction(self, correction: HumanLabels) -> Arrays:
-        """Return a correction at working size: ``layout`` and ``known``, uint8 (h, w).
-
-        layout: 0, 1, 2, or 255 where uncorrected, "not road" or void. known: 1 where the machine
-        label is dropped: at corrected layouts and void.
-        """
-        labels = correction.labels
-        height, width = labels.shape
-        size = working_size(height, width, self._training.network.working)
-        layout = resize_to_image(torch.from_numpy(layout_layer(labels)), size)
-        void = resize_to_image(torch.from_numpy(road_layer(labels) == VOID_LABEL), size)
-        return {"layout": layout, "known": ((layout != UNLABELLED) | void).to(torch.uint8)}
-
-    def make_network(self, initial: LayoutNetwork | None) -> LayoutNetwork:
-        """Return a new patch network, or the initial one."""
-        if initial is not None:
-            return initial
-        with seed_torch(self._training.random_seed, 0):
-            return PatchNetwork(self._training.network)
+    def correct(self, prepared: Arrays, correction: HumanLabels) -> Arrays:
+        """Return a prepared image with a correction."""
+        return correct_centres(prepared, correction, self._training.corrections.weight)
 
     def make_samples(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> PatchSamples:
         """Return the augmented patches of prepared images, corrected images oversampled."""
         fraction = self._training.corrections.fraction
-        oversampled = oversample(inputs.files, inputs.corrected, fraction)
-        return PatchSamples(oversampled, self._training, inputs.corrected)
+        files = oversample(inputs.files, inputs.corrected, fraction)
+        return PatchSamples([inputs.corrected.get(file, file) for file in files], self._training)

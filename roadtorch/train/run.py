@@ -23,6 +23,7 @@ from roadtorch.layout.pretrained import IMAGENET
 from roadtorch.layout.weights import (
     LayoutNetwork,
     WholeImageNetwork,
+    build_network,
     load_network,
     resize_network,
     save_network,
@@ -34,7 +35,6 @@ from roadtorch.train.corrections import (
     corrections_summary,
     format_card,
     inherited_corrections,
-    scale_learning_rate,
     write_corrections,
 )
 from roadtorch.train.patches import PatchRecipe
@@ -51,7 +51,7 @@ from roadtorch.train.run_folder import (
     make_record,
 )
 from roadtorch.train.self_training import SelfTrainingRecipe
-from roadtorch.train.training_loop import Loop, TrainingInputs, TrainingProgress
+from roadtorch.train.training_loop import Loop, TrainingInputs, TrainingProgress, seed_torch
 from roadtorch.train.whole_images import ImageRecipe, held_out_f
 
 KindRecipe = PatchRecipe | ImageRecipe | SelfTrainingRecipe
@@ -62,9 +62,9 @@ class TrainingRequest:
     """The inputs of a run.
 
     images: a folder, file or quoted glob. prepared: folder of prepared images; None for one inside
-    ``out``. corrections: human corrections of some of the images. part: number of this run, from 1,
-    among equal runs, and their count, for the progress bar. source: folders of images with a
-    renderer's truth, for a self-training. command: command line, for the card.
+    ``out``. corrections: human corrections of some of the images. title: what comes before round and
+    epoch in reports. source: folders of images with a renderer's truth, for a self-training.
+    command: command line, for the card.
     """
 
     images: str
@@ -72,7 +72,7 @@ class TrainingRequest:
     prepared: Path | None = None
     quiet: bool = False
     corrections: Sequence[HumanLabels] = ()
-    part: tuple[int, int] = (1, 1)
+    title: str = ""
     source: Sequence[Path] = ()
     device: str = "cpu"
     command: str = ""
@@ -102,23 +102,39 @@ def train(training: Training, request: TrainingRequest) -> Outcome:
     keep_freed_memory()  # steps take a third less time
     with stop_on_signals() as stop:
         folder = RunFolder(request.out)
-        initial, recipe = load_initial_network(training), make_recipe(training, request.source)
+        corrections, errors = corrections_by_image(images, request.corrections)
+        initial = load_initial_network(training)
+        recipe = make_recipe(training, request.source, len(corrections))
         with folder.lock():
-            corrections, errors = corrections_by_image(images, request.corrections)
             run = TrainingRun(training, recipe, initial, request, folder, stop, corrections, errors)
             return run.run(images)
 
 
-def make_recipe(training: Training, source: Sequence[Path] = ()) -> KindRecipe:
-    """Return the recipe for the kind of training; ConfigError for source images that it lacks."""
+def make_recipe(
+    training: Training, source: Sequence[Path] = (), corrected: int = 0
+) -> KindRecipe:
+    """Return the recipe for the kind of training and a number of corrected images.
+
+    Raises ConfigError for source images or corrections without effect, and for missing source images.
+    """
     if isinstance(training, SelfTraining):
+        if corrected:
+            message = "have no part in a training on rendered worlds"
+            hint = "fine-tune its result with --config corrections"
+            raise ConfigError("--corrections", message, hint)
         return SelfTrainingRecipe(training, source)
     if source:
         message = f"is for trainings of the kind {SelfTraining.name}"
         raise ConfigError("--source", message, "leave it out, or give --config fusion")
     if isinstance(training, ImageTraining):
-        return ImageRecipe(training)
-    return PatchRecipe(training)
+        return ImageRecipe(training, corrected)
+    return PatchRecipe(training, corrected)
+
+
+def make_network(training: Training) -> LayoutNetwork:
+    """Return a new network with random weights."""
+    with seed_torch(training.random_seed, 0):
+        return build_network(training.network)
 
 
 def load_initial_network(training: Training) -> LayoutNetwork | None:
@@ -210,20 +226,16 @@ class TrainingRun:
         if len(files) == 1 and not self.request.quiet:
             text = "roadtorch: only one image: the network will not generalise to others"
             Progress.write(text, file=sys.stderr)
-        human = {
-            file: self.corrections[name] for file, name in files.items() if name in self.corrections
-        }
-        encode = self.recipe.encode_correction
-        corrected = write_corrections(path / CORRECTIONS, human, encode) if human else {}
-        validation = {file: corrected.pop(file) for file in human if files[file] in held_out}
-        files = {file: name for file, name in files.items() if name not in held_out}
+        corrected = write_corrections(path / CORRECTIONS, files, self.corrections, self.recipe.correct)
+        validation = [corrected.pop(file) for file, name in files.items() if name in held_out]
+        trained = [file for file, name in files.items() if name not in held_out]
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()
-        inputs = TrainingInputs(list(files), corrected, self.initial, path)
+        inputs = TrainingInputs(trained, corrected, self.initial, path)
         inputs = inputs._replace(device=self.request.device)
-        network: LayoutNetwork = self.recipe.make_network(self.initial)
+        network = self.initial or make_network(self.training)
         while True:
             loop = self._train_round(network, inputs, progress, state, validation)
-            network, state = loop.average.network.eval(), None
+            network, state = loop.average.eval(), None
             network.load_state_dict(loop.best)
             if not progress.finished:
                 break
@@ -231,7 +243,7 @@ class TrainingRun:
             if progress.round == self.recipe.rounds:
                 break
             progress = TrainingProgress(progress.round + 1, rows=progress.rows)
-        self._write(network, progress, len(files), inherited)
+        self._write(network, progress, len(trained), inherited)
         return progress.finished
 
     def _train_round(
@@ -240,30 +252,22 @@ class TrainingRun:
         inputs: TrainingInputs,
         progress: TrainingProgress,
         state: dict[str, Any] | None,
-        held_out: Mapping[Path, Path],
+        held_out: Sequence[Path],
     ) -> Loop:
         """Train the epochs of a round, or those after a checkpoint.
 
-        held_out: corrections that judge it.
+        held_out: images with corrections that judge it.
         """
         request, recipe, number = self.request, self.recipe, progress.round
         samples: Any = recipe.make_samples(inputs._replace(number=number), self.stop, request.quiet)
         if number == 1 and not state:
             recipe.initialise(network, samples)
-        descent, stopping = recipe.rules(number)
-        if not isinstance(self.training, SelfTraining):
-            half_rate, images = self.training.corrections.half_rate_images, len(self.corrections)
-            descent = scale_learning_rate(descent, half_rate, images)
-        parts = (network, samples.chunks, samples.batches, recipe.loss)
-        rules = (recipe.parameter_groups(network, number), descent, stopping)
-        loop = Loop(*parts, *rules, progress, self.folder, self.stop, request.quiet, request.part)
-        loop.device, (part, parts) = request.device, request.part
-        if parts > 1:
-            loop.title = f"half {part} of {parts}, "
+        title = request.title
         if recipe.rounds > 1:
-            loop.title += f"round {number} of {recipe.rounds}, "
-        if held_out:
-            loop.validate = partial(held_out_f, corrected=held_out)
+            title += f"round {number} of {recipe.rounds}, "
+        validate = partial(held_out_f, files=held_out) if held_out else None
+        shown = (request.quiet, title, request.device, validate)
+        loop = Loop(network, recipe, samples, progress, self.folder, self.stop, *shown)
         if state:
             loop.restore(state)
         else:

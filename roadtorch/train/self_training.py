@@ -38,10 +38,10 @@ from roadtorch.layout.pretrained import (
     scale_layers,
     wheel_package,
 )
-from roadtorch.layout.weights import LayoutNetwork, resize_network, save_network, weights_path
+from roadtorch.layout.weights import resize_network, save_network, weights_path
 from roadtorch.road.bayes import log_odds
-from roadtorch.run.memo import Arrays, cache_key, make_cached_reader, read_arrays
-from roadtorch.train.augmentation import augment_batch
+from roadtorch.run.memo import Arrays, cache_key, read_arrays
+from roadtorch.train.augmentation import InputResize
 from roadtorch.train.config import Descent, SelfTraining, Stopping
 from roadtorch.train.prepared import Preparation, from_uint8, image_file_name, prepare, to_uint8
 from roadtorch.train.run_folder import ROUND_WEIGHTS, SHEET
@@ -57,6 +57,7 @@ from roadtorch.train.training_loop import (
     seed_torch,
 )
 from roadtorch.train.whole_images import (
+    AugmentedImages,
     balanced_weights,
     group_ego_cars,
     name_recordings,
@@ -136,68 +137,46 @@ def label_targets(maps: Tensor, training: SelfTraining) -> Targets:
 
 
 @dataclass(frozen=True, eq=False)
-class DomainSamples:
-    """Source and target images of a round in augmented batches; a chunk is one batch.
+class DomainSamples(AugmentedImages):
+    """Source and then target images of a round; targets have the size of the loss.
 
-    source: prepared source images. labels: file of the labels by prepared target image.
-    sampling_weights: (n,), of both, in this order. ego_cars: source images that show one, by kind.
+    labels: file of the labels by prepared target image.
     """
 
-    training: SelfTraining
-    number: int
-    source: Sequence[Path]
-    labels: Mapping[Path, Path]
-    sampling_weights: Tensor
-    ego_cars: Mapping[str, Sequence[Path]]
-    device: str = "cpu"
-    read: Callable[..., Arrays] = field(default_factory=make_cached_reader)
+    labels: Mapping[Path, Path] = field(default_factory=dict)
 
-    @property
-    def chunks(self) -> int:
-        """Batches of an epoch."""
-        return max(1, round(self.training.samples_per_epoch / self.training.descent.batch))
-
-    def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
-        """Yield the one batch of a chunk; its targets are ``Targets`` stacked, at the loss's size.
-
-        Borders of road are weighed, see ``weigh_borders``.
-        """
-        training, key = self.training, (self.training.random_seed, IMAGE_ORDER, self.number, epoch)
-        count = training.samples_per_epoch
-        order = sample_members(self.sampling_weights, count, make_generator(*key))
-        members = order.tensor_split(self.chunks)[chunk].tolist()
-        generator = make_generator(key[0], IMAGE_VARIATION, self.number, epoch, chunk)
+    def sample_resize(self, generator: torch.Generator) -> InputResize:
+        """Sample the size and the upper rows of the network's input."""
         choice = random.Random(int(torch.randint(2**62, (), generator=generator)))
-        size = choice.choice(training.sizes)
-        rows = count_upper_rows(choice.choice(training.upper_rows), size[0])
-        resize = partial(resize_rows, size=size, rows=rows)
-        samples = self._read_samples(members)
-        images, planes = augment_batch(
-            *samples, training.augmentation, resize, self.ego_cars, generator
-        )
-        planes = F.avg_pool2d(planes, STRIDE)
-        is_exact = torch.tensor([member < len(self.source) for member in members])
-        if training.source.border:
-            planes = weigh_borders(planes, is_exact.to(planes.device), training.source.border)
-        images = images.contiguous(memory_format=torch.channels_last)
-        yield Batch(images, planes, torch.ones(len(images)))
+        size = choice.choice(self.training.sizes)
+        rows = count_upper_rows(choice.choice(self.training.upper_rows), size[0])
+        return partial(resize_rows, size=size, rows=rows)
 
-    def _read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
+    def read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Return prepared images (n, 3, H, W) in [0, 1] and their stacked ``Targets``."""
-        files, images, planes = [*self.source, *self.labels], list[Tensor](), list[Tensor]()
-        for member in members:
-            arrays = self.read(files[member])
-            image = from_uint8(arrays["image"].to(self.device))
-            images.append(image)
-            if member < len(self.source):
-                codes, ego = (arrays[name][None, None].to(self.device) for name in ("codes", "ego"))
-                targets = truth_targets(codes, from_uint8(ego))
-            else:
-                maps = self.read(self.labels[files[member]], "maps")["maps"].to(self.device)
-                fine = F.interpolate(from_uint8(maps)[None], spatial_size(image), mode="bilinear")
+        images, planes = list[Tensor](), list[Tensor]()
+        for file in (self.files[member] for member in members):
+            arrays = self.read(file)
+            images.append(from_uint8(arrays["image"]))
+            if file in self.labels:
+                maps = from_uint8(self.read(self.labels[file], "maps")["maps"])
+                fine = F.interpolate(maps[None], spatial_size(images[-1]), mode="bilinear")
                 targets = label_targets(fine, self.training)
+            else:
+                codes, ego = (arrays[name][None, None] for name in ("codes", "ego"))
+                targets = truth_targets(codes, from_uint8(ego))
             planes.append(torch.cat(targets, 1))
         return torch.stack(images), torch.cat(planes)
+
+    def finish(
+        self, images: Tensor, planes: Tensor, members: Sequence[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Reduce planes to the size of the loss, and weigh borders of road: ``weigh_borders``."""
+        planes, border = F.avg_pool2d(planes, STRIDE), self.training.source.border
+        if border:
+            is_exact = [self.files[member] not in self.labels for member in members]
+            planes = weigh_borders(planes, torch.tensor(is_exact, device=planes.device), border)
+        return images.contiguous(memory_format=torch.channels_last), planes
 
 
 def weigh_borders(planes: Tensor, is_exact: Tensor, border: float) -> Tensor:
@@ -227,7 +206,7 @@ class SelfTrainingRecipe(Recipe):
         super().__init__(training.descent, Stopping(rule="epochs"))
         if not source:
             raise ConfigError("--source", "is missing", "give folders of rendered worlds")
-        self._training = training
+        self._training, self.rounds = training, len(training.rounds)
         self.source = find_source_images(source)
         self._truth = {image.item.name: image for image in self.source}
         self._prepared = Path()
@@ -265,21 +244,7 @@ class SelfTrainingRecipe(Recipe):
         """Prepare a target image: ``image`` alone, its labels are those of a round."""
         return {"image": to_uint8(resize_maps(image, self._size).clamp(0, 1))}
 
-    def encode_correction(self, correction: HumanLabels) -> Arrays:
-        """Raise ConfigError: nobody's labels have a part."""
-        message = "have no part in a training on rendered worlds"
-        raise ConfigError(
-            "--corrections", message, "fine-tune its result with --config corrections"
-        )
-
     # --- network ----------------------------------------------------------------------------
-
-    def make_network(self, initial: LayoutNetwork | None) -> BackboneNetwork:
-        """Return a new network with random weights, or the initial one."""
-        if isinstance(initial, BackboneNetwork):
-            return initial
-        with seed_torch(self._training.random_seed, 0):
-            return BackboneNetwork(self._training.network)
 
     def initialise(self, network: nn.Module, samples: DomainSamples) -> None:
         """Load ImageNet's weights, or scale random ones, and measure the levels of features."""
@@ -298,11 +263,6 @@ class SelfTrainingRecipe(Recipe):
         measure_norms(network, images)
 
     # --- rounds -----------------------------------------------------------------------------
-
-    @property
-    def rounds(self) -> int:
-        """Number of rounds."""
-        return len(self._training.rounds)
 
     def rules(self, number: int) -> tuple[Descent, Stopping]:
         """Return the descent and the end of a round."""
@@ -347,8 +307,8 @@ class SelfTrainingRecipe(Recipe):
         is_target = torch.arange(len(weights)) >= len(source)
         cars = group_ego_cars(source, kinds)
         chances = reweight(torch.tensor(weights), is_target, fraction)
-        samples = (training, inputs.number, source, labels, chances, cars, inputs.device)
-        return DomainSamples(*samples)
+        common = ([*source, *labels], chances, cars, inputs.number, inputs.device)
+        return DomainSamples(training, *common, labels=labels)
 
     def _label(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> dict[Path, Path]:
         """Label the target images with the network of the round before; return files of labels."""

@@ -1,4 +1,4 @@
-"""Teachers of whole-image networks: their labels, agreement. Ours.
+"""Teachers of whole-image networks: their labels. Ours.
 
 The teacher is a detector; its labels may be combined with those of the initial network.
 """
@@ -15,24 +15,21 @@ from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest, until_stopped
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
-from roadtorch.evaluation.disagreement import Agreement
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import (
-    ROAD_OUTPUT,
     Resize,
     count_upper_rows,
     resize_rows,
     scores_to_potentials,
 )
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.weights import WholeImageNetwork
+from roadtorch.layout.weights import WholeImageNetwork, hash_tensors
 from roadtorch.road.ego import extrapolate_over_ego
 from roadtorch.run.loop import Inference
 from roadtorch.run.memo import Arrays, cache_key, read_arrays, read_cached, write_cached
 from roadtorch.train.config import ImageTraining, Teacher
 from roadtorch.train.prepared import from_uint8, to_uint8
-from roadtorch.train.targets import make_targets
 
 # --- teachers ---------------------------------------------------------------------------
 
@@ -108,21 +105,20 @@ def teacher_maps(image: Tensor, teacher: Detector, views: str = "one") -> Tensor
 
 def label_with_network(
     files: Sequence[Path], folder: Path, network: WholeImageNetwork, stop: StopRequest, quiet: bool
-) -> list[Path]:
-    """Write a network's maps of prepared images, averaged over mirroring; return the files.
+) -> dict[Path, Path]:
+    """Write a network's maps of prepared images, averaged over mirroring; return their files.
 
     Files of the same image and network are reused. If a stop is requested, some are not written.
     """
-    weights = cache_key([value.numpy().tobytes() for value in network.state_dict().values()])
-    names = [folder / f"{number:06d}.npz" for number in range(len(files))]
-    pairs = list(zip(files, names, strict=True))
-    bar = Progress(pairs, desc="initial labels", unit="image", quiet=quiet)
+    weights = hash_tensors(network.state_dict())
+    labels = {file: folder / f"{number:06d}.npz" for number, file in enumerate(files)}
+    bar = Progress(labels.items(), desc="initial labels", unit="image", quiet=quiet)
     for file, name in until_stopped(bar, stop):
         key = cache_key(weights, file)
         if read_cached(name, key) is None:
             image = from_uint8(read_arrays(file, "image")["image"])
             write_cached(name, key, {"maps": to_uint8(network_maps(network, image))})
-    return names
+    return labels
 
 
 @torch.no_grad()
@@ -133,29 +129,3 @@ def network_maps(network: WholeImageNetwork, image: Tensor) -> Tensor:
     scores = network(torch.stack([pixels, pixels.flip(-1)]).to(device))
     maps = scores_to_potentials(scores).to(image.device)
     return resize_maps((maps[0] + maps[1].flip(-1)) / 2, spatial_size(image))
-
-
-# --- agreement --------------------------------------------------------------------------
-
-
-def teacher_agreement(
-    network: WholeImageNetwork, files: Sequence[Path], training: ImageTraining
-) -> Agreement:
-    """Measure the fractions of pixels of prepared images on which network and teacher agree.
-
-    Only pixels with a weight in ``make_targets`` count; without any, a fraction is NaN. Raises
-    InputError for a damaged file.
-    """
-    agreeing, counted = torch.zeros(2, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
-    for file in files:
-        arrays = read_arrays(file, "image", "maps", "ego")
-        image, maps, ego = (from_uint8(arrays[name]) for name in ("image", "maps", "ego"))
-        targets = make_targets(maps[None], ego[None, None], None, training.teacher)
-        potentials = network_maps(network, image)[None]
-        layout = potentials[:, :NUM_CLASSES].argmax(1) == targets.layout.argmax(1)
-        road = (potentials[:, ROAD_OUTPUT] >= 0.5) == (targets.road[:, 0] >= 0.5)
-        where = torch.stack([targets.layout_weight[:, 0], targets.road_weight[:, 0]]) > 0
-        agreeing += (torch.stack([layout, road]) & where).flatten(1).sum(1)
-        counted += where.flatten(1).sum(1)
-    ratios = agreeing / counted
-    return Agreement(float(ratios[0]), float(ratios[1]), len(files))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,7 +17,10 @@ from torch import Tensor, nn
 from roadtorch.base.errors import DivergedError, WeightsError
 from roadtorch.base.progress import Progress
 from roadtorch.base.signals import StopRequest
+from roadtorch.data.corrections import HumanLabels
+from roadtorch.inputs.item import Item
 from roadtorch.layout.weights import LayoutNetwork, load_tensors
+from roadtorch.run.memo import Arrays
 from roadtorch.train.config import Descent, Stopping
 from roadtorch.train.run_folder import BAD_CHECKPOINT, CHECKPOINT, LABELS, RunFolder
 from roadtorch.train.source import SourceImage
@@ -44,30 +47,6 @@ def seed_torch(seed: int, *key: int) -> Iterator[None]:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(make_generator(seed, *key).initial_seed())
         yield
-
-
-# --- average of the weights -------------------------------------------------------------
-
-
-Network = TypeVar("Network", bound=nn.Module)
-
-WARM_UP_STEPS = 10
-"""Warm-up of the average: after n steps the decay is at most n / (n + this)."""
-
-
-class MovingAverage(Generic[Network]):
-    """Exponential moving average of a network's weights (Polyak and Juditsky 1992)."""
-
-    def __init__(self, network: Network, ema: float) -> None:
-        self.network = copy.deepcopy(network)
-        self._ema = ema
-
-    @torch.no_grad()
-    def update(self, network: nn.Module, steps: int) -> None:
-        """Update the average with the weights after ``steps`` steps."""
-        decay = min(self._ema, steps / (steps + WARM_UP_STEPS))
-        for mean, weight in zip(self.network.parameters(), network.parameters(), strict=True):
-            mean.lerp_(weight, 1 - decay)
 
 
 # --- steps and epochs -------------------------------------------------------------------
@@ -130,18 +109,22 @@ class TrainingProgress:
 
 
 class Recipe:
-    """A kind of training: what the loop does in each of its rounds. Most have one."""
+    """A kind of training: what the loop does in each of its rounds. Most have one.
+
+    loss: of a network, summed over a batch. correct: returns a prepared image with a correction.
+    source: images with a renderer's truth.
+    """
 
     loss: Callable[[Any, Batch], Tensor]
+    correct: Callable[[Arrays, HumanLabels], Arrays]
     source: Sequence[SourceImage] = ()
+    rounds = 1
 
     def __init__(self, descent: Descent, stopping: Stopping) -> None:
         self._rules = descent, stopping
 
-    @property
-    def rounds(self) -> int:
-        """Number of rounds, each with an optimiser of its own."""
-        return 1
+    def survey(self, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool) -> None:
+        """Find what the preparation of an image needs of others, cached in ``folder``."""
 
     def rules(self, number: int) -> tuple[Descent, Stopping]:
         """Return the descent and the end of a round."""
@@ -158,44 +141,43 @@ class Recipe:
         """Write the results of a round with its averaged network."""
 
 
+WARM_UP_STEPS = 10
+"""Warm-up of the average: after n steps the decay is at most n / (n + this)."""
+
+
 @dataclass
 class Loop:
     """The epochs of a round: a network, its averaged copy and their progress.
 
-    chunks: number of parts of an epoch, between which a run can be interrupted and resumed.
-    batches: yields the batches of an epoch and a chunk, always the same. loss: of a network, summed
-    over a batch. groups: the parameters that learn (``Recipe.parameter_groups``). part: number of
-    this training, from 1, and count of those that share the bar. title: what comes before the
-    epoch. validate: F of a network on held-out images.
+    samples: of the recipe. Its ``chunks`` is the number of parts of an epoch, between which a run can
+    be interrupted and resumed; ``batches(epoch, chunk)`` yields the batches of one, always the same.
+    title: what comes before the epoch. validate: F of a network on held-out images.
     """
 
     network: LayoutNetwork
-    chunks: int
-    batches: Callable[[int, int], Iterator[Batch]]
-    loss: Callable[[Any, Batch], Tensor]
-    groups: list[dict[str, Any]]
-    descent: Descent
-    stopping: Stopping
+    recipe: Recipe
+    samples: Any
     progress: TrainingProgress
     folder: RunFolder
     stop: StopRequest
     quiet: bool = False
-    part: tuple[int, int] = (1, 1)
     title: str = ""
     device: str = "cpu"
     validate: Callable[[Any], float] | None = None
 
     def __post_init__(self) -> None:
         """Move the network to the device; create its average and the optimizer."""
-        descent = self.descent
+        number = self.progress.round
+        self.descent, self.stopping = self.recipe.rules(number)
         self.network.to(self.device)
-        self.average = MovingAverage(self.network, descent.ema)
-        self.best = self.average.network.state_dict()  # the current weights, without ``validate``
+        self.average = copy.deepcopy(self.network)
+        self.best = self.average.state_dict()  # the current weights, without ``validate``
+        descent, groups = self.descent, self.recipe.parameter_groups(self.network, number)
         rate, decay = descent.learning_rate, descent.weight_decay
         self._optimiser: torch.optim.Optimizer = (
-            torch.optim.AdamW(self.groups, rate, weight_decay=decay)
+            torch.optim.AdamW(groups, rate, weight_decay=decay)
             if descent.method == "adam"
-            else torch.optim.SGD(self.groups, rate, descent.momentum, weight_decay=decay)
+            else torch.optim.SGD(groups, rate, descent.momentum, weight_decay=decay)
         )
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -203,7 +185,7 @@ class Loop:
         path = self.folder.path / CHECKPOINT
         try:
             load_tensors(self.network, state["network"], path)
-            load_tensors(self.average.network, state["average"], path)
+            load_tensors(self.average, state["average"], path)
             if self.validate:
                 self.best = state["best"]
             self._optimiser.load_state_dict(state["optimiser"])
@@ -217,10 +199,17 @@ class Loop:
         Raises DivergedError if the loss is no longer finite.
         """
         self.network.train()
-        with self._bar() as bar:
-            while not self.progress.finished and not self.stop.requested:
+        chunks, progress = self.samples.chunks, self.progress
+        with Progress(
+            desc=self._title(progress.epoch + 1),
+            total=self.stopping.epochs * chunks,
+            initial=progress.epoch * chunks + progress.chunk,
+            unit="",
+            quiet=self.quiet,
+        ) as bar:
+            while not progress.finished and not self.stop.requested:
                 self._train_epoch(bar)
-                if self.progress.chunk == self.chunks:
+                if progress.chunk == chunks:
                     self._end_epoch()
             self.save()
 
@@ -229,7 +218,7 @@ class Loop:
         self.folder.write_checkpoint(
             {
                 "network": self.network.state_dict(),
-                "average": self.average.network.state_dict(),
+                "average": self.average.state_dict(),
                 **({"best": self.best} if self.validate else {}),
                 "optimiser": self._optimiser.state_dict(),
                 "progress": asdict(self.progress),
@@ -239,7 +228,7 @@ class Loop:
     def _train_epoch(self, bar: Progress) -> None:
         """Train the remaining chunks of an epoch; return after a chunk if a stop is requested."""
         progress, saved = self.progress, time.monotonic()
-        while progress.chunk < self.chunks:
+        while progress.chunk < self.samples.chunks:
             start = time.perf_counter()
             self._train_chunk()
             progress.seconds += time.perf_counter() - start
@@ -252,38 +241,33 @@ class Loop:
             if self.stop.requested:
                 return
 
-    def _bar(self) -> Progress:
-        """Return the progress bar over the chunks of all equal trainings."""
-        part, parts = self.part
-        whole = self.stopping.epochs * self.chunks
-        done = self.progress.epoch * self.chunks + self.progress.chunk
-        return Progress(
-            desc=self._title(self.progress.epoch + 1),
-            total=parts * whole,
-            initial=(part - 1) * whole + done,
-            unit="",
-            quiet=self.quiet,
-        )
-
     def _title(self, epoch: int) -> str:
         return f"{self.title}epoch {epoch} of {self.stopping.epochs}"
 
     def _train_chunk(self) -> None:
         progress, loss = self.progress, 0.0
-        epochs = progress.epoch + progress.chunk / self.chunks
+        epochs = progress.epoch + progress.chunk / self.samples.chunks
         self._rate = self.descent.learning_rate_at(epochs / self.stopping.epochs)
         for group in self._optimiser.param_groups:
             group["lr"] = self._rate * group["factor"]
-        for batch in self.batches(progress.epoch, progress.chunk):
+        for batch in self.samples.batches(progress.epoch, progress.chunk):
             loss += self.step(batch)
             progress.count += len(batch.inputs)
             progress.steps += 1
-            self.average.update(self.network, progress.steps)
+            self._update_average()
         if not math.isfinite(loss):
             message = "the loss is no longer finite"
             raise DivergedError("descent.learning_rate", message, "lower it")
         progress.loss += loss
         progress.chunk += 1
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        """Update the moving average of the weights (Polyak and Juditsky 1992)."""
+        steps = self.progress.steps
+        decay = min(self.descent.ema, steps / (steps + WARM_UP_STEPS))
+        for mean, weight in zip(self.average.parameters(), self.network.parameters(), strict=True):
+            mean.lerp_(weight, 1 - decay)
 
     def step(self, batch: Batch) -> float:
         """Take one step down the mean loss of a batch; return the loss summed over the batch."""
@@ -291,7 +275,7 @@ class Loop:
         batch = Batch(*(part.to(self.device) for part in batch))
         device_type, is_coarse = batch.inputs.device.type, self.descent.precision == "bfloat16"
         with torch.autocast(device_type, torch.bfloat16, is_coarse):
-            loss = self.loss(self.network, batch)
+            loss = self.recipe.loss(self.network, batch)
         (loss / len(batch.inputs)).backward()
         self._optimiser.step()
         return float(loss.detach())
@@ -313,11 +297,11 @@ class Loop:
         losses = progress.losses
         progress.finished = self.stopping.is_reached(losses)
         if self.validate:
-            row["held_out_f"] = round(self.validate(self.average.network.eval()), 5)
+            row["held_out_f"] = round(self.validate(self.average.eval()), 5)
             scores = [entry["held_out_f"] for entry in progress.rows]
             best_epoch = scores.index(max(scores)) + 1
             if best_epoch == progress.epoch:
-                self.best = copy.deepcopy(self.average.network.state_dict())
+                self.best = copy.deepcopy(self.average.state_dict())
             progress.finished |= progress.epoch - best_epoch >= self.stopping.patience
         self.folder.write_log(progress.rows)
         if not self.quiet:

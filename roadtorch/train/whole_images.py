@@ -1,10 +1,12 @@
 """Training of whole-image networks: augmented images with their targets. Ours."""
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -24,9 +26,9 @@ from roadtorch.layout.image_network import (
     ImageNetworkSettings,
 )
 from roadtorch.layout.patch_network import normalise
-from roadtorch.layout.weights import LayoutNetwork, WholeImageNetwork
+from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
-from roadtorch.train.augmentation import augment_batch
+from roadtorch.train.augmentation import InputResize, augment_batch
 from roadtorch.train.config import HeadWeights, ImageTraining
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
@@ -57,22 +59,20 @@ EGO_CARS = "ego-cars"
 
 
 @dataclass(frozen=True, eq=False)
-class ImageSamples:
-    """Prepared images in augmented batches; a chunk is one batch.
+class AugmentedImages(ABC):
+    """Whole images in augmented batches; a chunk is one batch.
 
-    files: prepared images. labels: files of the initial network's maps in the same order, or none.
-    sampling_weights: (n,). ego_cars: files that show an ego car, by recording. corrected: file of
-    the correction by prepared image.
+    files: prepared images. sampling_weights: (n,). ego_cars: files that show an ego car, by
+    recording. number: of the round, for the random numbers.
     """
 
-    training: ImageTraining
+    training: Any
     files: Sequence[Path]
-    labels: Sequence[Path]
     sampling_weights: Tensor
     ego_cars: Mapping[str, Sequence[Path]]
-    corrected: Mapping[Path, Path]
+    number: int = 0
     device: str = "cpu"
-    read: Callable[..., Arrays] = field(default_factory=make_cached_reader)
+    _read: Callable[..., Arrays] = field(default_factory=make_cached_reader)
 
     @property
     def count(self) -> int:
@@ -86,46 +86,82 @@ class ImageSamples:
 
     def batches(self, epoch: int, chunk: int) -> Iterator[Batch]:
         """Yield the one batch of a chunk; its targets are ``Targets`` stacked to eight planes."""
-        training, seed = self.training, self.training.random_seed
-        generator = make_generator(seed, IMAGE_ORDER, 0, epoch)
+        training, key = self.training, (self.number, epoch)
+        generator = make_generator(training.random_seed, IMAGE_ORDER, *key)
         order = sample_members(self.sampling_weights, self.count, generator)
         members = order.tensor_split(self.chunks)[chunk].tolist()
-        generator = make_generator(seed, IMAGE_VARIATION, 0, epoch, chunk)
-        torch.randint(1, (), generator=generator)  # so that a seed gives the weights that it gave
-        size = training.network.height, training.network.width
-        resize = partial(resize_maps, size=size)
-        samples = self._read_samples(members)
+        generator = make_generator(training.random_seed, IMAGE_VARIATION, *key, chunk)
+        resize = self.sample_resize(generator)
+        images, planes = self.read_samples(members)
         images, planes = augment_batch(
-            *samples, training.augmentation, resize, self.ego_cars, generator
+            images, planes, training.augmentation, resize, self.ego_cars, generator
         )
-        pixels = [normalise(image, training.network.normalisation).pixels for image in images]
-        yield Batch(torch.stack(pixels), planes, torch.ones(len(images)))
+        images, planes = self.finish(images, planes, members)
+        yield Batch(images, planes, torch.ones(len(images)))
 
-    def _read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
+    @abstractmethod
+    def sample_resize(self, generator: torch.Generator) -> InputResize:
+        """Sample the size of the network's input."""
+
+    @abstractmethod
+    def read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Return prepared images (n, 3, H, W) in [0, 1] and their stacked ``Targets``."""
+
+    @abstractmethod
+    def finish(
+        self, images: Tensor, planes: Tensor, members: Sequence[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Return the network's input and targets of augmented images and planes."""
+
+    def read(self, file: Path, *names: str) -> Arrays:
+        """Read arrays of a file, all or those named, on the device."""
+        return {name: value.to(self.device) for name, value in self._read(file, *names).items()}
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSamples(AugmentedImages):
+    """Images with the labels of a teacher, and corrections of some of them.
+
+    labels: files of the initial network's maps by prepared image, or none. corrected: prepared
+    images with corrections, by the ones without.
+    """
+
+    labels: Mapping[Path, Path] = field(default_factory=dict)
+    corrected: Mapping[Path, Path] = field(default_factory=dict)
+
+    def sample_resize(self, generator: torch.Generator) -> InputResize:
+        """Return the resize to the network's size."""
+        torch.randint(1, (), generator=generator)  # so that a seed gives the weights that it gave
+        network = self.training.network
+        return partial(resize_maps, size=(network.height, network.width))
+
+    def read_samples(self, members: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Return prepared images (n, 3, H, W) in [0, 1] and their stacked ``Targets``."""
         training, files = self.training, [self.files[member] for member in members]
-        images, maps, ego = self._read(files, "image", "maps", "ego")
+        arrays = [self.read(self.corrected.get(file, file)) for file in files]
+        images, maps, ego = (stack_bytes(arrays, name) for name in ("image", "maps", "ego"))
         network = None
         if self.labels:
-            (network,) = self._read([self.labels[member] for member in members], "maps")
+            network = stack_bytes([self.read(self.labels[file], "maps") for file in files], "maps")
         targets = make_targets(maps, ego[:, None], network, training.teacher)
         if self.corrected:
-            none = torch.zeros(CORRECTION_PLANES, *spatial_size(images), dtype=torch.uint8)
-            planes = [
-                self.read(self.corrected[file], "planes")["planes"]
-                if file in self.corrected
-                else none
-                for file in files
-            ]
-            stacked = from_uint8(torch.stack(planes).to(self.device))
-            targets = corrected_targets(targets, stacked, training.corrections.weight)
+            size = CORRECTION_PLANES, *spatial_size(images)
+            none = {"planes": torch.zeros(size, dtype=torch.uint8, device=self.device)}
+            planes = stack_bytes([none | entry for entry in arrays], "planes")
+            targets = corrected_targets(targets, planes, training.corrections.weight)
         return images, torch.cat(targets, 1)
 
-    def _read(self, files: Sequence[Path], *names: str) -> list[Tensor]:
-        """Read named arrays of files, stacked, on the device, in [0, 1]."""
-        arrays = [self.read(file, *names) for file in files]
-        stacks = (torch.stack([entry[name] for entry in arrays]) for name in names)
-        return [from_uint8(stack.to(self.device)) for stack in stacks]
+    def finish(
+        self, images: Tensor, planes: Tensor, members: Sequence[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Normalise images."""
+        normalisation = self.training.network.normalisation
+        return torch.stack([normalise(image, normalisation).pixels for image in images]), planes
+
+
+def stack_bytes(arrays: Sequence[Arrays], name: str) -> Tensor:
+    """Stack a named array of several images, uint8, to a tensor in [0, 1]."""
+    return from_uint8(torch.stack([entry[name] for entry in arrays]))
 
 
 def name_recordings(files: Iterable[Path], folder: Path, separator: str) -> list[str]:
@@ -210,15 +246,15 @@ def reweight(weights: Tensor, chosen: Tensor, fraction: float) -> Tensor:
 # --- held-out images --------------------------------------------------------------------
 
 
-def held_out_f(network: WholeImageNetwork, corrected: Mapping[Path, Path]) -> float:
-    """Compute F of a network's road at its own size against corrections, by prepared image.
+def held_out_f(network: WholeImageNetwork, files: Sequence[Path]) -> float:
+    """Compute F of a network's road at its own size on prepared images with corrections.
 
     0 where nobody labelled road. Raises InputError for a damaged file.
     """
     counts = []
-    for file, correction in corrected.items():
-        image = from_uint8(read_arrays(file, "image")["image"])
-        planes = from_uint8(read_arrays(correction, "planes")["planes"])
+    for file in files:
+        arrays = read_arrays(file, "image", "planes")
+        image, planes = from_uint8(arrays["image"]), from_uint8(arrays["planes"])
         road, not_road = planes[0], planes[1]
         mask = network_maps(network, image)[ROAD_OUTPUT] >= 0.5
         is_labelled = road + not_road >= MIN_CORRECTED
@@ -275,8 +311,8 @@ TEACHER_KEYS = {"detector", "weights", "views", "working"}
 class ImageRecipe(Recipe):
     """Training of a whole-image network."""
 
-    def __init__(self, training: ImageTraining) -> None:
-        super().__init__(training.descent, training.stopping)
+    def __init__(self, training: ImageTraining, corrected: int = 0) -> None:
+        super().__init__(scale_learning_rate(training, corrected), training.stopping)
         self._training = training
         self.loss = partial(image_loss, training=training)
         self._teacher = load_teacher(training.teacher)
@@ -303,8 +339,8 @@ class ImageRecipe(Recipe):
         ego = read_ego(self._recordings.get(name), image)
         return prepare_image(image, ego, self._teacher, self._training)
 
-    def encode_correction(self, correction: HumanLabels) -> Arrays:
-        """Return a correction at the network's size: ``planes``, uint8 (6, h, w).
+    def correct(self, prepared: Arrays, correction: HumanLabels) -> Arrays:
+        """Return a prepared image with a correction at the network's size: ``planes``, uint8 (6, h, w).
 
         255 times the fraction of a pixel labelled road, not road, void, sky, vertical, horizontal.
         """
@@ -315,20 +351,11 @@ class ImageRecipe(Recipe):
         planes += [layout == number for number in range(NUM_CLASSES)]
         stacked, size = torch.stack(planes).to(torch.float32), (network.height, network.width)
         small = resize_as_prepared(stacked, network, size, F.adaptive_avg_pool2d)
-        return {"planes": to_uint8(small)}
-
-    def make_network(self, initial: LayoutNetwork | None) -> WholeImageNetwork:
-        """Return a new network, or the initial one."""
-        settings = self._training.network
-        if isinstance(initial, WholeImageNetwork):
-            return initial
-        assert isinstance(settings, ImageNetworkSettings)  # a backbone needs initial weights
-        with seed_torch(self._training.random_seed, 0):
-            return ImageNetwork(settings)
+        return {**prepared, "planes": to_uint8(small)}
 
     def make_samples(self, inputs: TrainingInputs, stop: StopRequest, quiet: bool) -> ImageSamples:
         """Return augmented images with their targets, and the labels of an initial network."""
-        training, files, labels = self._training, inputs.files, list[Path]()
+        training, files, labels = self._training, inputs.files, dict[Path, Path]()
         if isinstance(inputs.initial, WholeImageNetwork):
             network = inputs.initial.eval()
             labels = label_with_network(files, inputs.labels, network, stop, quiet)
@@ -337,5 +364,5 @@ class ImageRecipe(Recipe):
         weights = torch.tensor(balanced_weights(names, training.recordings.balance))
         corrected = torch.tensor([file in inputs.corrected for file in files])
         weights = reweight(weights, corrected, training.corrections.fraction)
-        corrected, device = inputs.corrected, inputs.device
-        return ImageSamples(training, files, labels, weights, cars, corrected, device)
+        common = (training, files, weights, cars, 0, inputs.device)
+        return ImageSamples(*common, labels=labels, corrected=inputs.corrected)

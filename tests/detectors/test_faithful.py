@@ -19,8 +19,8 @@ from roadtorch.layout.weights import load_network
 from roadtorch.oneclass import mixture
 from roadtorch.oneclass.samples import P3_SEED_AREA, SampleSettings, area_segments
 from roadtorch.train.config import PatchTraining, build_training
-from roadtorch.train.patches import PatchRecipe, PatchSamples
-from roadtorch.train.run import TrainingRequest, train
+from roadtorch.train.patches import PatchSamples
+from roadtorch.train.run import TrainingRequest, make_network, train
 from roadtorch.ufl.features import DictionarySettings, initial_dictionary
 from tests.reference import alvarez2012, alvarez2014, cnn7_training, zhang2016
 from tests.train.runs import rows_of
@@ -108,7 +108,7 @@ def test_an_epoch_of_training_is_the_text_of_alvarez_et_al(tmp_path: Path) -> No
     assert sorted(places.tolist()) == sorted(cnn7_training.centres(segments).tolist())
     working = training.network.working
     labels = label_layout(image.float(), training.labeller, working, training.superpixels).labels
-    network = PatchRecipe(training).make_network(None)
+    network = make_network(training)
     initial = {name: value.double().numpy() for name, value in network.state_dict().items()}
     jitter = cnn7_training.Jitter(scale, angle, noise)
     literal, error = cnn7_training.epoch(

@@ -113,7 +113,7 @@ def test_the_means_leave_out_images_without_trust() -> None:
 
     methods = make_contender("before"), make_contender("after")
     comparison = Disagreements(make_scored_run({"it": None}).dataset, methods, changes, [])
-    table = summary_table(comparison, None)
+    table = summary_table(comparison)
 
     minus = "\N{MINUS SIGN}"
     rows = {name: [(cell.text, cell.note) for cell in cells] for name, cells in table.rows()}

@@ -10,13 +10,10 @@ import torch
 from roadtorch.cli.train import train_command
 from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import save_network
-from roadtorch.run.memo import write_arrays
 from roadtorch.testing.scenes import write_image
-from roadtorch.train.config import ImageTraining
-from roadtorch.train.teachers import teacher_agreement
 from tests.command import invoke_command
 from tests.streets import scene
-from tests.train.runs import IMAGES, training_of, write_config
+from tests.train.runs import IMAGES, write_config
 
 NETWORK = ImageNetworkSettings(height=32, width=40, narrow=8, wide=8)
 HOSTILE = "<img src=x onerror=alert(1)>"
@@ -45,8 +42,7 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     page = path.read_text()
     assert page.count("data:image/jpeg;base64") == 3
     for text in (
-        *("Masks of 3 images", "agreement with the teacher labeller on layout"),
-        *('alt="Mean loss of the epochs"', 'alt="Trust before and after', "default-src 'none'"),
+        *("Masks of 3 images", 'alt="Mean loss of the epochs"', 'alt="Trust before and after', "default-src 'none'"),
         "&lt;img src=x onerror=alert(1)&gt;",
     ):
         assert text in page
@@ -58,25 +54,3 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     path.unlink()  # it is written again by resuming
     invoke_command(train_command, *words)
     assert path.read_text().split("<h2>Weights")[0] == page.split("<h2>Weights")[0]
-
-
-def test_agreement_counts_the_pixels_where_the_teacher_is_sure(tmp_path: Path) -> None:
-    training = training_of("images")
-    assert isinstance(training, ImageTraining)
-    network = ImageNetwork(NETWORK).eval()
-    for weight in network.parameters():
-        torch.nn.init.zeros_(weight)  # it says sky, and no road, nowhere more than elsewhere
-    maps = torch.zeros(4, 32, 40, dtype=torch.uint8)
-    maps[0, :16], maps[1, 16:24] = 255, 255  # sky; vertical; below, the teacher is in doubt
-    maps[3, 24:] = 255  # road
-    ego = torch.zeros(32, 40, dtype=torch.uint8)
-    ego[:, 36:] = 255
-    image = torch.zeros(3, 32, 40, dtype=torch.uint8)
-    write_arrays(tmp_path / "a.npz", {"image": image, "maps": maps, "ego": ego})
-
-    agreement = teacher_agreement(network, [tmp_path / "a.npz"] * 2, training)
-
-    assert agreement.images == 2
-    assert agreement.layout == pytest.approx(16 / 24)
-    # Odds of nothing are 0.5, which is road: right in the last quarter without the ego car.
-    assert agreement.road == pytest.approx(8 * 36 / (32 * 40))

@@ -13,9 +13,9 @@ from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.cli.train import train_command
 from roadtorch.data.corrections import Correction, EventLog, LogHeader, log_path
 from roadtorch.layout.weights import count_corrected_images, load_network, read_correction_runs
-from roadtorch.train.config import PatchTraining, Training, build_training
-from roadtorch.train.patches import LabelledCentres, PatchRecipe, merge_corrections, oversample
-from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
+from roadtorch.train.config import Training
+from roadtorch.train.patches import correct_centres, oversample
+from roadtorch.train.run import Outcome, TrainingRequest, make_network, make_recipe, train
 from roadtorch.train.targets import Targets
 from roadtorch.train.whole_images import corrected_targets, reweight
 from tests.command import invoke_command
@@ -53,7 +53,7 @@ def planes(labels: np.ndarray) -> torch.Tensor:
     """Return the correction's planes at eight by eight cells."""
     recipe = make_recipe(training_of("images", "network.height=32", "network.width=32"))
     large = labels.repeat(8, 0).repeat(8, 1)
-    return recipe.encode_correction(correction(large))["planes"][None, :, ::4, ::4] / 255
+    return recipe.correct({}, correction(large))["planes"][None, :, ::4, ::4] / 255
 
 
 def test_what_was_said_replaces_the_machines_target_and_has_its_weight() -> None:
@@ -104,14 +104,13 @@ def test_files_are_repeated_until_corrected_ones_are_their_share() -> None:
 
 
 def test_patches_are_taken_where_people_named_a_class() -> None:
-    training = build_training({})
-    assert isinstance(training, PatchTraining)
-    layout = PatchRecipe(training).encode_correction(correction(quarters(48, 64)))
     places = torch.tensor([[2, 2], [2, 60], [40, 2], [40, 60]], dtype=torch.int16)
-    machine = LabelledCentres(places, torch.ones(4, dtype=torch.uint8), torch.ones(4))
+    image, classes = torch.zeros(3, 48, 64), torch.ones(4, dtype=torch.uint8)
+    prepared = {"image": image, "centres": places, "classes": classes}
 
-    centres, classes, weights = merge_corrections(machine, layout, 2.5)
+    corrected = correct_centres(prepared, correction(quarters(48, 64)), 2.5)
 
+    centres, classes, weights = (corrected[name] for name in ("centres", "classes", "weights"))
     assert centres[:2].tolist() == [[2, 60], [40, 60]]  # the others were spoken of
     assert set(classes[2:].tolist()) == {0, 2}
     assert len(classes) == 2 + 24
@@ -140,7 +139,7 @@ def test_a_run_paces_its_steps_by_the_corrected_images(
     """Check that one corrected image and a huge half-rate count hardly change the weights."""
     slow = trained("images", "corrections.half_rate_images=1e6", out="slow", corrections=[street])
     slowly, fast = (load_network(run.weights or "") for run in (slow, runs["images"]))
-    start = make_recipe(training_of("images")).make_network(None).state_dict()
+    start = make_network(training_of("images")).state_dict()
     for name, weight in start.items():
         torch.testing.assert_close(slowly.state_dict()[name], weight, atol=1e-6, rtol=0)
     assert any(not fast.state_dict()[name].allclose(weight) for name, weight in start.items())

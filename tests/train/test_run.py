@@ -16,7 +16,7 @@ from roadtorch.layout.image_network import ImageNetwork, ImageNetworkSettings
 from roadtorch.layout.weights import LayoutNetwork, load_network, read_origin, save_network
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import Descent, ImageTraining, Stopping, Training
-from roadtorch.train.run import Outcome, TrainingRequest, make_recipe, train
+from roadtorch.train.run import Outcome, TrainingRequest, make_network, train
 from roadtorch.train.run_folder import RunFolder
 from roadtorch.train.targets import TARGET_PLANES
 from roadtorch.train.training_loop import Batch, Loop, Recipe, TrainingProgress
@@ -36,7 +36,7 @@ from tests.train.runs import (
 
 def new_network(kind: str, *changes: str) -> LayoutNetwork:
     """Return the network with which a run with these changes starts."""
-    return make_recipe(training_of(kind, *changes)).make_network(None)
+    return make_network(training_of(kind, *changes))
 
 
 def folder_of(outcome: Outcome) -> Path:
@@ -205,13 +205,12 @@ def stepped(precision: str) -> tuple[float, ImageNetwork]:
     torch.manual_seed(0)
     network = ImageNetwork(ImageNetworkSettings(height=32, width=40, narrow=8, wide=8))
     descent = Descent.model_validate({"learning_rate": 0.1, "precision": precision})
-    loss = partial(image_loss, training=ImageTraining())
-    no_samples = (1, lambda *_: iter(()))
-    groups = Recipe(descent, Stopping()).parameter_groups(network, 1)
-    last = (TrainingProgress(), RunFolder(Path()), StopRequest())
+    recipe = Recipe(descent, Stopping())
+    recipe.loss = partial(image_loss, training=ImageTraining())
+    loop = Loop(network, recipe, None, TrainingProgress(), RunFolder(Path()), StopRequest())
     targets = torch.rand(2, sum(TARGET_PLANES), 32, 40, generator=seeded_generator(1))
     batch = Batch(torch.randn(2, 3, 32, 40, generator=seeded_generator(2)), targets, torch.ones(2))
-    return Loop(network, *no_samples, loss, groups, descent, Stopping(), *last).step(batch), network
+    return loop.step(batch), network
 
 
 def test_a_step_in_bfloat16_is_that_in_float32_to_its_digits() -> None:

@@ -15,7 +15,7 @@ from roadtorch.inputs.images import find_images
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import SelfTraining, build_training
-from roadtorch.train.run import TrainingRequest, make_recipe, prepare_folder, train
+from roadtorch.train.run import TrainingRequest, make_network, make_recipe, prepare_folder, train
 from roadtorch.train.self_training import (
     SelfTrainingRecipe,
     label_targets,
@@ -127,7 +127,7 @@ class Round:
         images = find_images([request.images])
         prepared = prepare_folder(recipe, images, request.prepared, StopRequest(), True)
         self.files = [item.file for item in prepared if item.file]
-        self.network = recipe.make_network(None).eval()
+        self.network = make_network(training).eval()
 
     def samples(self, number: int = 2) -> Any:
         inputs = TrainingInputs(self.files, {}, None, self.out, number)

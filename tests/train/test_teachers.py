@@ -250,8 +250,8 @@ def test_a_network_labels_again_what_has_changed(tmp_path: Path) -> None:
         write_arrays(file, {"image": torch.zeros(3, 32, 40, dtype=torch.uint8)})
 
     def labelled() -> list[torch.Tensor]:
-        names = label_with_network(files, tmp_path / "labels", network, StopRequest(), quiet=True)
-        return [read_arrays(name, "maps")["maps"] for name in names]
+        labels = label_with_network(files, tmp_path / "labels", network, StopRequest(), quiet=True)
+        return [read_arrays(name, "maps")["maps"] for name in labels.values()]
 
     first, again = labelled()
     times = [file.stat().st_mtime_ns for file in (tmp_path / "labels").iterdir()]

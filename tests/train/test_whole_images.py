@@ -50,7 +50,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def samples_of(files: list[Path], training: ImageTraining, shows_ego: bool = False) -> ImageSamples:
     cars = {"drive": files[4:]} if shows_ego else {}
-    return ImageSamples(training, files, [], torch.ones(5), cars, {})
+    return ImageSamples(training, files, torch.ones(5), cars)
 
 
 # --- batches -------------------------------------------------------------------------------

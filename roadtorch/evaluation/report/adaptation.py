@@ -1,4 +1,4 @@
-"""Page at the end of a training: masks, scores, trust and agreement before and after."""
+"""Page at the end of a training: masks, scores and trust before and after."""
 
 import statistics
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,7 +13,7 @@ from roadtorch.base.atomic import write_text
 from roadtorch.base.bounded import plural
 from roadtorch.base.image import tint_mask, to_pixels
 from roadtorch.base.image_cache import image_cache
-from roadtorch.evaluation.disagreement import Agreements, Disagreement, Disagreements
+from roadtorch.evaluation.disagreement import Disagreement, Disagreements
 from roadtorch.evaluation.metrics import f_measure
 from roadtorch.evaluation.report import montage
 from roadtorch.evaluation.report.charts import COLOURS, DASHES, GREY, PANEL_WIDTH, Series, svg_uri
@@ -40,8 +40,7 @@ NOTES = {
 
 TRUST_NOTE = (
     "Trust is the predicted F of the mask. It depends on the agreement of the detector's parts, so "
-    "training may raise it without better masks. Agreement is that of the network alone, where the "
-    "teacher is confident."
+    "training may raise it without better masks."
 )
 
 ORDER = (
@@ -56,7 +55,6 @@ def write_adaptation(
     comparison: Disagreements,
     files: tuple[Path, Path],
     examples: Sequence[Disagreement],
-    agreement: Agreements | None,
     epochs: Sequence[Mapping[str, float]],
     evaluation: Evaluation | None,
     evidence: str,
@@ -65,8 +63,7 @@ def write_adaptation(
     """Write the page as one self-contained file.
 
     comparison: masks before and after. files: the two weight files. examples: images to show.
-    agreement: None for networks without a teacher's maps. epochs: of ``RunFolder.read_log``.
-    evaluation: scores of both, if there are labels. evidence: key of ``NOTES``. texts: verdict,
+    epochs: of ``RunFolder.read_log``. evaluation: scores of both, if there are labels. evidence: key of ``NOTES``. texts: verdict,
     whether to adopt the network, and why; use and command, command lines.
     """
     differences = [image.difference for image in comparison.images]
@@ -80,7 +77,7 @@ def write_adaptation(
     weights.add("file", [Cell(str(file)) for file in files])
     images = list(draw_montages(comparison, examples, evaluation))
     tables = build_tables(evaluation) if evaluation else []
-    tables.append(summary_table(comparison, agreement))
+    tables.append(summary_table(comparison))
     charts += trust_chart(comparison.images)
     page = render_page(
         "Before and after the training",
@@ -134,8 +131,8 @@ def difference_tile(pixels: np.ndarray, first: np.ndarray, second: np.ndarray) -
     return grey.round().astype(np.uint8)
 
 
-def summary_table(comparison: Disagreements, agreement: Agreements | None) -> Table:
-    """Return means before and after that need no labels: road, trust, agreement."""
+def summary_table(comparison: Disagreements) -> Table:
+    """Return means before and after that need no labels: road, trust."""
     images, rows = comparison.images, {}
     roads = zip(*((image.first_road, image.second_road) for image in images), strict=True)
     rows["fraction of road"] = (*map(statistics.fmean, roads), "")
@@ -143,11 +140,6 @@ def summary_table(comparison: Disagreements, agreement: Agreements | None) -> Ta
         rose, fell = (sum(s * (new - old) > 0 for old, new in trusts) for s in (1, -1))
         note = f"rose on {rose}, fell on {fell} images"
         rows["trust"] = (*map(statistics.fmean, zip(*trusts, strict=True)), note)
-    if agreement is not None:
-        teacher, initial, final = agreement
-        note, key = f"{final.images} prepared images", f"agreement with the teacher {teacher} on"
-        rows[f"{key} road"] = (initial.road, final.road, note)
-        rows[f"{key} layout"] = (initial.layout, final.layout, note)
     table, values = Table("mean over the images", list(rows)), rows.values()
     table.add("before", (Cell(format_number(old)) for old, _, _ in values))
     table.add("after", (Cell(format_number(new)) for _, new, _ in values))

@@ -102,8 +102,9 @@ def adapt(
             return result(Outcome(None, stopped, 0))
         training, skipped = limit_samples(training, frames.frame_count), 0
         for number, half in enumerate(HALVES, 1):
-            pattern, part = frames.glob(half), (number, len(HALVES))
-            request = TrainingRequest(pattern, out / half, out / PREPARED, quiet, part=part)
+            title = f"half {number} of {len(HALVES)}, "
+            pattern = frames.glob(half)
+            request = TrainingRequest(pattern, out / half, out / PREPARED, quiet, title=title)
             outcome = train(training, request)
             if outcome.interrupted:
                 return result(outcome)
