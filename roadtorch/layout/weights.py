@@ -53,9 +53,10 @@ LayoutNetwork = PatchNetwork | WholeImageNetwork
 
 def build_network(settings: Settings) -> LayoutNetwork:
     """Return a new network with these settings, from torch's global generator."""
-    kinds: dict[type, Any] = {settings_class: network for network, settings_class in NETWORKS.values()}
+    kinds: dict[type, Any] = {
+        settings_class: network for network, settings_class in NETWORKS.values()
+    }
     return kinds[type(settings)](settings)
-
 
 
 def save_network(

@@ -387,17 +387,21 @@ def build_training(values: dict[str, Any]) -> Training:
         raise
     if isinstance(settings, SelfTraining):
         check_self_training(settings)
-    elif isinstance(settings, PatchTraining):
-        pass
-    elif isinstance(settings.network, BackboneNetworkSettings) and not settings.initial_weights:
+    elif isinstance(settings, ImageTraining):
+        check_image_training(settings)
+    return settings
+
+
+def check_image_training(settings: ImageTraining) -> None:
+    """Raise ConfigError where a backbone has no initial weights, or ego cars no recordings."""
+    if isinstance(settings.network, BackboneNetworkSettings) and not settings.initial_weights:
         message = "is empty, but a backbone needs initial weights"
         hint = "give weights of such a network, such as backbone-free"
         raise ConfigError("initial_weights", message, hint)
-    elif (probability := settings.augmentation.ego_car) and not settings.recordings.separator:
+    if (probability := settings.augmentation.ego_car) and not settings.recordings.separator:
         message = f"is {probability:g}, but ego cars are only found in recordings"
         hint = 'set recordings.separator, such as "_"'
         raise ConfigError("augmentation.ego_car", message, hint)
-    return settings
 
 
 def check_self_training(settings: SelfTraining) -> None:

@@ -86,7 +86,7 @@ def write_corrections(
 ) -> dict[Path, Path]:
     """Write copies of prepared images with their corrections; return the copy by prepared file.
 
-    files: names of the images by prepared file. correct: returns a prepared image with a correction.
+    files: names of the images by prepared file. correct: of a recipe.
     """
     corrected = sorted(file for file, name in files.items() if name in corrections)
     copies = {file: folder / f"{number:06d}.npz" for number, file in enumerate(corrected)}

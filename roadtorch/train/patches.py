@@ -83,8 +83,8 @@ CORRECTION_SPACING = 8
 def correct_centres(prepared: Arrays, correction: HumanLabels, weight: float) -> Arrays:
     """Replace the centres in corrected areas by a grid of centres with the corrected classes.
 
-    Machine labels are dropped at corrected layouts and void. prepared: of ``label_centres``. weight:
-    of a corrected patch in the loss; returned are ``weights``, float32 (n,), of all.
+    Machine labels are dropped at corrected layouts and void. prepared: of ``label_centres``.
+    weight: of a corrected patch in the loss; ``weights``, float32 (n,), are those of all.
     """
     size = spatial_size(prepared["image"])
     layout = resize_to_image(torch.from_numpy(layout_layer(correction.labels)), size)

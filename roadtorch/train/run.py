@@ -62,7 +62,7 @@ class TrainingRequest:
     """The inputs of a run.
 
     images: a folder, file or quoted glob. prepared: folder of prepared images; None for one inside
-    ``out``. corrections: human corrections of some of the images. title: what comes before round and
+    ``out``. corrections: human corrections of some of the images. title: what comes before the
     epoch in reports. source: folders of images with a renderer's truth, for a self-training.
     command: command line, for the card.
     """
@@ -110,12 +110,10 @@ def train(training: Training, request: TrainingRequest) -> Outcome:
             return run.run(images)
 
 
-def make_recipe(
-    training: Training, source: Sequence[Path] = (), corrected: int = 0
-) -> KindRecipe:
+def make_recipe(training: Training, source: Sequence[Path] = (), corrected: int = 0) -> KindRecipe:
     """Return the recipe for the kind of training and a number of corrected images.
 
-    Raises ConfigError for source images or corrections without effect, and for missing source images.
+    Raises ConfigError for source images that are missing, and for any input without effect.
     """
     if isinstance(training, SelfTraining):
         if corrected:
@@ -226,7 +224,9 @@ class TrainingRun:
         if len(files) == 1 and not self.request.quiet:
             text = "roadtorch: only one image: the network will not generalise to others"
             Progress.write(text, file=sys.stderr)
-        corrected = write_corrections(path / CORRECTIONS, files, self.corrections, self.recipe.correct)
+        corrected = write_corrections(
+            path / CORRECTIONS, files, self.corrections, self.recipe.correct
+        )
         validation = [corrected.pop(file) for file, name in files.items() if name in held_out]
         trained = [file for file, name in files.items() if name not in held_out]
         progress = _read_progress(state, path / CHECKPOINT) if state else TrainingProgress()

@@ -8,7 +8,7 @@ CVPR 2022).
 
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from hashlib import sha256
@@ -24,7 +24,6 @@ from torch.nn import functional as F
 from roadtorch.base.errors import ConfigError, InputError
 from roadtorch.base.image import write_pixels
 from roadtorch.base.signals import StopRequest
-from roadtorch.data.corrections import HumanLabels
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.imaging.resize import resize_maps, spatial_size
 from roadtorch.inputs.item import Item, evenly_spaced
@@ -48,12 +47,9 @@ from roadtorch.train.run_folder import ROUND_WEIGHTS, SHEET
 from roadtorch.train.source import find_source_images, prepare_source, truth_targets
 from roadtorch.train.targets import Targets, split_targets
 from roadtorch.train.training_loop import (
-    IMAGE_ORDER,
-    IMAGE_VARIATION,
     Batch,
     Recipe,
     TrainingInputs,
-    make_generator,
     seed_torch,
 )
 from roadtorch.train.whole_images import (
@@ -62,7 +58,6 @@ from roadtorch.train.whole_images import (
     group_ego_cars,
     name_recordings,
     reweight,
-    sample_members,
     target_loss,
 )
 
@@ -102,7 +97,7 @@ class SelfTeacher:
         The road is the geometric mean of the views' odds, so that one uncertain view does not
         outvote several certain ones.
         """
-        layouts, roads, cars = list[Tensor](), list[Tensor](), list[Tensor]()
+        views = list[Tensor]()
         for network in self._networks:
             self._fusion.network = network
             for is_mirrored in (False, True):
@@ -110,13 +105,11 @@ class SelfTeacher:
                 cues = self._detector.detect(view)
                 car = cues.cues["ego"].float() + compute_cues(network, view)["ego"]
                 planes = torch.cat([cues.cues["layout"], cues.likelihood[None], car[None] / 2])
-                planes = planes.flip(-1) if is_mirrored else planes
-                layouts.append(planes[:NUM_CLASSES])
-                roads.append(log_odds(planes[NUM_CLASSES]))
-                cars.append(planes[-1])
-        street = (torch.stack(cars).mean(0) <= MIN_EGO).float()
-        road = torch.stack(roads).mean(0).sigmoid() * street
-        return torch.cat([torch.stack(layouts).mean(0), road[None], street[None]])
+                views.append(planes.flip(-1) if is_mirrored else planes)
+        planes = torch.stack(views)
+        street = (planes[:, -1].mean(0) <= MIN_EGO).float()
+        road = log_odds(planes[:, NUM_CLASSES]).mean(0).sigmoid() * street
+        return torch.cat([planes[:, :NUM_CLASSES].mean(0), road[None], street[None]])
 
     def compute(self, image: Tensor, name: str, size: tuple[int, int]) -> Arrays:
         """Return the labels of an image as ``maps``, uint8 of a size."""

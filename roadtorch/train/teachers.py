@@ -16,7 +16,6 @@ from roadtorch.base.signals import StopRequest, until_stopped
 from roadtorch.detectors.catalogue import load_detector
 from roadtorch.detectors.detector import Detector
 from roadtorch.imaging.resize import resize_maps, spatial_size
-from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import (
     Resize,
     count_upper_rows,
@@ -44,14 +43,16 @@ def prepare_image(
     """Return an image (3, H, W) at the network's size, with the teacher's maps and the ego car.
 
     ego: bool (H, W), ego car found in the footage, over which the ground is extrapolated before the
-    teacher sees it; None if unknown. Raises ConfigError for a teacher without a layout.
+    teacher sees it; None if unknown, then 0.5. All are uint8 up to 255. Raises ConfigError for a
+    teacher without a layout.
     """
     network, size = training.network, (training.network.height, training.network.width)
     street = image if ego is None else extrapolate_over_ego(image, ego)
     maps = teacher_maps(street, teacher, training.teacher.views)
     car = torch.full(size, 0.5) if ego is None else ego.float()
-    image, maps, car = (resize_as_prepared(part, network, size) for part in (image, maps, car))
-    return encode_maps(image, maps, car, size)
+    parts = {"image": image, "maps": maps, "ego": car}
+    small = {name: resize_as_prepared(part, network, size) for name, part in parts.items()}
+    return {name: to_uint8(part.clamp(0, 1)) for name, part in small.items()}
 
 
 def resize_as_prepared(
@@ -60,17 +61,6 @@ def resize_as_prepared(
     """Resize maps (…, H, W) to a size, with the upper rows of a network of these settings."""
     rows = count_upper_rows(network.upper_rows, network.height)
     return resize_rows(maps, size, round(rows / network.height * size[0]), resize)
-
-
-def encode_maps(image: Tensor, maps: Tensor, ego: Tensor, size: tuple[int, int]) -> Arrays:
-    """Resize an image (3, h, w) and its maps, in [0, 1] and of any sizes, to uint8 up to 255.
-
-    maps: the teacher's sky, vertical, horizontal, road, (4, h, w). ego: (h, w), 1 ego, 0 not, 0.5
-    unknown.
-    """
-    parts = {"image": image, "maps": maps, "ego": ego[None]}
-    small = {name: to_uint8(resize_maps(part, size).clamp(0, 1)) for name, part in parts.items()}
-    return {**small, "ego": small["ego"][0]}
 
 
 def shows_ego_car(file: Path) -> bool:

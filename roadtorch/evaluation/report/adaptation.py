@@ -63,8 +63,9 @@ def write_adaptation(
     """Write the page as one self-contained file.
 
     comparison: masks before and after. files: the two weight files. examples: images to show.
-    epochs: of ``RunFolder.read_log``. evaluation: scores of both, if there are labels. evidence: key of ``NOTES``. texts: verdict,
-    whether to adopt the network, and why; use and command, command lines.
+    epochs: of ``RunFolder.read_log``. evaluation: scores of both, if there are labels. evidence:
+    key of ``NOTES``. texts: verdict, whether to adopt the network, and why; use and command,
+    command lines.
     """
     differences = [image.difference for image in comparison.images]
     average, largest = map(format_percent, (statistics.fmean(differences), max(differences)))

@@ -69,19 +69,16 @@ def sample_frames(
     """Sample at most ``limit`` frames of footage into a folder; a finished sample is reused.
 
     Takes all images, and a frame every ``FRAME_INTERVAL`` of videos and bags; if they are too
-    many, evenly spaced runs of ``RUN_LENGTH``. Raises ConfigError if the folder holds frames of
+    many, evenly spaced runs of ``RUN_LENGTH``. Frames of an unfinished sample are removed: the
+    folder has to be roadtorch's (``RunFolder.lock``). Raises ConfigError if it holds frames of
     other footage, InputError for fewer than two readable frames.
     """
     images, sources = find_inputs(inputs)
     digests = [item.digest() if item.digest else "" for item in [*images, *sources]]
     list_file, key = folder / FRAME_LIST, cache_key(digests, limit)
-    if not list_file.exists():
-        if folder.exists() and any(folder.iterdir()):
-            raise ConfigError(folder, "holds files of something else", "give another --out")
-        make_folder(folder)
-        write_json(list_file, {"key": key, "halves": None})
     sample = _read(list_file, folder, key)
     if sample is None:
+        make_folder(folder)
         for file in folder.glob("*.jpg"):  # of an interrupted run
             file.unlink()
         sample = _write_frames(Inputs(images, sources), folder, limit, quiet)
@@ -95,12 +92,12 @@ def sample_frames(
 
 def _read(list_file: Path, folder: Path, key: str) -> SampledFrames | None:
     """Read the list of frames in a folder; None if sampling was not finished."""
+    if not list_file.exists():
+        return None
     try:
         values = json.loads(read_regular(list_file).decode())
         if values["key"] != key:
             raise ConfigError(folder, "holds frames of other footage", "give another --out")
-        if values["halves"] is None:
-            return None
         first, second = (int(count) for count in values["halves"])
         skipped = tuple(map(str, values["skipped"]))
         return SampledFrames(folder, (first, second), bool(values["moving"]), skipped)
