@@ -58,7 +58,7 @@ SAVE_INTERVAL = 60.0  # seconds of work that a power failure may cost
 class TrainingInputs(NamedTuple):
     """The inputs of a training.
 
-    files: prepared images. corrected: file of the correction by prepared image. initial: network
+    files: prepared images. corrected: copies with corrections of some of them. initial: network
     with the initial weights, if any. out: folder of the run, for labels by a network. number: of
     the round, from 1.
     """
