@@ -22,7 +22,7 @@ LINES = {
     "roadtorch/data": 2_537,
     "roadtorch/detectors": 2_418,
     "roadtorch/evaluation": 3_634,
-    "roadtorch/export": 896,
+    "roadtorch/export": 900,
     "roadtorch/imaging": 1_111,
     "roadtorch/inputs": 1_573,
     "roadtorch/layout": 1_679,
