@@ -266,8 +266,8 @@ class TrainingRun:
         if recipe.rounds > 1:
             title += f"round {number} of {recipe.rounds}, "
         validate = partial(held_out_f, files=held_out) if held_out else None
-        shown = (request.quiet, title, request.device, validate)
-        loop = Loop(network, recipe, samples, progress, self.folder, self.stop, *shown)
+        options = (request.quiet, title, request.device, validate)
+        loop = Loop(network, recipe, samples, progress, self.folder, self.stop, *options)
         if state:
             loop.restore(state)
         else:
