@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from glob import escape
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +24,6 @@ from roadtorch.base.errors import ConfigError, DatasetError
 from roadtorch.base.image import IMAGE_SUFFIXES, UNREAD_SUFFIXES, warn_of_unread
 from roadtorch.data.dataset import LabelledItem, Truth
 from roadtorch.inputs.images import is_image_name
-from roadtorch.layout.classes import UNLABELLED
 
 MAX_LISTED_VALUES = 5  # values, colours or images in a message
 BYTE_VALUES = 256  # label numbers fit one byte
@@ -80,22 +78,9 @@ class ColourLabels:
 
     def truth(self, item: LabelledItem) -> Truth:
         """Read the item's label image; DatasetError naming and counting unknown colours."""
-        indices = self.colour_indices(np.asarray(_open_labels(item.label, mode="RGB")), item.label)
-        return decode_labels(indices, self.numbers, item.label)
-
-    def colour_indices(self, pixels: np.ndarray, path: Path) -> np.ndarray:
-        """Return the index in ``colours`` of each pixel: uint8 (H, W) from colours uint8 (H, W, 3).
-
-        Raises DatasetError naming unknown colours as "r g b" and counting their pixels.
-        """
-        codes = _pack_colours(pixels)
-        indices = _colour_table(self.colours)[codes]
-        if (is_unknown := indices == len(self.colours)).any():
-            values, counts = np.unique(codes[is_unknown], return_counts=True)
-            names = [f"{code >> 16} {code >> 8 & 255} {code & 255}" for code in values.tolist()]
-            hint = f"the set has {len(self.colours)} colours, written red green blue"
-            raise DatasetError(path, f"has unknown colours {_list_counts(names, counts)}", hint)
-        return indices
+        values = _pack_colours(np.asarray(_open_labels(item.label, mode="RGB")))
+        colours = _pack_colours(np.array(self.colours, np.uint8))
+        return decode_labels(values, self.numbers, item.label, colours)
 
 
 # --- finding ----------------------------------------------------------------------------
@@ -213,7 +198,7 @@ def read_label_pixels(path: Path, size: tuple[int, int] | None = None) -> LabelP
             if (np.ptp(pixels, -1) > MAX_JPEG_TINT).any():
                 raise DatasetError(path, "is a JPEG in colour", "give a PNG")
         elif (is_colour := (pixels != grey[..., None]).any(-1)).any():
-            grey = np.where(is_colour, _pack_colours(pixels) | COLOUR, grey)
+            grey = np.where(is_colour, _pack_colours(pixels), grey)
         pixels = grey
     if is_jpeg:
         if 0 < pixels.max(initial=0) < 64:
@@ -265,21 +250,24 @@ def _open_labels(
 # --- meaning ----------------------------------------------------------------------------
 
 
-def decode_labels(labels: np.ndarray, coding: NumberLabels, path: Path) -> Truth:
-    """Return the ground truth of label numbers (H, W); DatasetError counting unknown numbers."""
-    if labels.dtype == np.uint8:  # without sorting
-        counts = np.bincount(labels.ravel(), minlength=BYTE_VALUES)
-        values = counts.nonzero()[0]
-        counts = counts[values]
-    else:
-        values, counts = np.unique(labels, return_counts=True)
-    is_unknown = ~np.isin(values, coding.values)
-    if is_unknown.any():
-        names = _list_counts([str(value) for value in values[is_unknown]], counts[is_unknown])
-        hint = f"known: {', '.join(map(str, coding.values))}"
-        raise DatasetError(path, f"has unknown values {names}", hint)
-    road, valid, layout = (torch.from_numpy(table.take(labels)) for table in _lookup_tables(coding))
-    return Truth(road, valid, layout if coding.layout else None)
+def decode_labels(
+    labels: np.ndarray, coding: NumberLabels, path: Path, values: np.ndarray | None = None
+) -> Truth:
+    """Return the ground truth of label numbers (H, W); DatasetError counting unknown numbers.
+
+    values: those that stand for the values of the coding, such as colours.
+    """
+    meanings, codes = np.array(coding.values), np.array(coding.values) if values is None else values
+    order = np.argsort(codes)
+    index = order[np.searchsorted(codes, labels, sorter=order).clip(max=len(codes) - 1)]
+    if (is_unknown := codes[index] != labels).any():
+        names, counts = np.unique(labels[is_unknown], return_counts=True)
+        listed = _list_counts([value_name(name) for name in names.tolist()], counts)
+        hint = f"known: {', '.join(map(value_name, codes.tolist()))}"
+        raise DatasetError(path, f"has unknown values {listed}", hint)
+    road, valid = np.isin(meanings, coding.road), ~np.isin(meanings, coding.void)
+    layout = torch.from_numpy(np.array(coding.layout, np.uint8)[index]) if coding.layout else None
+    return Truth(torch.from_numpy(road[index]), torch.from_numpy(valid[index]), layout)
 
 
 def _list_counts(names: list[str], counts: np.ndarray) -> str:
@@ -296,27 +284,6 @@ def list_names(names: Sequence[str]) -> str:
 
 
 def _pack_colours(colours: np.ndarray) -> np.ndarray:
-    """Pack each colour uint8 (..., 3) into one int32 (...)."""
+    """Pack each colour uint8 (..., 3) into one value, int32 (...)."""
     red, green, blue = np.moveaxis(colours.astype(np.int32), -1, 0)
-    return red << 16 | green << 8 | blue
-
-
-@lru_cache(maxsize=4)
-def _colour_table(colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
-    """Return the index of each of 2²⁴ colours, uint8; ``len(colours)`` for unknown ones."""
-    table = np.full(2**24, len(colours), np.uint8)
-    table[_pack_colours(np.array(colours, np.uint8))] = np.arange(len(colours))
-    return table
-
-
-@lru_cache
-def _lookup_tables(coding: NumberLabels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return lookup tables over the numbers 0 to 255: is road, is valid, layout class."""
-    road = np.zeros(BYTE_VALUES, np.bool_)
-    valid = np.ones(BYTE_VALUES, np.bool_)
-    layout = np.full(BYTE_VALUES, UNLABELLED, np.uint8)
-    road[list(coding.road)] = True
-    valid[list(coding.void)] = False
-    if coding.layout:
-        layout[list(coding.values)] = coding.layout
-    return road, valid, layout
+    return red << 16 | green << 8 | blue | COLOUR

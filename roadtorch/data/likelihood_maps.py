@@ -18,15 +18,12 @@ from roadtorch.base.settings import INFER_CONFIG, build_settings, read_settings_
 from roadtorch.data.label_images import COLOUR, find_spelling, missing_hint, read_label_pixels
 from roadtorch.detectors.entry import DetectorSettings
 from roadtorch.detectors.mask import decide_mask
-from roadtorch.inputs.item import evenly_spaced
 
 MAP_ENDINGS = (".png", ".likelihood.png", ".npy", ".likelihood.npy")
 
 TOLERANCE = 1 / 255  # largest difference between a map of 8 bits and the same map in another format
 
-MAX_LABELS = 32  # values of a map that may be a label image; ours: Cityscapes has 34 classes
-
-CHECKED_MAPS = 8  # maps of a folder whose values are looked at before the run
+MAX_LABELS = 32  # values of maps that may be label images; ours: Cityscapes has 34 classes
 
 INFER_WHITE = {"uint8": 255, "uint16": 65535}
 """Levels that are 1 in the maps and masks of ``infer``, which may hold 0 and 1 alone."""
@@ -63,23 +60,6 @@ def _read_array(path: Path) -> tuple[str, np.ndarray]:
         message = f"holds {values.dtype} of shape {values.shape}"
         raise InputError(path, message, "give numbers (height, width)")
     return f"{values.dtype.name} in NumPy files", values
-
-
-def find_white_levels(paths: Iterable[Path]) -> dict[str, int]:
-    """Return the level that is 1, by the type of numbers, as all maps of that type show it.
-
-    It is 1 where only 0 and 1 occur; otherwise 255, or 65535 for 16 bits and for larger numbers.
-    """
-    largest: dict[str, int] = {}
-    for path in paths:
-        with suppress(InputError):  # reported when it is scored
-            dtype, values = read_map_levels(path)
-            if values.dtype.kind in "iu":
-                largest[dtype] = max(largest.get(dtype, 0), int(values.max()))
-    return {
-        dtype: 1 if top <= 1 else 65535 if top > 255 or dtype.startswith("uint16") else 255
-        for dtype, top in largest.items()
-    }
 
 
 def read_map(path: Path, white: Mapping[str, int]) -> Tensor:
@@ -120,7 +100,7 @@ def read_decision_settings(folder: Path) -> DetectorSettings:
 class MapFolder:
     """Maps of images in a folder, and the settings by which they become masks.
 
-    white: the level that is 1, by the type of numbers (``find_white_levels``).
+    white: the level that is 1, by the type of numbers (``open_maps``).
     """
 
     folder: Path
@@ -168,23 +148,29 @@ class MapFolder:
         return likelihood
 
 
-def open_maps(folder: Path, decision: DetectorSettings, paths: Sequence[Path]) -> MapFolder:
-    """Open the maps at paths; their levels are those of ``infer``, or else all of them decide.
+def open_maps(folder: Path, decision: DetectorSettings, paths: Iterable[Path]) -> MapFolder:
+    """Open the maps at paths. Of each type of numbers, all maps show which level is 1.
 
-    Warns of maps of a type with as few values as label images have, but for those of masks.
+    It is that of ``infer`` in its folders; else 1 where only 0 and 1 occur, 65535 for 16 bits and
+    for larger numbers, or 255. Warns of a type with as few values as label images have.
     """
     if is_infer_folder(folder):
         return MapFolder(folder, decision, INFER_WHITE)
-    white, level_sets = find_white_levels(paths), dict[str, tuple[Path, set[float]]]()
-    for path in evenly_spaced(paths, CHECKED_MAPS):
+    largest, white = dict[str, np.ndarray](), dict[str, int]()  # the largest values of each type
+    for path in paths:
         with suppress(InputError):  # reported when it is scored
             dtype, values = read_map_levels(path)
-            finite = values[np.isfinite(values)]
-            level_sets.setdefault(dtype, (path, set()))[1].update(np.unique(finite).tolist())
-    for dtype, (path, values) in level_sets.items():
-        if len(values) <= MAX_LABELS and not values <= {0, 1, white.get(dtype, 1)}:
-            message = f"{path} has only {len(values)} values; if they are numbers of classes, "
-            warnings.warn(f"{message}write masks instead: 0 and 1, or 0 and 255", stacklevel=2)
+            values, levels = values[np.isfinite(values)], largest.get(dtype, values.ravel()[:0])
+            new = values if len(levels) <= MAX_LABELS else values.max(keepdims=True, initial=0)
+            largest[dtype] = np.union1d(levels, new)[-MAX_LABELS - 1 :]
+    for dtype, values in largest.items():
+        if values.dtype.kind in "iu":
+            top, is_16_bit = values.max(), dtype.startswith("uint16")
+            white[dtype] = 1 if top <= 1 else 65535 if top > 255 or is_16_bit else 255
+        if len(values) <= MAX_LABELS and not {*values.tolist()} <= {0, 1, white.get(dtype, 1)}:
+            message = f"{folder} has only {len(values)} values in maps of {dtype}; if they are "
+            message += "numbers of classes, write masks instead: 0 and 1, or 0 and 255"
+            warnings.warn(message, stacklevel=2)
     return MapFolder(folder, decision, white)
 
 

@@ -1,5 +1,6 @@
 """Writer of the files of labelled sets, reader of maps."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,13 +8,7 @@ import numpy as np
 from PIL import Image
 from torch import Tensor
 
-from roadtorch.data.likelihood_maps import (
-    INFER_WHITE,
-    MapFolder,
-    find_maps,
-    find_white_levels,
-    is_infer_folder,
-)
+from roadtorch.data.likelihood_maps import find_maps, open_maps
 from roadtorch.detectors.entry import DetectorSettings
 
 Content = str | bytes | np.ndarray | Image.Image
@@ -37,6 +32,6 @@ def read_likelihood_map(
     folder: Path, names: Sequence[str], sizes: Sequence[tuple[int, int]]
 ) -> Tensor:
     """Read one map, whose folder has no others."""
-    white = INFER_WHITE if is_infer_folder(folder) else find_white_levels(find_maps(folder, names))
-    maps = MapFolder(folder, DetectorSettings(), white)
+    with warnings.catch_warnings(action="ignore"):  # they have few values
+        maps = open_maps(folder, DetectorSettings(), find_maps(folder, names))
     return maps.read_likelihood(names, sizes)

@@ -157,7 +157,7 @@ def test_a_map_of_few_values_is_told(tmp_path: Path) -> None:
     np.save(tmp_path / "classes.npy", np.arange(24).reshape(4, 6) % 3)
 
     paths = [tmp_path / f"{name}.npy" for name in ("mask", "smooth", "classes")]
-    with pytest.warns(UserWarning, match=r"classes.npy has only 3 values; if they are numbers of"):
+    with pytest.warns(UserWarning, match=r"only 3 values in maps of int64 in NumPy files; if"):
         open_maps(tmp_path, DetectorSettings(), paths)
 
 

@@ -51,7 +51,7 @@ LABEL_IMAGES: Rows = [
      r"values 77 \(2 pixels\), 3 \(1 pixels\), 255 .*\(known: 0, 1, 5, 7, 9"),
     (partial(truth, NUMBERS), {"a.png": BLACK + GREEN}, "a.png", "a colour image"),
     (partial(truth, COLOURS), {"a.png": BLACK + GREEN}, "a.png",
-     r"colours 3 9 1 \(1 pixels\)"),
+     r"values #030901 \(1 pixels\)"),
     (lambda root: [*pair_files(root / "images", root / "labels", "_L.png")],
      {"images/a.png": BLACK, "images/b.jpg": BLACK, "labels/x": ""}, "labels/a_L.png",
      "is missing, 2 of 2"),

@@ -3,6 +3,7 @@
 import io
 import json
 import tempfile
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,12 +25,7 @@ from roadtorch.data.correction_formats import CORRECTION_FORMATS as IMPORTED
 from roadtorch.data.correction_formats import fill_regions, read_coco
 from roadtorch.data.corrections import Correction, read_log
 from roadtorch.data.label_folders import add_conditions
-from roadtorch.data.likelihood_maps import (
-    MapFolder,
-    find_white_levels,
-    read_decision_settings,
-    read_map,
-)
+from roadtorch.data.likelihood_maps import open_maps, read_decision_settings, read_map
 from roadtorch.data.masks import read_masks
 from roadtorch.data.polygons import coco_annotation
 from roadtorch.detectors.catalogue import detector_entry, list_detectors
@@ -349,9 +345,9 @@ def make_map(draw: Draw, _: Path) -> bytes:
 
 
 def read_maps(path: Path) -> bool:
-    white = find_white_levels([path])
-    assert read_map(path, white).ndim == 2
-    maps = MapFolder(path.parent, read_decision_settings(path.parent), white)
+    with warnings.catch_warnings(action="ignore"):  # it has few values
+        maps = open_maps(path.parent, read_decision_settings(path.parent), [path])
+    assert read_map(path, maps.white).ndim == 2
     likelihood = maps.read_likelihood([path.stem], [SIZE])
     mask = maps.read_mask([path.stem], likelihood)
     return mask.shape == likelihood.shape == SIZE and bool(likelihood.isfinite().all())
